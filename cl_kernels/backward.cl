@@ -1,0 +1,43 @@
+// Gradient of the loss by each Gaussian's depth, order-free blend: a gather, since what a pixel passes back is the
+// same affine function of colour for all that take part in it: dL/dalpha_i = G . c_i + h.
+#include "splat.clh"
+
+__kernel void gather_gradient(__global const float *depth, __global const uchar4 *target_photo,
+                              __global const float *cameras, int view, float radius, float low_pass,
+                              float threshold, float relative, __global const uint *z_first,
+                              __global const float *upstream, __global float *gradient)
+{
+    const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= target.width || row >= target.height)
+        return;
+    const int i = row * target.width + column;
+    const float d = depth[i];
+    Splat splat;
+    Motion motion;
+    if (!(d > 0.0f) || !project_gaussian(target, context, column, row, d, radius, low_pass, &splat, &motion))
+        return;
+    const Footprint f = footprint(splat.mean, radius, context.width, context.height);
+    const color_t color = color_of(target_photo[i]);
+    float sum = 0.0f;
+    for (int y = f.y0; y <= f.y1; ++y)
+        for (int x = f.x0; x <= f.x1; ++x) {
+            const int pixel = y * context.width + x;
+            const float2 delta = offset_from(splat, x, y);
+            if (!(dot(delta, delta) <= radius * radius))
+                continue;
+#ifdef OCCLUSION
+            if (splat.z > depth_limit(as_float(z_first[pixel]), threshold, relative))
+                continue;
+#endif
+#ifdef GREY
+            const float2 up = vload2(pixel, upstream);
+            const float v_alpha = up.x * color + up.y;
+#else
+            const float4 up = vload4(pixel, upstream);
+            const float v_alpha = dot(up.xyz, color) + up.w;
+#endif
+            sum += v_alpha * alpha_motion(splat, motion, delta, raw_alpha(splat, delta));
+        }
+    gradient[i] += sum;
+}

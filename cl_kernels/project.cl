@@ -1,0 +1,74 @@
+// Per-Gaussian passes over the target that need only the projection (method section 3):
+//   nearest        z_first of every context pixel
+//   mark_seen      which context pixels the initial depth reaches
+//   parallax_unit  depth that moves a Gaussian by one pixel
+#include "splat.clh"
+
+__kernel void nearest(__global const float *depth, __global const float *cameras, int view, float radius,
+                      float low_pass, __global volatile uint *z_first)
+{
+    const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= target.width || row >= target.height)
+        return;
+    const float d = depth[row * target.width + column];
+    Splat splat;
+    Motion motion;
+    if (!(d > 0.0f) || !project_gaussian(target, context, column, row, d, radius, low_pass, &splat, &motion))
+        return;
+    const Footprint f = footprint(splat.mean, radius, context.width, context.height);
+    const uint key = depth_key(splat.z);
+    for (int y = f.y0; y <= f.y1; ++y)
+        for (int x = f.x0; x <= f.x1; ++x) {
+            const float2 delta = offset_from(splat, x, y);
+            if (dot(delta, delta) <= radius * radius && raw_alpha(splat, delta) > ALPHA_SEEN)
+                atomic_min(&z_first[y * context.width + x], key);
+        }
+}
+
+__kernel void mark_seen(__global const float *depth, __global const float *cameras, int view,
+                        __global volatile uint *seen)
+{
+    const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= target.width || row >= target.height)
+        return;
+    const float d = depth[row * target.width + column];
+    if (!(d > 0.0f))
+        return;
+    const float3 m = project_mean(target, context, column, row, d);
+    if (!(m.z > NEAR) || !(m.x >= 0.0f && m.x < context.width && m.y >= 0.0f && m.y < context.height))
+        return;
+    const int pixel = (int)floor(m.y) * context.width + (int)floor(m.x);
+    atomic_or(&seen[pixel >> 5], 1u << (pixel & 31));
+}
+
+// u = 1 / sqrt(mean |dm/dd|^2) over the context views that see the Gaussian; 0 where none does: such a pixel is fixed.
+__kernel void parallax_unit(__global const float *depth, __global const float *cameras, int views,
+                            __global float *unit)
+{
+    const Camera target = load_camera(cameras, 0);
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= target.width || row >= target.height)
+        return;
+    const int i = row * target.width + column;
+    const float d = depth[i];
+    const float3 ray = pixel_ray(target, column, row);
+    float sum = 0.0f;
+    int count = 0;
+    for (int view = 1; view <= views && d > 0.0f; ++view) {
+        const Camera context = load_camera(cameras, view);
+        const float3 q = (float3)(dot(context.r0, ray), dot(context.r1, ray), dot(context.r2, ray));
+        const float3 p = d * q + context.t;
+        const float inverse_z = 1.0f / p.z;
+        const float2 m = (float2)(context.fx * p.x * inverse_z + context.cx, context.fy * p.y * inverse_z + context.cy);
+        if (!(p.z > NEAR) || !(m.x >= 0.0f && m.x < context.width && m.y >= 0.0f && m.y < context.height))
+            continue;
+        const float2 v = (float2)(context.fx * (q.x * context.t.z - q.z * context.t.x),
+                                  context.fy * (q.y * context.t.z - q.z * context.t.y)) * (inverse_z * inverse_z);
+        sum += dot(v, v);
+        ++count;
+    }
+    const float mean = count ? sum / count : 0.0f;
+    unit[i] = mean > 1e-12f ? rsqrt(mean) : 0.0f;
+}

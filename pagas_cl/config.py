@@ -1,0 +1,321 @@
+"""Every setting, one frozen dataclass a stage, and the presets.
+
+Lengths are free of scale: pixels, pixels of parallax, or shares of the depth range; never scene units, so that the
+same settings serve millimetres and kilometres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from typing import Any
+
+from pagas_cl.errors import InputError
+
+
+def _check(stage: str, **rules):
+    """Raise InputError for the first `field=(value, holds, expected)` that does not hold."""
+    for name, (value, holds, expected) in rules.items():
+        if not holds:
+            raise InputError(f"setting {stage}.{name} is {value!r}, expected {expected}")
+
+
+def _one_of(value, *choices):
+    return value, value in choices, " or ".join(repr(c) for c in choices)
+
+
+def _within(value, low, high):
+    ok = isinstance(value, (int, float)) and not isinstance(value, bool) and low <= value <= high
+    return value, ok, f"a number from {low:g} to {high:g}"
+
+
+def _whole(value, low, high):
+    ok = isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
+    return value, ok, f"a whole number from {low} to {high}"
+
+
+def _flag(value):
+    return value, isinstance(value, bool), "true or false"
+
+
+@dataclass(frozen=True)
+class Splatting:
+    """How Gaussians become an image (method sections 3 and 4).
+
+    Attributes
+    ----------
+    blend : str
+        "order_free": colours averaged by weight (Zwicker et al. 2001); "alpha": the paper's front-to-back compositing.
+    radius : float
+        Radius threshold r, pixels.
+    occlusion : bool
+        Whether the depth threshold is tested at all.
+    depth_slices : float
+        The depth threshold delta is the range of the initial depth divided by this (paper: 20).
+    depth_relative : float
+        Share of the local depth; delta is the smaller of both where this is above 0 (thin structures).
+    low_pass : float
+        Variance epsilon, px^2, added to the projected Gaussian, with the compensation factor on opacity
+        ("antialiased"); 0 compiles both out.
+    normalize : bool
+        With "alpha": compare C / A instead of C.
+    """
+
+    blend: str = "order_free"
+    radius: float = 1.0
+    occlusion: bool = True
+    depth_slices: float = 20.0
+    depth_relative: float = 0.0
+    low_pass: float = 0.0
+    normalize: bool = False
+
+    def __post_init__(self):
+        _check("splatting", blend=_one_of(self.blend, "order_free", "alpha"), radius=_within(self.radius, 0, 8),
+               occlusion=_flag(self.occlusion), depth_slices=_within(self.depth_slices, 1e-6, 1e9),
+               depth_relative=_within(self.depth_relative, 0, 1), low_pass=_within(self.low_pass, 0, 4),
+               normalize=_flag(self.normalize))
+
+
+@dataclass(frozen=True)
+class Loss:
+    """What the splatted image is compared by (method section 5).
+
+    Attributes
+    ----------
+    ssim : float
+        lambda_c, the share of 1 - SSIM beside L1.
+    gradient_weight : bool
+        Weight L1 by w_grad (paper eq. 6).
+    coverage_weight : bool
+        Weight L1 by the rendered coverage A.
+    unseen_mask : bool
+        Leave out the pixels that no valid target pixel reaches under the initial depth (L1 only).
+    grey : bool
+        Compare grey images (Rec. 601 luma) instead of three channels.
+    target_view : bool
+        Count the target's own view in the reported loss (it has no gradient).
+    """
+
+    ssim: float = 0.2
+    gradient_weight: bool = True
+    coverage_weight: bool = True
+    unseen_mask: bool = False
+    grey: bool = False
+    target_view: bool = False
+
+    def __post_init__(self):
+        _check("loss", ssim=_within(self.ssim, 0, 1),
+               **{name: _flag(getattr(self, name)) for name in
+                  ("gradient_weight", "coverage_weight", "unseen_mask", "grey", "target_view")})
+
+
+@dataclass(frozen=True)
+class Smoothness:
+    """What holds a depth map together where photos say little.
+
+    Attributes
+    ----------
+    kind : str
+        "none"; "normal": the paper's angle between neighbouring normals; "planar": Huber on second differences of
+        inverse depth, in pixels of parallax, which vanish on every plane.
+    weight : float
+        lambda_s.
+    texture : float
+        How much w_grad lowers the weight: 1 - texture * w_grad.
+    huber : float
+        With "planar": where the penalty turns from quadratic to linear, pixels of parallax.
+    """
+
+    kind: str = "planar"
+    weight: float = 0.1
+    texture: float = 0.8
+    huber: float = 0.1
+
+    def __post_init__(self):
+        _check("smoothness", kind=_one_of(self.kind, "none", "normal", "planar"), weight=_within(self.weight, 0, 100),
+               texture=_within(self.texture, 0, 1), huber=_within(self.huber, 1e-6, 1e6))
+
+
+@dataclass(frozen=True)
+class Solver:
+    """Adam and its schedule (method section 6).
+
+    Attributes
+    ----------
+    rate : float
+        Step per iteration in `unit`.
+    unit : str
+        "parallax": pixels of parallax of each pixel; "distance": the median distance of the cameras from the point
+        they look at (the paper's).
+    damping : float
+        Adam's epsilon, relative to a gradient of 1 per pixel.
+    patience : int
+        Steps without a better loss before the rate falls by 10; 0 keeps the rate.
+    rate_floor : float
+        A level stops when the rate falls below this share of the first one.
+    views_per_step : int
+        Context views used in each step, in turn; 0 means all.
+    max_move : float
+        A depth that moved by more than this, pixels of parallax, is rejected and the input kept.
+    """
+
+    rate: float = 0.02
+    unit: str = "parallax"
+    damping: float = 1e-8
+    patience: int = 0
+    rate_floor: float = 0.01
+    views_per_step: int = 0
+    max_move: float = 8.0
+
+    def __post_init__(self):
+        _check("solver", rate=_within(self.rate, 1e-12, 100), unit=_one_of(self.unit, "parallax", "distance"),
+               damping=_within(self.damping, 0, 1e3), patience=_whole(self.patience, 0, 10**6),
+               rate_floor=_within(self.rate_floor, 0, 1), views_per_step=_whole(self.views_per_step, 0, 10**4),
+               max_move=_within(self.max_move, 0, 1e9))
+
+
+@dataclass(frozen=True)
+class Pyramid:
+    """Levels from coarse to fine.
+
+    Attributes
+    ----------
+    scales : tuple of float
+        Image size of each level as a share of the full size; the last one is 1.
+    steps : tuple of int
+        Most steps of each level.
+    """
+
+    scales: tuple[float, ...] = (1.0,)
+    steps: tuple[int, ...] = (60,)
+
+    def __post_init__(self):
+        object.__setattr__(self, "scales", tuple(float(s) for s in self.scales))
+        object.__setattr__(self, "steps", tuple(self.steps))
+        rising = all(a < b for a, b in zip(self.scales, self.scales[1:]))
+        ok = bool(self.scales) and rising and self.scales[0] > 0 and self.scales[-1] == 1
+        _check("pyramid", scales=(self.scales, ok, "rising numbers above 0, the last one 1"),
+               steps=(self.steps, len(self.steps) == len(self.scales)
+                      and all(_whole(n, 0, 10**6)[1] for n in self.steps),
+                      f"{len(self.scales)} whole numbers from 0 to 1000000, one a scale"))
+
+
+@dataclass(frozen=True)
+class Context:
+    """Which other views constrain a view.
+
+    Attributes
+    ----------
+    number : int
+        Most context views.
+    min_angle, max_angle : float
+        Useful angles between the rays of target and context, degrees.
+    min_overlap : float
+        Least share of the target's valid pixels that a context view must see.
+    """
+
+    number: int = 10
+    min_angle: float = 1.0
+    max_angle: float = 60.0
+    min_overlap: float = 0.1
+
+    def __post_init__(self):
+        _check("context", number=_whole(self.number, 1, 1000), min_angle=_within(self.min_angle, 0, 180),
+               max_angle=_within(self.max_angle, self.min_angle, 180), min_overlap=_within(self.min_overlap, 0, 1))
+
+
+@dataclass(frozen=True)
+class Fusion:
+    """Depth maps to a mesh.
+
+    Attributes
+    ----------
+    voxel : float
+        Edge of a voxel in footprints (the median size of a pixel on the surface).
+    truncation : float
+        Truncation distance in voxels.
+    min_views : int
+        Least number of views that must have seen a vertex.
+    agree_views : int
+        Before fusion keep only depths that this many other views confirm; 0 keeps all.
+    agree_pixels : float
+        What "confirm" means: within this many pixels of parallax.
+    min_component : float
+        Pieces with fewer triangles than this share of the largest one are dropped; 0 keeps all.
+    """
+
+    voxel: float = 1.0
+    truncation: float = 6.0
+    min_views: int = 1
+    agree_views: int = 0
+    agree_pixels: float = 2.0
+    min_component: float = 0.05
+
+    def __post_init__(self):
+        _check("fusion", voxel=_within(self.voxel, 0.05, 1000), truncation=_within(self.truncation, 1, 100),
+               min_views=_whole(self.min_views, 1, 1000), agree_views=_whole(self.agree_views, 0, 1000),
+               agree_pixels=_within(self.agree_pixels, 0, 1e6), min_component=_within(self.min_component, 0, 1))
+
+
+@dataclass(frozen=True)
+class Config:
+    """All settings of a run."""
+
+    splatting: Splatting = field(default_factory=Splatting)
+    loss: Loss = field(default_factory=Loss)
+    smoothness: Smoothness = field(default_factory=Smoothness)
+    solver: Solver = field(default_factory=Solver)
+    pyramid: Pyramid = field(default_factory=Pyramid)
+    context: Context = field(default_factory=Context)
+    fusion: Fusion = field(default_factory=Fusion)
+
+    def __post_init__(self):
+        for stage in fields(self):
+            value = getattr(self, stage.name)
+            if not is_dataclass(value) or type(value).__name__ != stage.type:
+                raise InputError(f"setting {stage.name} is a {type(value).__name__}, expected a {stage.type}")
+
+    def with_settings(self, **settings: Any) -> Config:
+        """A copy with `stage__field=value` or `"stage.field": value` changed: `with_settings(splatting__radius=1.4)`."""
+        config = self
+        for key, value in settings.items():
+            stage, _, name = key.replace("__", ".").partition(".")
+            known = {f.name for f in fields(getattr(config, stage))} if hasattr(Config, "__dataclass_fields__") \
+                and stage in Config.__dataclass_fields__ else set()
+            if name not in known:
+                raise InputError(f"unknown setting {key!r}; {_nearest(key.replace('__', '.'))}")
+            config = replace(config, **{stage: replace(getattr(config, stage), **{name: value})})
+        return config
+
+    def as_dict(self) -> dict:
+        """Plain nested dictionary, ready for JSON."""
+        return asdict(self)
+
+
+def setting_names() -> list[str]:
+    """Every setting as "stage.field", in order."""
+    return [f"{stage.name}.{f.name}" for stage in fields(Config) for f in fields(globals()[stage.type])]
+
+
+def _nearest(key: str) -> str:
+    from difflib import get_close_matches
+
+    near = get_close_matches(key, setting_names(), n=1, cutoff=0.0)
+    return f"the nearest known one is {near[0]!r}"
+
+
+PAPER = Config(
+    splatting=Splatting(blend="alpha", radius=1.42, depth_slices=20.0, low_pass=0.3),
+    loss=Loss(ssim=0.2, unseen_mask=True, target_view=True),
+    smoothness=Smoothness(kind="none", weight=0.0),
+    solver=Solver(rate=1e-5, unit="distance", patience=10, rate_floor=1e-2, max_move=1e9),
+    pyramid=Pyramid(scales=(0.5, 1.0), steps=(100, 100)),
+)
+BALANCED = Config()
+PRESETS: dict[str, Config] = {"balanced": BALANCED, "paper": PAPER}
+
+
+def preset(name: str) -> Config:
+    """The preset called `name`."""
+    if name not in PRESETS:
+        raise InputError(f"unknown preset {name!r}, expected {' or '.join(repr(p) for p in PRESETS)}")
+    return PRESETS[name]

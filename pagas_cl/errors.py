@@ -1,0 +1,51 @@
+"""What can go wrong, one small family: every message says what, where, got, expected, and what to do."""
+
+
+class PagasError(Exception):
+    """Base of every error that pagas_cl raises on purpose."""
+
+
+class InputError(PagasError, ValueError):
+    """The caller's data or settings cannot be used. The command line ends with status 2."""
+
+
+class DeviceError(PagasError, RuntimeError):
+    """No OpenCL device can do the work: none found, too little memory, lost during the run."""
+
+
+class KernelBuildError(DeviceError):
+    """The device's compiler refused a kernel.
+
+    Attributes
+    ----------
+    log : str
+        The compiler's own words.
+    options : str
+        The build options that were passed.
+    source : str
+        The source as the compiler saw it, includes pasted.
+    """
+
+    def __init__(self, message: str, log: str = "", options: str = "", source: str = ""):
+        super().__init__(message)
+        self.log, self.options, self.source = log, options, source
+
+
+class MissingExtraError(PagasError, ImportError):
+    """An optional package is needed and absent; the message gives the pip command."""
+
+    def __init__(self, package: str, extra: str, purpose: str):
+        super().__init__(f'{purpose} needs {package}, which is not installed: pip install "pagas-cl[{extra}]"')
+        self.package, self.extra = package, extra
+
+
+def need(package: str, extra: str, purpose: str):
+    """Import and return an optional `package`, or raise MissingExtraError naming the `extra` that brings it."""
+    from importlib import import_module
+
+    try:
+        return import_module(package)
+    except ModuleNotFoundError as error:
+        if error.name != package:
+            raise
+        raise MissingExtraError(package, extra, purpose) from error

@@ -1,0 +1,187 @@
+"""A pinhole camera in the one convention that is used everywhere inside (method section 2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pagas_cl.errors import InputError
+
+_OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+_ROTATION_TOLERANCE = 1e-3  # text formats keep 4 to 6 digits
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Pinhole camera.
+
+    Convention: looks along +z, x right, y down (OpenCV, COLMAP). The image origin is the top-left corner, so that
+    pixel (row v, column u) has its centre at (u + 0.5, v + 0.5). All numbers are float64.
+
+    Parameters
+    ----------
+    width, height : int
+        Image size in pixels.
+    fx, fy, cx, cy : float
+        Focal lengths and principal point in pixels.
+    world_to_camera : ndarray of shape (4, 4)
+        Rigid transform from world to camera coordinates, in scene units.
+    name : str
+        What messages and files call this view.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    world_to_camera: np.ndarray = field(repr=False)
+    name: str = ""
+
+    def __post_init__(self):
+        who = f"camera {self.name!r}" if self.name else "camera"
+        for side in ("width", "height"):
+            value = getattr(self, side)
+            if int(value) != value or value < 1:
+                raise InputError(f"{who}: {side} is {value}, expected a whole number of pixels of at least 1")
+            object.__setattr__(self, side, int(value))
+        for number in ("fx", "fy", "cx", "cy"):
+            value = float(getattr(self, number))
+            if not np.isfinite(value) or (number[0] == "f" and value <= 0):
+                raise InputError(f"{who}: {number} is {value}, expected a finite number of pixels"
+                                 + (" above 0" if number[0] == "f" else ""))
+            object.__setattr__(self, number, value)
+        object.__setattr__(self, "world_to_camera", _checked_pose(self.world_to_camera, who))
+
+    # -- constructors: each says which convention comes in -------------------------------------------------------
+
+    @classmethod
+    def from_opencv_w2c(cls, K, world_to_camera, width, height, *, pixel_center=0.5, name="") -> Camera:
+        """From OpenCV axes (x right, y down, z forward) and a world-to-camera pose.
+
+        Parameters
+        ----------
+        K : array_like of shape (3, 3)
+            Intrinsics in pixels.
+        world_to_camera : array_like of shape (3, 4) or (4, 4)
+        pixel_center : float
+            Where K puts the centre of the top-left pixel: 0.5 (COLMAP; rays of Open3D) or 0 (OpenCV's calibration,
+            OpenMVS, Open3D's legacy cameras).
+        """
+        K = np.asarray(K, np.float64)
+        if K.shape != (3, 3):
+            raise InputError(f"camera {name!r}: K has shape {K.shape}, expected (3, 3)")
+        if abs(K[0, 1]) > 1e-6 * abs(K[0, 0]):
+            raise InputError(f"camera {name!r}: K has skew {K[0, 1]:g}, expected 0; undistort the photos first")
+        shift = 0.5 - float(pixel_center)
+        return cls(width, height, K[0, 0], K[1, 1], K[0, 2] + shift, K[1, 2] + shift, world_to_camera, name)
+
+    @classmethod
+    def from_c2w(cls, K, camera_to_world, width, height, *, pixel_center=0.5, name="") -> Camera:
+        """From OpenCV axes and a camera-to-world pose (the camera's place in the world); else as from_opencv_w2c."""
+        pose = _checked_pose(camera_to_world, f"camera {name!r}")
+        return cls.from_opencv_w2c(K, inverse_pose(pose), width, height, pixel_center=pixel_center, name=name)
+
+    @classmethod
+    def from_opengl_c2w(cls, K, camera_to_world, width, height, *, pixel_center=0.5, name="") -> Camera:
+        """From OpenGL axes (x right, y up, looking along -z; nerfstudio, Blender) and a camera-to-world pose."""
+        pose = _checked_pose(camera_to_world, f"camera {name!r}") @ _OPENGL_TO_OPENCV
+        return cls.from_opencv_w2c(K, inverse_pose(pose), width, height, pixel_center=pixel_center, name=name)
+
+    @classmethod
+    def from_colmap(cls, camera, image) -> Camera:
+        """From pycolmap's Camera and Image (PINHOLE or SIMPLE_PINHOLE; COLMAP counts pixel centres at +0.5)."""
+        model = camera.model.name if hasattr(camera.model, "name") else str(camera.model)
+        if model not in ("PINHOLE", "SIMPLE_PINHOLE"):
+            raise InputError(f"camera of image {image.name!r} is {model}, expected PINHOLE or SIMPLE_PINHOLE; "
+                             "undistort first: colmap image_undistorter")
+        pose = image.cam_from_world
+        pose = (pose() if callable(pose) else pose).matrix()
+        return cls(camera.width, camera.height, camera.focal_length_x, camera.focal_length_y,
+                   camera.principal_point_x, camera.principal_point_y, pose, image.name)
+
+    @classmethod
+    def from_open3d(cls, parameters, *, pixel_center=0.0, name="") -> Camera:
+        """From Open3D's PinholeCameraParameters (extrinsic is world-to-camera).
+
+        Open3D's legacy cameras count pixel centres at whole numbers, which is the default here.
+        """
+        intrinsic = parameters.intrinsic
+        return cls.from_opencv_w2c(intrinsic.intrinsic_matrix, parameters.extrinsic, intrinsic.width,
+                                   intrinsic.height, pixel_center=pixel_center, name=name)
+
+    # -- what one asks of a camera -------------------------------------------------------------------------------
+
+    @property
+    def K(self) -> np.ndarray:
+        """Intrinsics, float64 of shape (3, 3), pixel centres at +0.5."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
+
+    @property
+    def center(self) -> np.ndarray:
+        """Centre of projection in world coordinates, float64 of shape (3,)."""
+        return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Viewing direction (camera +z) in world coordinates, float64 of shape (3,), unit length."""
+        return self.world_to_camera[2, :3].copy()
+
+    def rays(self) -> np.ndarray:
+        """Rays through the pixel centres with z = 1, camera coordinates: float64 of shape (height, width, 3)."""
+        x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
+        y = (np.arange(self.height) + 0.5 - self.cy) / self.fy
+        x, y = np.meshgrid(x, y)
+        return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+    def project(self, points) -> tuple[np.ndarray, np.ndarray]:
+        """Project world `points` of shape (..., 3): pixel positions of shape (..., 2) and depth z of shape (...)."""
+        p = np.asarray(points, np.float64) @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
+        z = p[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            uv = p[..., :2] / z[..., None] * (self.fx, self.fy) + (self.cx, self.cy)
+        return uv, z
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same camera for the image resampled to `width` x `height` (the image's corners stay in place)."""
+        sx, sy = width / self.width, height / self.height
+        return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx,
+                       cy=self.cy * sy)
+
+    def relative_to(self, target: Camera) -> tuple[np.ndarray, np.ndarray]:
+        """Rotation R (3, 3) and translation tau (3,) from `target`'s camera frame to this one (method section 3).
+
+        tau comes from the difference of the centres, so that it keeps its digits when both are far from the origin.
+        """
+        rotation = self.world_to_camera[:3, :3] @ target.world_to_camera[:3, :3].T
+        return rotation, self.world_to_camera[:3, :3] @ (target.center - self.center)
+
+
+def inverse_pose(pose: np.ndarray) -> np.ndarray:
+    """Inverse of a rigid 4x4 transform."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = pose[:3, :3].T
+    inverse[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
+    return inverse
+
+
+def _checked_pose(pose, who: str) -> np.ndarray:
+    pose = np.asarray(pose, np.float64)
+    if pose.shape == (3, 4):
+        pose = np.vstack([pose, [0, 0, 0, 1]])
+    if pose.shape != (4, 4):
+        raise InputError(f"{who}: the pose has shape {pose.shape}, expected (4, 4) or (3, 4)")
+    if not np.isfinite(pose).all():
+        raise InputError(f"{who}: the pose holds values that are not finite")
+    if np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-9:
+        raise InputError(f"{who}: the pose's last row is {pose[3].tolist()}, expected [0, 0, 0, 1]; is it transposed?")
+    R = pose[:3, :3]
+    error = np.abs(R @ R.T - np.eye(3)).max()
+    if error > _ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+        raise InputError(f"{who}: the pose's 3x3 part is no rotation (|R R^T - 1| is {error:.2g}, determinant "
+                         f"{np.linalg.det(R):.4g}); remove scale and reflection first")
+    pose = pose.copy()
+    pose.setflags(write=False)
+    return pose
