@@ -1,0 +1,189 @@
+"""Twin of splat/level: the loss and gradient of one step, and a whole small refinement (method sections 3 to 6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pagas_cl.config import Config
+from pagas_cl.reference import loss as losses
+from pagas_cl.reference import resample
+from pagas_cl.reference.composite import Rendered, composite, composite_vjp
+from pagas_cl.reference.project import is_valid, median_depth, project
+from pagas_cl.reference.smooth import smoothness
+from pagas_cl.reference.step import Adam, Plateau, distance_unit, parallax_unit
+from pagas_cl.scene.camera import Camera
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """One view as the twin sees it: camera, image (H, W, 3) float64 in 0..1, mask (H, W) bool or None."""
+
+    camera: Camera
+    image: np.ndarray
+    mask: np.ndarray | None = None
+
+    @classmethod
+    def from_view(cls, view) -> Photo:
+        """From a pagas_cl.scene.view.View."""
+        return cls(view.camera, view.load_image() / 255.0, view.load_mask())
+
+    def resized(self, scale: float) -> Photo:
+        """The view at a pyramid level."""
+        size = resample.scaled_size(self.camera.width, self.camera.height, scale)
+        mask = None if self.mask is None else resample.shrink_mask(self.mask, *size)
+        return Photo(self.camera.resized(*size), resample.shrink_image(self.image, *size), mask)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What stays fixed during a level. Lengths in units.
+
+    Attributes
+    ----------
+    unit : float
+        Scene units per unit.
+    delta : float
+        Depth threshold: range of the initial depth / slices.
+    parallax : ndarray of shape (H, W)
+        u; 0 where the pixel is fixed.
+    kappa : ndarray of shape (H, W)
+        d0^2 / u; 0 where u is 0.
+    distance : float
+        The distance unit of the paper's rate.
+    seen : tuple of ndarray (H', W') bool
+        Of each context view.
+    texture : ndarray of shape (H, W)
+        w_grad of the target's photo.
+    """
+
+    unit: float
+    delta: float
+    parallax: np.ndarray
+    kappa: np.ndarray
+    distance: float
+    seen: tuple[np.ndarray, ...]
+    texture: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """depth (H, W) float64 in scene units, 0 = no surface; the loss of every step; steps of every level."""
+
+    depth: np.ndarray
+    losses: list[float]
+    steps: list[int]
+
+
+def depth_threshold(depth: np.ndarray, slices: float) -> float:
+    """delta: range of the valid depths / slices, in the depth's own unit (paper section 3; 20 slices)."""
+    d = depth[is_valid(depth)]
+    return float((d.max() - d.min()) / slices)
+
+
+def prepare(initial, target: Photo, contexts: list[Photo], config: Config, unit: float, delta: float,
+            start=None) -> State:
+    """The State of a level from the views at the level's size, the run's initial depth (H, W) at that size, units,
+    and the depth that the level starts from (the initial one by default)."""
+    views = [project(initial, target.camera, c.camera, config.splatting.low_pass, unit) for c in contexts]
+    sizes = [(c.camera.width, c.camera.height) for c in contexts]
+    u = parallax_unit(views, sizes).reshape(initial.shape)
+    d0 = initial if start is None else start
+    kappa = np.where(u > 0, d0**2 / np.where(u > 0, u, 1.0), 0.0)
+    distance = distance_unit([target.camera, *(c.camera for c in contexts)]) / unit
+    return State(unit, delta, u, kappa, distance if np.isfinite(distance) else 1.0,
+                 tuple(losses.seen(view, *size) for view, size in zip(views, sizes)),
+                 losses.w_grad(losses.comparable(target.image, config.loss)))
+
+
+def render(depth, target: Photo, context: Photo, config: Config, state: State) -> Rendered:
+    """The target's Gaussians in the view of `context` (method sections 3 and 4)."""
+    projected = project(depth, target.camera, context.camera, config.splatting.low_pass, state.unit)
+    photo = losses.comparable(context.image, config.loss)
+    colors = losses.comparable(target.image, config.loss)
+    return composite(projected, colors.reshape(-1, colors.shape[-1]), photo, config.splatting, state.delta)
+
+
+def view_loss(depth, target: Photo, context: Photo, config: Config, state: State, seen_mask=None):
+    """L_v and dL_v/dd of shape (H, W) of one view (method sections 3 to 5)."""
+    rendered = render(depth, target, context, config, state)
+    photo = losses.comparable(context.image, config.loss)
+    value, v_color, v_coverage = losses.photometric(rendered.color, rendered.coverage, photo, config.loss, seen_mask,
+                                                    context.mask)
+    return value, composite_vjp(rendered, v_color, v_coverage).reshape(depth.shape)
+
+
+def loss_and_gradient(depth, target: Photo, contexts: list[Photo], config: Config, state: State, views=None):
+    """L = mean_v L_v + L_s, and N dL/dd with N the number of target pixels.
+
+    Parameters
+    ----------
+    depth : ndarray of shape (H, W)
+        Units, 0 = no surface.
+    views : sequence of int, optional
+        Indices of the context views of this step; all by default. With `config.loss.target_view` the target's own
+        view is one more view of the mean; it has no gradient.
+
+    Returns
+    -------
+    value : float
+    gradient : ndarray of shape (H, W)
+        0 where there is no surface.
+    """
+    views = range(len(contexts)) if views is None else views
+    parts = [view_loss(depth, target, contexts[v], config, state, state.seen[v]) for v in views]
+    if config.loss.target_view:
+        parts.append(view_loss(depth, target, target, config, state))
+    value, gradient = smoothness(depth, is_valid(depth), config.smoothness, state.kappa, target.camera.rays(),
+                                 state.texture)
+    value += sum(part[0] for part in parts) / len(parts)
+    gradient = gradient + sum(part[1] for part in parts) / len(parts)
+    return float(value), depth.size * gradient
+
+
+def views_of_step(step: int, number: int, per_step: int) -> list[int]:
+    """Context views of step 0, 1, ...: `per_step` of them in turn, or all."""
+    if per_step <= 0 or per_step >= number:
+        return list(range(number))
+    return [(step * per_step + i) % number for i in range(per_step)]
+
+
+def run_level(depth, target: Photo, contexts: list[Photo], config: Config, state: State, steps: int):
+    """Adam on one level: the depth in units after at most `steps` steps, and the loss before each of them."""
+    solver, history = config.solver, []
+    length = state.parallax if solver.unit == "parallax" else np.where(state.parallax > 0, state.distance, 0.0)
+    adam, schedule = Adam.start(depth.shape), Plateau(solver.rate, solver.patience, solver.rate_floor)
+    for step in range(steps):
+        views = views_of_step(step, len(contexts), solver.views_per_step)
+        value, gradient = loss_and_gradient(depth, target, contexts, config, state, views)
+        history.append(value)
+        rate = schedule.next_rate(value)
+        if rate == 0:
+            break
+        depth = adam.step(depth, gradient, length, rate, solver.damping)
+    return depth, history
+
+
+def refine(depth, target: Photo, contexts: list[Photo], config: Config) -> Refined:
+    """Refine a depth map (H, W) in scene units, 0 = no surface: every level of the pyramid (method section 6).
+
+    Pixels that moved by more than `solver.max_move` pixels of parallax get their input back.
+    """
+    valid = is_valid(depth) if target.mask is None else is_valid(depth) & target.mask
+    unit = median_depth(np.where(valid, depth, 0.0))
+    initial = np.where(valid, depth, 0.0) / unit
+    delta = depth_threshold(initial, config.splatting.depth_slices)
+    current, history, counts = None, [], []
+    for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
+        level_target, level_contexts = target.resized(scale), [c.resized(scale) for c in contexts]
+        size = level_target.camera.width, level_target.camera.height
+        level_initial = resample.shrink_depth(initial, *size)
+        finer = level_initial if current is None else resample.enlarge_depth(current, *size)
+        start = np.where((level_initial > 0) & (finer > 0), finer, level_initial)
+        state = prepare(level_initial, level_target, level_contexts, config, unit, delta, start)
+        current, values = run_level(start, level_target, level_contexts, config, state, steps)
+        history += values
+        counts.append(len(values))
+    far = np.abs(current - initial) > config.solver.max_move * state.parallax
+    return Refined(np.where(far, initial, current) * unit, history, counts)

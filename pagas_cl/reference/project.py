@@ -1,0 +1,117 @@
+"""Twin of splat/project: Gaussians with one degree of freedom, seen from a context view, with every derivative by d.
+
+Method section 3, paper eq. 3 and 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pagas_cl.scene.camera import Camera
+
+NEAR = 1e-3  # least depth of a Gaussian that is drawn, in units
+
+
+@dataclass(frozen=True, eq=False)
+class Projected:
+    """The target's N Gaussians in one context view; symmetric 2x2 matrices are stored as (xx, xy, yy).
+
+    Where `valid` is false (no surface, or z <= near) the other fields hold finite numbers without meaning.
+
+    Attributes
+    ----------
+    valid : ndarray of shape (N,), bool
+    z, z_d : ndarray of shape (N,)
+        Depth in the context view, units, and its derivative.
+    m, m_d : ndarray of shape (N, 2)
+        Projected mean, pixels (first pixel's centre at 0.5).
+    Sigma, Sigma_d : ndarray of shape (N, 3)
+        Projected covariance without low-pass, px^2.
+    K : ndarray of shape (N, 3)
+        Conic (Sigma + eps I)^-1, px^-2.
+    o, log_o_d : ndarray of shape (N,)
+        Compensation factor on opacity, and the derivative of its logarithm; 1 and 0 without low-pass.
+    """
+
+    valid: np.ndarray
+    z: np.ndarray
+    z_d: np.ndarray
+    m: np.ndarray
+    m_d: np.ndarray
+    Sigma: np.ndarray
+    Sigma_d: np.ndarray
+    K: np.ndarray
+    o: np.ndarray
+    log_o_d: np.ndarray
+
+
+def median_depth(depth: np.ndarray) -> float:
+    """The `unit` of a run: the median of the valid depths, scene units."""
+    return float(np.median(depth[is_valid(depth)]))
+
+
+def is_valid(depth: np.ndarray) -> np.ndarray:
+    """Where a depth map has a surface: finite and above 0 (method section 1)."""
+    return np.isfinite(depth) & (np.nan_to_num(depth, posinf=0.0) > 0)
+
+
+def gaussian_radius(camera: Camera) -> np.ndarray:
+    """sigma_i = 1 / (2 sqrt(fx fy) |rho_i|), float64 of shape (height, width); the radius is s_i = d_i sigma_i
+    (paper eq. 3 and 4)."""
+    return 1 / (2 * np.sqrt(camera.fx * camera.fy) * np.linalg.norm(camera.rays(), axis=-1))
+
+
+def project(depth: np.ndarray, target: Camera, context: Camera, low_pass: float = 0.0, unit: float = 1.0) -> Projected:
+    """Project the Gaussians of `target` into `context` (method section 3).
+
+    Parameters
+    ----------
+    depth : ndarray of shape (target.height, target.width)
+        z-depth in units (scene units divided by `unit`), 0 = no surface.
+    low_pass : float
+        eps, px^2; 0 leaves low-pass and compensation out.
+    unit : float
+        Length of one unit in scene units (the cameras are in scene units).
+    """
+    valid = is_valid(depth).ravel()
+    d = np.where(valid, depth.ravel(), 1.0)
+    R, tau = context.relative_to(target)
+    tau = tau / unit
+    q = target.rays().reshape(-1, 3) @ R.T
+    sigma = gaussian_radius(target).ravel()
+    z = d * q[:, 2] + tau[2]
+    valid = valid & (z > NEAR)
+    z = np.where(valid, z, 1.0)
+    XY = (d[:, None] * q[:, :2] + tau[:2]) / z[:, None]
+    XY_d = (q[:, :2] * tau[2] - q[:, 2:] * tau[:2]) / z[:, None] ** 2
+    focal = np.array([context.fx, context.fy])
+    k, k_d = d * sigma / z, sigma * tau[2] / z**2
+    Sigma, Sigma_d = _covariance(k, k_d, XY, XY_d, focal)
+    K, o, log_o_d = _low_pass(Sigma, Sigma_d, k, k_d, XY, XY_d, focal, low_pass)
+    return Projected(valid, z, q[:, 2], XY * focal + (context.cx, context.cy), XY_d * focal, Sigma, Sigma_d, K, o,
+                     log_o_d)
+
+
+def _covariance(k, k_d, XY, XY_d, focal):
+    """Sigma = s^2 J J^T and dSigma/dd, with J the Jacobian of the projection (EWA; method section 3)."""
+    (fx, fy), (X, Y), (X_d, Y_d) = focal, XY.T, XY_d.T
+    shape = np.stack([fx**2 * (1 + X**2), fx * fy * X * Y, fy**2 * (1 + Y**2)], axis=1)
+    shape_d = np.stack([2 * fx**2 * X * X_d, fx * fy * (X_d * Y + X * Y_d), 2 * fy**2 * Y * Y_d], axis=1)
+    Sigma = (k**2)[:, None] * shape
+    return Sigma, (2 * k * k_d)[:, None] * shape + (k**2)[:, None] * shape_d
+
+
+def _low_pass(Sigma, Sigma_d, k, k_d, XY, XY_d, focal, eps):
+    """Conic K = (Sigma + eps I)^-1, compensation o = sqrt(det Sigma / det(Sigma + eps I)) and d(log o)/dd."""
+    norm2 = 1 + (XY**2).sum(axis=1)
+    det_Sigma = k**4 * (focal[0] * focal[1]) ** 2 * norm2
+    if eps == 0:  # the closed form of the determinant has no cancellation
+        K = np.stack([Sigma[:, 2], -Sigma[:, 1], Sigma[:, 0]], axis=1) / det_Sigma[:, None]
+        return K, np.ones_like(k), np.zeros_like(k)
+    det = det_Sigma + eps * (Sigma[:, 0] + Sigma[:, 2]) + eps**2
+    K = np.stack([Sigma[:, 2] + eps, -Sigma[:, 1], Sigma[:, 0] + eps], axis=1) / det[:, None]
+    trace = K[:, 0] * Sigma_d[:, 0] + 2 * K[:, 1] * Sigma_d[:, 1] + K[:, 2] * Sigma_d[:, 2]
+    log_o_d = 0.5 * (4 * k_d / k + 2 * (XY * XY_d).sum(axis=1) / norm2 - trace)
+    return K, np.sqrt(det_Sigma / det), log_o_d

@@ -1,0 +1,114 @@
+"""Twin of splat/step: Adam with the plateau schedule, and the units it steps in (method section 6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pagas_cl.reference.project import NEAR, Projected
+from pagas_cl.scene.camera import Camera
+
+BETA1, BETA2 = 0.9, 0.999
+
+
+def parallax_unit(projections: list[Projected], sizes: list[tuple[int, int]]) -> np.ndarray:
+    """u of shape (N,): the change of depth that moves the projected mean by one pixel, root mean square over views.
+
+    u = 1 / sqrt(mean_v |dm/dd|^2) over the context views where z > near and m is inside the image, `sizes` being
+    their (width, height); 0 where there is none, or none with parallax (the pixel is fixed).
+    """
+    total, count = 0.0, 0
+    for projected, size in zip(projections, sizes):
+        inside = projected.valid & ((projected.m >= 0) & (projected.m < size)).all(axis=1)
+        total = total + inside * (projected.m_d**2).sum(axis=1)
+        count = count + inside
+    total = np.asarray(total, np.float64)
+    return np.where(total > 0, np.sqrt(count / np.where(total > 0, total, 1.0)), 0.0)
+
+
+def distance_unit(cameras: list[Camera]) -> float:
+    """Median distance of the cameras from the point they look at, scene units (the paper's unit of the rate).
+
+    The point is the one nearest to all viewing axes. NaN where the axes are parallel or the point lies behind most
+    cameras: then there is none.
+    """
+    centers = np.array([camera.center for camera in cameras])
+    axes = np.array([camera.direction for camera in cameras])
+    origin = centers[0]
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # projects onto the plane across each axis
+    normal_matrix = across.sum(axis=0)
+    if np.linalg.eigvalsh(normal_matrix)[0] < 1e-6 * len(cameras):
+        return float("nan")
+    point = np.linalg.solve(normal_matrix, np.einsum("nij,nj->i", across, centers - origin))
+    to_point = point - (centers - origin)
+    if ((to_point * axes).sum(axis=1) > 0).mean() <= 0.5:
+        return float("nan")
+    return float(np.median(np.linalg.norm(to_point, axis=1)))
+
+
+@dataclass
+class Adam:
+    """First and second moments of the gradient, same shape as the depth, and the count of steps."""
+
+    m: np.ndarray
+    v: np.ndarray
+    steps: int = 0
+
+    @classmethod
+    def start(cls, shape) -> Adam:
+        return cls(np.zeros(shape), np.zeros(shape))
+
+    def step(self, depth, gradient, length, rate: float, damping: float) -> np.ndarray:
+        """The depth after one step on x = d / length.
+
+        Parameters
+        ----------
+        depth, gradient : ndarray of shape (H, W)
+            d in units and N dL/dd; depth 0 = no surface stays 0.
+        length : ndarray of shape (H, W)
+            u ("parallax") or the distance unit ("distance"), units; pixels where it is 0 are fixed.
+        rate, damping : float
+            Step in `length`, and Adam's epsilon.
+        """
+        g = gradient * length
+        self.steps += 1
+        self.m = BETA1 * self.m + (1 - BETA1) * g
+        self.v = BETA2 * self.v + (1 - BETA2) * g * g
+        mean = self.m / (1 - BETA1**self.steps)
+        scale = np.sqrt(self.v / (1 - BETA2**self.steps)) + damping
+        move = np.where(self.v > 0, mean / np.where(self.v > 0, scale, 1.0), 0.0)
+        stepped = np.maximum(depth - rate * length * move, NEAR)
+        return np.where((depth > 0) & (length > 0), stepped, depth)
+
+
+@dataclass
+class Plateau:
+    """Rate schedule: a tenth after `patience` steps without a better loss; done when it falls below `floor`.
+
+    Attributes
+    ----------
+    rate : float
+        First rate.
+    patience : int
+        0 keeps the rate.
+    floor : float
+        Share of the first rate.
+    """
+
+    rate: float
+    patience: int
+    floor: float
+    best: float = np.inf
+    waited: int = 0
+    falls: int = 0
+
+    def next_rate(self, loss: float) -> float:
+        """The rate for the step that follows this loss; 0 when the level is done."""
+        if self.patience > 0:
+            self.waited = 0 if loss < self.best else self.waited + 1
+            self.best = min(self.best, loss)
+            if self.waited >= self.patience:
+                self.waited, self.falls = 0, self.falls + 1
+        share = 10.0**-self.falls
+        return 0.0 if share < self.floor * (1 - 1e-9) else self.rate * share  # 1e-2 as 0.1 * 0.1 is not below 1e-2
