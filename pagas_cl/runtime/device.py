@@ -1,0 +1,224 @@
+"""Choosing an OpenCL device and opening it: one context, one in-order queue."""
+
+from __future__ import annotations
+
+import logging
+import os
+from dataclasses import dataclass
+from typing import Any
+
+from pagas_cl.errors import DeviceError
+from pagas_cl.runtime import icd
+
+log = logging.getLogger("pagas_cl")
+
+ENVIRONMENT = "PAGAS_CL_DEVICE"
+LOCAL_MEMORY = 32 * 1024   # bytes of local memory that the kernels may use
+WORK_GROUP = 64            # work-items in a group that the kernels may ask for at least
+_PREFERENCE = ("GPU", "accelerator", "CPU", "other")
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """What one OpenCL device says of itself. Sizes are in bytes.
+
+    Attributes
+    ----------
+    platform, name, vendor, version, c_version, driver : str
+        As the platform reports them; `version` is the device's OpenCL version, `c_version` that of its compiler.
+    kind : str
+        "GPU", "CPU", "accelerator" or "other".
+    memory, max_alloc, local_memory : int
+        Global memory, the largest single buffer, local memory of a work-group.
+    work_group, compute_units : int
+    extensions : tuple of str
+    available, compiler, little_endian : bool
+    """
+
+    platform: str
+    name: str
+    kind: str
+    vendor: str = ""
+    version: str = ""
+    c_version: str = ""
+    driver: str = ""
+    memory: int = 0
+    max_alloc: int = 0
+    local_memory: int = 0
+    work_group: int = 1
+    compute_units: int = 1
+    extensions: tuple[str, ...] = ()
+    available: bool = True
+    compiler: bool = True
+    little_endian: bool = True
+
+    @property
+    def title(self) -> str:
+        """What a device name is matched against: "platform / device"."""
+        return f"{self.platform} / {self.name}"
+
+    @property
+    def lacks(self) -> tuple[str, ...]:
+        """What the kernels need and this device has not; empty for a usable device."""
+        faults = (
+            (not self.available, "it is not available"),
+            (not self.compiler, "a compiler"),
+            (not self.little_endian, "little-endian byte order"),
+            (_c_version(self.c_version) < (1, 2), f"OpenCL C 1.2 (it has {self.c_version.strip() or 'none'})"),
+            (self.local_memory < LOCAL_MEMORY, f"{LOCAL_MEMORY // 1024} kB of local memory"),
+            (self.work_group < WORK_GROUP, f"work-groups of {WORK_GROUP} (it allows {self.work_group})"),
+        )
+        return tuple(text for fault, text in faults if fault)
+
+    @property
+    def does_without(self) -> tuple[str, ...]:
+        """What is absent and not needed: the kernels have a slower way round it, or never use it."""
+        wanted = (("cl_khr_int64_base_atomics", "64-bit atomics (32-bit pairs are used)"),
+                  ("cl_khr_fp64", "fp64 (not used)"))
+        return tuple(text for extension, text in wanted if extension not in self.extensions)
+
+    def __str__(self) -> str:
+        return f"{self.title} ({self.kind}, {self.version.strip()}, driver {self.driver.strip()})"
+
+
+@dataclass(frozen=True, eq=False)
+class Device:
+    """An open device: what it is, its context, and one in-order queue.
+
+    Attributes
+    ----------
+    info : DeviceInfo
+    cl_device : pyopencl.Device
+    context : pyopencl.Context
+    queue : pyopencl.CommandQueue
+    profiling : bool
+        Whether events of `queue` carry times.
+    """
+
+    info: DeviceInfo
+    cl_device: Any
+    context: Any
+    queue: Any
+    profiling: bool = False
+
+    def has(self, extension: str) -> bool:
+        """Whether the device reports the OpenCL `extension`."""
+        return extension in self.info.extensions
+
+
+def open_device(name=None, *, profiling: bool = False) -> Device:
+    """Open the OpenCL device called `name`.
+
+    Parameters
+    ----------
+    name : str, Device or None
+        Part of "platform / device", upper or lower case; "gpu" or "cpu" for the kind; "auto" for the best one (a GPU
+        before a CPU). None takes the environment variable PAGAS_CL_DEVICE, and "auto" where it is not set. A Device is
+        returned as it is.
+    profiling : bool
+        Record a start and an end time with every event of the queue.
+
+    Raises
+    ------
+    DeviceError
+        There is no platform, no device matches, the one that matches lacks something, or it cannot be opened. The
+        message says what was found and what to install.
+    """
+    if isinstance(name, Device):
+        return name
+    cl = import_pyopencl()
+    found = find_devices(cl)
+    info, cl_device = _choose(found, name)
+    try:
+        context = cl.Context([cl_device])
+        properties = cl.command_queue_properties.PROFILING_ENABLE if profiling else 0
+        queue = cl.CommandQueue(context, cl_device, properties=properties)
+    except cl.Error as error:
+        raise DeviceError(f"the OpenCL device {info} cannot be opened: {error}; is it in use by another process, or "
+                          f"broken? Choose another with device= or {ENVIRONMENT}") from error
+    log.info("OpenCL device: %s", info)
+    return Device(info, cl_device, context, queue, profiling)
+
+
+def import_pyopencl():
+    """The pyopencl module, or a DeviceError that says what is wrong with it."""
+    try:
+        import pyopencl
+    except ImportError as error:
+        raise DeviceError(icd.no_pyopencl(error)) from error
+    return pyopencl
+
+
+def find_devices(cl) -> list[tuple[DeviceInfo, Any]]:
+    """Every device of every platform, in the platforms' order, as (DeviceInfo, pyopencl.Device).
+
+    Raises
+    ------
+    DeviceError
+        The loader finds no platform, or the platforms have no device.
+    """
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error as error:
+        raise DeviceError(icd.no_platform(str(error))) from error
+    if not platforms:
+        raise DeviceError(icd.no_platform())
+    found = []
+    for platform in platforms:
+        try:
+            devices = platform.get_devices()
+        except cl.Error as error:
+            log.warning("OpenCL platform %s: its devices cannot be listed: %s", platform.name, error)
+            continue
+        found += [(describe(cl, platform, device), device) for device in devices]
+    if not found:
+        raise DeviceError(icd.no_device([platform.name.strip() for platform in platforms]))
+    return found
+
+
+def describe(cl, platform, device) -> DeviceInfo:
+    """Ask a pyopencl device for everything that DeviceInfo holds."""
+    kinds = ((cl.device_type.GPU, "GPU"), (cl.device_type.CPU, "CPU"), (cl.device_type.ACCELERATOR, "accelerator"))
+    return DeviceInfo(
+        platform=platform.name.strip(), name=device.name.strip(), vendor=device.vendor.strip(),
+        kind=next((kind for bit, kind in kinds if device.type & bit), "other"),
+        version=device.version.strip(), c_version=device.opencl_c_version.strip(),
+        driver=device.driver_version.strip(), memory=int(device.global_mem_size),
+        max_alloc=int(device.max_mem_alloc_size), local_memory=int(device.local_mem_size),
+        work_group=int(device.max_work_group_size), compute_units=int(device.max_compute_units),
+        extensions=tuple(device.extensions.split()), available=bool(device.available),
+        compiler=bool(device.compiler_available), little_endian=bool(device.endian_little))
+
+
+def _choose(found, name):
+    """The (DeviceInfo, device) of `found` that `name` means; see open_device."""
+    source = "device"
+    if name is None:
+        name, source = os.environ.get(ENVIRONMENT) or "auto", ENVIRONMENT
+    wanted = str(name).strip().lower()
+    matching = [pair for pair in found if wanted == "auto" or _matches(pair[0], wanted)]
+    if not matching:
+        names = "; ".join(info.title for info, _ in found)
+        raise DeviceError(f"no OpenCL device matches {source}={str(name)!r}; found: {names}")
+    usable = [pair for pair in matching if not pair[0].lacks]
+    if not usable:
+        reasons = "; ".join(f"{info.title} lacks {', '.join(info.lacks)}" for info, _ in matching)
+        raise DeviceError(f"no usable OpenCL device: {reasons}. {icd.CPU_ADVICE}")
+    best = min(usable, key=lambda pair: (_PREFERENCE.index(pair[0].kind), -pair[0].compute_units))
+    if wanted == "auto" and best[0].kind != "GPU":
+        log.warning("no usable OpenCL GPU found: running on %s, which is many times slower; "
+                    "'pagas-cl devices' tells what is missing", best[0])
+    return best
+
+
+def _matches(info: DeviceInfo, wanted: str) -> bool:
+    return wanted in info.title.lower() or wanted == info.kind.lower()
+
+
+def _c_version(text: str) -> tuple[int, int]:
+    """(1, 2) from "OpenCL C 1.2 PoCL"; (0, 0) from what cannot be read."""
+    for word in text.split():
+        major, dot, minor = word.partition(".")
+        if dot and major.isdigit() and minor[:1].isdigit():
+            return int(major), int(minor[:1])
+    return 0, 0

@@ -1,0 +1,101 @@
+"""Why no OpenCL platform is found, in one sentence a user can act on.
+
+An OpenCL loader (libOpenCL) finds drivers by small text files `*.icd`, each of which names a library.
+"""
+
+from __future__ import annotations
+
+import glob
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from ctypes.util import find_library
+from pathlib import Path
+
+CPU_ADVICE = 'For any CPU: pip install "pagas-cl[pocl]"; for a GPU install its vendor\'s OpenCL driver.'
+
+
+def no_pyopencl(error: ImportError) -> str:
+    """What to say when pyopencl cannot be imported."""
+    if getattr(error, "name", None) == "pyopencl":
+        return "pyopencl is not installed: pip install pyopencl"
+    message = f"pyopencl is installed but cannot be loaded ({error}): pip install --force-reinstall pyopencl"
+    if sys.platform == "win32":
+        library = find_library("OpenCL")
+        message += f"; the OpenCL library found first is {library or 'none'}, an old one must be removed or updated"
+    return message
+
+
+def no_platform(reason: str = "") -> str:
+    """What to say when the loader knows no platform: folders searched, what is in them, what to install."""
+    searched = "; ".join(f"{folder} ({_content(folder)})" for folder in search_folders())
+    parts = ["no OpenCL platform found" + (f" ({reason})" if reason else ""), f"searched {searched}"]
+    if "OCL_ICD_VENDORS" in os.environ:
+        parts.append(f"OCL_ICD_VENDORS is set to {os.environ['OCL_ICD_VENDORS']!r} and replaces the usual folder, "
+                     "unset it")
+    if os.path.exists(search_folders()[0]):
+        parts += [f"the loader says: {line}" for line in loader_complaints()[:1]]
+    nvidia = _nvidia_library()
+    if nvidia and not _names_nvidia():
+        parts.append(f"{nvidia} is here but no nvidia.icd: run 'mkdir -p /etc/OpenCL/vendors && "
+                     "echo libnvidia-opencl.so.1 > /etc/OpenCL/vendors/nvidia.icd'")
+    return "; ".join(parts) + ". " + CPU_ADVICE
+
+
+def no_device(platforms: list[str]) -> str:
+    """What to say when there are platforms and none has a device."""
+    message = f"the OpenCL platforms found have no device: {', '.join(platforms)}"
+    if any("AMD" in name or "Accelerated Parallel" in name for name in platforms):
+        message += "; may you read /dev/kfd? Add your user to the groups render and video, then log in again"
+    if "POCL_DEVICES" in os.environ:
+        message += f"; POCL_DEVICES is set to {os.environ['POCL_DEVICES']!r}, unset it"
+    return f"{message}. {CPU_ADVICE}"
+
+
+def search_folders() -> list[str]:
+    """Folders (or files) where the loader looks for drivers."""
+    folders = [os.environ.get("OCL_ICD_VENDORS") or "/etc/OpenCL/vendors"]
+    package = importlib.util.find_spec("pyopencl")
+    if package is not None and package.origin:
+        folders.append(str(Path(package.origin).parent / ".libs"))
+    return folders
+
+
+def icd_files() -> list[str]:
+    """Every *.icd file in the folders searched."""
+    return sorted(name for folder in search_folders() for name in glob.glob(os.path.join(folder, "*.icd")))
+
+
+def _content(folder: str) -> str:
+    if not os.path.exists(folder):
+        return "does not exist"
+    names = sorted(os.path.basename(name) for name in glob.glob(os.path.join(folder, "*.icd")))
+    return ", ".join(names) if names else "no .icd file"
+
+
+def _nvidia_library() -> str:
+    """Path of NVIDIA's OpenCL library where it is installed, else an empty string."""
+    for pattern in ("/usr/lib/*/libnvidia-opencl.so.1", "/usr/lib*/libnvidia-opencl.so.1"):
+        for name in glob.glob(pattern):
+            return name
+    return ""
+
+
+def _names_nvidia() -> bool:
+    return any("nvidia" in Path(name).read_text(errors="replace").lower() for name in icd_files())
+
+
+def loader_complaints() -> list[str]:
+    """The loader's own lines about driver libraries that it cannot open, asked for in a child process."""
+    if not icd_files():
+        return []
+    try:
+        child = subprocess.run([sys.executable, "-c", "import pyopencl; pyopencl.get_platforms()"], timeout=20,
+                               env={**os.environ, "OCL_ICD_DEBUG": "7"}, stdin=subprocess.DEVNULL,
+                               capture_output=True, text=True, errors="replace")
+    except (OSError, subprocess.TimeoutExpired):
+        return []
+    quoted = re.findall(r"(?:IDL: |ICD: )?'?([^'\n]*cannot open shared object[^'\n]*)", child.stderr)
+    return sorted({line.rpartition("IDL: ")[2].strip(" ',") for line in quoted})
