@@ -276,15 +276,14 @@ class Config:
 
     def with_settings(self, **settings: Any) -> Config:
         """A copy with `stage__field=value` or `"stage.field": value` changed: `with_settings(splatting__radius=1.4)`."""
-        config = self
+        by_stage: dict[str, dict[str, Any]] = {}
         for key, value in settings.items():
-            stage, _, name = key.replace("__", ".").partition(".")
-            known = {f.name for f in fields(getattr(config, stage))} if hasattr(Config, "__dataclass_fields__") \
-                and stage in Config.__dataclass_fields__ else set()
-            if name not in known:
-                raise InputError(f"unknown setting {key!r}; {_nearest(key.replace('__', '.'))}")
-            config = replace(config, **{stage: replace(getattr(config, stage), **{name: value})})
-        return config
+            key = key.replace("__", ".")
+            if key not in setting_names():
+                raise InputError(f"unknown setting {key!r}; {_nearest(key)}")
+            stage, _, name = key.partition(".")
+            by_stage.setdefault(stage, {})[name] = value
+        return replace(self, **{stage: replace(getattr(self, stage), **values) for stage, values in by_stage.items()})
 
     def as_dict(self) -> dict:
         """Plain nested dictionary, ready for JSON."""

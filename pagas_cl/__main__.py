@@ -1,0 +1,86 @@
+"""The command line: finds the command, runs it, and turns what went wrong into an exit status and one sentence.
+
+Exit status: 0 done; 2 bad input, bad usage, or an optional package that is missing; 1 anything else; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import pkgutil
+import sys
+from importlib import import_module
+
+import typer
+
+from pagas_cl import __version__, commands
+from pagas_cl.commands._console import log_to_stderr
+from pagas_cl.errors import InputError, MissingExtraError, PagasError
+
+
+def command_names() -> list[str]:
+    """Every command, from the files in pagas_cl/commands."""
+    found = (module.name for module in pkgutil.iter_modules(commands.__path__))
+    return sorted(name.replace("_", "-") for name in found if not name.startswith("_"))
+
+
+def build_app(names) -> typer.Typer:
+    """The typer application with the commands `names`, whose files are imported here and not before."""
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, callback=_options,
+                      help="Refine a coarse mesh or depth maps with calibrated photos, on any OpenCL device.")
+    for name in names:
+        module = import_module(f"pagas_cl.commands.{name.replace('-', '_')}")
+        app.command(name)(module.command)
+    return app
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and end the process with its status."""
+    raise SystemExit(run(sys.argv[1:] if arguments is None else arguments))
+
+
+def run(arguments: list[str]) -> int:
+    """Run the command line; returns the exit status."""
+    debug = "--debug" in arguments
+    arguments = [word for word in arguments if word != "--debug"] or ["--help"]
+    log_to_stderr(debug)
+    known = command_names()
+    wanted = [word for word in arguments if not word.startswith("-")][:1]
+    try:
+        app = build_app(wanted if wanted and wanted[0] in known else known)
+        status = app(arguments, prog_name="pagas-cl", standalone_mode=False)
+        return status if isinstance(status, int) else 0
+    except (KeyboardInterrupt, typer.Abort):
+        sys.stderr.write("pagas-cl: interrupted\n")
+        return 130
+    except Exception as error:  # the outermost place: whatever it is becomes a sentence and a status
+        if debug:
+            raise
+        return _explain(error)
+
+
+def _explain(error: Exception) -> int:
+    """Write one sentence about `error` to standard error; returns the exit status."""
+    if hasattr(error, "format_message"):  # typer's own errors: unknown option, missing argument
+        text, status = f"{error.format_message().rstrip('.')}; see 'pagas-cl --help'", 2
+    elif isinstance(error, PagasError):
+        text, status = str(error), 2 if isinstance(error, (InputError, MissingExtraError)) else 1
+    else:
+        text, status = f"{type(error).__name__}: {error} (run again with --debug to see where)", 1
+    sys.stderr.write(f"pagas-cl: {' '.join(text.split())}\n")
+    return status
+
+
+def _show_version(wanted: bool):
+    if wanted:
+        sys.stdout.write(f"pagas-cl {__version__}\n")
+        raise typer.Exit()
+
+
+def _options(
+    debug: bool = typer.Option(False, "--debug", help="Show a traceback when something goes wrong."),
+    version: bool = typer.Option(False, "--version", callback=_show_version, is_eager=True, help="Show the version."),
+):
+    """Options before the command; `--debug` may stand anywhere and is read in `run`."""
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""What the commands write to standard error: messages, and progress with the time left."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from contextlib import contextmanager
+from functools import lru_cache
+
+_LINE_EVERY = 10.0  # seconds between lines where standard error is a file
+
+
+@lru_cache(maxsize=None)
+def console():
+    """The one rich console on standard error, so that messages appear above a progress bar and not through it."""
+    from rich.console import Console
+
+    return Console(stderr=True)
+
+
+def log_to_stderr(debug: bool = False) -> None:
+    """Send the messages of the logger "pagas_cl" to standard error."""
+    if sys.stderr.isatty():
+        from rich.logging import RichHandler
+
+        handler = RichHandler(console=console(), show_time=False, show_path=False)
+    else:
+        handler = logging.StreamHandler()
+        handler.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
+    logger = logging.getLogger("pagas_cl")
+    logger.handlers = [handler]
+    logger.propagate = False
+    logger.setLevel(logging.DEBUG if debug else logging.INFO)
+
+
+@contextmanager
+def shown_progress(quiet: bool = False):
+    """Context of a callable progress(stage, done, total) that draws a bar, or writes a line now and then."""
+    if quiet:
+        yield lambda stage, done, total: None
+    elif sys.stderr.isatty():
+        with _bars() as bars:
+            tasks = {}
+
+            def draw(stage: str, done: int, total: int) -> None:
+                if stage not in tasks:
+                    tasks[stage] = bars.add_task(stage, total=total)
+                bars.update(tasks[stage], completed=done, total=total)
+
+            yield draw
+    else:
+        yield Lines()
+
+
+def _bars():
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+                    TextColumn("left"), TimeRemainingColumn(), console=console())
+
+
+class Lines:
+    """Progress for a file or a pipe: one line every few seconds, and one when a stage is done."""
+
+    def __init__(self, write=None, clock=time.monotonic):
+        self._write = write or sys.stderr.write
+        self._clock = clock
+        self._began: dict[str, float] = {}
+        self._told: dict[str, float] = {}
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        now = self._clock()
+        began = self._began.setdefault(stage, now)
+        told = self._told.setdefault(stage, now)
+        finished = done >= total
+        if finished:
+            self._began.pop(stage), self._told.pop(stage)
+            self._write(f"{stage}: {done} of {total} in {now - began:.0f} s\n")
+        elif done and now - told >= _LINE_EVERY:
+            self._told[stage] = now
+            left = (now - began) * (total - done) / done
+            self._write(f"{stage}: {done} of {total}, about {left:.0f} s left\n")
