@@ -25,11 +25,11 @@ def _box(image: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def shrink_image(image: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Area average of a photo, rounded to 8 bit as the device keeps it."""
+    """Area average of a photo, rounded to 8 bit (ties to even) as the device keeps it."""
     if image.shape[:2] == (height, width):
         return image
     mean = _box(image, width, height) * (width * height / (image.shape[0] * image.shape[1]))
-    return np.floor(mean * 255 + 0.5) / 255
+    return np.rint(mean * 255) / 255
 
 
 def shrink_mask(mask: np.ndarray, width: int, height: int) -> np.ndarray:
