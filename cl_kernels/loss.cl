@@ -27,15 +27,6 @@ bool window_inside(int x, int y, int width, int height)
     return x >= HALO && y >= HALO && x < width - HALO && y < height - HALO;
 }
 
-float channel_of(color_t color, int channel)
-{
-#ifdef GREY
-    return color;
-#else
-    return channel == 0 ? color.x : channel == 1 ? color.y : color.z;
-#endif
-}
-
 void sum_into(__local long *scratch, long value, __global long *sums)
 {
     const int lane = get_local_id(0);
@@ -140,35 +131,24 @@ void ssim_forward(__global const stored_t *rendered, __global const uchar4 *phot
 #endif
 }
 
-// Forward differences of the photo, the larger of both, mean over channels -> w_grad (paper eq. 6).
-float gradient_weight(__global const uchar4 *photo, int x, int y, int width, int height)
-{
-    const int pixel = y * width + x;
-    const color_t here = color_of(photo[pixel]);
-    const color_t dx = fabs(color_of(photo[x + 1 < width ? pixel + 1 : pixel]) - here);
-    const color_t dy = fabs(color_of(photo[y + 1 < height ? pixel + width : pixel]) - here);
-    const color_t larger = fmax(dx, dy);
-    float mean = 0.0f;
-    for (int c = 0; c < CHANNELS; ++c)
-        mean += channel_of(larger, c) * (1.0f / CHANNELS);
-    return clamp((mean - 0.02f) * (1.0f / 0.08f), 0.0f, 1.0f);
-}
-
 __kernel __attribute__((reqd_work_group_size(LOSS_GROUP, 1, 1)))
 void loss_backward(__global const stored_t *rendered, __global const uchar4 *photo, int width, int height,
                    __global const float *partials, __global const uint *seen, float l1_scale, float ssim_scale,
                    __global float *upstream, __global long *losses)
 {
+#ifdef SSIM
     __local float maps[3][TALL * WIDE];
     __local float blurred[3][TALL * TILE_W];
     __local float by_color[CHANNELS][TILE_H * TILE_W];
+#endif
 #ifdef TRACK_LOSS
     __local long scratch[LOSS_GROUP];
     long loss = 0;
 #endif
     const int lane = get_local_id(0), left = get_group_id(0) * TILE_W, top = get_group_id(1) * TILE_H;
-    const int pixels = width * height;
 
+#ifdef SSIM
+    const int pixels = width * height;
     for (int c = 0; c < CHANNELS; ++c) {
         for (int t = lane; t < TALL * WIDE; t += LOSS_GROUP) {
             const int x = left + t % WIDE - HALO, y = top + t / WIDE - HALO;
@@ -215,6 +195,7 @@ void loss_backward(__global const stored_t *rendered, __global const uchar4 *pho
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
+#endif
 
     for (int t = lane; t < TILE_W * TILE_H; t += LOSS_GROUP) {
         const int x = left + t % TILE_W, y = top + t / TILE_W;
@@ -240,7 +221,10 @@ void loss_backward(__global const stored_t *rendered, __global const uchar4 *pho
         for (int c = 0; c < CHANNELS; ++c) {
             const float e = channel_of(residual, c);
             mean_residual += fabs(e) * (1.0f / CHANNELS);
-            by[c] = by_color[c][t] + l1_scale * full_weight * (1.0f / CHANNELS) * ((e > 0.0f) - (e < 0.0f));
+            by[c] = l1_scale * full_weight * (1.0f / CHANNELS) * ((e > 0.0f) - (e < 0.0f));
+#ifdef SSIM
+            by[c] += by_color[c][t];
+#endif
             by[c] = r.live ? by[c] : 0.0f;
         }
         float by_coverage = 0.0f;

@@ -15,6 +15,8 @@ log = logging.getLogger("pagas_cl")
 ENVIRONMENT = "PAGAS_CL_DEVICE"
 LOCAL_MEMORY = 32 * 1024   # bytes of local memory that the kernels may use
 WORK_GROUP = 64            # work-items in a group that the kernels may ask for at least
+# A driver may list a processor that its compiler does not know: believed only after a kernel has been built.
+_TRIAL = "__kernel void trial(__global float *x) { x[get_global_id(0)] = exp(x[0]); }"
 _PREFERENCE = ("GPU", "accelerator", "CPU", "other")
 
 
@@ -127,17 +129,23 @@ def open_device(name=None, *, profiling: bool = False) -> Device:
     if isinstance(name, Device):
         return name
     cl = import_pyopencl()
-    found = find_devices(cl)
-    info, cl_device = _choose(found, name)
-    try:
-        context = cl.Context([cl_device])
-        properties = cl.command_queue_properties.PROFILING_ENABLE if profiling else 0
-        queue = cl.CommandQueue(context, cl_device, properties=properties)
-    except cl.Error as error:
-        raise DeviceError(f"the OpenCL device {info} cannot be opened: {error}; is it in use by another process, or "
-                          f"broken? Choose another with device= or {ENVIRONMENT}") from error
-    log.info("OpenCL device: %s", info)
-    return Device(info, cl_device, context, queue, profiling)
+    candidates, faults = _candidates(find_devices(cl), name), []
+    for info, cl_device in candidates:
+        try:
+            context = cl.Context([cl_device])
+            properties = cl.command_queue_properties.PROFILING_ENABLE if profiling else 0
+            queue = cl.CommandQueue(context, cl_device, properties=properties)
+            cl.Program(context, _TRIAL).build(["-cl-std=CL1.2"])
+        except cl.Error as error:
+            faults.append(f"{info}: {_cause(error)}")
+            log.warning("OpenCL device %s does not work and is passed over: %s", info, _cause(error))
+            continue
+        _warn_of_slowness(info, name)
+        log.info("OpenCL device: %s", info)
+        return Device(info, cl_device, context, queue, profiling)
+    raise DeviceError(f"no OpenCL device that matches works: {'; '.join(faults)}. Is it in use by another process, or "
+                      f"its driver older than the hardware? Choose another with device= or {ENVIRONMENT}. "
+                      f"{icd.CPU_ADVICE}")
 
 
 def import_pyopencl():
@@ -190,25 +198,38 @@ def describe(cl, platform, device) -> DeviceInfo:
         compiler=bool(device.compiler_available), little_endian=bool(device.endian_little))
 
 
-def _choose(found, name):
-    """The (DeviceInfo, device) of `found` that `name` means; see open_device."""
-    source = "device"
+def _asked(name) -> tuple[str, str]:
+    """What device was asked for, and by what: the argument or the environment variable."""
     if name is None:
-        name, source = os.environ.get(ENVIRONMENT) or "auto", ENVIRONMENT
-    wanted = str(name).strip().lower()
+        return os.environ.get(ENVIRONMENT) or "auto", ENVIRONMENT
+    return str(name), "device"
+
+
+def _cause(error) -> str:
+    """The line of an OpenCL error that says what is wrong."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return next((line for line in lines if line.startswith("error:")), lines[0] if lines else repr(error))
+
+
+def _candidates(found, name):
+    """The (DeviceInfo, device) pairs of `found` that `name` means, best first; see open_device."""
+    name, source = _asked(name)
+    wanted = name.strip().lower()
     matching = [pair for pair in found if wanted == "auto" or _matches(pair[0], wanted)]
     if not matching:
         names = "; ".join(info.title for info, _ in found)
-        raise DeviceError(f"no OpenCL device matches {source}={str(name)!r}; found: {names}")
+        raise DeviceError(f"no OpenCL device matches {source}={name!r}; found: {names}")
     usable = [pair for pair in matching if not pair[0].lacks]
     if not usable:
         reasons = "; ".join(f"{info.title} lacks {', '.join(info.lacks)}" for info, _ in matching)
         raise DeviceError(f"no usable OpenCL device: {reasons}. {icd.CPU_ADVICE}")
-    best = min(usable, key=lambda pair: (_PREFERENCE.index(pair[0].kind), -pair[0].compute_units))
-    if wanted == "auto" and best[0].kind != "GPU":
+    return sorted(usable, key=lambda pair: (_PREFERENCE.index(pair[0].kind), -pair[0].compute_units))
+
+
+def _warn_of_slowness(info: DeviceInfo, name):
+    if _asked(name)[0].strip().lower() == "auto" and info.kind != "GPU":
         log.warning("no usable OpenCL GPU found: running on %s, which is many times slower; "
-                    "'pagas-cl devices' tells what is missing", best[0])
-    return best
+                    "'pagas-cl devices' tells what is missing", info)
 
 
 def _matches(info: DeviceInfo, wanted: str) -> bool:

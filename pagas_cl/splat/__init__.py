@@ -1,0 +1,6 @@
+"""The splatting on the device, one module a kernel file (method sections 3 to 6)."""
+
+from pagas_cl.splat.state import PhotoStore
+from pagas_cl.splat.view import Refinement, refine_levels
+
+__all__ = ["PhotoStore", "Refinement", "refine_levels"]

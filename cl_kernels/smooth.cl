@@ -1,0 +1,137 @@
+// What holds a depth map together where photos say little (method section 5): per target pixel, added to the gradient.
+//   smoothness_scale, smoothness_planar    Huber on second differences of inverse depth, in pixels of parallax
+//   normal_map, normal_slope, normal_vjp   the paper's angle between neighbouring normals
+#include "splat.clh"
+
+// kappa: pixels of parallax per unit of inverse depth; weights: less where the photo has texture
+__kernel void smoothness_scale(__global const float *depth, __global const float *unit,
+                               __global const uchar4 *photo, int width, int height, float texture,
+                               __global float *kappa, __global float *weights)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height)
+        return;
+    const int i = y * width + x;
+    kappa[i] = unit[i] > 0.0f ? depth[i] * depth[i] / unit[i] : 0.0f;
+    weights[i] = 1.0f - texture * gradient_weight(photo, x, y, width, height);
+}
+
+float huber_slope(float e, float h)
+{
+    return clamp(e / h, -1.0f, 1.0f);
+}
+
+// Slope of the penalty of the second difference centred at i along `stride`, by w of its ends; twice that, negated,
+// is the slope by w_i. Zero where a neighbour is missing.
+float bend(__global const float *depth, __global const float *kappa, __global const float *weights, int i, int stride,
+           int along, int length, float h)
+{
+    if (along < 1 || along >= length - 1)
+        return 0.0f;
+    const float d = depth[i], before = depth[i - stride], after = depth[i + stride];
+    if (!(d > 0.0f && before > 0.0f && after > 0.0f))
+        return 0.0f;
+    const float k = kappa[i];
+    // differences first: three close numbers are never subtracted from their double
+    const float e = k * ((d - before) / (d * before) + (d - after) / (d * after));
+    return weights[i] * k * huber_slope(e, h);
+}
+
+__kernel void smoothness_planar(__global const float *depth, __global const float *kappa,
+                                __global const float *weights, int width, int height, float scale, float h,
+                                __global float *gradient)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height)
+        return;
+    const int i = y * width + x;
+    const float d = depth[i];
+    if (!(d > 0.0f))
+        return;
+    float by_inverse = -2.0f * (bend(depth, kappa, weights, i, 1, x, width, h)
+                                + bend(depth, kappa, weights, i, width, y, height, h));
+    if (x > 0)
+        by_inverse += bend(depth, kappa, weights, i - 1, 1, x - 1, width, h);
+    if (x + 1 < width)
+        by_inverse += bend(depth, kappa, weights, i + 1, 1, x + 1, width, h);
+    if (y > 0)
+        by_inverse += bend(depth, kappa, weights, i - width, width, y - 1, height, h);
+    if (y + 1 < height)
+        by_inverse += bend(depth, kappa, weights, i + width, width, y + 1, height, h);
+    gradient[i] -= scale * by_inverse / (d * d);
+}
+
+float3 point_at(__global const float *depth, const Camera camera, int x, int y)
+{
+    return depth[y * camera.width + x] * pixel_ray(camera, x, y);
+}
+
+// n in xyz and 1 / |cross product| in w; w = 0 where a neighbour is missing
+__kernel void normal_map(__global const float *depth, __global const float *cameras, __global float *normals)
+{
+    const Camera camera = load_camera(cameras, 0);
+    const int x = get_global_id(0), y = get_global_id(1), width = camera.width, height = camera.height;
+    if (x >= width || y >= height)
+        return;
+    const int i = y * width + x;
+    float4 out = 0.0f;
+    if (x > 0 && y > 0 && x < width - 1 && y < height - 1 && depth[i] > 0.0f && depth[i - 1] > 0.0f
+        && depth[i + 1] > 0.0f && depth[i - width] > 0.0f && depth[i + width] > 0.0f) {
+        const float3 a = point_at(depth, camera, x + 1, y) - point_at(depth, camera, x - 1, y);
+        const float3 b = point_at(depth, camera, x, y + 1) - point_at(depth, camera, x, y - 1);
+        const float3 c = cross(a, b);
+        const float squared = dot(c, c);
+        if (squared > 0.0f)
+            out = (float4)(c * rsqrt(squared), rsqrt(squared));
+    }
+    vstore4(out, i, normals);
+}
+
+// slope by the cross product of pixel i: of its pairs with all four neighbours
+__kernel void normal_slope(__global const float *normals, __global const float *weights, int width, int height,
+                           float scale, __global float *slopes)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height)
+        return;
+    const int i = y * width + x;
+    const float4 n = vload4(i, normals);
+    float3 v = 0.0f;
+    if (n.w > 0.0f) {
+        if (x + 1 < width)
+            v -= weights[i] * vload4(i + 1, normals).xyz;
+        if (y + 1 < height)
+            v -= weights[i] * vload4(i + width, normals).xyz;
+        if (x > 0)
+            v -= weights[i - 1] * vload4(i - 1, normals).xyz;
+        if (y > 0)
+            v -= weights[i - width] * vload4(i - width, normals).xyz;
+        v = 0.5f * scale * n.w * (v - n.xyz * dot(n.xyz, v));
+    }
+    vstore4((float4)(v, 0.0f), i, slopes);
+}
+
+// i is the right neighbour of i - 1, the left one of i + 1, the lower of i - width, the upper of i + width
+__kernel void normal_vjp(__global const float *depth, __global const float *cameras, __global const float *slopes,
+                         __global float *gradient)
+{
+    const Camera camera = load_camera(cameras, 0);
+    const int x = get_global_id(0), y = get_global_id(1), width = camera.width, height = camera.height;
+    if (x >= width || y >= height)
+        return;
+    const int i = y * width + x;
+    float3 v = 0.0f;
+    for (int side = -1; side <= 1; side += 2) {
+        const int u = x - side, w = y - side;
+        if (u > 0 && u < width - 1 && y > 0 && y < height - 1) {
+            const float3 b = point_at(depth, camera, u, y + 1) - point_at(depth, camera, u, y - 1);
+            v += side * cross(b, vload4(y * width + u, slopes).xyz);
+        }
+        if (w > 0 && w < height - 1 && x > 0 && x < width - 1) {
+            const float3 a = point_at(depth, camera, x + 1, w) - point_at(depth, camera, x - 1, w);
+            v += side * cross(vload4(w * width + x, slopes).xyz, a);
+        }
+    }
+    if (depth[i] > 0.0f)
+        gradient[i] += dot(v, pixel_ray(camera, x, y));
+}

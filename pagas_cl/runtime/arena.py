@@ -1,0 +1,78 @@
+"""Device buffers declared as data: named, summed and compared with the device before anything is allocated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import prod
+
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.errors import DeviceError
+
+
+@dataclass(frozen=True)
+class BufferSpec:
+    """One buffer: what it is called and what it holds."""
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: type
+
+    @property
+    def nbytes(self) -> int:
+        return max(1, prod(self.shape)) * np.dtype(self.dtype).itemsize
+
+
+def total_bytes(specs) -> int:
+    """Bytes that `specs` take together."""
+    return sum(spec.nbytes for spec in specs)
+
+
+class Arena:
+    """The buffers of one level. One owner, released together.
+
+    Raises
+    ------
+    DeviceError
+        Before anything is allocated, where the device cannot hold the buffers, or when it refuses one after all.
+    """
+
+    def __init__(self, device, specs: list[BufferSpec]):
+        self.specs = {spec.name: spec for spec in specs}
+        largest = max(specs, key=lambda spec: spec.nbytes)
+        limit = device.info.max_alloc
+        if largest.nbytes > limit:
+            raise DeviceError(f"buffer {largest.name!r} needs {largest.nbytes / 2**20:.0f} MiB, {device.info.title} allocates at most "
+                              f"{limit / 2**20:.0f} MiB at once; refine smaller images")
+        if total_bytes(specs) > device.info.memory:
+            raise DeviceError(f"the buffers need {total_bytes(specs) / 2**20:.0f} MiB, {device.info.title} has "
+                              f"{device.info.memory / 2**20:.0f} MiB; refine smaller images or use fewer context views")
+        self._buffers: dict[str, cl.Buffer] = {}
+        try:
+            for spec in specs:
+                self._buffers[spec.name] = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, spec.nbytes)
+        except cl.MemoryError as error:
+            self.release()
+            raise DeviceError(f"{device.info.title} refused {total_bytes(specs) / 2**20:.0f} MiB ({error}); close other programs on "
+                              "it, refine smaller images or use fewer context views") from error
+
+    @property
+    def nbytes(self) -> int:
+        return total_bytes(self.specs.values())
+
+    def __getitem__(self, name: str) -> cl.Buffer:
+        return self._buffers[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._buffers
+
+    def size(self, name: str) -> int:
+        """Bytes of the buffer `name`."""
+        return self.specs[name].nbytes
+
+    def release(self):
+        """Give all buffers back now instead of when Python gets to it."""
+        for buffer in self._buffers.values():
+            buffer.release()
+        self._buffers.clear()

@@ -1,0 +1,109 @@
+"""Kernels from package data: includes pasted, compiled once per device and set of defines, launched with bound arguments."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.errors import KernelBuildError
+
+_INCLUDE = re.compile(r'^#include "([\w.]+)"$')
+OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-single-precision-constant")
+
+
+@lru_cache(maxsize=None)
+def source(name: str) -> str:
+    """Text of the kernel file `name` with its includes pasted in, #line marks keeping the compiler's messages true."""
+    return "\n".join(_pasted(name, set()))
+
+
+def _pasted(name: str, seen: set[str]) -> list[str]:
+    if name in seen:
+        return []
+    seen.add(name)
+    lines = [f'#line 1 "{name}"']
+    for number, line in enumerate(files("pagas_cl.cl_kernels").joinpath(name).read_text().splitlines(), start=1):
+        included = _INCLUDE.match(line)
+        if included:
+            lines += _pasted(included[1], seen) + [f'#line {number + 1} "{name}"']
+        else:
+            lines.append(line)
+    return lines
+
+
+_programs: dict[tuple, cl.Program] = {}
+
+
+def build(device, name: str, defines: tuple[str, ...] = ()) -> cl.Program:
+    """Compile the kernel file `name` for `device` with `defines` ("NAME" or "NAME=value").
+
+    Programs are kept for the life of the process; pyopencl keeps the binaries on disk, keyed by source, options,
+    device and driver.
+    """
+    key = (device.context.int_ptr, name, tuple(defines))
+    if key not in _programs:
+        options = [*OPTIONS, *(f"-D{define}" for define in defines)]
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", cl.CompilerWarning)
+                _programs[key] = cl.Program(device.context, source(name)).build(options)
+        except cl.RuntimeError as error:
+            raise KernelBuildError(f"{name} does not compile on {device.info.title}: {_first_line(str(error))}; "
+                                   "update the driver, or choose another device (pagas-cl devices)",
+                                   log=str(error), options=" ".join(options), source=source(name)) from error
+    return _programs[key]
+
+
+def _first_line(log: str) -> str:
+    told = [line.strip() for line in log.splitlines() if "error" in line.lower()]
+    return told[0] if told else log.strip().splitlines()[0]
+
+
+@dataclass(frozen=True)
+class Launch:
+    """A kernel with its arguments bound, ready to be enqueued any number of times."""
+
+    kernel: cl.Kernel
+    global_size: tuple[int, ...]
+    local_size: tuple[int, ...] | None = None
+    stage: str = ""
+
+    def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
+        return cl.enqueue_nd_range_kernel(queue, self.kernel, self.global_size, self.local_size)
+
+
+@dataclass(frozen=True)
+class Fill:
+    """A buffer to be filled with one 32-bit pattern."""
+
+    buffer: cl.Buffer
+    pattern: np.generic
+    size: int
+    stage: str = "clear"
+
+    def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
+        return cl.enqueue_fill_buffer(queue, self.buffer, self.pattern, 0, self.size)
+
+
+def bind(program: cl.Program, name: str, global_size, local_size, *arguments) -> Launch:
+    """A Launch of `name` with its own argument set: int -> int32, float -> float32, None -> a null buffer."""
+    kernel = cl.Kernel(program, name)
+    kernel.set_args(*(_argument(a) for a in arguments))
+    local_size = tuple(local_size) if local_size else None
+    if local_size:
+        global_size = tuple(-(-g // l) * l for g, l in zip(global_size, local_size))
+    return Launch(kernel, tuple(int(g) for g in global_size), local_size, name)
+
+
+def _argument(value):
+    if isinstance(value, (bool, int)):
+        return np.int32(value)
+    if isinstance(value, float):
+        return np.float32(value)
+    return value

@@ -1,0 +1,27 @@
+"""What the cameras as a whole look at."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pagas_cl.scene.camera import Camera
+
+
+def distance_unit(cameras: list[Camera]) -> float:
+    """Median distance of the cameras from the point they look at, scene units (the paper's unit of the rate).
+
+    The point is the one nearest to all viewing axes. NaN where the axes are parallel or the point lies behind most
+    cameras: then there is none.
+    """
+    centers = np.array([camera.center for camera in cameras])
+    axes = np.array([camera.direction for camera in cameras])
+    origin = centers[0]
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # projects onto the plane across each axis
+    normal_matrix = across.sum(axis=0)
+    if np.linalg.eigvalsh(normal_matrix)[0] < 1e-6 * len(cameras):
+        return float("nan")
+    point = np.linalg.solve(normal_matrix, np.einsum("nij,nj->i", across, centers - origin))
+    to_point = point - (centers - origin)
+    if ((to_point * axes).sum(axis=1) > 0).mean() <= 0.5:
+        return float("nan")
+    return float(np.median(np.linalg.norm(to_point, axis=1)))

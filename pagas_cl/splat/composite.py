@@ -1,0 +1,40 @@
+"""Launches of composite.cl and alpha.cl: Gaussians to an image (method section 4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pagas_cl.runtime.program import Fill, bind, build
+from pagas_cl.splat import project
+from pagas_cl.splat.options import reach
+
+
+def launches(level, view: int) -> list:
+    """Render context view `view` into arena["rendered"]."""
+    return _order_free(level, view) if level.config.splatting.blend == "order_free" else _alpha(level, view)
+
+
+def threshold_arguments(level) -> tuple[float, float]:
+    """Depth threshold in units of the median depth, and as a share of the local depth."""
+    return float(level.given.threshold), float(level.config.splatting.depth_relative)
+
+
+def _order_free(level, view: int) -> list:
+    program, a, s = build(level.device, "composite.cl", level.defines), level.arena, level.config.splatting
+    pixels = level.given.sizes[view].pixels
+    channels = 1 if level.config.loss.grey else 3
+    return [*project.nearest(level, view),
+            Fill(a["rendered"], np.uint32(0), pixels * (channels + 1) * 4),
+            bind(program, "splat_order_free", level.target.grid, None, a["depth"], level.given.photos[0], a["cameras"],
+                 view, float(s.radius), float(s.low_pass), *threshold_arguments(level), a["z_first"], a["rendered"])]
+
+
+def _alpha(level, view: int) -> list:
+    program, a, s = build(level.device, "alpha.cl", level.defines), level.arena, level.config.splatting
+    size = level.given.sizes[view]
+    border = 2 * reach(s.radius) + 1
+    return [Fill(a["heads"], np.int32(-1), 4 * (size.width + border) * (size.height + border)),
+            bind(program, "link_bins", level.target.grid, None, a["depth"], a["cameras"], view, float(s.radius),
+                 float(s.low_pass), a["heads"], a["next"], a["records"]),
+            bind(program, "composite_alpha", size.grid, None, a["records"], level.given.photos[0], a["heads"], a["next"],
+                 size.width, size.height, float(s.radius), *threshold_arguments(level), a["rendered"])]

@@ -1,0 +1,116 @@
+"""One pyramid level: the steps of the flow, one after the other, for every context view (method sections 3 to 6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.config import Config
+from pagas_cl.runtime.arena import Arena
+from pagas_cl.scene.camera import Camera
+from pagas_cl.splat import backward, composite, loss, project, smooth, step
+from pagas_cl.splat.options import defines
+from pagas_cl.splat.state import Size, allocate, camera_table
+
+
+@dataclass(frozen=True)
+class LevelInput:
+    """What a level works on, target first.
+
+    Attributes
+    ----------
+    cameras : list of Camera
+        At the level's size.
+    photos : list of pyopencl.Buffer
+        uchar4 per pixel, at the level's size.
+    unit : float
+        Scene units per device unit.
+    threshold : float
+        Depth threshold, device units.
+    distance_unit : float
+        Median distance of the cameras from the point they look at, device units.
+    """
+
+    cameras: list[Camera]
+    photos: list[cl.Buffer]
+    unit: float
+    threshold: float
+    distance_unit: float
+
+    @property
+    def sizes(self) -> list[Size]:
+        return [Size(camera.width, camera.height) for camera in self.cameras]
+
+
+class Level:
+    """Buffers and bound launches of one level. `run` refines the depth in `arena["depth"]` in place."""
+
+    def __init__(self, device, config: Config, given: LevelInput, initial, start):
+        """`initial` and `start` are functions that enqueue the writing of a depth map into the buffer they get: that
+        of the whole run, under which units and unseen masks are taken, and the one that the level starts from."""
+        self.device, self.config, self.given = device, config, given
+        target, *contexts = given.sizes
+        self.defines = defines(config, device, max(target.grid))
+        self.target, self.contexts = target, contexts
+        self.arena: Arena = allocate(device, config, target, contexts)
+        table = camera_table(given.cameras[0], given.cameras[1:], given.unit)
+        cl.enqueue_copy(device.queue, self.arena["cameras"], table)
+        self._prepare(initial, start)
+        self.views = [self._view(v) for v in range(1, len(given.cameras))]
+        self.target_view = self._target_view() if config.loss.target_view and config.solver.patience else []
+        self.smooth = smooth.launches(self)
+
+    def _prepare(self, initial, start):
+        for write, launches in ((initial, project.before_steps), (start, smooth.before_steps)):
+            write(self.arena["depth"])
+            for launch in launches(self):
+                launch.enqueue(self.device.queue)
+
+    def _view(self, view: int) -> list:
+        """All launches of one context view in one step."""
+        return [*composite.launches(self, view), *loss.launches(self, view), *backward.launches(self, view)]
+
+    def _target_view(self) -> list:
+        """The target's own view has no gradient; it counts in the loss alone."""
+        return [*composite.launches(self, 0), *loss.launches(self, 0)]
+
+    @property
+    def views_per_step(self) -> int:
+        asked = self.config.solver.views_per_step
+        return min(asked, len(self.contexts)) if asked else len(self.contexts)
+
+    @property
+    def views_in_loss(self) -> int:
+        """Views that the loss is averaged over."""
+        return self.views_per_step + (1 if self.config.loss.target_view else 0)
+
+    def gradient_launches(self, number: int) -> list:
+        """Launches that add N dL/dd of step `number` (from 0) to the gradient: context views in turn."""
+        k, n = self.views_per_step, len(self.views)
+        chosen = [self.views[(number * k + j) % n] for j in range(k)]
+        return [launch for view in (self.target_view, *chosen) for launch in view] + self.smooth
+
+    def run(self, steps: int, progress=None) -> int:
+        """At most `steps` steps; returns how many were enqueued."""
+        queue, solver = self.device.queue, step.Solver(self)
+        for number in range(steps):
+            for launch in self.gradient_launches(number):
+                launch.enqueue(queue)
+            solver.enqueue(number)
+            if solver.finished(number):
+                return number + 1
+            queue.flush()
+            if progress:
+                progress(number + 1, steps)
+        return steps
+
+    def read(self, name: str, shape, dtype=np.float32) -> np.ndarray:
+        """Copy of the buffer `name` on the host."""
+        out = np.empty(shape, dtype)
+        cl.enqueue_copy(self.device.queue, out, self.arena[name])
+        return out
+
+    def release(self):
+        self.arena.release()

@@ -1,0 +1,52 @@
+"""What changes the shape of the code, as compile-time defines: an effect that is off is not in the program at all."""
+
+from __future__ import annotations
+
+from math import ceil, floor, log2
+
+from pagas_cl.config import Config
+
+LOSS_GROUP = 128          # work-items that share a tile of loss.cl
+MAX_SLOTS = 16            # candidates that a pixel sorts in registers at a time (alpha.cl)
+
+
+def reach(radius: float) -> int:
+    """How many one-pixel bins away a Gaussian's mean may lie and still be within `radius` of a pixel's centre."""
+    return floor(radius + 0.5)
+
+
+def slots(radius: float) -> int:
+    """Candidates sorted at a time: a power of two above what a surface seen at its own resolution gives."""
+    return 8 if radius <= 1.2 else MAX_SLOTS
+
+
+def fixed_bits(longest_side: int) -> int:
+    """Fractional bits of the fixed-point weights of an image with `longest_side` pixels.
+
+    Projected area is kept, so that one surface gives a pixel a weight of about pi / 2; seen edge-on, a whole row of
+    Gaussians may fall into one pixel. Twice that must fit into 32 bits.
+    """
+    return max(8, min(20, 32 - ceil(log2(3.2 * longest_side))))
+
+
+def defines(config: Config, device, longest_side: int) -> tuple[str, ...]:
+    """The -D defines of every kernel for `config` on `device`, for a target of `longest_side` pixels."""
+    splatting, loss = config.splatting, config.loss
+    switches = {
+        "ORDER_FREE": splatting.blend == "order_free",
+        "ALPHA_BLEND": splatting.blend == "alpha",
+        "NORMALIZE": splatting.blend == "alpha" and splatting.normalize,
+        "OCCLUSION": splatting.occlusion,
+        "DEPTH_RELATIVE": splatting.occlusion and splatting.depth_relative > 0,
+        "LOW_PASS": splatting.low_pass > 0,
+        "SSIM": loss.ssim > 0,
+        "GREY": loss.grey,
+        "GRADIENT_WEIGHT": loss.gradient_weight,
+        "COVERAGE_WEIGHT": loss.coverage_weight,
+        "UNSEEN_MASK": loss.unseen_mask,
+        "TRACK_LOSS": config.solver.patience > 0,
+        "INT64_ATOMICS": device.has("cl_khr_int64_base_atomics"),
+    }
+    numbers = {"LOSS_GROUP": LOSS_GROUP, "REACH": reach(splatting.radius), "SLOTS": slots(splatting.radius),
+               "FIXED_BITS": fixed_bits(longest_side)}
+    return tuple(name for name, on in switches.items() if on) + tuple(f"{k}={v}" for k, v in numbers.items())

@@ -1,0 +1,31 @@
+"""Launches of project.cl: what needs only where Gaussians land (method section 3)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pagas_cl.runtime.program import Fill, bind, build
+
+_INFINITY = np.uint32(0x7F800000)
+
+
+def before_steps(level) -> list:
+    """Once a level, under the depth that enters it: the parallax unit and the unseen masks."""
+    program, a = build(level.device, "project.cl", level.defines), level.arena
+    launches = [bind(program, "parallax_unit", level.target.grid, None, a["depth"], a["cameras"], len(level.contexts),
+                     a["unit"])]
+    for k in range(len(level.contexts) if level.config.loss.unseen_mask else 0):
+        name = f"seen{k}"
+        launches.append(Fill(a[name], np.uint32(0), a.size(name)))
+        launches.append(bind(program, "mark_seen", level.target.grid, None, a["depth"], a["cameras"], k + 1, a[name]))
+    return launches
+
+
+def nearest(level, view: int) -> list:
+    """z_first of every pixel of a context view; nothing where occlusion is off."""
+    if not level.config.splatting.occlusion:
+        return []
+    program, a, s = build(level.device, "project.cl", level.defines), level.arena, level.config.splatting
+    return [Fill(a["z_first"], _INFINITY, 4 * level.given.sizes[view].pixels),
+            bind(program, "nearest", level.target.grid, None, a["depth"], a["cameras"], view, float(s.radius),
+                 float(s.low_pass), a["z_first"])]

@@ -1,0 +1,142 @@
+"""What the device holds for one level: cameras, photos and every buffer, planned before it is allocated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.config import Config
+from pagas_cl.runtime.arena import Arena, BufferSpec
+from pagas_cl.scene.camera import Camera
+from pagas_cl.splat.options import reach
+
+NEAR = 1e-3               # as in constants.clh
+FAR = 1e6
+
+
+@dataclass(frozen=True)
+class Size:
+    """Width and height of an image in pixels."""
+
+    width: int
+    height: int
+
+    @property
+    def pixels(self) -> int:
+        return self.width * self.height
+
+    @property
+    def grid(self) -> tuple[int, int]:
+        return self.width, self.height
+
+
+def level_size(camera: Camera, scale: float) -> Size:
+    """Image size of `camera` at the pyramid level `scale`."""
+    return Size(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+
+
+def camera_table(target: Camera, contexts: list[Camera], unit: float) -> np.ndarray:
+    """The cameras as camera.clh reads them, target first: float32 of shape (1 + contexts, 20).
+
+    Relative poses are formed in float64 (method section 2); lengths are divided by `unit`.
+    """
+    rows = []
+    for camera in (target, *contexts):
+        rotation, tau = camera.relative_to(target)
+        rows.append([*rotation.ravel(), *(tau / unit), camera.fx, camera.fy, camera.cx, camera.cy, 1 / camera.fx,
+                     1 / camera.fy, camera.width, camera.height])
+    return np.array(rows, np.float32)
+
+
+def level_buffers(config: Config, target: Size, contexts: list[Size]) -> list[BufferSpec]:
+    """Every buffer of a level except photos: per target pixel, and one context view's scratch."""
+    n, m = target.pixels, max(size.pixels for size in (*contexts, target))
+    channels = 1 if config.loss.grey else 3
+    specs = [BufferSpec(name, (n,), np.float32) for name in ("depth", "unit", "gradient", "first", "second")]
+    specs += [BufferSpec("cameras", (1 + len(contexts), 20), np.float32), BufferSpec("state", (8,), np.float32)]
+    specs += [BufferSpec("rendered", (m, channels + 1), np.float32), BufferSpec("upstream", (m, channels + 1), np.float32)]
+    if config.loss.ssim > 0:
+        specs.append(BufferSpec("partials", (m, 3 * channels), np.float32))
+    if config.splatting.blend == "order_free":
+        specs.append(BufferSpec("z_first", (m if config.splatting.occlusion else 1,), np.uint32))
+    else:
+        specs += _list_buffers(config, n, (*contexts, target))
+    if config.smoothness.kind != "none":
+        specs += [BufferSpec(name, (n,), np.float32) for name in ("kappa", "weights")]
+    if config.smoothness.kind == "normal":
+        specs += [BufferSpec(name, (n, 4), np.float32) for name in ("normals", "slopes")]
+    if config.loss.unseen_mask:
+        specs += [BufferSpec(f"seen{k}", (size.pixels // 32 + 1,), np.uint32) for k, size in enumerate(contexts)]
+    if config.solver.patience > 0:
+        tiles = max(-(-s.width // 32) * -(-s.height // 16) for s in (*contexts, target))
+        specs += [BufferSpec("losses", (tiles,), np.int64), BufferSpec("history", (max(config.pyramid.steps) + 1,), np.float32)]
+    return specs
+
+
+def _list_buffers(config: Config, n: int, sizes) -> list[BufferSpec]:
+    border = 2 * reach(config.splatting.radius) + 1
+    bins = max((s.width + border) * (s.height + border) for s in sizes)
+    return [BufferSpec("heads", (bins,), np.int32), BufferSpec("next", (n,), np.int32),
+            BufferSpec("records", (n, 8), np.float32), BufferSpec("fixed", (n,), np.int64)]
+
+
+class PhotoStore:
+    """Photos on the device, 8-bit RGB with validity in the fourth channel; each one uploaded once.
+
+    Full-size photos stay until `limit_bytes` is reached, then the one unused for longest goes.
+    """
+
+    def __init__(self, device, limit_bytes: int | None = None):
+        self.device, self.limit = device, limit_bytes or device.info.memory // 4
+        self._photos: dict[object, cl.Buffer] = {}
+
+    def photo(self, view) -> cl.Buffer:
+        """Buffer of (height, width) uchar4 of `view`, a pagas_cl.scene.view.View."""
+        key = id(view)
+        held = self._photos.pop(key, None)
+        if held is None:
+            pixels = rgba(view.load_image(), view.load_mask())
+            self._make_room(pixels.nbytes)
+            held = (view, cl.Buffer(self.device.context, cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR,
+                                    hostbuf=pixels))
+        self._photos[key] = held       # last in the order of use; the view is held so that its id stays its own
+        return held[1]
+
+    def _make_room(self, nbytes: int):
+        while self._photos and sum(buffer.size for _, buffer in self._photos.values()) + nbytes > self.limit:
+            self._photos.pop(next(iter(self._photos)))
+
+
+def rgba(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
+    """uint8 of shape (height, width, 4): colour and validity (255 or 0)."""
+    pixels = np.empty((*image.shape[:2], 4), np.uint8)
+    pixels[..., :3] = image
+    pixels[..., 3] = 255 if mask is None else np.where(mask, 255, 0)
+    return pixels
+
+
+def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.ndarray, float]:
+    """Depth in units of its median, float32, 0 where there is none, and that unit.
+
+    Depths outside NEAR to FAR units, masked out or not finite have no Gaussian.
+    """
+    valid = np.isfinite(depth) & (depth > 0)
+    if mask is not None:
+        valid &= mask
+    if not valid.any():
+        return np.zeros(depth.shape, np.float32), 1.0
+    unit = float(np.median(depth[valid].astype(np.float64)))
+    scaled = np.where(valid, depth, 0).astype(np.float64) / unit
+    scaled[(scaled < NEAR) | (scaled > FAR)] = 0
+    return scaled.astype(np.float32), unit
+
+
+def allocate(device, config: Config, target: Size, contexts: list[Size]) -> Arena:
+    """The level's arena, every buffer zeroed where the kernels add to it."""
+    arena = Arena(device, level_buffers(config, target, contexts))
+    for name in ("gradient", "first", "second", "fixed", "state"):
+        if name in arena:
+            cl.enqueue_fill_buffer(device.queue, arena[name], np.uint32(0), 0, arena.size(name))
+    return arena

@@ -1,0 +1,44 @@
+"""Launches of step.cl: Adam and its schedule (method section 6)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.runtime.program import bind, build
+
+_LOOK_EVERY = 10          # steps between two looks of the host at the schedule
+_RATE, _BEST, _DONE = 0, 1, 3
+
+
+class Solver:
+    """Adam over arena["depth"]; the rate lives on the device, where the schedule changes it."""
+
+    def __init__(self, level):
+        self.level, a, solver = level, level.arena, level.config.solver
+        self.queue, self.patience = level.device.queue, solver.patience
+        state = np.zeros(8, np.float32)
+        state[_RATE], state[_BEST] = solver.rate, np.inf
+        cl.enqueue_copy(self.queue, a["state"], state)
+        program = build(level.device, "step.cl", level.defines)
+        common = level.given.distance_unit if solver.unit == "distance" else 0.0
+        n = level.target.pixels
+        self._adam = bind(program, "adam", (n,), None, a["depth"], a["gradient"], a["first"], a["second"], a["unit"],
+                          a["state"], n, 1, float(solver.damping), float(common))
+        if self.patience:
+            floor = solver.rate * solver.rate_floor * 0.999
+            self._plateau = bind(program, "plateau", (1,), None, a["state"], a["history"], 1, self.patience, float(floor))
+
+    def enqueue(self, number: int):
+        """Step `number` (from 0)."""
+        if self.patience:
+            self._plateau.kernel.set_arg(2, np.int32(number + 1))
+            self._plateau.enqueue(self.queue)
+        self._adam.kernel.set_arg(7, np.int32(number + 1))
+        self._adam.enqueue(self.queue)
+
+    def finished(self, number: int) -> bool:
+        """Whether the schedule has ended the level; asked only every few steps, since it waits for the device."""
+        if not self.patience or (number + 1) % _LOOK_EVERY:
+            return False
+        return bool(self.level.read("state", 8)[_DONE])
