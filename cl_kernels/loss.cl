@@ -210,7 +210,8 @@ void loss_backward(__global const stored_t *rendered, __global const uchar4 *pho
         weight *= gradient_weight(photo, x, y, width, height);
 #endif
 #ifdef UNSEEN_MASK
-        weight *= (float)((seen[pixel >> 5] >> (pixel & 31)) & 1u);
+        if (seen)                          // the target's own view has no such mask
+            weight *= (float)((seen[pixel >> 5] >> (pixel & 31)) & 1u);
 #endif
         float mean_residual = 0.0f;
         float by[CHANNELS];
