@@ -1,0 +1,195 @@
+"""Errors of a depth map and of its normals against the truth, near discontinuities apart from the rest."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from pagas_cl.errors import InputError
+
+
+@dataclass(frozen=True)
+class DepthErrors:
+    """Errors over one set of pixels.
+
+    Attributes
+    ----------
+    pixels : int
+        Pixels with a depth in both maps.
+    missing : int
+        Pixels with a true depth and no estimate.
+    mean, median : float
+        Absolute depth error, scene units; `mean_parallax`, `median_parallax`: in pixels of parallax (nan where no
+        parallax was given).
+    normal_mean, normal_median : float
+        Angle between normals, degrees, over the pixels whose normal is defined in both maps.
+    """
+
+    pixels: int
+    missing: int
+    mean: float
+    median: float
+    mean_parallax: float
+    median_parallax: float
+    normal_mean: float
+    normal_median: float
+
+    def as_dict(self) -> dict:
+        """Plain dictionary, ready for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class DepthReport:
+    """`smooth`: away from discontinuities; `edges`: within 3 pixels of one; `all`: both."""
+
+    smooth: DepthErrors
+    edges: DepthErrors
+    all: DepthErrors
+
+    def as_dict(self) -> dict:
+        """Plain nested dictionary, ready for JSON."""
+        return asdict(self)
+
+
+def compare_depth(depth, truth, camera, *, parallax=None, true_normals=None, discontinuities=None, within=3,
+                  mask=None) -> DepthReport:
+    """Compare a depth map with the truth.
+
+    Parameters
+    ----------
+    depth, truth : ndarray of shape (H, W)
+        z-depth, 0 = no surface, sizes equal to the camera's.
+    camera : Camera
+    parallax : float, ndarray of shape (H, W) or None
+        Depth of one pixel of parallax, scene units: see `parallax_unit`.
+    true_normals : ndarray of shape (H, W, 3) or None
+        Unit, camera frame, towards the camera; None takes them from the true depth.
+    discontinuities : ndarray of bool, (H, W), or None
+        Pixels beside a discontinuity; None finds them in the true depth.
+    within : int
+        Pixels around a discontinuity that are counted apart.
+    mask : ndarray of bool, (H, W), or None
+        Only these pixels count.
+    """
+    depth, truth = _checked(depth, camera, "depth map"), _checked(truth, camera, "true depth map")
+    if discontinuities is None:
+        discontinuities = find_discontinuities(truth, camera)
+    near = dilate(discontinuities, within)
+    inside = np.ones(truth.shape, bool) if mask is None else np.asarray(mask, bool)
+    angle = _angles(depth_normals(depth, camera),
+                    depth_normals(truth, camera) if true_normals is None else np.asarray(true_normals, np.float64))
+    unit = np.nan if parallax is None else np.asarray(parallax, np.float64)
+    return DepthReport(*(_errors(depth, truth, unit, angle, inside & part)
+                         for part in (~near, near, np.ones_like(near))))
+
+
+def _errors(depth, truth, unit, angle, where):
+    both = where & (depth > 0) & (truth > 0)
+    error = np.abs(depth - truth)
+    shift = np.broadcast_to(error / np.where(unit > 0, unit, np.nan), error.shape)[both]
+    turned = angle[both]
+    return DepthErrors(int(both.sum()), int((where & (depth <= 0) & (truth > 0)).sum()), *_two(error[both]),
+                       *_two(shift), *_two(turned))
+
+
+def _two(values):
+    values = values[np.isfinite(values)]
+    return (float(values.mean()), float(np.median(values))) if len(values) else (float("nan"), float("nan"))
+
+
+def depth_normals(depth, camera) -> np.ndarray:
+    """Normals by central differences of the depth map's points.
+
+    Unit, in the camera's frame, towards the camera: float64 (H, W, 3); nan where a pixel or one of its four
+    neighbours has no depth.
+    """
+    depth = np.asarray(depth, np.float64)
+    points = np.where(depth > 0, depth, np.nan)[..., None] * camera.rays()
+    normals = np.full(points.shape, np.nan)
+    across = points[1:-1, 2:] - points[1:-1, :-2]
+    down = points[2:, 1:-1] - points[:-2, 1:-1]
+    cross = np.cross(down, across)  # image axes right and down: this order points towards the camera
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cross /= np.linalg.norm(cross, axis=-1, keepdims=True)
+    cross[np.isnan(points[1:-1, 1:-1, 0])] = np.nan
+    normals[1:-1, 1:-1] = cross
+    return normals
+
+
+def _angles(a, b):
+    with np.errstate(invalid="ignore"):
+        ok = (np.abs((a**2).sum(-1) - 1) < 1e-3) & (np.abs((b**2).sum(-1) - 1) < 1e-3)
+        # atan2 keeps its digits at small angles, where arccos loses them
+        angle = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(-1)))
+    return np.where(ok, angle, np.nan)
+
+
+def find_discontinuities(depth, camera, jump: float = 6.0) -> np.ndarray:
+    """Pixels whose depth differs from a neighbour's (4 neighbours) by more than `jump` pixel footprints, or which
+    lie beside a pixel without depth: bool (H, W)."""
+    depth = np.asarray(depth, np.float64)
+    found = np.zeros(depth.shape, bool)
+    limit = jump / np.sqrt(camera.fx * camera.fy)
+    for a, b in (((slice(None), slice(1, None)), (slice(None), slice(None, -1))),
+                 ((slice(1, None), slice(None)), (slice(None, -1), slice(None)))):
+        da, db = depth[a], depth[b]
+        broken = (np.abs(da - db) > limit * np.minimum(da, db)) | ((da > 0) != (db > 0))
+        found[a] |= broken
+        found[b] |= broken
+    return found
+
+
+def dilate(mask, radius: int) -> np.ndarray:
+    """Pixels within `radius` (Euclidean) of a true one: bool (H, W)."""
+    mask = np.asarray(mask, bool)
+    h, w = mask.shape
+    padded = np.pad(mask, radius)
+    out = np.zeros_like(mask)
+    for dy in range(-radius, radius + 1):
+        reach = int(np.sqrt(radius**2 - dy**2))
+        for dx in range(-reach, reach + 1):
+            out |= padded[radius + dy:radius + dy + h, radius + dx:radius + dx + w]
+    return out
+
+
+def parallax_unit(depth, target, contexts) -> np.ndarray:
+    """Depth that moves a pixel's point by one pixel in the other views, root mean square over those that see it.
+
+    Parameters
+    ----------
+    depth : ndarray of shape (H, W)
+    target : Camera
+    contexts : list of Camera
+
+    Returns
+    -------
+    ndarray of float64, (H, W), scene units; 0 where the pixel has no depth or no view sees its point
+    """
+    depth, rays = np.asarray(depth, np.float64), target.rays()
+    speed, seen = np.zeros(depth.shape), np.zeros(depth.shape)
+    for context in contexts:
+        rotation, tau = context.relative_to(target)
+        q = rays @ rotation.T
+        point = depth[..., None] * q + tau
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = point[..., 2]
+            u, v = context.fx * point[..., 0] / z + context.cx, context.fy * point[..., 1] / z + context.cy
+            mx = context.fx * (q[..., 0] * tau[2] - q[..., 2] * tau[0]) / z**2
+            my = context.fy * (q[..., 1] * tau[2] - q[..., 2] * tau[1]) / z**2
+            inside = (depth > 0) & (z > 0) & (u >= 0) & (v >= 0) & (u < context.width) & (v < context.height)
+        speed += np.where(inside, mx**2 + my**2, 0.0)
+        seen += inside
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(speed > 0, np.sqrt(seen / speed), 0.0)
+
+
+def _checked(depth, camera, what):
+    depth = np.asarray(depth, np.float64)
+    if depth.shape != (camera.height, camera.width):
+        size = f"{depth.shape[1]} x {depth.shape[0]}" if depth.ndim == 2 else f"of shape {depth.shape}"
+        raise InputError(f"{what} is {size}, its camera says {camera.width} x {camera.height}: resize one of them")
+    if not np.isfinite(depth).all():
+        raise InputError(f"{what} holds values that are not finite; mark pixels without surface by 0")
+    return depth
