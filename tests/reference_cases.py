@@ -1,0 +1,96 @@
+"""What the tests of the twins share: settings that meet every branch, prepared scenes, central differences."""
+
+from __future__ import annotations
+
+import numpy as np
+from random_scenes import random_scene
+
+from pagas_cl.config import Config, Smoothness
+from pagas_cl.reference import loss as losses
+from pagas_cl.reference import smooth
+from pagas_cl.reference.composite import ALPHA_MAX
+from pagas_cl.reference.level import depth_threshold, loss_and_gradient, prepare, render
+from pagas_cl.reference.project import is_valid, median_depth
+
+BASE = Config(smoothness=Smoothness(kind="none", weight=0.0))
+CASES = {
+    "order-free": dict(),
+    "order-free low-pass": dict(splatting__low_pass=0.3),
+    "order-free wide": dict(splatting__radius=2.0),
+    "order-free no occlusion": dict(splatting__occlusion=False, splatting__low_pass=0.3),
+    "order-free relative": dict(splatting__depth_relative=0.01),
+    "alpha": dict(splatting__blend="alpha"),
+    "alpha low-pass": dict(splatting__blend="alpha", splatting__low_pass=0.3, splatting__radius=1.42),
+    "alpha no occlusion": dict(splatting__blend="alpha", splatting__occlusion=False),
+    "alpha relative": dict(splatting__blend="alpha", splatting__depth_relative=0.01),
+    "alpha normalised": dict(splatting__blend="alpha", splatting__normalize=True),
+    "alpha normalised low-pass": dict(splatting__blend="alpha", splatting__normalize=True, splatting__low_pass=0.3),
+    "L1 only": dict(loss__ssim=0.0),
+    "SSIM only": dict(loss__ssim=1.0),
+    "no gradient weight": dict(loss__gradient_weight=False),
+    "no coverage weight": dict(loss__coverage_weight=False),
+    "no weights alpha": dict(splatting__blend="alpha", loss__gradient_weight=False, loss__coverage_weight=False),
+    "unseen mask": dict(loss__unseen_mask=True),
+    "grey": dict(loss__grey=True),
+    "grey alpha": dict(loss__grey=True, splatting__blend="alpha"),
+    # radius 1 would put the four neighbours of the target's own view exactly on the threshold
+    "target view": dict(loss__target_view=True, splatting__radius=1.42),
+    "planar": dict(smoothness__kind="planar", smoothness__weight=0.1),
+    "normal": dict(smoothness__kind="normal", smoothness__weight=0.1),
+}
+
+
+def prepared(seed, config, **scene):
+    """Depth in units, target, contexts, State; the depth differs from the initial one, as after some steps."""
+    depth, target, contexts = random_scene(seed, **scene)
+    unit = median_depth(depth)
+    initial = depth / unit
+    state = prepare(initial, target, contexts, config, unit, depth_threshold(initial, config.splatting.depth_slices))
+    rng = np.random.default_rng(seed + 1000)
+    moved = initial + 0.2 * np.where(state.parallax > 0, state.parallax, 0.01) * rng.standard_normal(initial.shape)
+    return np.where(initial > 0, moved, 0.0), target, contexts, state
+
+
+def structure(depth, target, contexts, config, state):
+    """Everything discrete about a loss: equal on both sides of a step, the loss is smooth between them."""
+    parts = []
+    for context in contexts + [target] * config.loss.target_view:
+        r = render(depth, target, context, config, state)
+        photo = losses.comparable(context.image, config.loss)
+        parts += [r.pairs.gaussian, r.pairs.pixel, r.pairs.raw < ALPHA_MAX, r.covered, r.total < 1,
+                  np.sign(r.color - photo)]
+    if config.smoothness.kind == "planar":
+        e = smooth.second_differences(depth, is_valid(depth), state.kappa)
+        parts.append((e > -config.smoothness.huber).astype(int) + (e > config.smoothness.huber))
+    return b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
+
+
+def central(f, step):
+    """Derivative of f at 0 from f(+-step), f(+-2 step), error of order step^4."""
+    return (8 * (f(step) - f(-step)) - (f(2 * step) - f(-2 * step))) / (12 * step)
+
+
+def measured_gradient(config, seed, count=24, share=5e-4, **scene):
+    """Analytic and differenced N dL/dd at `count` random pixels, and how many more were too near a threshold."""
+    depth, target, contexts, state = prepared(seed, config, **scene)
+    _, gradient = loss_and_gradient(depth, target, contexts, config, state)
+    rng = np.random.default_rng(seed)
+    here = structure(depth, target, contexts, config, state)
+    got, want, skipped = [], [], 0
+    for i in rng.permutation(np.flatnonzero((depth.ravel() > 0) & (gradient.ravel() != 0))):
+        step = share * (state.parallax.ravel()[i] or 0.01)
+
+        def moved(by, i=i):
+            other = depth.copy()
+            other.ravel()[i] += by
+            return other
+
+        if any(structure(moved(s * step), target, contexts, config, state) != here for s in (-2, 2)):
+            skipped += 1
+            continue
+        got.append(gradient.ravel()[i])
+        want.append(central(lambda by: depth.size * loss_and_gradient(moved(by), target, contexts, config, state)[0],
+                            step))
+        if len(got) == count:
+            break
+    return np.array(got), np.array(want), skipped
