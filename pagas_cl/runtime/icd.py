@@ -6,7 +6,6 @@ An OpenCL loader (libOpenCL) finds drivers by small text files `*.icd`, each of 
 from __future__ import annotations
 
 import glob
-import importlib.util
 import os
 import re
 import subprocess
@@ -57,9 +56,9 @@ def no_device(platforms: list[str]) -> str:
 def search_folders() -> list[str]:
     """Folders (or files) where the loader looks for drivers."""
     folders = [os.environ.get("OCL_ICD_VENDORS") or "/etc/OpenCL/vendors"]
-    package = importlib.util.find_spec("pyopencl")
-    if package is not None and package.origin:
-        folders.append(str(Path(package.origin).parent / ".libs"))
+    package = sys.modules.get("pyopencl")  # nothing is asked before pyopencl is imported
+    if getattr(package, "__file__", None):
+        folders.append(str(Path(package.__file__).parent / ".libs"))  # where its wheel's own loader looks
     return folders
 
 

@@ -1,0 +1,104 @@
+"""Collects the views of a run as they are done, and writes the pictures and the page."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.report.page import figure, html_page, write_picture, write_text
+from pagas_cl.report.pictures import parallax_change, view_pictures
+
+
+class Report:
+    """A folder with `index.html`, `report.json` and, for every view, `<view>_<picture>.png` (the photo as .jpg).
+
+    Used as a context manager, so that an interrupted run has a page of what was done.
+
+    Parameters
+    ----------
+    folder : path
+        Made where it does not exist; files of the same names are replaced.
+    title : str
+    notes : list of str
+        Lines below the title: what was refined, with which settings, on which device.
+    """
+
+    def __init__(self, folder, title: str = "pagas_cl", notes=()):
+        self.folder = Path(folder)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.title, self.notes = title, list(notes)
+        self._views: list[dict] = []
+        self._sections: list[tuple] = []
+
+    def __enter__(self) -> Report:
+        return self
+
+    def __exit__(self, *_):
+        self.write()
+
+    def add(self, view, before, after, *, contexts=(), confidence=None, counts=None, remarks=()) -> None:
+        """Write the pictures of one view and remember its row of the table.
+
+        Parameters
+        ----------
+        view : pagas_cl.View
+        before, after : ndarray of shape (H, W)
+            z-depth, 0 = no surface.
+        contexts : list of Camera
+            Cameras of the context views; without them there is no picture of the change.
+        confidence : ndarray of shape (H, W), optional
+        counts : dict of str to number, optional
+            Columns of the table.
+        remarks : list of str
+            Lines above the pictures.
+        """
+        photo, camera = view.load_image(), view.camera
+        change = parallax_change(camera, list(contexts), before, after) if contexts else None
+        stem = file_stem(view.name)
+        figures = []
+        for picture in view_pictures(photo, camera, before, after, change=change, confidence=confidence):
+            name = f"{stem}_{picture.key}.{'jpg' if picture.key == 'photo' else 'png'}"
+            write_picture(self.folder / name, picture.pixels)
+            figures.append(figure(picture, name))
+        self._views.append({"view": view.name, **(counts or {}), **_change_figures(change, confidence, after)})
+        self._sections.append((view.name, figures, list(remarks)))
+
+    def note(self, text: str) -> None:
+        """Add a line below the title."""
+        self.notes.append(text)
+
+    def write(self) -> Path:
+        """Write the page and the numbers; returns the page's path."""
+        columns = list(dict.fromkeys(key for row in self._views for key in row)) or ["view"]
+        rows = [[_cell(row.get(key)) for key in columns] for row in self._views]
+        page = self.folder / "index.html"
+        write_text(self.folder / "report.json", json.dumps({"notes": self.notes, "views": self._views}, indent=1) + "\n")
+        write_text(page, html_page(self.title, self.notes, columns, rows, self._sections))
+        return page
+
+
+def file_stem(name: str) -> str:
+    """A view's name without its suffix, as part of a file name: `cam1/a b.jpg` becomes `cam1_a_b`."""
+    path = Path(name)
+    return re.sub(r"[^\w.-]+", "_", str(path.parent / path.stem)).strip("_.") or "view"
+
+
+def _change_figures(change, confidence, after) -> dict:
+    """Columns that the pictures give: how far pixels moved, and the mean confidence."""
+    figures = {}
+    if change is not None and np.isfinite(change).any():
+        moved = np.abs(change[np.isfinite(change)])
+        figures["median change (px)"] = round(float(np.median(moved)), 4)
+        figures["95% change (px)"] = round(float(np.percentile(moved, 95)), 4)
+    if confidence is not None and (np.asarray(after) > 0).any():
+        figures["mean confidence"] = round(float(np.asarray(confidence)[np.asarray(after) > 0].mean()), 4)
+    return figures
+
+
+def _cell(value) -> str:
+    if value is None:
+        return ""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,98 @@
+"""The report: colours, the change in pixels of parallax, and the files of a run."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pagas_cl import Camera, View
+from pagas_cl.report import Report
+from pagas_cl.report.colors import NOTHING, colored, normal_colors
+from pagas_cl.report.pictures import depth_range, parallax_change, view_pictures
+from pagas_cl.report.writer import file_stem
+
+WIDTH, HEIGHT = 40, 30
+
+
+def camera(x=0.0, name="a.png"):
+    pose = np.eye(4)
+    pose[0, 3] = -x
+    return Camera(WIDTH, HEIGHT, 50, 50, 20, 15, pose, name)
+
+
+def plane(z):
+    return np.full((HEIGHT, WIDTH), z, np.float32)
+
+
+def test_colored_spans_the_map_and_marks_what_has_no_value():
+    rgb = colored(np.array([[0.0, 1.0, 9.0, np.nan]]), 0, 1, np.array([[True, True, True, False]]))
+    assert rgb.dtype == np.uint8 and tuple(rgb[0, 3]) == NOTHING
+    assert (rgb[0, 1] == rgb[0, 2]).all() and rgb[0, 1].sum() > rgb[0, 0].sum()
+    assert (colored(np.zeros((1, 1)), -1, 1, np.ones((1, 1), bool), "signed") == 255).all()
+
+
+def test_normal_colors_do_not_depend_on_the_sign():
+    n = np.array([[[0.6, 0.0, -0.8]]])
+    valid = np.ones((1, 1), bool)
+    assert (normal_colors(n, valid) == normal_colors(-n, valid)).all()
+    assert tuple(normal_colors(np.array([[[0.0, 0.0, -1.0]]]), valid)[0, 0]) == (128, 128, 255)
+
+
+def test_parallax_change_is_the_move_in_the_context_views():
+    change = parallax_change(camera(), [camera(0.5), camera(-0.5)], plane(4.0), plane(5.0))
+    inside = np.isfinite(change)
+    # the image of a point at depth z moves with f b / z
+    assert inside.any() and change[inside] == pytest.approx(50 * 0.5 * (1 / 4 - 1 / 5))
+    nearer = parallax_change(camera(), [camera(0.5)], plane(4.0), plane(3.9))
+    assert (nearer[np.isfinite(nearer)] < 0).all()
+
+
+def test_parallax_change_is_unknown_without_depth_or_without_a_view():
+    before, after = plane(4.0), plane(4.0)
+    before[0], after[1] = 0, 0
+    change = parallax_change(camera(), [camera(0.5)], before, after)
+    assert np.isnan(change[:2]).all()
+    behind = Camera(WIDTH, HEIGHT, 50, 50, 20, 15, np.diag([-1.0, 1, -1, 1]))
+    assert np.isnan(parallax_change(camera(), [behind], plane(4.0), plane(4.1))).all()
+    assert np.isnan(parallax_change(camera(), [], plane(4.0), plane(4.1))).all()
+
+
+def test_depth_range_of_nothing():
+    assert depth_range(plane(0)) == (0, 1)
+
+
+def test_pictures_have_the_size_of_the_view_even_where_nothing_is_valid():
+    photo = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    pictures = view_pictures(photo, camera(), plane(0), plane(0), change=np.full((HEIGHT, WIDTH), np.nan),
+                             confidence=plane(0))
+    assert [p.key for p in pictures] == ["photo", "depth_before", "depth_after", "normals_before", "normals_after",
+                                         "change", "confidence"]
+    assert all(p.pixels.shape == photo.shape and p.pixels.dtype == np.uint8 for p in pictures)
+
+
+@pytest.mark.parametrize("name, stem", [("a.jpg", "a"), ("cam1/a b.jpg", "cam1_a_b"), ("../..", "view"), ("", "view")])
+def test_file_stem(name, stem):
+    assert file_stem(name) == stem
+
+
+def test_report_writes_pictures_page_and_numbers(tmp_path):
+    view = View(camera(name="<b>.png"), np.full((HEIGHT, WIDTH, 3), 99, np.uint8))
+    folder = tmp_path / "made" / "here"
+    with pytest.raises(KeyboardInterrupt):
+        with Report(folder, "a <title>", ["one note"]) as report:
+            report.add(view, plane(4.0), plane(4.1), contexts=[camera(0.5)], confidence=plane(0.5),
+                       counts={"refined": 7})
+            raise KeyboardInterrupt  # the page of what was done is written all the same
+    page = (folder / "index.html").read_text()
+    assert "a &lt;title&gt;" in page and "&lt;b&gt;.png" in page and "<b>.png" not in page
+    assert page.count("data:image/jpeg") == 7 and "http" not in page
+    told = json.loads((folder / "report.json").read_text())
+    assert told["views"][0]["refined"] == 7 and told["views"][0]["mean confidence"] == 0.5
+    names = sorted(path.name for path in folder.iterdir())
+    assert len(names) == 9 and not any("part" in name for name in names)
+    assert Image.open(folder / "b_depth_after.png").size == (WIDTH, HEIGHT)
+
+
+def test_report_without_views_has_a_page(tmp_path):
+    assert "nothing" in Report(tmp_path, "nothing").write().read_text()
