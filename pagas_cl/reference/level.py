@@ -185,5 +185,5 @@ def refine(depth, target: Photo, contexts: list[Photo], config: Config) -> Refin
         current, values = run_level(start, level_target, level_contexts, config, state, steps)
         history += values
         counts.append(len(values))
-    far = np.abs(current - initial) > config.solver.max_move * state.parallax
-    return Refined(np.where(far, initial, current) * unit, history, counts)
+    kept = (current == initial) | (np.abs(current - initial) > config.solver.max_move * state.parallax)
+    return Refined(np.where(valid, np.where(kept, depth, current * unit), 0.0), history, counts)

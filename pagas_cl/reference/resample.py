@@ -28,8 +28,8 @@ def shrink_image(image: np.ndarray, width: int, height: int) -> np.ndarray:
     """Area average of a photo, rounded to 8 bit (ties to even) as the device keeps it."""
     if image.shape[:2] == (height, width):
         return image
-    mean = _box(image, width, height) * (width * height / (image.shape[0] * image.shape[1]))
-    return np.rint(mean * 255) / 255
+    area = (image.shape[0] / height) * (image.shape[1] / width)
+    return np.rint(_box(np.rint(image * 255), width, height) / area) / 255  # whole numbers, so that ties are ties
 
 
 def shrink_mask(mask: np.ndarray, width: int, height: int) -> np.ndarray:
