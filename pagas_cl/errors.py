@@ -39,8 +39,13 @@ class MissingExtraError(PagasError, ImportError):
         self.package, self.extra = package, extra
 
 
+class MissingLibraryError(PagasError, ImportError):
+    """An optional package is installed, and a system library that it loads is absent."""
+
+
 def need(package: str, extra: str, purpose: str):
-    """Import and return an optional `package`, or raise MissingExtraError naming the `extra` that brings it."""
+    """Import and return an optional `package`, or raise MissingExtraError naming the `extra` that brings it
+    (MissingLibraryError with the apt-get command where a system library is absent)."""
     from importlib import import_module
 
     try:
@@ -49,3 +54,8 @@ def need(package: str, extra: str, purpose: str):
         if error.name != package:
             raise
         raise MissingExtraError(package, extra, purpose) from error
+    except ImportError as error:
+        if "cannot open shared object" not in str(error):
+            raise
+        raise MissingLibraryError(f"{purpose} needs {package}, which cannot load a system library ({error}): apt-get "
+                                  "install libusb-1.0-0 libgl1 libgomp1 libx11-6 libopengl0") from error

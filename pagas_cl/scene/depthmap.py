@@ -1,0 +1,178 @@
+"""Depth maps on disk: (H, W) float32, z-depth in scene units, 0 = no surface."""
+
+from __future__ import annotations
+
+import logging
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.pyramid import depth_down, depth_up
+
+log = logging.getLogger("pagas_cl")
+
+SUFFIXES = (".npz", ".npy", ".pfm", ".png", ".geometric.bin", ".photometric.bin")
+
+
+def find_depth(folder, image_name: str) -> Path | None:
+    """The depth map of a photo in `folder`: `<stem>` or the whole `<image name>` (as COLMAP does) plus a suffix."""
+    folder = Path(folder)
+    for suffix in SUFFIXES:
+        for name in (str(Path(image_name).with_suffix("")), Path(image_name).stem, image_name, Path(image_name).name):
+            path = folder / (name + suffix)
+            if path.is_file():
+                return path
+    return None
+
+
+def load_depth(path, size: tuple[int, int] | None = None, *, scale: float | None = None) -> np.ndarray:
+    """Read a depth map.
+
+    Parameters
+    ----------
+    path : path
+        .npz (its first array), .npy, .pfm, 16-bit .png, or COLMAP's .geometric.bin / .photometric.bin.
+    size : (width, height), optional
+        Size wanted; another size is resampled by `resize_depth`.
+    scale : float, optional
+        The file's number for one scene unit (1000 for millimetres in a scene of metres); a PNG needs it, else 1.
+
+    Returns
+    -------
+    ndarray of shape (H, W), float32
+        What is not finite, or below 0, is 0.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"depth map {str(path)!r} does not exist")
+    readers = {".npz": _read_npz, ".npy": _read_npy, ".pfm": _read_pfm, ".png": _read_png, ".bin": _read_colmap}
+    read = readers.get(path.suffix.lower())
+    if read is None:
+        raise InputError(f"depth map {str(path)!r}: unknown kind, expected one of {', '.join(SUFFIXES)}")
+    if scale is None and read is _read_png:
+        raise InputError(f"depth map {str(path)!r}: a PNG does not say its unit; give the depth scale (1000 for "
+                         "millimetres in a scene of metres)")
+    if scale is not None and not (np.isfinite(scale) and scale > 0):
+        raise InputError(f"depth scale is {scale}, expected a number above 0")
+    try:
+        values = read(path)
+    except (OSError, ValueError, EOFError, KeyError, SyntaxError, MemoryError, zipfile.BadZipFile) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"depth map {str(path)!r} cannot be read: "
+                         f"{(str(error) or type(error).__name__).splitlines()[0]}") from error
+    depth = clean_depth(values if scale is None else values / scale, str(path))
+    return depth if size is None else resize_depth(depth, *size)
+
+
+def clean_depth(values, who: str = "depth map") -> np.ndarray:
+    """Depth as (H, W) float32 with what is not finite, or below 0, set to 0 (and counted in the log)."""
+    values = np.asarray(values)
+    if values.ndim == 3 and 1 in (values.shape[0], values.shape[2]):
+        values = values[0] if values.shape[0] == 1 else values[..., 0]
+    if values.ndim != 2 or values.size == 0:
+        raise InputError(f"{who} has shape {values.shape}, expected (height, width)")
+    if values.dtype.kind not in "fiu":
+        raise InputError(f"{who} has dtype {values.dtype}, expected numbers")
+    with np.errstate(over="ignore", invalid="ignore"):
+        depth = values.astype(np.float32)
+        bad = ~np.isfinite(depth) | (depth < 0)
+    count = int(np.count_nonzero(bad))
+    if count:
+        log.info("%s: %d of %d depths are not finite or below 0, taken as no surface", who, count, depth.size)
+        depth[bad] = 0
+    return depth
+
+
+def save_depth(path, depth) -> None:
+    """Write an .npz with one array, "depth", float32; beside the final name first, then renamed."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with open(beside, "wb") as file:
+            np.savez(file, depth=np.ascontiguousarray(depth, np.float32))
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def resize_depth(depth: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Depth map at another size, float32 of shape (height, width).
+
+    Linear at pixel centres where it grows and the area's mean where it shrinks, over valid depths only. Validity is
+    kept: a pixel is valid iff the input pixel that its centre lies in is (where it shrinks: iff half of the covered
+    area is).
+    """
+    depth = np.asarray(depth, np.float32)
+    if depth.shape == (height, width):
+        return depth
+    if width <= depth.shape[1] and height <= depth.shape[0]:
+        share = depth_down(np.where(depth > 0, np.float32(2), np.float32(1)), width, height)
+        return np.where(share >= 1.5, depth_down(depth, width, height), np.float32(0))
+    rows = ((np.arange(height) + 0.5) * depth.shape[0] / height).astype(np.intp)
+    columns = ((np.arange(width) + 0.5) * depth.shape[1] / width).astype(np.intp)
+    valid = (depth > 0)[rows[:, None], columns[None, :]]
+    return np.where(valid, depth_up(depth, width, height), np.float32(0))
+
+
+def _read_npz(path: Path) -> np.ndarray:
+    with np.load(path, allow_pickle=False) as archive:
+        if not isinstance(archive, np.lib.npyio.NpzFile) or not archive.files:
+            raise ValueError("it holds no array")
+        return archive[archive.files[0]]
+
+
+def _read_npy(path: Path) -> np.ndarray:
+    values = np.load(path, allow_pickle=False)
+    if not isinstance(values, np.ndarray):
+        raise ValueError("it holds no array")
+    return values
+
+
+def _read_pfm(path: Path) -> np.ndarray:
+    """Portable float map, one channel: rows from the bottom, byte order by the sign of the scale."""
+    with open(path, "rb") as file:
+        head = [file.readline(64).split() for _ in range(3)]
+        try:
+            kind, (width, height), order = head[0][0], (int(n) for n in head[1]), float(head[2][0])
+        except (IndexError, ValueError) as error:
+            raise ValueError("its header is no PFM header") from error
+        if kind != b"Pf":
+            raise ValueError(f"it starts with {kind[:8]!r}, expected b'Pf' (one channel)")
+        values = _exactly(file, path, width, height, 1, "<f4" if order < 0 else ">f4")
+    return values.reshape(height, width)[::-1]
+
+
+def _read_colmap(path: Path) -> np.ndarray:
+    """COLMAP's dense map: "width&height&channels&", then float32, x fastest."""
+    with open(path, "rb") as file:
+        head = file.read(64)
+        numbers = head.split(b"&", 3)
+        if len(numbers) != 4 or not all(n.isdigit() for n in numbers[:3]):
+            raise ValueError("its header is not 'width&height&channels&'")
+        width, height, channels = (int(n) for n in numbers[:3])
+        file.seek(sum(len(n) + 1 for n in numbers[:3]))
+        if channels != 1:
+            raise ValueError(f"it has {channels} channels, expected 1 (a depth map, not a normal map)")
+        return _exactly(file, path, width, height, channels, "<f4").reshape(height, width)
+
+
+def _exactly(file, path: Path, width: int, height: int, channels: int, dtype: str) -> np.ndarray:
+    """The rest of a file, refused before it is read when its size is not what the header claims."""
+    want, got = 4 * width * height * channels, path.stat().st_size - file.tell()
+    if want != got or want <= 0:
+        raise ValueError(f"its header says {width} x {height}, {want} bytes, and {got} follow")
+    return np.frombuffer(file.read(want), dtype)
+
+
+def _read_png(path: Path) -> np.ndarray:
+    from PIL import Image
+
+    with Image.open(path) as image:
+        if not image.mode.startswith("I"):
+            raise ValueError(f"it is {image.mode}, expected a 16-bit grey PNG")
+        return np.asarray(image).astype(np.float64)

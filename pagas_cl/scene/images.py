@@ -1,0 +1,131 @@
+"""Photos and masks: files or arrays in, 8-bit RGB and boolean arrays out."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from pagas_cl.errors import InputError
+
+log = logging.getLogger("pagas_cl")
+
+
+def image_size(path) -> tuple[int, int]:
+    """Width and height of an image file, from its header alone."""
+    with _opened(Path(path)) as image:
+        return image.size
+
+
+def read_photo(path) -> np.ndarray:
+    """Read a photo as it is stored: uint8 of shape (H, W, 3), RGB.
+
+    An EXIF orientation is not applied, since cameras are calibrated on the stored pixels; transparency is dropped.
+    """
+    return as_photo(_decoded(Path(path), "RGB"), f"image {str(path)!r}")
+
+
+def read_mask(path) -> np.ndarray:
+    """Read a mask: bool of shape (H, W), true (white, or opaque where the image has an alpha channel) = keep."""
+    return as_mask(_decoded(Path(path), "L"), f"mask {str(path)!r}")
+
+
+def as_photo(pixels, who: str = "image") -> np.ndarray:
+    """Make 8-bit RGB of an array.
+
+    Parameters
+    ----------
+    pixels : ndarray of shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4)
+        uint8; uint16 (0..65535); or floating point in [0, 1], rounded to 8 bit.
+    who : str
+        What a message calls it.
+
+    Returns
+    -------
+    ndarray of shape (H, W, 3), uint8, C-contiguous
+    """
+    pixels = np.asarray(pixels)
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
+    if pixels.ndim != 3 or pixels.shape[2] not in (1, 3, 4) or 0 in pixels.shape:
+        raise InputError(f"{who} has shape {pixels.shape}, expected (height, width, 3), RGB")
+    pixels = pixels[..., :3]
+    if pixels.dtype.kind == "f":
+        if not np.isfinite(pixels).all():
+            raise InputError(f"{who} holds values that are not finite; photos are numbers from 0 to 1, or 8-bit")
+        low, high = float(pixels.min()), float(pixels.max())
+        if low < -1e-3 or high > 1.001:
+            raise InputError(f"{who} is floating point and runs from {low:.3g} to {high:.3g}, expected 0 to 1; "
+                             "divide by 255, or pass uint8")
+        pixels = np.rint(np.clip(pixels, 0, 1) * 255).astype(np.uint8)
+    elif pixels.dtype == np.uint16:
+        pixels = np.rint(pixels / 257.0).astype(np.uint8)
+    elif pixels.dtype != np.uint8:
+        raise InputError(f"{who} has dtype {pixels.dtype}, expected uint8, uint16 or floating point from 0 to 1")
+    if pixels.shape[2] == 1:
+        pixels = np.repeat(pixels, 3, axis=2)
+    return np.ascontiguousarray(pixels)
+
+
+def as_mask(values, who: str = "mask") -> np.ndarray:
+    """Make a boolean array of shape (H, W) of a mask: true = keep.
+
+    Boolean arrays stay; of integers, those above half of the dtype's range are true (above 0 where nothing exceeds
+    1); of floating point numbers, those above 0.5. Anti-aliased borders are thereby cut in the middle.
+    """
+    values = np.asarray(values)
+    if values.ndim == 3 and values.shape[2] in (1, 3, 4):
+        values = values[..., 0] if values.shape[2] < 4 else values[..., 3]
+    if values.ndim != 2 or values.size == 0:
+        raise InputError(f"{who} has shape {values.shape}, expected (height, width)")
+    if values.dtype.kind == "f":
+        return values > 0.5  # NaN is not above anything: dropped
+    if values.dtype.kind in "iu":
+        top = np.iinfo(values.dtype).max
+        return values > (0 if values.max(initial=0) <= 1 else (127 if top > 2**16 else top // 2))
+    if values.dtype.kind != "b":
+        raise InputError(f"{who} has dtype {values.dtype}, expected bool, an integer or a floating point type")
+    return values.copy()
+
+
+def _opened(path: Path):
+    if not path.is_file():
+        raise InputError(f"image {str(path)!r} does not exist" if not path.exists()
+                         else f"image {str(path)!r} is not a file")
+    try:
+        return Image.open(path)
+    except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError) as error:
+        raise InputError(f"image {str(path)!r} cannot be read ({_one_line(error)}); is it a PNG, JPEG or TIFF "
+                         "file, and complete?") from error
+
+
+def _decoded(path: Path, mode: str) -> np.ndarray:
+    """Pixels of a file as uint8 or uint16; `mode` "RGB" or "L" ("L" takes a varying alpha channel for the mask)."""
+    with _opened(path) as image:
+        try:
+            if image.mode.startswith("I") or image.mode == "F":
+                return _wide(np.asarray(image), path)
+            if mode == "L" and "A" in image.getbands():
+                alpha = np.asarray(image.getchannel("A"))
+                if alpha.min() != alpha.max():
+                    return alpha
+            return np.asarray(image.convert(mode))
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+            raise InputError(f"image {str(path)!r} cannot be decoded ({_one_line(error)}); the file is damaged or "
+                             "cut off: copy it again") from error
+
+
+def _wide(values: np.ndarray, path: Path) -> np.ndarray:
+    """16-bit (and 32-bit integer holding 16-bit) grey values as uint16."""
+    if values.dtype.kind == "f":
+        return values
+    if values.min() < 0 or values.max() > 65535:
+        raise InputError(f"image {str(path)!r} holds values from {values.min()} to {values.max()}, expected 8 or 16 "
+                         "bit")
+    return values.astype(np.uint16)
+
+
+def _one_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]

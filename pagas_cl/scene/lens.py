@@ -1,0 +1,111 @@
+"""Photos through a lens: what COLMAP's distorted camera models need before a pinhole camera describes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.errors import InputError, need
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.images import read_mask, read_photo
+
+_ROWS = 256  # rows of the map made at a time
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A calibrated lens and the pinhole that its photos are resampled to.
+
+    Parameters
+    ----------
+    model : str
+        COLMAP's name of the camera model.
+    params : tuple of float
+    size : (width, height)
+        Of the photos as taken, pixels.
+    pinhole : (width, height, fx, fy, cx, cy)
+        Pixels, centres at +0.5.
+    """
+
+    model: str
+    params: tuple[float, ...]
+    size: tuple[int, int]
+    pinhole: tuple[float, ...]
+
+    @classmethod
+    def from_colmap(cls, camera, name: str = "") -> Lens:
+        """The lens of a pycolmap Camera; the pinhole is the one that `colmap image_undistorter` would choose."""
+        pycolmap = need("pycolmap", "colmap", "undistorting photos")
+        try:
+            pinhole = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
+            size = (int(pinhole.width), int(pinhole.height))
+            numbers = (pinhole.focal_length_x, pinhole.focal_length_y, pinhole.principal_point_x,
+                       pinhole.principal_point_y)
+            if not np.isfinite(numbers).all() or min(size) < 1:
+                raise ValueError("it has no pinhole equivalent")
+        except (RuntimeError, ValueError, OverflowError) as error:
+            reason = (str(error).strip().splitlines() or ["it has no pinhole equivalent"])[0]
+            raise InputError(f"camera of image {name!r} is {camera.model.name} and cannot be undistorted ({reason}); "
+                             "undistort first: colmap image_undistorter") from error
+        return cls(camera.model.name, tuple(float(p) for p in camera.params),
+                   (int(camera.width), int(camera.height)), (*size, *numbers))
+
+    def camera(self, world_to_camera, name: str) -> Camera:
+        """The pinhole at a pose."""
+        return Camera(*self.pinhole, world_to_camera, name)
+
+    def undistorted(self, pixels: np.ndarray) -> np.ndarray:
+        """Resample (H, W) bool or (H, W, 3) uint8 as taken to the pinhole, bilinear; outside the photo: the border."""
+        x, y = _positions(self)
+        height, width = pixels.shape[:2]
+        x, y = np.clip(x - 0.5, 0, width - 1), np.clip(y - 0.5, 0, height - 1)
+        left, top = np.minimum(x.astype(np.intp), max(width - 2, 0)), np.minimum(y.astype(np.intp), max(height - 2, 0))
+        right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+        fx, fy = (x - left).astype(np.float32), (y - top).astype(np.float32)
+        if pixels.ndim == 3:
+            fx, fy = fx[..., None], fy[..., None]
+        mixed = ((pixels[top, left] * (1 - fx) + pixels[top, right] * fx) * (1 - fy)
+                 + (pixels[bottom, left] * (1 - fx) + pixels[bottom, right] * fx) * fy)
+        return mixed > 0.5 if pixels.dtype == bool else np.rint(mixed).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class ThroughLens:
+    """A photo's or mask's file that is undistorted each time it is loaded."""
+
+    path: Path
+    lens: Lens
+    kind: str = "image"
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height that the file must have."""
+        return self.lens.size
+
+    def load(self) -> np.ndarray:
+        pixels = (read_mask if self.kind == "mask" else read_photo)(self.path)
+        if pixels.shape[1::-1] != self.size:
+            raise InputError(f"{self.kind} {str(self.path)!r} is {pixels.shape[1]} x {pixels.shape[0]}, its camera "
+                             f"says {self.size[0]} x {self.size[1]}: a distorted photo cannot be rescaled here")
+        return self.lens.undistorted(pixels)
+
+
+@lru_cache(maxsize=2)
+def _positions(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
+    """Where each pinhole pixel lies in the photo as taken: x and y, float32 (height, width), centres at +0.5."""
+    pycolmap = need("pycolmap", "colmap", "undistorting photos")
+    camera = pycolmap.Camera(model=lens.model, width=lens.size[0], height=lens.size[1], params=list(lens.params))
+    width, height, fx, fy, cx, cy = lens.pinhole
+    place = np.empty((height, width, 2), np.float32)
+    for start in range(0, height, _ROWS):
+        stop = min(start + _ROWS, height)
+        x, y = np.meshgrid((np.arange(width) + 0.5 - cx) / fx, (np.arange(start, stop) + 0.5 - cy) / fy)
+        rays = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3)
+        place[start:stop] = np.reshape(camera.img_from_cam(rays), (stop - start, width, 2))
+    if not np.isfinite(place).all():
+        raise InputError(f"camera model {lens.model} has no image for some of the undistorted pixels; undistort first: "
+                         "colmap image_undistorter")
+    return place[..., 0], place[..., 1]

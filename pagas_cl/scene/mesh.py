@@ -1,0 +1,205 @@
+"""A triangle mesh in float64, and its ways to and from Open3D, pymeshlab, arrays and files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.errors import InputError, need
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Triangle mesh, world coordinates.
+
+    Parameters
+    ----------
+    vertices : ndarray of shape (V, 3), float64, scene units
+    faces : ndarray of shape (F, 3), int32, 0-based
+    normals : ndarray of shape (V, 3), float64, or None
+    colors : ndarray of shape (V, 3), float64 from 0 to 1, or None
+    quality : ndarray of shape (V,), float64, or None
+        MeshLab's vertex quality; our confidence goes there.
+    """
+
+    vertices: np.ndarray = field(repr=False)
+    faces: np.ndarray = field(repr=False)
+    normals: np.ndarray | None = field(default=None, repr=False)
+    colors: np.ndarray | None = field(default=None, repr=False)
+    quality: np.ndarray | None = field(default=None, repr=False)
+
+    def __post_init__(self):
+        vertices, faces = _checked(self.vertices, self.faces)
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+        for name, shape in (("normals", (len(vertices), 3)), ("colors", (len(vertices), 3)),
+                            ("quality", (len(vertices),))):
+            value = getattr(self, name)
+            if value is not None:
+                value = np.asarray(value, np.float64)
+                if value.shape != shape:
+                    raise InputError(f"mesh {name} have shape {value.shape}, expected {shape}, one a vertex")
+                object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        return f"Surface({len(self.vertices)} vertices, {len(self.faces)} faces)"
+
+
+def to_surface(mesh) -> Surface:
+    """Surface of an Open3D TriangleMesh (legacy or tensor), a pymeshlab Mesh or MeshSet (its current mesh, layer
+    matrix applied), a pair (vertices, faces), a Surface, or the path of a mesh file.
+
+    Raises
+    ------
+    InputError
+        Empty mesh, vertices that are not finite, face indices out of range, unknown kind or unreadable file.
+    """
+    if isinstance(mesh, Surface):
+        return mesh
+    if isinstance(mesh, (str, Path)):
+        return read_mesh(mesh)
+    kind = mesh_kind(mesh)
+    if kind == "pair":
+        return Surface(*mesh)
+    return {"open3d": _from_legacy, "open3d.t": _from_tensor, "pymeshlab": _from_pymeshlab}[kind](mesh)
+
+
+def from_surface(surface: Surface, like):
+    """`surface` as the kind of mesh that `like` is (a path gives the Surface itself).
+
+    Open3D's and pymeshlab's own classes come back new, `like` is left alone. pymeshlab keeps colours in 8 bits and
+    makes its own normals.
+    """
+    if isinstance(like, (str, Path, Surface)):
+        return surface
+    kind = mesh_kind(like)
+    if kind == "pair":
+        return surface.vertices.copy(), surface.faces.copy()
+    make = {"open3d": _to_legacy, "open3d.t": _to_tensor, "pymeshlab": _to_pymeshlab}[kind]
+    return make(surface, like)
+
+
+def mesh_kind(mesh) -> str:
+    """"open3d", "open3d.t", "pymeshlab" or "pair"; InputError for anything else. Imports none of them."""
+    module, name = type(mesh).__module__, type(mesh).__name__
+    if module.startswith("open3d") and name == "TriangleMesh":
+        return "open3d.t" if ".t." in module or hasattr(mesh, "vertex") else "open3d"
+    if module.startswith("pymeshlab") and name in ("Mesh", "MeshSet"):
+        return "pymeshlab"
+    if isinstance(mesh, (tuple, list)) and len(mesh) == 2:
+        return "pair"
+    raise InputError(f"mesh is a {module}.{name}, expected an Open3D TriangleMesh (legacy or tensor), a pymeshlab.Mesh, "
+                     "a pair (vertices, faces) or the path of a mesh file")
+
+
+def read_mesh(path) -> Surface:
+    """Read a mesh file (.ply, .obj, .stl, .off, .glb ...) through Open3D."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"mesh {str(path)!r} does not exist")
+    o3d = need("open3d", "mesh", "reading a mesh file")
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        mesh = o3d.io.read_triangle_mesh(str(path))
+    if len(mesh.vertices) == 0:
+        raise InputError(f"mesh {str(path)!r} has no vertices, or is no mesh file that Open3D reads (.ply, .obj, .stl, "
+                         ".off, .gltf)")
+    return _from_legacy(mesh)
+
+
+def _checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
+    try:
+        vertices, faces = np.ascontiguousarray(vertices, np.float64), np.asarray(faces)
+    except (TypeError, ValueError) as error:
+        raise InputError("mesh vertices and faces must be arrays of numbers of shape (V, 3) and (F, 3)") from error
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise InputError(f"mesh vertices have shape {vertices.shape}, expected (V, 3)")
+    if faces.size == 0:
+        faces = faces.reshape(0, 3).astype(np.int32)
+    if faces.ndim != 2 or faces.shape[1] != 3:
+        raise InputError(f"mesh faces have shape {faces.shape}, expected (F, 3): triangulate the mesh first")
+    if faces.dtype.kind not in "iu":
+        raise InputError(f"mesh faces have dtype {faces.dtype}, expected integers")
+    if len(vertices) == 0 or len(faces) == 0:
+        raise InputError(f"the mesh is empty: {len(vertices)} vertices and {len(faces)} faces")
+    bad = ~np.isfinite(vertices).all(axis=1)
+    if bad.any():
+        raise InputError(f"mesh vertex {int(np.argmax(bad))} is not finite ({int(bad.sum())} of {len(vertices)} are "
+                         "not): remove them first")
+    low, high = int(faces.min()), int(faces.max())
+    if low < 0 or high >= len(vertices):
+        raise InputError(f"a mesh face names vertex {low if low < 0 else high}, expected 0 to {len(vertices) - 1}")
+    return vertices, np.ascontiguousarray(faces, np.int32)
+
+
+def _from_legacy(mesh) -> Surface:
+    return Surface(np.asarray(mesh.vertices), np.asarray(mesh.triangles),
+                   np.array(mesh.vertex_normals) if mesh.has_vertex_normals() else None,
+                   np.array(mesh.vertex_colors) if mesh.has_vertex_colors() else None)
+
+
+def _to_legacy(surface: Surface, like=None):
+    o3d = need("open3d", "mesh", "making an Open3D mesh")
+    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(surface.vertices),
+                                     o3d.utility.Vector3iVector(surface.faces))
+    if surface.normals is not None:
+        mesh.vertex_normals = o3d.utility.Vector3dVector(surface.normals)
+    if surface.colors is not None:
+        mesh.vertex_colors = o3d.utility.Vector3dVector(surface.colors)
+    return mesh
+
+
+def _from_tensor(mesh) -> Surface:
+    if "positions" not in mesh.vertex or "indices" not in mesh.triangle:
+        raise InputError("the mesh is empty: an Open3D tensor mesh without vertex positions or triangle indices")
+    take = {name: mesh.vertex[name].cpu().numpy() for name in ("positions", "normals", "colors", "quality")
+            if name in mesh.vertex}
+    colors = take.get("colors")
+    if colors is not None and colors.dtype.kind in "iu":
+        colors = colors / float(np.iinfo(colors.dtype).max)
+    quality = take.get("quality")
+    return Surface(take["positions"], mesh.triangle["indices"].cpu().numpy(), take.get("normals"), colors,
+                   None if quality is None else quality.reshape(len(quality)))
+
+
+def _to_tensor(surface: Surface, like):
+    o3d = need("open3d", "mesh", "making an Open3D mesh")
+    given = like.vertex["positions"].dtype if "positions" in like.vertex else o3d.core.float64
+    span = np.ptp(surface.vertices, axis=0).max()
+    # a float32 mesh stays one unless its coordinates are so large that a millionth of its size would be lost
+    fits = np.abs(surface.vertices).max() * 2.0**-24 < 1e-6 * span
+    dtype = np.float32 if given == o3d.core.float32 and fits else np.float64
+    mesh = o3d.t.geometry.TriangleMesh()
+    mesh.vertex["positions"] = o3d.core.Tensor(surface.vertices.astype(dtype))
+    mesh.triangle["indices"] = o3d.core.Tensor(surface.faces.astype(np.int64))
+    for name, value in (("normals", surface.normals), ("colors", surface.colors)):
+        if value is not None:
+            mesh.vertex[name] = o3d.core.Tensor(value.astype(np.float32))
+    if surface.quality is not None:
+        mesh.vertex["quality"] = o3d.core.Tensor(surface.quality[:, None].astype(np.float32))
+    return mesh
+
+
+def _from_pymeshlab(mesh) -> Surface:
+    mesh = mesh.current_mesh() if hasattr(mesh, "current_mesh") else mesh
+    if mesh.vertex_number() == 0 or mesh.face_number() == 0:
+        raise InputError(f"the mesh is empty: {mesh.vertex_number()} vertices and {mesh.face_number()} faces")
+    vertices = mesh.transformed_vertex_matrix()  # with the layer's matrix, which vertex_matrix() leaves out
+    colors = mesh.vertex_color_matrix()[:, :3] if mesh.has_vertex_color() else None
+    quality = mesh.vertex_scalar_array() if mesh.has_vertex_scalar() else None
+    return Surface(vertices, mesh.face_matrix(), None, colors, quality)
+
+
+def _to_pymeshlab(surface: Surface, like=None):
+    pymeshlab = need("pymeshlab", "meshlab", "making a pymeshlab mesh")
+    more = {}
+    if surface.normals is not None:
+        more["v_normals_matrix"] = surface.normals
+    if surface.colors is not None:
+        rgba = np.ones((len(surface.vertices), 4))
+        rgba[:, :3] = np.rint(np.clip(surface.colors, 0, 1) * 255) / 255  # it truncates to 8 bits: give it whole ones
+        more["v_color_matrix"] = rgba
+    if surface.quality is not None:
+        more["v_scalar_array"] = surface.quality
+    return pymeshlab.Mesh(surface.vertices, surface.faces, **more)

@@ -1,0 +1,80 @@
+"""cameras.json: our own small camera file, so that the core runs without pycolmap.
+
+    {"convention": "opencv world_to_camera, pixel centres at +0.5",
+     "views": [{"image": "a.png", "width": 640, "height": 480, "fx": 500, "fy": 500, "cx": 320, "cy": 240,
+                "world_to_camera": [[4 numbers], x 4], "mask": "a.png"}]}
+
+Image paths are relative to SCENE/images, those of masks ("mask" may be left out) to SCENE/masks.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.readers import untrusted
+from pagas_cl.scene.readers.photos import existing, find_mask, inside
+from pagas_cl.scene.view import Scene, View
+
+NAME = "cameras.json"
+CONVENTION = "opencv world_to_camera, pixel centres at +0.5"
+_KNOWN = ("image", "mask", "width", "height", "fx", "fy", "cx", "cy", "world_to_camera", "name")
+
+
+def detect(folder) -> bool:
+    """Whether `folder` holds a cameras.json of ours (it names its convention)."""
+    path = Path(folder) / NAME
+    return path.is_file() and '"world_to_camera"' in untrusted.read_text(path)
+
+
+def read(folder, *, outside: bool = False) -> Scene:
+    """Read SCENE/cameras.json."""
+    folder = Path(folder)
+    path = folder / NAME
+    data = untrusted.read_json(path)
+    if data.get("convention") != CONVENTION:
+        raise InputError(f"{path}: convention is {untrusted.short(data.get('convention'))}, expected {CONVENTION!r}; "
+                         "convert the cameras and say so")
+    views = data.get("views")
+    if not isinstance(views, list) or not views:
+        raise InputError(f"{path}: 'views' is {untrusted.short(views)}, expected a list with one object a photo")
+    return Scene([_view(folder, view, f"{path}, view {i}", outside) for i, view in enumerate(views)], str(path))
+
+
+def write(folder, views: list[View]) -> Path:
+    """Write SCENE/cameras.json for views whose photos lie in SCENE/images under their names."""
+    path = Path(folder) / NAME
+    entries = []
+    for view in views:
+        camera = view.camera
+        entry = {"image": view.name, **{k: getattr(camera, k) for k in ("width", "height", "fx", "fy", "cx", "cy")},
+                 "world_to_camera": camera.world_to_camera.tolist()}
+        if isinstance(view.mask, Path):
+            entry["mask"] = os.path.relpath(view.mask, Path(folder) / "masks")
+        entries.append(entry)
+    beside = path.with_name(f".{NAME}.{os.getpid()}.part")
+    beside.write_text(json.dumps({"convention": CONVENTION, "views": entries}, indent=1), encoding="utf-8")
+    os.replace(beside, path)
+    return path
+
+
+def _view(folder: Path, entry, where: str, outside: bool) -> View:
+    if not isinstance(entry, dict):
+        raise InputError(f"{where} is {untrusted.short(entry)}, expected an object")
+    untrusted.refuse_near_misses(entry, _KNOWN, where)
+    absent = [key for key in _KNOWN if key not in entry and key not in ("mask", "name")]
+    if absent:
+        raise InputError(f"{where}: {absent[0]!r} is missing")
+    image = existing(inside(folder / "images", entry["image"], f"{where}: image", outside=outside), where)
+    fx, fy, cx, cy = (untrusted.number(entry[key], f"{where}: {key}") for key in ("fx", "fy", "cx", "cy"))
+    camera = untrusted.pinhole([[fx, 0, cx], [0, fy, cy], [0, 0, 1]],
+                               untrusted.matrix(entry["world_to_camera"], 4, 4, f"{where}: world_to_camera"),
+                               entry["width"], entry["height"], entry["image"])
+    mask = entry.get("mask")
+    if mask is not None:
+        mask = existing(inside(folder / "masks", mask, f"{where}: mask", outside=outside), where)
+    view = View(camera, image, mask or find_mask(folder, image, ("masks",)), entry["image"])
+    view.check_files()
+    return view

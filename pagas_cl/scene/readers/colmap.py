@@ -1,0 +1,130 @@
+"""COLMAP: `images/` and a model in `sparse/0` or `sparse`, binary or text, read by pycolmap.
+
+Convention: world-to-camera, OpenCV axes, pixel centres at +0.5. PINHOLE and SIMPLE_PINHOLE are used as they are;
+photos of other models are undistorted as they are loaded.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.errors import InputError, need
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.lens import Lens, ThroughLens
+from pagas_cl.scene.readers.photos import find_mask, inside
+from pagas_cl.scene.view import Scene, View
+
+log = logging.getLogger("pagas_cl")
+
+_PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
+
+
+def detect(folder) -> bool:
+    """Whether `folder` holds a COLMAP model."""
+    return model_folder(Path(folder)) is not None
+
+
+def model_folder(folder: Path) -> Path | None:
+    """The folder of the model: the first of sparse/0, sparse, colmap/sparse/0 and the folder itself that has one."""
+    for place in _PLACES:
+        for suffix in (".bin", ".txt"):
+            if all((folder / place / (part + suffix)).is_file() for part in ("cameras", "images")):
+                return folder / place
+    return None
+
+
+def read(folder, *, outside: bool = False) -> Scene:
+    """Read the scene; every registered image becomes a view, in the order of their names.
+
+    Raises
+    ------
+    InputError
+        No model, a model that pycolmap cannot read, no registered image, photos that are missing or of another size.
+    """
+    folder = Path(folder)
+    place = model_folder(folder)
+    if place is None:
+        raise InputError(f"{str(folder)!r} has no COLMAP model: looked for cameras and images (.bin or .txt) in "
+                         f"{', '.join(_PLACES[:2])}")
+    model = _reconstruction(place)
+    views = views_of(model, folder / "images", folder, outside=outside)
+    points = np.array([p.xyz for p in model.points3D.values()], np.float64).reshape(-1, 3)
+    return Scene(views, f"COLMAP model {str(place)!r}", points if len(points) else None)
+
+
+def views_of(model, photos: Path, folder: Path | None = None, *, outside: bool = False) -> list[View]:
+    """Views of the registered images of a pycolmap Reconstruction whose photos lie in `photos`.
+
+    Masks are looked for in `folder`/masks. Headers of all photos are checked against their cameras.
+    """
+    images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: image.name)
+    if not images:
+        raise InputError(f"the COLMAP model of {str(photos.parent)!r} has no registered image")
+    paths = {image.name: inside(photos, image.name, f"image name in the COLMAP model of {str(photos.parent)!r}",
+                                outside=outside) for image in images}
+    _check_photos(paths, photos)
+    lenses: dict[int, Lens | None] = {}
+    views = [_view(model, image, paths[image.name], folder, lenses) for image in images]
+    for view in views:
+        view.check_files()
+    if folder is not None and (folder / "masks").is_dir():
+        _tell_masks(views, folder / "masks")
+    return views
+
+
+def _reconstruction(place: Path):
+    pycolmap = need("pycolmap", "colmap", "reading a COLMAP model")
+    try:
+        return pycolmap.Reconstruction(str(place))
+    except (RuntimeError, ValueError, IndexError, OverflowError, MemoryError) as error:
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        raise InputError(f"the COLMAP model in {str(place)!r} cannot be read ({reason[:200]}); is a file cut off or "
+                         "of another model?") from error
+
+
+def _view(model, image, path: Path, folder: Path | None, lenses: dict) -> View:
+    camera = model.cameras[image.camera_id]
+    mask = None if folder is None else _mask(folder, image.name, path)
+    if camera.model.name in ("PINHOLE", "SIMPLE_PINHOLE"):
+        return View(Camera.from_colmap(camera, image), path, mask, image.name)
+    if image.camera_id not in lenses:
+        lens = lenses[image.camera_id] = Lens.from_colmap(camera, image.name)
+        log.info("camera %d is %s: its photos are undistorted to a pinhole of %d x %d pixels, as colmap "
+                 "image_undistorter does; depth maps have that size", image.camera_id, lens.model, *lens.pinhole[:2])
+    lens = lenses[image.camera_id]
+    pose = image.cam_from_world
+    pose = (pose() if callable(pose) else pose).matrix()
+    return View(lens.camera(pose, image.name), ThroughLens(path, lens),
+                None if mask is None else ThroughLens(mask, lens, "mask"), image.name)
+
+
+def _mask(folder: Path, name: str, path: Path) -> Path | None:
+    masks = folder / "masks"
+    for candidate in (masks / (name + ".png"), (masks / name).with_suffix(".png")):
+        if candidate.is_file():
+            return candidate
+    return find_mask(folder, path, ("masks",))
+
+
+def _check_photos(paths: dict[str, Path], photos: Path) -> None:
+    missing = [name for name, path in paths.items() if not path.is_file()]
+    if not missing:
+        return
+    if not photos.is_dir():
+        raise InputError(f"the folder {str(photos)!r} does not exist; the photos of the COLMAP model must be there")
+    more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
+    raise InputError(f"{len(missing)} of {len(paths)} photos of the COLMAP model are missing in {str(photos)!r}: "
+                     f"{', '.join(missing[:3])}{more}; copy them there, or remove them from the model")
+
+
+def _tell_masks(views: list[View], masks: Path) -> None:
+    without = [view.name for view in views if view.mask is None]
+    if len(without) == len(views):
+        raise InputError(f"no mask in {str(masks)!r} belongs to any photo; expected names like "
+                         f"{views[0].stem}.png or {views[0].name}.png")
+    if without:
+        log.warning("%d of %d views have no mask in %s and are used whole: %s", len(without), len(views), masks,
+                    ", ".join(without[:5]))

@@ -1,0 +1,137 @@
+"""A photo with its camera, and a scene: what every reader returns and every stage takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.images import as_mask, as_photo, image_size, read_mask, read_photo
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One photo and its camera.
+
+    Parameters
+    ----------
+    camera : Camera
+        Of the photo's size.
+    image : ndarray of shape (H, W, 3), Path, or an object with `load()`
+        uint8 RGB (floating point from 0 to 1 is rounded to 8 bit); a path is read each time it is asked for.
+    mask : ndarray of shape (H, W), Path, object with `load()`, or None
+        True = keep.
+    name : str
+        What messages and files call the view; the camera's name where it is empty.
+    """
+
+    camera: Camera
+    image: Any = field(repr=False)
+    mask: Any = field(default=None, repr=False)
+    name: str = ""
+
+    def __post_init__(self):
+        if not isinstance(self.camera, Camera):
+            raise InputError(f"view {self.name!r}: camera is a {type(self.camera).__name__}, expected pagas_cl.Camera")
+        object.__setattr__(self, "name", str(self.name or self.camera.name))
+        for what, convert in (("image", as_photo), ("mask", as_mask)):
+            value = getattr(self, what)
+            if isinstance(value, str):
+                object.__setattr__(self, what, Path(value))
+            elif value is not None and not isinstance(value, Path) and not hasattr(value, "load"):
+                object.__setattr__(self, what, self._fitting(convert(value, f"{what} {self.name!r}"), what))
+        if self.image is None:
+            raise InputError(f"view {self.name!r} has no image")
+
+    @property
+    def stem(self) -> str:
+        """The name without folders and suffix: what depth maps and pictures of this view are called."""
+        return Path(self.name).stem
+
+    def load_image(self) -> np.ndarray:
+        """The photo, uint8 of shape (H, W, 3)."""
+        return self._loaded(self.image, "image", read_photo)
+
+    def load_mask(self) -> np.ndarray | None:
+        """The mask, bool of shape (H, W), true = keep; None where there is none."""
+        return None if self.mask is None else self._loaded(self.mask, "mask", read_mask)
+
+    def check_files(self) -> None:
+        """Raise InputError where a file is missing, unreadable or of another size; reads headers only."""
+        for what in ("image", "mask"):
+            source = getattr(self, what)
+            path = getattr(source, "path", source)
+            if isinstance(path, Path):
+                size = image_size(path)
+                self._check_size(size, getattr(source, "size", (self.camera.width, self.camera.height)), what)
+
+    def _loaded(self, source, what: str, read) -> np.ndarray:
+        if isinstance(source, np.ndarray):
+            return source
+        return self._fitting(read(source) if isinstance(source, Path) else source.load(), what)
+
+    def _fitting(self, pixels: np.ndarray, what: str) -> np.ndarray:
+        size = (pixels.shape[1], pixels.shape[0])
+        self._check_size(size, (self.camera.width, self.camera.height), what)
+        return pixels
+
+    def _check_size(self, size, wanted, what: str) -> None:
+        if tuple(size) == tuple(wanted):
+            return
+        ratio = (size[0] / wanted[0], size[1] / wanted[1])
+        rows = 0.5 / min(*size, *wanted)
+        if what == "mask":
+            remedy = "a mask has its photo's size"
+        elif abs(ratio[0] / ratio[1] - 1) <= rows:
+            remedy = f"resize the photo, or use camera.resized({size[0]}, {size[1]})"
+        else:
+            remedy = "the shapes differ, so it belongs to another photo or was cropped or turned"
+        raise InputError(f"{what} {self.name!r} is {size[0]} x {size[1]}, its camera says {wanted[0]} x {wanted[1]}: "
+                         f"{remedy}")
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Views and where they came from.
+
+    Parameters
+    ----------
+    views : list of View
+    source : str
+        Folder or file that it was read from, with the format.
+    points : ndarray of shape (N, 3), float64, or None
+        Sparse points where the format has them; nothing needs them.
+    """
+
+    views: list[View]
+    source: str = ""
+    points: np.ndarray | None = field(default=None, repr=False)
+
+    def __post_init__(self):
+        names = [view.name for view in self.views]
+        twice = {name for name in names if names.count(name) > 1} if len(set(names)) < len(names) else ()
+        if twice:
+            raise InputError(f"{self.source or 'scene'}: view {min(twice)!r} is there twice, expected one name a view")
+
+    @property
+    def cameras(self) -> list[Camera]:
+        return [view.camera for view in self.views]
+
+    def index(self, name: str) -> int:
+        """Place of the view called `name` (whole name, file name or stem)."""
+        for key in (lambda v: v.name, lambda v: Path(v.name).name, lambda v: v.stem):
+            found = [i for i, view in enumerate(self.views) if key(view) == name]
+            if len(found) == 1:
+                return found[0]
+            if found:
+                raise InputError(f"view {name!r} could be any of {', '.join(self.views[i].name for i in found[:5])}: "
+                                 "give the whole name")
+        from difflib import get_close_matches
+
+        near = get_close_matches(name, [v.name for v in self.views] + [v.stem for v in self.views], n=1, cutoff=0.0)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise InputError(f"there is no view {name!r} among the {len(self.views)} of {self.source or 'the scene'}{hint}")
