@@ -1,0 +1,221 @@
+"""MeshLab projects (.mlp): mesh layers with their matrices, raster layers with their cameras. No OpenGL, no pymeshlab.
+
+Convention of the file: camera with x right, y up, looking along -z; RotationMatrix = diag(1, -1, -1) R, and
+TranslationVector = minus the camera's centre; the focal length in pixels is FocalMm / PixelSizeMm; CenterPx counts x
+from the left and y from the BOTTOM, from the image's corner (pixel centres at +0.5). OpenMVS writes the same element
+with CenterPx from the top and pixel centres at whole numbers: flavour "openmvs".
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.readers import photos, untrusted
+from pagas_cl.scene.readers.safe_xml import read_xml
+from pagas_cl.scene.view import Scene, View
+
+FLAVOURS = ("meshlab", "openmvs")
+_FLIP = np.diag([1.0, -1.0, -1.0])
+log = logging.getLogger("pagas_cl")
+
+
+@dataclass(frozen=True, eq=False)
+class MeshLayer:
+    """A mesh layer: `matrix` (4, 4) float64 takes the file's vertices to the project's world."""
+
+    label: str
+    path: Path | None
+    matrix: np.ndarray = field(repr=False)
+    visible: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class RasterLayer:
+    """A raster layer as the file has it: `center` is CenterPx, x and y in pixels."""
+
+    label: str
+    path: Path
+    size: tuple[int, int]
+    focal: tuple[float, float]
+    center: tuple[float, float]
+    world_to_camera: np.ndarray = field(repr=False)
+
+    def camera(self, flavour: str = "meshlab") -> Camera:
+        """The camera, with CenterPx read as `flavour` says."""
+        if flavour not in FLAVOURS:
+            raise InputError(f"mlp flavour is {flavour!r}, expected {' or '.join(map(repr, FLAVOURS))}")
+        (width, height), (cx, cy) = self.size, self.center
+        corner = flavour == "meshlab"
+        K = np.array([[self.focal[0], 0, cx], [0, self.focal[1], height - cy if corner else cy], [0, 0, 1]])
+        return untrusted.pinhole(K, self.world_to_camera, width, height, self.path.name,
+                                 pixel_center=0.5 if corner else 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Project:
+    """A MeshLab project."""
+
+    path: Path
+    meshes: tuple[MeshLayer, ...]
+    rasters: tuple[RasterLayer, ...]
+
+    def scene(self, flavour: str = "meshlab") -> Scene:
+        """Views of all raster layers; masks are looked for in masks/ beside the project."""
+        if not self.rasters:
+            raise InputError(f"{self.path} has no raster layers with cameras; add the photos in MeshLab "
+                             "(Import Raster, with a camera each)")
+        for raster in self.rasters:
+            photos.existing(raster.path, f"{self.path}, raster layer {raster.label!r}")
+        views = [photos.view_of(self.path.parent, raster.camera(flavour), raster.path) for raster in self.rasters]
+        return Scene(views=views, source=f"{self.path} (MeshLab project, {flavour})")
+
+    def readings_differ(self) -> float:
+        """How many pixels lie between the two readings of CenterPx, the most of all raster layers."""
+        return max((abs(raster.size[1] - 2 * raster.center[1] - 0.5) for raster in self.rasters), default=0.0)
+
+
+def detect(folder: Path) -> bool:
+    """Whether `folder` holds a .mlp file (or is one)."""
+    folder = Path(folder)
+    return folder.suffix.lower() == ".mlp" if folder.is_file() else any(folder.glob("*.mlp"))
+
+
+def read(folder: Path, *, flavour: str | None = None, outside: bool = False) -> Scene:
+    """Read the views of the only .mlp file in `folder` (or of the file `folder`).
+
+    Without `flavour` the reading of CenterPx is settled by the photos, where the project has a mesh to compare them
+    over, and told in the log; else MeshLab's own reading is taken.
+    """
+    folder = Path(folder)
+    files = [folder] if folder.is_file() else sorted(folder.glob("*.mlp"))
+    if len(files) != 1:
+        raise InputError(f"{folder} has {len(files)} .mlp files, expected one; name the one to read")
+    project = read_project(files[0], outside=outside)
+    if flavour is None:
+        from pagas_cl.scene.readers.mlp_flavour import settle_flavour
+
+        flavour, reason = settle_flavour(project)
+        log.info("%s", reason)
+    return project.scene(flavour)
+
+
+def read_project(path: Path, *, outside: bool = False) -> Project:
+    """Read a .mlp file.
+
+    Parameters
+    ----------
+    path : path
+    outside : bool
+        Whether its meshes and photos may lie outside its folder; relative paths start there.
+    """
+    path = Path(path)
+    root = read_xml(path, "MeshLabProject")
+    meshes = [_mesh(e, path, i, outside) for i, e in enumerate(root.findall("MeshGroup/MLMesh"))]
+    rasters = [_raster(e, path, i, outside) for i, e in enumerate(root.findall("RasterGroup/MLRaster"))]
+    return Project(path, tuple(meshes), tuple(rasters))
+
+
+def _mesh(element, path: Path, number: int, outside: bool) -> MeshLayer:
+    where = f"{path}, mesh layer {number}"
+    name = element.get("filename", "")
+    text = element.findtext("MLMatrix44")
+    if element.find("MLMatrix44") is not None and element.find("MLMatrix44").get("BinaryData", "0") != "0":
+        raise InputError(f"{where}: the matrix is stored as binary; save the project as .mlp, not .mlb")
+    matrix = np.eye(4) if text is None else _numbers(text, 16, f"{where}: MLMatrix44").reshape(4, 4)
+    if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-9 or abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
+        raise InputError(f"{where}: MLMatrix44 is no affine transform that can be undone")
+    file = photos.inside(path.parent, name, f"{where}: filename", outside=outside) if name else None
+    return MeshLayer(element.get("label", name), file, matrix, element.get("visible", "1") != "0")
+
+
+def _raster(element, path: Path, number: int, outside: bool) -> RasterLayer:
+    where = f"{path}, raster layer {number} ({untrusted.short(element.get('label', ''))})"
+    camera = element.find("VCGCamera")
+    if camera is None:
+        raise InputError(f"{where} has no VCGCamera")
+    if camera.get("BinaryData", "0") != "0":
+        raise InputError(f"{where}: the camera is stored as binary; save the project as .mlp, not .mlb")
+    if camera.get("CameraType", "0") != "0":
+        raise InputError(f"{where}: CameraType is {untrusted.short(camera.get('CameraType'))}, expected 0 (perspective)")
+    get = {key: _numbers(camera.get(key), count, f"{where}: {key}") for key, count in
+           (("FocalMm", 1), ("PixelSizeMm", 2), ("CenterPx", 2), ("ViewportPx", 2), ("RotationMatrix", 16),
+            ("TranslationVector", 4))}
+    if np.any(_numbers(camera.get("LensDistortion", "0 0"), 2, f"{where}: LensDistortion") != 0):
+        raise InputError(f"{where}: LensDistortion is {untrusted.short(camera.get('LensDistortion'))}, expected 0 0: "
+                         "photos must be undistorted first")
+    if (get["PixelSizeMm"] <= 0).any():
+        raise InputError(f"{where}: PixelSizeMm is {get['PixelSizeMm'].tolist()}, expected numbers above 0")
+    size = tuple(untrusted.whole(n, 1, untrusted.MAX_SIDE, f"{where}: ViewportPx") for n in get["ViewportPx"].tolist())
+    with np.errstate(over="ignore"):
+        focal = tuple((get["FocalMm"][0] / get["PixelSizeMm"]).tolist())
+    plane = element.find("Plane")
+    name = plane.get("fileName") if plane is not None else None
+    file = photos.inside(path.parent, name, f"{where}: fileName of its Plane", outside=outside)
+    raster = RasterLayer(element.get("label", ""), file, size, focal, tuple(get["CenterPx"].tolist()),
+                         _pose(get["RotationMatrix"].reshape(4, 4), get["TranslationVector"], where))
+    raster.camera()  # checks the rotation and the focal length now
+    return raster
+
+
+def _pose(rotation: np.ndarray, translation: np.ndarray, where: str) -> np.ndarray:
+    if np.abs(np.r_[rotation[3] - [0, 0, 0, 1], rotation[:3, 3], translation[3] - 1]).max() > 1e-9:
+        raise InputError(f"{where}: RotationMatrix or TranslationVector is not of the form that MeshLab writes")
+    R = _FLIP @ rotation[:3, :3]
+    return np.column_stack([R, R @ translation[:3]])
+
+
+def _numbers(text: str | None, count: int, what: str) -> np.ndarray:
+    tokens = (text or "").split()
+    if len(tokens) != count:
+        raise InputError(f"{what} is {untrusted.short(text)}, expected {count} numbers")
+    return untrusted.words(tokens, what)
+
+
+def write_project(path: Path, views: list[View], meshes: list[MeshLayer] = ()) -> Path:
+    """Write a .mlp that MeshLab opens; every camera keeps all its digits (MeshLab itself keeps six).
+
+    Photos and meshes are named relative to the project where they lie beside or below it, else by absolute path.
+    """
+    path = Path(path)
+    rows = ["<!DOCTYPE MeshLabDocument>", "<MeshLabProject>", " <MeshGroup>"]
+    for layer in meshes:
+        rows += [f"  <MLMesh label={quoteattr(layer.label)} filename={_name(path, layer.path)} "
+                 f'visible="{int(layer.visible)}" idInFile="-1">', "   <MLMatrix44>",
+                 *(_row(row) for row in np.asarray(layer.matrix, np.float64)), "</MLMatrix44>", "  </MLMesh>"]
+    rows += [" </MeshGroup>", " <RasterGroup>"]
+    for view in views:
+        if not isinstance(view.image, Path):
+            raise InputError(f"view {view.name!r}: its photo is an array; a project names files, so save it first")
+        rows += [f"  <MLRaster label={quoteattr(view.name)}>", f"   <VCGCamera {_camera(view.camera)}/>",
+                 f'   <Plane semantic="1" fileName={_name(path, view.image)}/>', "  </MLRaster>"]
+    return untrusted.write_text(path, "\n".join([*rows, " </RasterGroup>", "</MeshLabProject>", ""]))
+
+
+def _camera(camera: Camera) -> str:
+    rotation = np.eye(4)
+    rotation[:3, :3] = _FLIP @ camera.world_to_camera[:3, :3]
+    values = {"FocalMm": [camera.fx], "PixelSizeMm": [1.0, camera.fx / camera.fy],
+              "CenterPx": [camera.cx, camera.height - camera.cy], "LensDistortion": [0.0, 0.0],
+              "RotationMatrix": rotation.ravel(), "TranslationVector": [*(-camera.center), 1.0]}
+    written = " ".join(f'{key}="{_row(value)}"' for key, value in values.items())
+    return f'CameraType="0" BinaryData="0" ViewportPx="{camera.width} {camera.height}" {written}'
+
+
+def _row(values) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _name(path: Path, file: Path | None) -> str:
+    if file is None:
+        return '""'
+    try:
+        return quoteattr(file.absolute().relative_to(path.absolute().parent).as_posix())
+    except ValueError:
+        return quoteattr(file.absolute().as_posix())

@@ -1,0 +1,166 @@
+"""The MVSNet layout: <cams>/NNNNNNNN_cam.txt and pair.txt, as BlendedMVS, DTU and COLMAP exporters write it.
+
+Convention: world-to-camera, OpenCV axes. The exporters copy COLMAP's intrinsics, whose pixel centres are at +0.5; the
+format itself does not say. It holds no image size either: that comes from the photo.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.readers import photos, untrusted
+from pagas_cl.scene.view import Scene, View
+
+CAMERA_FOLDERS = ("cams", "cams_1", "Cameras", "cameras", "Cameras/train", "cam")
+_FILE = re.compile(r"(\d+)_cam\.txt", re.ASCII)
+_SCALES = (2.0, 4.0, 8.0, 0.5, 0.25, 0.125)
+
+
+def detect(folder: Path) -> bool:
+    """Whether `folder` has a sub-folder of NNNNNNNN_cam.txt files."""
+    return _camera_folder(Path(folder)) is not None
+
+
+def _camera_folder(folder: Path) -> Path | None:
+    for name in CAMERA_FOLDERS:
+        place = folder / name
+        if place.is_dir() and any(_FILE.fullmatch(p.name) for p in place.iterdir()):
+            return place
+    return None
+
+
+def read(folder: Path, *, pixel_center: float = 0.5, intrinsics_scale: float | None = None) -> Scene:
+    """Read the scene.
+
+    Parameters
+    ----------
+    folder : path
+    pixel_center : float
+        Where the intrinsics put the centre of the top-left pixel.
+    intrinsics_scale : float, optional
+        Multiplies K, for camera files made for photos of another size (MVSNet's DTU training set: 4). Without it
+        intrinsics that plainly belong to another size are refused.
+    """
+    folder = Path(folder)
+    place = _camera_folder(folder)
+    if place is None:
+        raise InputError(f"{folder} has no NNNNNNNN_cam.txt in {', '.join(CAMERA_FOLDERS)}")
+    files = {int(_FILE.fullmatch(p.name)[1]): p for p in sorted(place.iterdir()) if _FILE.fullmatch(p.name)}
+    found = _photos_by_number(folder)
+    if not set(files) & set(found):
+        raise InputError(f"{folder}: none of the {len(found)} photos has the number of a camera file in {place}")
+    views = [_view(folder, files[n], found[n], pixel_center, intrinsics_scale) for n in sorted(set(files) & set(found))]
+    pairs = next((p for p in (folder / "pair.txt", place / "pair.txt", place.parent / "pair.txt") if p.is_file()), None)
+    if pairs is not None:
+        _check_pairs(read_pairs(pairs), set(files), pairs)
+    return Scene(views=views, source=f"{folder} (MVSNet)")
+
+
+def _photos_by_number(folder: Path) -> dict[int, Path]:
+    """Photos by the number that is their name; BlendedMVS's "_masked" copies are left out."""
+    found: dict[int, Path] = {}
+    for path in photos.scene_photos(folder):
+        if not re.fullmatch(r"\d+", path.stem, re.ASCII):
+            continue
+        if int(path.stem) in found:
+            raise InputError(f"{path.parent} has two photos with the number {int(path.stem)}: "
+                             f"{found[int(path.stem)].name} and {path.name}; keep one")
+        found[int(path.stem)] = path
+    return found
+
+
+def _view(folder: Path, path: Path, photo: Path, pixel_center: float, scale: float | None) -> View:
+    pose, K = read_camera(path)
+    width, height = photos.photo_size(photo)
+    if scale is not None:
+        K = K * [[scale], [scale], [1]]
+    else:
+        _refuse_other_size(K, width, height, path, photo)
+    camera = untrusted.pinhole(K, pose, width, height, photo.name, pixel_center=pixel_center)
+    return photos.view_of(folder, camera, photo)
+
+
+def _refuse_other_size(K: np.ndarray, width: int, height: int, path: Path, photo: Path) -> None:
+    """The format has no image size: a principal point far from the middle may mean photos of another size."""
+    place = np.array([K[0, 2] / width, K[1, 2] / height])
+    if np.abs(place - 0.5).max() < 0.2:
+        return
+    for scale in _SCALES:
+        if np.abs(place * scale - 0.5).max() < 0.1:
+            raise InputError(f"{path}: the principal point ({K[0, 2]:g}, {K[1, 2]:g}) fits photos of "
+                             f"{width / scale:g} x {height / scale:g}, but {photo.name} is {width} x {height}; pass "
+                             f"intrinsics_scale={scale:g} if that is so, or 1 if it is right as it is")
+
+
+def read_camera(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """World-to-camera pose (4, 4) and K (3, 3) of one NNNNNNNN_cam.txt, float64."""
+    tokens = untrusted.read_text(path, 1 << 20).split()
+    if len(tokens) < 27 or tokens[0] != "extrinsic" or tokens[17] != "intrinsic":
+        raise InputError(f"{path}: expected 'extrinsic', 16 numbers, 'intrinsic', 9 numbers and the depth range, got "
+                         f"{len(tokens)} words: is the file damaged?")
+    if len(tokens) > 31:
+        raise InputError(f"{path}: {len(tokens)} words, expected at most 31: is the file damaged?")
+    pose = untrusted.words(tokens[1:17], f"{path}: extrinsic").reshape(4, 4)
+    K = untrusted.words(tokens[18:27], f"{path}: intrinsic").reshape(3, 3)
+    untrusted.words(tokens[27:], f"{path}: depth range")
+    return pose, K
+
+
+def read_pairs(path: Path) -> dict[int, list[tuple[int, float]]]:
+    """pair.txt: for each view the other views it recommends, with their scores, best first."""
+    tokens = untrusted.read_text(path).split()
+    place = 0
+
+    def take(what: str, low: int, high: int) -> int:
+        nonlocal place
+        if place >= len(tokens):
+            raise InputError(f"{path} ends before the {what}: is the file cut off?")
+        place += 1
+        return untrusted.whole(untrusted.word(tokens[place - 1], f"{path}: {what}"), low, high, f"{path}: {what}")
+
+    pairs: dict[int, list[tuple[int, float]]] = {}
+    for _ in range(take("number of views", 0, 10**7)):
+        view = take("view", 0, 10**9)
+        if view in pairs:
+            raise InputError(f"{path}: view {view} is there twice")
+        pairs[view] = []
+        for _ in range(take(f"number of neighbours of view {view}", 0, 10**6)):
+            other = take(f"neighbour of view {view}", 0, 10**9)
+            score = untrusted.words(tokens[place:place + 1], f"{path}: score of view {view}")
+            if not len(score):
+                raise InputError(f"{path} ends before the score of view {view}: is the file cut off?")
+            place += 1
+            pairs[view].append((other, float(score[0])))
+    if place != len(tokens):
+        raise InputError(f"{path}: {len(tokens) - place} words after the last view: is the file damaged?")
+    return pairs
+
+
+def _check_pairs(pairs: dict, cameras: set[int], path: Path) -> None:
+    named = set(pairs) | {other for row in pairs.values() for other, _ in row}
+    strange = sorted(named - cameras)
+    if strange:
+        raise InputError(f"{path} names view {strange[0]}, which has no camera file")
+
+
+def write(folder: Path, views: list[View], depth_range: tuple[float, float] = (0.0, 0.0)) -> None:
+    """Write cams/NNNNNNNN_cam.txt for views whose photos are called by numbers; every camera keeps all its digits.
+
+    `depth_range`: least depth and depth interval, which other programs ask for and pagas_cl does not use.
+    """
+    place = Path(folder) / "cams"
+    place.mkdir(parents=True, exist_ok=True)
+    for view in views:
+        if not re.fullmatch(r"\d+", view.stem, re.ASCII):
+            raise InputError(f"view {view.name!r}: MVSNet's files are called by numbers, such as 00000007.png")
+        rows = ["extrinsic", *(_row(row) for row in view.camera.world_to_camera), "", "intrinsic",
+                *(_row(row) for row in view.camera.K), "", _row(depth_range), ""]
+        untrusted.write_text(place / f"{int(view.stem):08d}_cam.txt", "\n".join(rows))
+
+
+def _row(values) -> str:
+    return " ".join(repr(float(value)) for value in values)

@@ -1,0 +1,186 @@
+"""IDR's and NeuS's cameras.npz / cameras_sphere.npz: projection matrices `world_mat_i`, with `scale_mat_i`.
+
+Convention: x ~ world_mat_i[:3] (X, 1), OpenCV axes, world-to-camera, in the scene's own world (DTU: millimetres).
+scale_mat_i takes the unit sphere, in which NeuS works, to that world. Where the pixel centres are is not said.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.readers import photos, untrusted
+from pagas_cl.scene.view import Scene, View
+
+FILES = ("cameras_sphere.npz", "cameras.npz", "cameras_large.npz")
+_KEY = re.compile(r"(world_mat|scale_mat)_(\d+)", re.ASCII)
+_SKEW_PIXELS = 0.05  # a skew that moves no pixel by more is calibration noise and is dropped
+_ENTRIES = 1_000_000
+log = logging.getLogger("pagas_cl")
+
+
+def detect(folder: Path) -> bool:
+    """Whether `folder` holds one of the npz files with a world_mat in it."""
+    path = _file(Path(folder))
+    if path is None:
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return any(name.startswith("world_mat_") for name in archive.namelist())
+    except (OSError, zipfile.BadZipFile, ValueError):
+        return False
+
+
+def _file(folder: Path) -> Path | None:
+    return next((folder / name for name in FILES if (folder / name).is_file()), None)
+
+
+def read(folder: Path, *, frame: str = "world", pixel_center: float = 0.5) -> Scene:
+    """Read the views of the photos in `image/` or `images/`.
+
+    Parameters
+    ----------
+    folder : path
+    frame : str
+        "world": the world of world_mat; "sphere": the unit sphere of NeuS, in which its own meshes are before they
+        are scaled back.
+    pixel_center : float
+        Where the intrinsics put the centre of the top-left pixel.
+
+    Notes
+    -----
+    A photo belongs to the matrices of its number where the names are such numbers (000023.png: world_mat_23), else
+    photos and matrices are matched in order and must be equally many.
+    """
+    if frame not in ("world", "sphere"):
+        raise InputError(f"frame is {frame!r}, expected 'world' or 'sphere'")
+    folder = Path(folder)
+    path = _file(folder)
+    if path is None:
+        raise InputError(f"{folder} has none of {', '.join(FILES)}")
+    matrices = read_matrices(path)
+    views = []
+    for number, photo in _matched(photos.scene_photos(folder, ("image", "images", "rgb")), matrices, path):
+        world = matrices[number]["world_mat"]
+        if frame == "sphere":
+            if "scale_mat" not in matrices[number]:
+                raise InputError(f"{path} has no scale_mat_{number}, which frame='sphere' needs")
+            world = world @ matrices[number]["scale_mat"]
+        width, height = photos.photo_size(photo)
+        camera = camera_from_projection(world[:3], width, height, photo.name, pixel_center=pixel_center)
+        views.append(photos.view_of(folder, camera, photo))
+    return Scene(views=views, source=f"{path} (IDR/NeuS)")
+
+
+def _matched(images: list[Path], matrices: dict, path: Path):
+    """Pairs (number, photo)."""
+    keys = sorted(n for n in matrices if "world_mat" in matrices[n])
+    numbered = {int(p.stem): p for p in images if re.fullmatch(r"\d{1,9}", p.stem, re.ASCII)}
+    if len(images) == len(keys):
+        return zip(keys, images)
+    if len(numbered) == len(images) and set(numbered) <= set(keys):
+        return sorted(numbered.items())
+    raise InputError(f"{path} has {len(keys)} cameras and {images[0].parent} {len(images)} photos, whose names are not "
+                     "their numbers; expected one photo a camera, or photos called by the numbers of their cameras")
+
+
+def read_matrices(path: Path) -> dict[int, dict[str, np.ndarray]]:
+    """{number: {"world_mat": (4, 4), "scale_mat": (4, 4)}}, float64; other arrays of the file are left alone.
+
+    Sizes and headers are checked before anything is unpacked, and nothing is unpickled.
+    """
+    found: dict[int, dict[str, np.ndarray]] = {}
+    try:
+        with zipfile.ZipFile(path) as archive:
+            entries = archive.infolist()
+            if len(entries) > _ENTRIES:
+                raise InputError(f"{path} has {len(entries)} entries, expected at most {_ENTRIES}")
+            for entry in entries:
+                key = _KEY.fullmatch(entry.filename.removesuffix(".npy"))
+                if key:
+                    found.setdefault(int(key[2]), {})
+                    if key[1] in found[int(key[2])]:
+                        raise InputError(f"{path}: {key[0]} is there twice")
+                    found[int(key[2])][key[1]] = _matrix(archive, entry, f"{path}: {key[0]}")
+    except (OSError, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} cannot be read ({str(error)[:120]}): is the file damaged?") from error
+    if not any("world_mat" in mats for mats in found.values()):
+        raise InputError(f"{path} has no world_mat_0, world_mat_1 ...: is it a camera file of IDR or NeuS?")
+    return found
+
+
+def _matrix(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, what: str) -> np.ndarray:
+    """One 4x4 array of the archive."""
+    if entry.file_size > 4096:
+        raise InputError(f"{what} has {entry.file_size} bytes, expected a 4 x 4 matrix")
+    with archive.open(entry) as file:
+        version = np.lib.format.read_magic(file)
+        if version not in ((1, 0), (2, 0)):
+            raise InputError(f"{what}: array format {version}, expected (1, 0)")
+        header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran, dtype = header(file)
+        if shape != (4, 4) or dtype.kind != "f" or dtype.itemsize not in (4, 8):
+            raise InputError(f"{what} has shape {shape} and dtype {dtype}, expected (4, 4) and a floating point type")
+        data = file.read(16 * dtype.itemsize + 1)
+    if len(data) != 16 * dtype.itemsize:
+        raise InputError(f"{what} has {len(data)} bytes of numbers, expected {16 * dtype.itemsize}")
+    values = np.frombuffer(data, dtype).reshape(4, 4, order="F" if fortran else "C").astype(np.float64)
+    if not np.isfinite(values).all():
+        raise InputError(f"{what} holds values that are not finite")
+    if np.abs(values[3] - [0, 0, 0, 1]).max() > 1e-6:
+        raise InputError(f"{what}: the last row is {values[3].tolist()}, expected [0, 0, 0, 1]")
+    if np.abs(values).max() > 1e25:
+        raise InputError(f"{what} holds values above 1e25: is the file damaged?")
+    return values
+
+
+def camera_from_projection(P, width: int, height: int, name: str = "", *, pixel_center: float = 0.5) -> Camera:
+    """Camera of a projection matrix P = s K [R | t] of shape (3, 4), s any number but 0 (a similarity's scale goes
+    into s, so that the pose stays rigid)."""
+    P = np.asarray(P, np.float64)
+    what = f"camera {name!r}"
+    if P.shape != (3, 4) or not np.isfinite(P).all():
+        raise InputError(f"{what}: the projection matrix has shape {P.shape}, expected (3, 4) finite numbers")
+    M = P[:, :3]
+    size = np.abs(M).max()
+    if size == 0 or np.linalg.cond(M) > 1e12:
+        raise InputError(f"{what}: the left 3x3 part of the projection matrix is singular, which no camera has")
+    P = P * (np.sign(np.linalg.det(M / size)) / np.linalg.norm(M[2]))  # the last row of R has length 1, det > 0
+    K, R = _rq(P[:, :3])
+    shift = abs(K[0, 1]) * max(height - K[1, 2], K[1, 2]) / K[1, 1]
+    if shift > _SKEW_PIXELS:
+        raise InputError(f"{what}: K has skew {K[0, 1]:g}, which moves pixels by up to {shift:.2g}, expected none; "
+                         "undistort the photos first")
+    t = np.linalg.solve(K, P[:, 3])
+    K[0, 1] = 0.0
+    return untrusted.pinhole(K, np.column_stack([R, t]), width, height, name, pixel_center=pixel_center)
+
+
+def _rq(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """M = K R with K upper triangular, its diagonal positive and K[2, 2] = 1, R a rotation (det M > 0)."""
+    Q, U = np.linalg.qr(M[::-1].T)
+    K, R = U.T[::-1, ::-1], Q.T[::-1]
+    signs = np.sign(np.diag(K))
+    K, R = K * signs, R * signs[:, None]
+    return K / K[2, 2], R
+
+
+def write(folder: Path, views: list[View], scale_mat: np.ndarray | None = None) -> Path:
+    """Write cameras.npz, view i as number i; `scale_mat` (4, 4) takes the unit sphere to the world (identity)."""
+    scale = np.eye(4) if scale_mat is None else np.asarray(scale_mat, np.float64)
+    arrays = {}
+    for number, view in enumerate(views):
+        K = np.eye(4)
+        K[:3, :3] = view.camera.K
+        arrays[f"world_mat_{number}"] = K @ view.camera.world_to_camera
+        arrays[f"scale_mat_{number}"] = scale
+    return untrusted.write_npz(Path(folder) / "cameras.npz", arrays)

@@ -1,0 +1,97 @@
+"""Finding the photos that a camera file speaks of, inside the scene's folder only unless told otherwise."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.images import image_size
+from pagas_cl.scene.readers.untrusted import IMAGE_SUFFIXES, MAX_SIDE, short
+from pagas_cl.scene.view import View
+
+FOLDERS = ("images", "image", "color", "rgb", "blended_images")
+
+
+def inside(root: Path, name, what: str, *, outside: bool = False) -> Path:
+    """The path `name` out of a file, relative to `root`.
+
+    InputError where it leads out of `root` (absolute, or through "..") and `outside` is false: a scene from a stranger
+    must not choose what is read on this machine.
+    """
+    if not isinstance(name, str) or not name.strip() or "\0" in name:
+        raise InputError(f"{what} is {short(name)}, expected the path of a file")
+    path = Path(os.path.normpath(Path(root) / name.replace("\\", "/")))
+    if not outside:
+        top = Path(os.path.abspath(root))
+        absolute = Path(os.path.abspath(path))
+        if top != absolute and top not in absolute.parents or re.match(r"[A-Za-z]:|[\\/]", name):
+            raise InputError(f"{what} is {short(name)}, which leads out of {root}; move the file into the folder, or "
+                             "pass outside=True (--outside) if you trust this scene")
+    return path
+
+
+def existing(path: Path, what: str) -> Path:
+    """`path` if it is a file, else InputError."""
+    try:
+        found = path.is_file()
+    except OSError:  # a name longer than the file system takes
+        found = False
+    if not found:
+        raise InputError(f"{what}: there is no file {short(str(path))}")
+    return path
+
+
+def list_photos(folder: Path) -> list[Path]:
+    """Image files of `folder`, by name; hidden files left out."""
+    if not folder.is_dir():
+        return []
+    return sorted(p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
+
+
+def scene_photos(folder: Path, names: tuple[str, ...] = FOLDERS) -> list[Path]:
+    """Photos of the first of the sub-folders `names` that has any, else of `folder` itself; InputError if none."""
+    for place in [folder / name for name in names] + [folder]:
+        photos = list_photos(place)
+        if photos:
+            return photos
+    raise InputError(f"{folder} has no photos: looked in {', '.join(names)} and the folder itself for "
+                     f"{' '.join(IMAGE_SUFFIXES)}")
+
+
+def photo_size(path: Path) -> tuple[int, int]:
+    """Width and height from the file's header, in pixels; the pixels are not decoded."""
+    width, height = image_size(path)
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise InputError(f"image {str(path)!r} claims {width} x {height} pixels: is the file damaged?")
+    return width, height
+
+
+def find_mask(folder: Path, photo: Path, places: tuple[str, ...] = ("masks", "mask")) -> Path | None:
+    """The mask of `photo`: <place>/<name>.png or <place>/<stem>.png; with plain numbers also 000007 -> 007."""
+    for place in places:
+        for name in (photo.name + ".png", photo.stem + ".png"):
+            if (folder / place / name).is_file():
+                return folder / place / name
+        if photo.stem.isdecimal():
+            for path in list_photos(folder / place):
+                if path.stem.isdecimal() and int(path.stem) == int(photo.stem):
+                    return path
+    return None
+
+
+def one_photo_each(photos: list[Path], count: int, what: str) -> list[Path]:
+    """`photos` if there are `count` of them, else InputError: the file names none, so that order is all there is."""
+    if len(photos) != count:
+        raise InputError(f"{what} has {count} cameras and {photos[0].parent} has {len(photos)} photos; the file names "
+                         "no photos, so that there must be exactly one a camera, in the order of their names")
+    return photos
+
+
+def view_of(folder: Path, camera: Camera, photo: Path, mask: Path | None = None) -> View:
+    """The view of `photo` with its mask, given or found; InputError where a file's size is not the camera's."""
+    view = View(camera=camera, image=photo, mask=mask or find_mask(folder, photo), name=photo.name)
+    view.check_files()
+    return view

@@ -1,0 +1,161 @@
+"""Reading files that strangers wrote: every limit and every check on raw values in one place.
+
+Each reader builds on these, so that a damaged or hostile file ends in one InputError sentence: never in a crash, a
+hang, much memory, or a file opened outside the scene's folder.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.camera import Camera
+
+MAX_BYTES = 256 << 20      # a camera file of 100,000 views has some 100 MB
+MAX_SIDE = 1 << 20         # pixels; larger sides are damage, not photos
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)  # float() would take "1_0", "nan", "inf"
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".ppm")
+
+
+def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
+    """The whole file, or InputError where it cannot be read or is larger than `limit` bytes."""
+    try:
+        size = path.stat().st_size
+        if size > limit:
+            raise InputError(f"{path} has {size} bytes, expected at most {limit}: is it really a camera file?")
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
+
+
+def read_text(path: Path, limit: int = MAX_BYTES) -> str:
+    """The file as UTF-8 text."""
+    try:
+        return read_bytes(path, limit).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is no text (byte {error.start} is not UTF-8): is the file damaged?") from error
+
+
+def read_json(path: Path) -> dict:
+    """A JSON object; keys given twice are refused, since one of the two would be dropped in silence."""
+
+    def unique(pairs):
+        found = dict(pairs)
+        if len(found) != len(pairs):
+            names = [name for name, _ in pairs]
+            twice = next(name for name in names if names.count(name) > 1)
+            raise InputError(f"{path}: the key {short(twice)} is given twice in one object; remove one")
+        return found
+
+    try:
+        data = json.loads(read_text(path), object_pairs_hook=unique)
+    except InputError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} is not valid JSON ({str(error)[:120]}): is the file damaged?") from error
+    if not isinstance(data, dict):
+        raise InputError(f"{path} holds a JSON {type(data).__name__}, expected an object")
+    return data
+
+
+def short(value) -> str:
+    """A value as a message may show it: its repr, cut to 60 characters."""
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def number(value, what: str) -> float:
+    """A finite number out of a JSON value; booleans and text are refused."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise InputError(f"{what} is {short(value)}, expected a number")
+    try:
+        value = float(value)
+    except OverflowError:
+        value = float("inf")
+    if not np.isfinite(value):
+        raise InputError(f"{what} is {value}, expected a finite number")
+    return value
+
+
+def word(token: str, what: str) -> float:
+    """A finite number out of a word of a text file, in plain decimal spelling."""
+    if not _NUMBER.fullmatch(token):
+        raise InputError(f"{what} is {short(token)}, expected a number")
+    return number(float(token), what)
+
+
+def words(tokens, what: str) -> np.ndarray:
+    """Several words of a text file as float64 of shape (N,)."""
+    return np.array([word(token, what) for token in tokens], np.float64)
+
+
+def whole(value: float, low: int, high: int, what: str) -> int:
+    """A whole number within [low, high]."""
+    value = number(value, what)
+    if value != int(value) or not low <= value <= high:
+        raise InputError(f"{what} is {value:g}, expected a whole number from {low} to {high}")
+    return int(value)
+
+
+def matrix(value, rows: int, columns: int, what: str) -> np.ndarray:
+    """Nested JSON lists as float64 of shape (rows, columns)."""
+    ok = isinstance(value, list) and len(value) == rows
+    if not ok or not all(isinstance(row, list) and len(row) == columns for row in value):
+        raise InputError(f"{what} is {short(value)}, expected {rows} rows of {columns} numbers")
+    return np.array([[number(cell, what) for cell in row] for row in value], np.float64)
+
+
+def refuse_near_misses(found: dict, known: tuple[str, ...], where: str) -> None:
+    """Refuse a key that differs by one letter from a known one that is absent: a default would replace the value."""
+    for key in found:
+        if key in known:
+            continue
+        for name in known:
+            if name not in found and len(name) == len(key) and sum(a != b for a, b in zip(name, key)) == 1:
+                raise InputError(f"{where}: unknown key {short(key)} while {name!r} is absent; is it a slip?")
+
+
+def pinhole(K, world_to_camera, width, height, name: str, *, pixel_center: float = 0.5) -> Camera:
+    """Camera.from_opencv_w2c for values out of a file: also refuses sizes and focal lengths that no photo has."""
+    for side, value in (("width", width), ("height", height)):
+        whole(value, 1, MAX_SIDE, f"camera {name!r}: {side}")
+    K = np.asarray(K, np.float64)
+    below = np.array([K[1, 0], K[2, 0], K[2, 1], K[2, 2] - 1]) if K.shape == (3, 3) else np.zeros(4)
+    if np.abs(below).max() > 1e-6:
+        raise InputError(f"camera {name!r}: K is {short(K.tolist())}, expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    if max(abs(K[0, 0]), abs(K[1, 1]), abs(K[0, 2]), abs(K[1, 2])) > 1e9:
+        raise InputError(f"camera {name!r}: K holds more than 1e9 pixels: is the file damaged?")
+    if np.abs(np.asarray(world_to_camera)).max(initial=0) > 1e15:
+        raise InputError(f"camera {name!r}: the pose holds values above 1e15: is the file damaged?")
+    return Camera.from_opencv_w2c(K, world_to_camera, width, height, pixel_center=pixel_center, name=name)
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write a text file; returns its path."""
+    return write_bytes(path, text.encode("utf-8"))
+
+
+def write_npz(path: Path, arrays: dict[str, np.ndarray]) -> Path:
+    """Write an .npz archive; returns its path."""
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return write_bytes(path, buffer.getvalue())
+
+
+def write_bytes(path: Path, data: bytes) -> Path:
+    """Write `data` beside `path` and rename, so that no half-written file ever has the final name."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        beside.write_bytes(data)
+        os.replace(beside, path)
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
+    finally:
+        beside.unlink(missing_ok=True)
+    return path
