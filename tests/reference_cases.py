@@ -10,7 +10,7 @@ from pagas_cl.reference import loss as losses
 from pagas_cl.reference import smooth
 from pagas_cl.reference.composite import ALPHA_MAX
 from pagas_cl.reference.level import depth_threshold, loss_and_gradient, prepare, render
-from pagas_cl.reference.project import is_valid, median_depth
+from pagas_cl.reference.project import is_valid, median_depth, project
 
 BASE = Config(smoothness=Smoothness(kind="none", weight=0.0))
 CASES = {
@@ -70,15 +70,20 @@ def central(f, step):
     return (8 * (f(step) - f(-step)) - (f(2 * step) - f(-2 * step))) / (12 * step)
 
 
-def measured_gradient(config, seed, count=24, share=5e-4, **scene):
-    """Analytic and differenced N dL/dd at `count` random pixels, and how many more were too near a threshold."""
+def measured_gradient(config, seed, count=24, share=1e-3, **scene):
+    """Analytic and differenced N dL/dd at `count` random pixels, and how many more were too near a threshold.
+
+    A step moves the Gaussian by `share` pixels in the view where it moves fastest.
+    """
     depth, target, contexts, state = prepared(seed, config, **scene)
     _, gradient = loss_and_gradient(depth, target, contexts, config, state)
     rng = np.random.default_rng(seed)
     here = structure(depth, target, contexts, config, state)
+    fastest = 1e-3 + np.max([p.valid * np.linalg.norm(p.m_d, axis=1) for p in
+                             (project(depth, target.camera, c.camera, unit=state.unit) for c in contexts)], axis=0)
     got, want, skipped = [], [], 0
     for i in rng.permutation(np.flatnonzero((depth.ravel() > 0) & (gradient.ravel() != 0))):
-        step = share * (state.parallax.ravel()[i] or 0.01)
+        step = share / fastest[i]
 
         def moved(by, i=i):
             other = depth.copy()
