@@ -1,0 +1,14 @@
+"""Figures that users know: depth and normal errors, prediction of held-out photos, Chamfer distance, F-score.
+
+One module a figure: depth, predict, clouds (with sample for meshes and files, dtu for that benchmark's masks).
+"""
+
+from pagas_cl.evaluate.clouds import Chamfer, FScore, VisibleSpace, chamfer, f_score
+from pagas_cl.evaluate.depth import (DepthErrors, DepthReport, compare_depth, depth_normals, dilate,
+                                     find_discontinuities, parallax_unit)
+from pagas_cl.evaluate.predict import Prediction, compare_predictions, predict_photo
+from pagas_cl.evaluate.sample import load_points, sample_surface
+
+__all__ = ["Chamfer", "DepthErrors", "DepthReport", "FScore", "Prediction", "VisibleSpace", "chamfer",
+           "compare_depth", "compare_predictions", "depth_normals", "dilate", "f_score", "find_discontinuities",
+           "load_points", "parallax_unit", "predict_photo", "sample_surface"]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl.made.solid import Bar, Block, Solid
+from pagas_cl.made.pieces import Bar, Block
+from pagas_cl.made.solid import Solid
 
 _BAR_SIDES = 24
 

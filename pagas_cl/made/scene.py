@@ -9,96 +9,10 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.made import photo
-from pagas_cl.made.solid import Bar, Block, Solid
+from pagas_cl.made.layout import Relief, half_axes, half_sizes, make_cameras, make_solids
+from pagas_cl.made.solid import Solid
 from pagas_cl.made.texture import Texture, patchwork
-from pagas_cl.made.waves import Waves
 from pagas_cl.scene.camera import Camera
-
-# steps of the view grid in units of the angle between neighbours (right, down), nearest views first
-_GRID = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1), (2, 0), (-2, 0), (0, 2), (0, -2),
-         (2, 1), (-2, -1), (1, -2), (-1, 2))
-_HELD_OUT = ((0.6, -0.75), (-1.35, 0.45), (0.4, 1.5), (-0.5, -1.4))
-_FOCAL = 2892 / 1554  # focal length over image width: 300 units fill most of the image at 650
-_OBJECT = 300.0
-_DISTANCE = 650.0
-
-
-@dataclass(frozen=True)
-class Relief:
-    """What a made scene is; equal descriptions give equal scenes, byte for byte.
-
-    Attributes
-    ----------
-    width, height : int
-        Size of the target's photo, pixels.
-    contexts, held_out : int
-        Views that refine and views kept for prediction.
-    spacing : float
-        Angle between neighbouring views, degrees.
-    base, detail : float
-        Height of the coarse shape (root mean square, scene units; the object is 300 wide) and of the fine detail
-        (mean absolute depth in pixels of parallax at `spacing`); detail has wavelengths of `finest` to `coarsest`
-        pixels of the target, its amplitude grows with wavelength**power.
-    steps : int
-        Blocks with upright walls that stand on the relief: depth discontinuities.
-    bar : float
-        Diameter, pixels, of a thin round bar in front; 0 leaves it out.
-    foreground : bool
-        The relief is an ellipse in front of clutter that is different in every photo; views get masks.
-    texture, contrast : str, float
-        "photos", "noise" or "flat", and how strong its departures from mid grey are.
-    shine, exposure, noise : float
-        Strength of a moving highlight; spread of per-view gain (and a tenth of it of offset), context views only;
-        sensor noise (standard deviation, grey levels of 255).
-    sizes, zooms, distances : tuples of float
-        Image size, focal length and distance of the context views relative to the target's, in turn.
-    coarse_error : float
-        A further smooth error of the initial depth, root mean square, pixels of parallax at `spacing`.
-    seed : int
-    """
-
-    width: int = 388
-    height: int = 290
-    contexts: int = 10
-    held_out: int = 2
-    spacing: float = 11.0
-    base: float = 9.0
-    detail: float = 0.25
-    finest: float = 5.0
-    coarsest: float = 40.0
-    power: float = 2.0
-    steps: int = 2
-    bar: float = 0.0
-    foreground: bool = False
-    texture: str = "photos"
-    contrast: float = 1.0
-    shine: float = 0.0
-    exposure: float = 0.0
-    noise: float = 0.0
-    sizes: tuple[float, ...] = (1.0,)
-    zooms: tuple[float, ...] = (1.0,)
-    distances: tuple[float, ...] = (1.0,)
-    coarse_error: float = 0.0
-    seed: int = 0
-
-    def __post_init__(self):
-        for name, low, high in (("width", 16, 1 << 15), ("height", 16, 1 << 15), ("contexts", 1, len(_GRID)),
-                                ("held_out", 0, len(_HELD_OUT)), ("spacing", 0.01, 20), ("base", 0, 60),
-                                ("detail", 0, 4), ("finest", 2, 1e4), ("coarsest", self.finest, 1e4), ("steps", 0, 4),
-                                ("bar", 0, 100), ("coarse_error", 0, 20), ("exposure", 0, 1), ("noise", 0, 255)):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InputError(f"made scene: {name} is {value!r}, expected {low:g} to {high:g}")
-
-    @property
-    def footprint(self) -> float:
-        """Size of a target pixel on the object, scene units."""
-        return _DISTANCE / (_FOCAL * self.width)
-
-    @property
-    def parallax(self) -> float:
-        """Depth that moves a point by a pixel in a view `spacing` degrees away, scene units."""
-        return self.footprint / np.sin(np.radians(self.spacing))
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +82,7 @@ class MadeScene:
         from pagas_cl.made.mesh import solid_mesh
 
         return solid_mesh(self.initial_solid, spacing * self.relief.footprint,
-                          _half_axes(self.relief) if self.relief.foreground else _half_sizes(self.relief))
+                          half_axes(self.relief) if self.relief.foreground else half_sizes(self.relief))
 
     @cached_property
     def discontinuities(self) -> np.ndarray:
@@ -197,93 +111,9 @@ def relief_scene(width: int = 388, height: int = 290, contexts: int = 10, **sett
             raise InputError(f"made scene: unknown setting {name!r}, expected one of {', '.join(sorted(known))}")
     relief = Relief(width=width, height=height, contexts=contexts, **settings)
     rng = np.random.default_rng(relief.seed)
-    true, initial = _solids(relief, rng)
-    half = _half_sizes(relief)
+    true, initial = make_solids(relief, rng)
+    half = half_sizes(relief)
     texels = [int(np.ceil(2 * h / relief.footprint)) for h in half]
     skin = patchwork(*texels, relief.footprint, rng, kind=relief.texture, contrast=relief.contrast,
                      tile=int(np.clip(relief.width // 3, 48, 300)))
     return MadeScene(relief, make_cameras(relief), true, initial, skin)
-
-
-def make_cameras(relief: Relief) -> list[Camera]:
-    """Target, contexts, held-out cameras; all look at the origin, where the relief's middle is."""
-    cameras = [_camera(relief, "target", 0, 0)]
-    for k, (right, down) in enumerate(_GRID[:relief.contexts]):
-        cameras.append(_camera(relief, f"context_{k:02d}", right, down, relief.sizes[k % len(relief.sizes)],
-                               relief.zooms[k % len(relief.zooms)], relief.distances[k % len(relief.distances)]))
-    for k, (right, down) in enumerate(_HELD_OUT[:relief.held_out]):
-        cameras.append(_camera(relief, f"held_out_{k}", right, down))
-    return cameras
-
-
-def _camera(relief, name, right, down, size=1.0, zoom=1.0, distance=1.0):
-    around, up = np.radians(relief.spacing) * np.array([right, down])
-    c, s, cu, su = np.cos(around), np.sin(around), np.cos(up), np.sin(up)
-    away = np.array([s * cu, su, -c * cu])  # from the object to the camera
-    z = -away
-    x = np.cross([0.0, 1.0, 0.0], z)
-    x /= np.linalg.norm(x)
-    pose = np.eye(4)
-    pose[:3, :3] = [x, np.cross(z, x), z]
-    pose[:3, 3] = -pose[:3, :3] @ (away * _DISTANCE * distance)
-    w, h = round(relief.width * size), round(relief.height * size)
-    f = _FOCAL * relief.width * zoom
-    # a principal point off the middle, as real cameras have
-    full = Camera(relief.width, relief.height, f, f, 0.503 * relief.width, 0.494 * relief.height, pose, name)
-    return full.resized(w, h)
-
-
-def _solids(relief, rng):
-    pixel = relief.footprint
-    base = Waves.random(rng, 6, 0.4 * _OBJECT, 1.2 * _OBJECT, 1.5).scaled(relief.base)
-    strength = Waves.random(rng, 4, 60 * pixel, 200 * pixel, 0).scaled(0.35)
-    fine = Waves.random(rng, 28, relief.finest * pixel, relief.coarsest * pixel, relief.power, envelope=strength)
-    fine = fine.scaled(relief.detail * relief.parallax / _mean_absolute(fine, relief))
-    error = Waves.random(rng, 6, 100 * pixel, 300 * pixel, 1.0).scaled(relief.coarse_error * relief.parallax)
-    blocks, bar = _blocks(relief), _bar(relief)
-    outline = _half_axes(relief) if relief.foreground else None
-    true = Solid((base, fine), blocks, bar, outline)
-    return true, Solid((base, error), blocks, _nearer(bar, relief), outline)
-
-
-def _mean_absolute(waves, relief):
-    half = _half_sizes(relief)
-    x, y = np.meshgrid(*(np.linspace(-h, h, 401) / 1.5 for h in half))
-    return np.abs(waves(x, y, precise=False)[0]).mean()
-
-
-def _half_sizes(relief):
-    """Half the part of the plane that the views may see, scene units."""
-    return 0.75 * relief.width * relief.footprint, 0.75 * relief.height * relief.footprint
-
-
-def _half_axes(relief):
-    return 0.38 * relief.width * relief.footprint, 0.38 * relief.height * relief.footprint
-
-
-def _blocks(relief):
-    w, h = relief.width * relief.footprint, relief.height * relief.footprint
-    places = (Block(-0.24 * w, 0.17 * h, 0.11 * w, 0.13 * h, 14.0, 0.2),
-              Block(0.26 * w, -0.2 * h, 0.09 * w, 0.1 * h, 25.0, -0.35),
-              Block(0.2 * w, 0.25 * h, 0.05 * w, 0.05 * h, 8.0, 0.7),
-              Block(-0.28 * w, -0.28 * h, 0.03 * w, 0.12 * h, 18.0, 0.1))
-    return places[:relief.steps]
-
-
-def _bar(relief):
-    if not relief.bar:
-        return None
-    direction = np.array([0.35, 1.0, 0.12])
-    direction /= np.linalg.norm(direction)
-    depth = _DISTANCE - 70.0
-    radius = 0.5 * relief.bar * relief.footprint * depth / _DISTANCE
-    return Bar((0.05 * _OBJECT, 0.0, -70.0), tuple(direction.tolist()), radius)
-
-
-def _nearer(bar, relief):
-    """The bar scaled about the target's centre, so that it covers the same pixels there at a slightly wrong depth."""
-    if bar is None:
-        return None
-    factor = 1 - relief.detail * relief.parallax / _DISTANCE
-    centre = np.array([0.0, 0.0, -_DISTANCE])
-    return Bar(tuple((centre + factor * (np.array(bar.point) - centre)).tolist()), bar.direction, bar.radius * factor)

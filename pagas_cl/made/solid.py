@@ -6,49 +6,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pagas_cl.made.pieces import Bar, Block, meet_bar, near_block, wall_normals
 from pagas_cl.made.waves import Waves, joined
 
 MISS, RELIEF, BAR, BLOCK = 0, 1, 2, 3  # block k has its top at BLOCK + 2 k and its walls at BLOCK + 2 k + 1
 _TOLERANCE = 1e-9
 
 
-@dataclass(frozen=True)
-class Block:
-    """A part of the relief raised towards -z, with upright walls. Lengths in scene units, turn in radians."""
-
-    x: float
-    y: float
-    half_width: float
-    half_height: float
-    rise: float
-    turn: float = 0.0
-
-    def frame(self, xy, vector=False):
-        """Coordinates u, v along the block's sides of points (or vectors) of shape (..., 2)."""
-        x, y = np.moveaxis(np.asarray(xy, np.float64), -1, 0)
-        if not vector:
-            x, y = x - self.x, y - self.y
-        c, s = np.cos(self.turn), np.sin(self.turn)
-        return c * x + s * y, c * y - s * x
-
-
-@dataclass(frozen=True)
-class Bar:
-    """A round bar without ends: a point of its axis, unit direction, radius; scene units."""
-
-    point: tuple[float, float, float]
-    direction: tuple[float, float, float]
-    radius: float
-
-
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """Relief z = sum of `fields` over (x, y), seen from -z; `outline` (half axes) cuts it to an ellipse."""
+    """Relief z = sum of `fields` over (x, y), seen from -z; `outline` (half axes) cuts it to an ellipse.
+
+    `limits`: bounds on |z| and on the slope of the relief where they are known better than by summing the waves;
+    tight ones make ray casting fast.
+    """
 
     fields: tuple[Waves, ...]
     blocks: tuple[Block, ...] = ()
     bar: Bar | None = None
     outline: tuple[float, float] | None = None
+    limits: tuple[float, float] | None = None
 
     def height(self, x, y, *, precise=True):
         """Relief without blocks: z, dz/dx, dz/dy, float64 of x's shape."""
@@ -59,7 +36,9 @@ class Solid:
         return total
 
     def bounds(self) -> tuple[float, float]:
-        """A bound on |z| of the relief and one on its slope, from sums over the waves that no point exceeds."""
+        """A bound on |z| of the relief and one on its slope: `limits`, or sums over the waves that no point exceeds."""
+        if self.limits is not None:
+            return self.limits
         reach = slope = 0.0
         for field in joined(*self.fields):
             gain = 1.0 if field.envelope is None else 1.0 + np.abs(field.envelope.amplitude).sum()
@@ -99,7 +78,7 @@ class Solid:
         for k, block in enumerate(self.blocks):
             self._block(block, BLOCK + 2 * k, origin, directions, depth, part, precise)
         if self.bar is not None:
-            hit = _meet_bar(self.bar, origin, directions)
+            hit = meet_bar(self.bar, origin, directions)
             nearer = hit < depth
             depth[nearer], part[nearer] = hit[nearer], BAR
         return depth, part
@@ -125,7 +104,7 @@ class Solid:
         for k, block in enumerate(self.blocks):
             wall = part == BLOCK + 2 * k + 1
             if wall.any():
-                normal[wall] = _wall_normals(block, points[wall])
+                normal[wall] = wall_normals(block, points[wall])
         if self.bar is not None and (part == BAR).any():
             on = part == BAR
             axis = np.asarray(self.bar.direction)
@@ -145,16 +124,23 @@ class Solid:
         steep = slope * lean >= 0.98 * directions[:, 2]
         if steep.any():  # more than one crossing is possible: walk up from the near side, never past the first one
             depth[steep] = self._walk(origin, directions[steep], rise, reach, slope * lean[steep])
-        todo = np.arange(len(depth))
-        for _ in range(40):
+        lost = self._newton(origin, directions, rise, depth, np.arange(len(depth)), precise)
+        if len(lost):
+            depth[lost] = self._walk(origin, directions[lost], rise, reach, slope * lean[lost])
+            self._newton(origin, directions, rise, depth, lost, precise)
+        return depth
+
+    def _newton(self, origin, directions, rise, depth, todo, precise):
+        """Newton's steps on depth[todo], in place; returns the rays that did not settle."""
+        for _ in range(25):
+            if not len(todo):
+                break
             ray = directions[todo]
             miss, fall = self._gap(origin, ray, depth[todo], rise, precise)
             step = miss / np.maximum(fall, 0.05 * ray[:, 2])
             depth[todo] -= step
             todo = todo[np.abs(step) > (_TOLERANCE if precise else 1e-4)]
-            if not len(todo):
-                break
-        return depth
+        return todo
 
     def _gap(self, origin, ray, depth, rise, precise):
         """z of the point on the ray minus the relief's, and its derivative by the ray parameter."""
@@ -176,7 +162,7 @@ class Solid:
     # -- blocks ----------------------------------------------------------------------------------------------------
 
     def _block(self, block, number, origin, directions, depth, part, precise):
-        near = _near_block(block, self.bounds()[0], origin, directions)
+        near = near_block(block, self.bounds()[0], origin, directions)
         if not len(near):
             return
         rays = directions[near]
@@ -205,37 +191,3 @@ class Solid:
                 ok = ok[(point[:, 2] <= height) & (point[:, 2] >= height - block.rise)]
                 first[ok] = hit[ok]
         return first
-
-
-def _near_block(block, reach, origin, directions):
-    """Indices of the rays that may touch the block: those that pass its bounding circle between its two heights."""
-    radius = np.hypot(block.half_width, block.half_height)
-    low, high = -reach - block.rise, reach
-    ends = [origin[:2] + ((z - origin[2]) / directions[:, 2])[:, None] * directions[:, :2] for z in (low, high)]
-    span = ends[1] - ends[0]
-    length = np.maximum((span**2).sum(1), 1e-30)
-    where = np.clip(((np.array([block.x, block.y]) - ends[0]) * span).sum(1) / length, 0, 1)
-    nearest = ends[0] + where[:, None] * span
-    return np.flatnonzero(np.hypot(nearest[:, 0] - block.x, nearest[:, 1] - block.y) <= radius)
-
-
-def _wall_normals(block, points):
-    u, v = block.frame(points[:, :2])
-    across = np.abs(np.abs(u) - block.half_width) < np.abs(np.abs(v) - block.half_height)
-    u, v = np.where(across, np.sign(u), 0.0), np.where(across, 0.0, np.sign(v))
-    c, s = np.cos(block.turn), np.sin(block.turn)
-    return np.stack([c * u - s * v, s * u + c * v, np.zeros_like(u)], axis=-1)
-
-
-def _meet_bar(bar, origin, directions):
-    """Ray parameter where the rays enter the bar, inf where they pass it."""
-    axis = np.asarray(bar.direction)
-    ray = directions - (directions @ axis)[:, None] * axis
-    arm = origin - np.asarray(bar.point)
-    arm = arm - (arm @ axis) * axis
-    a, b, c = (ray**2).sum(1), ray @ arm, arm @ arm - bar.radius**2
-    inside = b**2 - a * c
-    hit = np.full(len(directions), np.inf)
-    ok = (inside > 0) & (a > 0)
-    hit[ok] = (-b[ok] - np.sqrt(inside[ok])) / a[ok]
-    return hit

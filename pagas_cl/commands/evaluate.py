@@ -1,0 +1,99 @@
+"""`pagas-cl evaluate`: errors of a mesh, a point cloud or depth maps, in the figures that benchmarks use."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import typer
+
+from pagas_cl.errors import InputError
+
+
+def command(
+    result: Path = typer.Argument(..., help="A mesh, a point cloud, or a folder of depth maps."),
+    truth: Path = typer.Argument(None, help="The true one, of the same kind; may be left out with --held-out."),
+    scene: Path = typer.Option(None, "--scene", help="With depth maps: the scene's folder."),
+    held_out: list[str] = typer.Option([], "--held-out", help="With depth maps: a view whose photo is predicted."),
+    before: Path = typer.Option(None, "--before", help="With --held-out: depth maps to compare with."),
+    depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in depth files."),
+    spacing: float = typer.Option(None, "--spacing", help="Sample meshes, and thin the result, to this distance."),
+    threshold: list[float] = typer.Option([], "--threshold", help="Distance for precision, recall and F-score."),
+    max_distance: float = typer.Option(float("inf"), "--max-distance", help="Chamfer: leave out larger distances."),
+    visible: Path = typer.Option(None, "--visible", help="Chamfer: DTU's ObsMask<scan>_10.mat."),
+    ground: Path = typer.Option(None, "--ground", help="Chamfer: DTU's Plane<scan>.mat."),
+    output: Path = typer.Option(None, "--json", help="Write the figures to this file too."),
+):
+    """Compare with the truth: depth and normal errors, Chamfer distance, F-score; or predict held-out photos.
+
+    DTU's figures: --spacing 0.2 --max-distance 20 --visible ObsMask24_10.mat --ground Plane24.mat.
+    Tanks and Temples': --threshold T --spacing T/2.
+    """
+    if not result.exists():
+        raise InputError(f"there is no file or folder {str(result)!r}")
+    if result.is_dir():
+        figures = _depth_figures(result, truth, scene, held_out, before, depth_scale)
+    else:
+        figures = _cloud_figures(result, truth, spacing, threshold, max_distance, visible, ground)
+    for group, rows in figures.items():
+        sys.stdout.write(_table(group, rows))
+    if output is not None:
+        part = output.with_name(output.name + ".part")
+        part.write_text(json.dumps(figures, indent=1))
+        os.replace(part, output)
+
+
+def _depth_figures(folder, truth, scene, held_out, before, scale):
+    from pagas_cl.evaluate.folders import depth_errors, photo_predictions
+    from pagas_cl.scene.readers import read_scene
+
+    if scene is None:
+        raise InputError(f"{str(folder)!r} is a folder of depth maps: give the scene they belong to with --scene")
+    if truth is None and not held_out:
+        raise InputError("nothing to compare with: give a folder of true depth maps, or --held-out VIEW")
+    scene, figures = read_scene(scene), {}
+    if truth is not None:
+        for view, parts in depth_errors(scene, folder, truth, scale=scale).items():
+            figures[f"{view}: depth error (scene units, pixels of parallax) and normal error (degrees)"] = parts
+    if held_out:
+        rows = photo_predictions(scene, folder, held_out, before=before, scale=scale)
+        figures["correlation of held-out photos"] = rows
+    return figures
+
+
+def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, ground):
+    from pagas_cl.evaluate import chamfer, dtu, f_score
+    from pagas_cl.evaluate.sample import extent, load_points, read_shape
+
+    if truth is None:
+        raise InputError("nothing to compare with: give the true mesh or point cloud as the second argument")
+    if spacing is None:
+        spacing = extent(read_shape(truth)[0]) / 1000
+    clouds = [load_points(path, spacing) for path in (result, truth)]
+    figures = {f"Chamfer distance, scene units (points every {spacing:.4g})": {"": chamfer(
+        *clouds, downsample=spacing, max_distance=max_distance,
+        visible=None if visible is None else dtu.load_visible(visible),
+        ground=None if ground is None else dtu.load_ground(ground)).as_dict()}}
+    if thresholds:
+        figures["share of points within a distance"] = {
+            f"{distance:g}": f_score(*clouds, distance, downsample=spacing).as_dict() for distance in thresholds}
+    return figures
+
+
+def _table(title, rows):
+    columns = list(dict.fromkeys(name for row in rows.values() for name in row))
+    head = max(len(name) for name in [*rows, ""])
+    widths = {name: max(len(name), 10) for name in columns}
+    lines = [title, " " * head + "".join(f"  {name:>{widths[name]}}" for name in columns)]
+    for name, row in rows.items():
+        cells = (_cell(row.get(column)) for column in columns)
+        lines.append(f"{name:<{head}}" + "".join(f"  {cell:>{widths[c]}}" for cell, c in zip(cells, columns)))
+    return "\n".join(lines) + "\n\n"
+
+
+def _cell(value):
+    if value is None:
+        return ""
+    return f"{value:d}" if isinstance(value, int) else f"{value:.5g}"

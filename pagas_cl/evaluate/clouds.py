@@ -1,0 +1,190 @@
+"""Distances between point clouds: Chamfer figures as DTU defines them, F-score as Tanks and Temples does."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from pagas_cl.errors import InputError, need
+
+
+@dataclass(frozen=True)
+class Chamfer:
+    """Mean and median distances, scene units; `overall` is the mean of the two means.
+
+    accuracy: from the result to the truth; completeness: from the truth to the result.
+    """
+
+    accuracy: float
+    completeness: float
+    overall: float
+    accuracy_median: float
+    completeness_median: float
+    result_points: int
+    truth_points: int
+
+    def as_dict(self) -> dict:
+        """Plain dictionary, ready for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class FScore:
+    """Shares, 0 to 1, of points within `threshold` (scene units) of the other cloud."""
+
+    precision: float
+    recall: float
+    f_score: float
+    threshold: float
+
+    def as_dict(self) -> dict:
+        """Plain dictionary, ready for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleSpace:
+    """What a benchmark's scanner could see: only there is a result judged.
+
+    Parameters
+    ----------
+    seen : ndarray of bool, (X, Y, Z)
+        Voxels; voxel (i, j, k) is centred at corner + voxel * (i, j, k).
+    corner : ndarray of shape (3,)
+    far_corner : ndarray of shape (3,)
+        The box that DTU calls BB: points further than `margin` outside are not looked at, on either side.
+    voxel : float
+    margin : float
+    """
+
+    seen: np.ndarray
+    corner: np.ndarray
+    far_corner: np.ndarray
+    voxel: float
+    margin: float = 60.0
+
+    def in_box(self, points) -> np.ndarray:
+        """Which points lie in the widened box: bool (n,). DTU widens the far side twice."""
+        return ((points >= self.corner - self.margin) & (points < self.far_corner + 2 * self.margin)).all(axis=1)
+
+    def contains(self, points) -> np.ndarray:
+        """Which points lie in a seen voxel: bool (n,)."""
+        index = np.rint((points - self.corner) / self.voxel).astype(np.int64)
+        inside = ((index >= 0) & (index < self.seen.shape)).all(axis=1)
+        out = np.zeros(len(points), bool)
+        out[inside] = self.seen[tuple(index[inside].T)]
+        return out
+
+
+def chamfer(result, truth, *, downsample=None, max_distance=np.inf, visible: VisibleSpace | None = None,
+            ground=None) -> Chamfer:
+    """Chamfer distances between two clouds.
+
+    DTU's own figures: `downsample` 0.2 mm, `max_distance` 20 mm, its ObsMask as `visible`, its Plane as `ground`.
+
+    Parameters
+    ----------
+    result, truth : ndarray of shape (n, 3)
+        Points; for meshes see `evaluate.sample`.
+    downsample : float or None
+        Thin the result so that no two points are nearer than this.
+    max_distance : float
+        Larger distances are left out of the means (they are outliers to DTU).
+    visible : VisibleSpace or None
+        Result points outside it do not count as wrong.
+    ground : array_like of shape (4,) or None
+        Plane (a, b, c, d): only truth points with a x + b y + c z + d > 0 have to be found.
+    """
+    result, truth = _cloud(result, "result"), _cloud(truth, "truth")
+    if downsample:
+        result = result[thin(result, downsample)]
+    judged = result
+    if visible is not None:
+        result = result[visible.in_box(result)]
+        judged = result[visible.contains(result)]
+    wanted = truth
+    if ground is not None:
+        plane = np.asarray(ground, np.float64).ravel()
+        if plane.shape != (4,):
+            raise InputError(f"ground plane has {plane.size} numbers, expected 4: a, b, c, d of a x + b y + c z + d")
+        wanted = truth[truth @ plane[:3] + plane[3] > 0]
+    for name, cloud in (("result inside the visible space", judged), ("truth above the ground plane", wanted)):
+        if not len(cloud):
+            raise InputError(f"Chamfer distance: no point of the {name} is left; are both in the same frame and unit?")
+    accuracy = _below(nearest(judged, truth), max_distance)
+    completeness = _below(nearest(wanted, result), max_distance)
+    means = accuracy.mean() if len(accuracy) else np.nan, completeness.mean() if len(completeness) else np.nan
+    medians = [float(np.median(d)) if len(d) else float("nan") for d in (accuracy, completeness)]
+    return Chamfer(float(means[0]), float(means[1]), float(sum(means) / 2), *medians, len(judged), len(wanted))
+
+
+def f_score(result, truth, threshold: float, *, downsample=None) -> FScore:
+    """Precision, recall and F-score at a distance.
+
+    Tanks and Temples thins both clouds to half the threshold first: `downsample=threshold / 2`.
+    """
+    if not threshold > 0:
+        raise InputError(f"F-score: the threshold is {threshold!r}, expected a length above 0 in scene units")
+    result, truth = _cloud(result, "result"), _cloud(truth, "truth")
+    if downsample:
+        result, truth = (cloud[thin(cloud, downsample)] for cloud in (result, truth))
+    precision = float((nearest(result, truth) < threshold).mean())
+    recall = float((nearest(truth, result) < threshold).mean())
+    both = precision + recall
+    return FScore(precision, recall, 2 * precision * recall / both if both else 0.0, float(threshold))
+
+
+def nearest(points, cloud) -> np.ndarray:
+    """Distance from each of `points` (n, 3) to the nearest of `cloud` (m, 3): float64 (n,)."""
+    return _tree(cloud).query(points, workers=-1)[0]
+
+
+def thin(points, radius: float, seed: int = 0) -> np.ndarray:
+    """Keep points in a random but repeatable order, dropping each within `radius` of one kept before.
+
+    What DTU's evaluation does, with the same result as its loop, in rounds over all points at once: a point whose
+    earlier neighbours are all dropped is kept, and one with a kept earlier neighbour is dropped.
+
+    Returns
+    -------
+    ndarray of bool, (n,)
+    """
+    if not radius > 0:
+        raise InputError(f"thinning: the radius is {radius!r}, expected a length above 0 in scene units")
+    rank = np.random.default_rng(seed).permutation(len(points))
+    pairs = _tree(points).query_pairs(radius, output_type="ndarray")
+    earlier = np.where(rank[pairs[:, 0]] < rank[pairs[:, 1]], pairs[:, 0], pairs[:, 1])
+    later = pairs.sum(axis=1) - earlier
+    kept, undecided = np.zeros(len(points), bool), np.ones(len(points), bool)
+    while undecided.any():
+        waits = np.zeros(len(points), bool)
+        waits[later] = True
+        kept |= undecided & ~waits
+        undecided &= waits
+        undecided[later[kept[earlier]]] = False
+        open_pairs = undecided[earlier] & undecided[later]
+        earlier, later = earlier[open_pairs], later[open_pairs]
+    return kept
+
+
+def _tree(points):
+    need("scipy", "evaluate", "comparing point clouds")
+    from scipy.spatial import cKDTree
+
+    return cKDTree(points)
+
+
+def _below(distances, limit):
+    return distances[distances < limit]
+
+
+def _cloud(points, who):
+    points = np.asarray(points, np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"{who} cloud has shape {points.shape}, expected (n, 3)")
+    if not len(points):
+        raise InputError(f"{who} cloud is empty")
+    if not np.isfinite(points).all():
+        raise InputError(f"{who} cloud holds coordinates that are not finite; drop those points first")
+    return points

@@ -1,0 +1,154 @@
+"""How well a depth map predicts a photo that took no part: correlation of patches warped through the depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pagas_cl.errors import InputError
+
+_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Zero-mean normalised cross-correlation of the target's patches with those warped from a held-out photo.
+
+    Attributes
+    ----------
+    median, mean : float
+        Over the pixels whose whole patch is seen in both photos and has contrast in the target.
+    pixels : int
+    correlation : ndarray of float32, (H, W)
+        Per pixel, nan where it is not defined.
+    """
+
+    median: float
+    mean: float
+    pixels: int
+    correlation: np.ndarray = field(repr=False)
+
+
+def predict_photo(target, depth, other, other_depth=None, *, patch=7, tolerance=0.01, mask=None) -> Prediction:
+    """Warp the photo of `other` into `target` through `depth` and correlate.
+
+    Parameters
+    ----------
+    target, other : View
+    depth : ndarray of shape (H, W)
+        The target's z-depth, 0 = no surface.
+    other_depth : ndarray or None
+        The other view's depth, its photo's size: pixels that lie behind it by more than `tolerance` (share of the
+        depth) are not seen there and left out; None lets the target's own points occlude one another.
+    patch : int
+        Pixels along a side, odd.
+    mask : ndarray of bool, (H, W), or None
+        Only these pixels are reported.
+    """
+    if patch < 3 or patch % 2 == 0:
+        raise InputError(f"prediction: the patch is {patch!r} pixels wide, expected an odd number of at least 3")
+    camera, depth = target.camera, np.asarray(depth, np.float64)
+    if depth.shape != (camera.height, camera.width):
+        raise InputError(f"depth map of {target.name!r} is {depth.shape[1]} x {depth.shape[0]}, its camera says "
+                         f"{camera.width} x {camera.height}: resize it first")
+    position, z = _project(camera, other.camera, depth)
+    warped, inside = sample_bilinear(other.load_image().astype(np.float32) @ _LUMA, position)
+    seen = inside & (depth > 0) & (z > 0)
+    seen &= _visible(position, z, seen, other, other_depth, tolerance)
+    for view, where in ((target, None), (other, position)):
+        keep = view.load_mask()
+        if keep is not None:
+            seen &= keep if where is None else sample_bilinear(keep.astype(np.float32), where)[0] > 0.999
+    correlation = correlate(target.load_image().astype(np.float32) @ _LUMA, warped, seen, patch)
+    if mask is not None:
+        correlation[~np.asarray(mask, bool)] = np.nan
+    return summarise(correlation)
+
+
+def summarise(correlation) -> Prediction:
+    """Figures of a map of correlations."""
+    values = correlation[np.isfinite(correlation)]
+    if not len(values):
+        return Prediction(float("nan"), float("nan"), 0, correlation)
+    return Prediction(float(np.median(values)), float(values.mean()), len(values), correlation)
+
+
+def compare_predictions(target, depths, other, other_depth=None, **settings) -> list[Prediction]:
+    """`predict_photo` for several depth maps over the pixels that all of them predict, so that none gains by leaving
+    out what is hard."""
+    maps = [predict_photo(target, depth, other, other_depth, **settings).correlation for depth in depths]
+    common = np.logical_and.reduce([np.isfinite(m) for m in maps])
+    return [summarise(np.where(common, m, np.nan).astype(np.float32)) for m in maps]
+
+
+def correlate(a, b, valid, patch) -> np.ndarray:
+    """Zero-mean normalised cross-correlation of two grey images (0..255) in windows, float32 (H, W).
+
+    nan where the window leaves the image, holds an invalid pixel, or has a standard deviation below half a grey level.
+    """
+    a, b = np.asarray(a, np.float64), np.where(valid, b, 0.0)
+    number = patch * patch
+    with np.errstate(invalid="ignore", divide="ignore"):
+        whole = box_sum(valid.astype(np.float64), patch) > number - 0.5
+        mean_a, mean_b = box_sum(a, patch) / number, box_sum(b, patch) / number
+        var_a = box_sum(a * a, patch) / number - mean_a**2
+        var_b = box_sum(b * b, patch) / number - mean_b**2
+        score = (box_sum(a * b, patch) / number - mean_a * mean_b) / np.sqrt(np.maximum(var_a * var_b, 1e-12))
+    # a warped patch without contrast predicts nothing: it counts as 0, or a wrong depth could gain by finding one
+    score = np.where(var_b < 0.25, 0.0, score)
+    return np.where(whole & (var_a >= 0.25), np.clip(score, -1, 1), np.nan).astype(np.float32)
+
+
+def box_sum(image, size) -> np.ndarray:
+    """Sums over size x size windows, nan where the window leaves the image: float64 (H, W)."""
+    out = np.full(image.shape, np.nan)
+    h, w = image.shape
+    if min(h, w) < size:
+        return out
+    total = np.zeros((h + 1, w + 1))
+    total[1:, 1:] = image.cumsum(0).cumsum(1)
+    half = size // 2
+    out[half:h - half, half:w - half] = (total[size:, size:] - total[:-size, size:] - total[size:, :-size]
+                                         + total[:-size, :-size])
+    return out
+
+
+def sample_bilinear(image, position):
+    """Values at pixel positions (..., 2), pixel centres at +0.5, and whether each lies between four centres."""
+    h, w = image.shape
+    x, y = position[..., 0] - 0.5, position[..., 1] - 0.5
+    with np.errstate(invalid="ignore"):
+        inside = (x >= 0) & (y >= 0) & (x <= w - 1) & (y <= h - 1)
+    x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
+    left, top = np.minimum(x.astype(np.int64), max(w - 2, 0)), np.minimum(y.astype(np.int64), max(h - 2, 0))
+    right, bottom = np.minimum(left + 1, w - 1), np.minimum(top + 1, h - 1)
+    px, py = x - left, y - top
+    value = ((image[top, left] * (1 - px) + image[top, right] * px) * (1 - py)
+             + (image[bottom, left] * (1 - px) + image[bottom, right] * px) * py)
+    return np.where(inside, value, 0.0), inside
+
+
+def _project(camera, other, depth):
+    rotation, tau = other.relative_to(camera)
+    point = depth[..., None] * (camera.rays() @ rotation.T) + tau
+    z = point[..., 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return point[..., :2] / z[..., None] * (other.fx, other.fy) + (other.cx, other.cy), z
+
+
+def _visible(position, z, seen, other, other_depth, tolerance):
+    """Which points nothing hides in the other view."""
+    h, w = other.camera.height, other.camera.width
+    column = np.clip(np.nan_to_num(position[..., 0]), 0, w - 1).astype(np.int64)
+    row = np.clip(np.nan_to_num(position[..., 1]), 0, h - 1).astype(np.int64)
+    if other_depth is None:
+        first = np.full((h, w), np.inf)
+        np.minimum.at(first, (row[seen], column[seen]), z[seen])
+    else:
+        first = np.asarray(other_depth, np.float64)
+        if first.shape != (h, w):
+            raise InputError(f"depth map of {other.name!r} is {first.shape[1]} x {first.shape[0]}, its camera says "
+                             f"{w} x {h}: resize it first")
+        first = np.where(first > 0, first, np.inf)
+    return z <= first[row, column] * (1 + tolerance)
