@@ -1,0 +1,175 @@
+"""Do photos agree over a surface? Patches of it, looked up in pairs of views and correlated. NumPy alone.
+
+Right cameras see the same texture at the same place of the surface; wrong ones do not. No depth maps, no device and no
+ray casting are needed: occlusion is judged by a coarse depth buffer of surface samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.mesh import Surface
+
+_SIDE = 9            # patch of 9 x 9 samples, one pixel of the reference view apart
+_MARGIN = 6.0        # pixels that a patch's middle keeps from the border
+_LEAST_TEXTURE = 3.0  # standard deviation of a patch, grey levels of 255; flatter ones say nothing
+_FACING = 0.25       # least cosine between ray and normal
+_PER_CELL = 6        # surface samples in a cell of the depth buffer, on average
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Points spread evenly over a surface.
+
+    `points` and `normals` are float64 of shape (N, 3), normals unit; the first `few` of them are the middles of
+    patches, all of them fill the depth buffer.
+    """
+
+    points: np.ndarray = field(repr=False)
+    normals: np.ndarray = field(repr=False)
+    few: int = 1500
+
+
+def sample_surface(surface: Surface, count: int = 20000, few: int = 1500, seed: int = 0) -> Samples:
+    """`count` points on `surface`, as many on equal areas; the same ones each time."""
+    rng = np.random.default_rng(seed)
+    a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
+    across = np.cross(b - a, c - a)
+    twice_area = np.linalg.norm(across, axis=1)
+    total = twice_area.sum()
+    if not total > 0:
+        return Samples(np.zeros((0, 3)), np.zeros((0, 3)), 0)
+    ends = np.cumsum(twice_area / total)
+    face = np.minimum(np.searchsorted(ends, rng.random(count)), len(ends) - 1)
+    face = face[twice_area[face] > 0]
+    u, v = rng.random((2, len(face), 1))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    points = a[face] + u * (b - a)[face] + v * (c - a)[face]
+    return Samples(points, across[face] / twice_area[face, None], few)
+
+
+def inside(camera: Camera, points: np.ndarray, margin: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Which points (N, 3) lie in front of the camera, and which inside its image too: two bool arrays (N,)."""
+    uv, z = camera.project(points)
+    front = z > 0
+    with np.errstate(invalid="ignore"):
+        within = (uv > margin).all(axis=-1) & (uv < np.array([camera.width, camera.height]) - margin).all(axis=-1)
+    return front, front & within
+
+
+def visible(camera: Camera, samples: Samples) -> np.ndarray:
+    """Which of the first `few` samples the camera sees unoccluded and not at a grazing angle: bool (few,)."""
+    _, seen = inside(camera, samples.points, _MARGIN)
+    index = np.flatnonzero(seen)
+    result = np.zeros(samples.few, bool)
+    if not len(index):
+        return result
+    uv, z = camera.project(samples.points[index])
+    cell = max(1.0, np.sqrt(_PER_CELL * camera.width * camera.height / len(index)))
+    columns = int(camera.width / cell) + 1
+    place = (uv[:, 1] / cell).astype(np.intp) * columns + (uv[:, 0] / cell).astype(np.intp)
+    nearest = np.full(place.max() + 1, np.inf)
+    np.minimum.at(nearest, place, z)
+    slack = 3 * cell * z / min(camera.fx, camera.fy)  # a surface that slopes by 70 degrees fills its cell that deep
+    ray = samples.points[index] - camera.center
+    cosine = np.abs((ray * samples.normals[index]).sum(axis=1)) / np.linalg.norm(ray, axis=1)
+    good = (z <= nearest[place] + slack) & (cosine > _FACING)
+    result[index[good & (index < samples.few)]] = True
+    return result
+
+
+def choose_pairs(cameras: list[Camera], seen: np.ndarray, samples: Samples, most: int = 12) -> list[tuple[int, int]]:
+    """Pairs of views that share many samples at a useful angle; `seen` is bool (views, few)."""
+    points = samples.points[:samples.few]
+    pairs = []
+    for a in np.linspace(0, len(cameras) - 1, min(len(cameras), most)).astype(int):
+        ranked = []
+        for b in range(len(cameras)):
+            both = seen[a] & seen[b]
+            if a == b or np.count_nonzero(both) < 10:
+                continue
+            rays = [points[both] - cameras[k].center for k in (a, b)]
+            cosine = (rays[0] * rays[1]).sum(axis=1) / np.prod([np.linalg.norm(r, axis=1) for r in rays], axis=0)
+            angle = np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1)))
+            if 2 < angle < 45:
+                ranked.append((np.count_nonzero(both), int(b)))
+        pairs += [(int(a), b) for _, b in sorted(ranked, reverse=True)[:2]]
+    return pairs[:2 * most]
+
+
+def patch_correlation(cameras: list[Camera], greys: list, pairs, seen: np.ndarray, samples: Samples) -> np.ndarray:
+    """Zero-mean normalised correlation of each patch between the two views of each pair.
+
+    Parameters
+    ----------
+    greys : list of ndarray (H, W), float32, grey levels of 255 (None where no pair needs it)
+    pairs : list of (reference view, other view)
+    seen : bool (views, few)
+
+    Returns
+    -------
+    ndarray of shape (pairs, few), NaN where the patch is unseen or has no texture
+    """
+    points, normals = samples.points[:samples.few], samples.normals[:samples.few]
+    result = np.full((len(pairs), samples.few), np.nan)
+    for row, (a, b) in enumerate(pairs):
+        index = np.flatnonzero(seen[a] & seen[b])
+        if len(index):
+            patch = _patches(points[index], normals[index], cameras[a])
+            result[row, index] = _correlation(*(_look_up(greys[k], cameras[k], patch) for k in (a, b)))
+    return result
+
+
+def _patches(points: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndarray:
+    """Grids on the tangent planes, one pixel of `camera` apart: (n, _SIDE**2, 3)."""
+    right = np.broadcast_to(camera.world_to_camera[0, :3], normals.shape)
+    down = np.cross(normals, right)
+    down /= np.maximum(np.linalg.norm(down, axis=1, keepdims=True), 1e-12)
+    right = np.cross(down, normals)
+    footprint = (camera.project(points)[1] / np.sqrt(camera.fx * camera.fy))[:, None, None]
+    steps = np.arange(_SIDE) - (_SIDE - 1) / 2
+    u, v = (grid.ravel()[None, :, None] for grid in np.meshgrid(steps, steps))
+    return points[:, None] + footprint * (u * right[:, None] + v * down[:, None])
+
+
+def _look_up(grey: np.ndarray, camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Bilinear grey values at the projections of `points` (n, m, 3), pixel centres at +0.5; the border is repeated."""
+    uv, _ = camera.project(points)
+    height, width = grey.shape
+    with np.errstate(invalid="ignore"):
+        x = np.nan_to_num(np.clip(uv[..., 0] - 0.5, 0, width - 1.001))
+        y = np.nan_to_num(np.clip(uv[..., 1] - 0.5, 0, height - 1.001))
+    x, y = np.maximum(x, 0), np.maximum(y, 0)
+    left, top = x.astype(np.intp), y.astype(np.intp)
+    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    fx, fy = x - left, y - top
+    return ((grey[top, left] * (1 - fx) + grey[top, right] * fx) * (1 - fy)
+            + (grey[bottom, left] * (1 - fx) + grey[bottom, right] * fx) * fy)
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    a, b = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=1, keepdims=True)
+    spread = [np.sqrt((p * p).mean(axis=1)) for p in (a, b)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value = (a * b).mean(axis=1) / (spread[0] * spread[1])
+    return np.where((spread[0] > _LEAST_TEXTURE) & (spread[1] > 0.3 * _LEAST_TEXTURE), value, np.nan)
+
+
+def grey_of(image: np.ndarray) -> np.ndarray:
+    """uint8 RGB (H, W, 3) as grey levels, float32 (H, W), Rec. 601 luma."""
+    return image.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
+
+
+def prefers(other: np.ndarray, given: np.ndarray) -> tuple[bool, float]:
+    """Whether patches correlate better under another reading: (significantly better, median gain).
+
+    Patches are compared one by one; neighbours are related, so that only a quarter of them is counted as independent.
+    """
+    gain = (other - given)[np.isfinite(other) & np.isfinite(given)]
+    if len(gain) < 30:
+        return False, 0.0
+    share = (gain > 0).mean()
+    return bool(share > 0.5 + 1.5 / np.sqrt(len(gain) / 4) and np.median(gain) > 2e-3), float(np.median(gain))

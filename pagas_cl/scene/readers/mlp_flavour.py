@@ -1,0 +1,73 @@
+"""Which way a MeshLab project counts CenterPx.y: settled by its own photos over its own mesh."""
+
+from __future__ import annotations
+
+from pagas_cl.errors import InputError, MissingExtraError
+from pagas_cl.scene import consistency
+from pagas_cl.scene.mesh import Surface, read_mesh
+from pagas_cl.scene.readers.meshlab import FLAVOURS, Project
+
+_SAME = 1.0   # pixels: readings nearer than this need no settling
+_VIEWS = 8
+
+
+def settle_flavour(project: Project) -> tuple[str, str]:
+    """("meshlab" or "openmvs", one sentence that says why).
+
+    Both readings are tried: patches of the project's mesh are correlated between pairs of its photos. MeshLab's own
+    reading is taken where the two hardly differ, where there is no mesh or photo to compare, and where the photos do
+    not prefer the other one.
+    """
+    apart = project.readings_differ()
+    what = f"{project.path}: CenterPx.y"
+    if apart < _SAME:
+        return "meshlab", f"{what} reads the same from the top and from the bottom (within {_SAME:g} pixel)"
+    unsettled = f"{what} was read from the bottom, as MeshLab writes it, {apart:.4g} pixels from the other reading"
+    try:
+        surface = _surface(project)
+        scores = {flavour: _score(project, surface, flavour) for flavour in FLAVOURS}
+    except (InputError, MissingExtraError) as error:
+        return "meshlab", f"{unsettled}; photos could not settle it ({error})"
+    if any(score is None for score in scores.values()):
+        return "meshlab", f"{unsettled}; photos could not settle it (too few textured patches are seen by two views)"
+    better = {f: consistency.prefers(scores[f], scores[FLAVOURS[1 - i]])[0] for i, f in enumerate(FLAVOURS)}
+    medians = {f: _median(score) for f, score in scores.items()}
+    told = f"(correlation {medians['meshlab']:.2f} from the bottom, {medians['openmvs']:.2f} from the top)"
+    if better["openmvs"]:
+        return "openmvs", (f"{what} was read from the TOP, as OpenMVS writes it: the photos prefer it {told}; pass "
+                           "flavour='meshlab' if that is wrong")
+    if better["meshlab"]:
+        return "meshlab", f"{what} was read from the bottom, as MeshLab writes it; the photos agree {told}"
+    return "meshlab", f"{unsettled}; the photos prefer neither {told}: pass flavour='openmvs' if OpenMVS wrote the file"
+
+
+def _median(values) -> float:
+    import numpy as np
+
+    return float(np.nanmedian(values))
+
+
+def _surface(project: Project) -> Surface:
+    """The first visible mesh layer in the project's world."""
+    layer = next((m for m in project.meshes if m.visible and m.path is not None), None)
+    if layer is None:
+        raise InputError("the project has no mesh layer with a file")
+    surface = read_mesh(layer.path)
+    return Surface(surface.vertices @ layer.matrix[:3, :3].T + layer.matrix[:3, 3], surface.faces)
+
+
+def _score(project: Project, surface: Surface, flavour: str):
+    """Correlations of patches between pairs of views; pairs and patches are those of MeshLab's reading."""
+    import numpy as np
+
+    keep = np.unique(np.linspace(0, len(project.rasters) - 1, min(_VIEWS, len(project.rasters))).astype(int))
+    views = [project.scene(flavour).views[k] for k in keep]
+    plain = [project.rasters[k].camera("meshlab") for k in keep]
+    samples = consistency.sample_surface(surface)
+    seen = np.array([consistency.visible(camera, samples) for camera in plain])
+    pairs = consistency.choose_pairs(plain, seen, samples)
+    if not pairs:
+        return None
+    greys = [consistency.grey_of(view.load_image()) for view in views]
+    scores = consistency.patch_correlation([v.camera for v in views], greys, pairs, seen, samples)
+    return scores if np.isfinite(scores).sum() >= 30 else None
