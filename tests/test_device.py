@@ -1,5 +1,6 @@
 """Choosing a device, with a pyopencl that is made of plain objects, and once with the real one."""
 
+import json
 import logging
 import subprocess
 import sys
@@ -168,6 +169,17 @@ def test_pyopencl_that_cannot_be_loaded(monkeypatch):
     with pytest.raises(DeviceError, match="pip install pyopencl"):
         open_device()
     assert "--force-reinstall" in icd.no_pyopencl(ImportError("DLL load failed"))
+
+
+def test_the_listing_tries_every_device(machine):
+    def fails(context):
+        if "H100" in context.name:
+            raise ClError("error: no such target")
+
+    machine(*TWO, build=fails)
+    told = {d["name"]: DeviceInfo(**d) for d in json.loads(listing._answer())["devices"]}
+    assert "compiler that works (error: no such target)" in told["NVIDIA H100"].lacks[0]
+    assert not told["NVIDIA T4"].lacks
 
 
 def test_does_without():

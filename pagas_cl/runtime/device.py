@@ -35,6 +35,8 @@ class DeviceInfo:
     work_group, compute_units : int
     extensions : tuple of str
     available, compiler, little_endian : bool
+    fault : str
+        Why the device does not do what it says, where a trial (`trial_fault`) has shown it.
     """
 
     platform: str
@@ -53,6 +55,7 @@ class DeviceInfo:
     available: bool = True
     compiler: bool = True
     little_endian: bool = True
+    fault: str = ""
 
     @property
     def title(self) -> str:
@@ -70,7 +73,8 @@ class DeviceInfo:
             (self.local_memory < LOCAL_MEMORY, f"{LOCAL_MEMORY // 1024} kB of local memory"),
             (self.work_group < WORK_GROUP, f"work-groups of {WORK_GROUP} (it allows {self.work_group})"),
         )
-        return tuple(text for fault, text in faults if fault)
+        tried = (f"a compiler that works ({self.fault})",) if self.fault else ()
+        return tuple(text for fault, text in faults if fault) + tried
 
     @property
     def does_without(self) -> tuple[str, ...]:
@@ -196,6 +200,15 @@ def describe(cl, platform, device) -> DeviceInfo:
         work_group=int(device.max_work_group_size), compute_units=int(device.max_compute_units),
         extensions=tuple(device.extensions.split()), available=bool(device.available),
         compiler=bool(device.compiler_available), little_endian=bool(device.endian_little))
+
+
+def trial_fault(cl, cl_device) -> str:
+    """Why the device cannot be opened or cannot compile a small kernel; an empty string where it can."""
+    try:
+        cl.Program(cl.Context([cl_device]), _TRIAL).build(["-cl-std=CL1.2"])
+    except cl.Error as error:
+        return _cause(error)
+    return ""
 
 
 def _asked(name) -> tuple[str, str]:

@@ -10,7 +10,7 @@ import sys
 from dataclasses import asdict
 
 from pagas_cl.errors import DeviceError
-from pagas_cl.runtime.device import DeviceInfo, find_devices, import_pyopencl
+from pagas_cl.runtime.device import DeviceInfo, find_devices, import_pyopencl, trial_fault
 
 
 def list_devices(timeout: float = 60.0) -> list[DeviceInfo]:
@@ -49,9 +49,12 @@ def _signal(number: int) -> str:
 
 
 def _answer() -> str:
-    """What the child process writes: the devices, or the sentence that says why there is none, as one line of JSON."""
+    """What the child process writes: the devices, each tried with a small kernel, or the sentence that says why there
+    is none; one line of JSON."""
     try:
-        return json.dumps({"devices": [asdict(info) for info, _ in find_devices(import_pyopencl())]})
+        cl = import_pyopencl()
+        return json.dumps({"devices": [{**asdict(info), "fault": trial_fault(cl, device)}
+                                       for info, device in find_devices(cl)]})
     except DeviceError as error:
         return json.dumps({"error": str(error)})
 
