@@ -53,7 +53,12 @@ class MadeScene:
         return View(camera=camera, image=self.image(index), mask=mask, name=camera.name)
 
     def image(self, index: int) -> np.ndarray:
-        """Photo of view `index`, uint8 (height, width, 3)."""
+        """Photo of view `index`, uint8 (height, width, 3); rendered once."""
+        if ("image", index) not in self._shared:
+            self._shared["image", index] = self._render(index)
+        return self._shared["image", index]
+
+    def _render(self, index):
         relief, camera = self.relief, self.cameras[index]
         rng = np.random.default_rng([relief.seed, 7, index])
         jitter = rng.uniform(-1, 1, 2) * relief.exposure * (0 < index <= relief.contexts)

@@ -1,0 +1,83 @@
+"""The demo's flow with a refinement that is faked, and the scene folder that it writes; then the real one."""
+
+import importlib.util
+import re
+import sys
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+from scenes import tiny
+
+from pagas_cl.__main__ import run
+from pagas_cl.made.disk import write_scene
+from pagas_cl.scene.depthmap import load_depth
+from pagas_cl.scene.readers import read_scene
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return write_scene(tiny(foreground=True), tmp_path / "scene")
+
+
+def test_scene_folder_reads_back(folder):
+    made = tiny(foreground=True)
+    scene = read_scene(folder)
+    assert [view.name for view in scene.views] == [f"{view.name}.png" for view in made.all_views]
+    for read, view in zip(scene.views, made.all_views):
+        assert np.array_equal(read.load_image(), view.load_image())
+        assert np.array_equal(read.load_mask(), view.load_mask())
+        assert np.allclose(read.camera.world_to_camera, view.camera.world_to_camera, atol=0)
+    depth = load_depth(folder / "depth_true" / "target.npz")
+    assert np.array_equal(depth, made.true_depth(made.cameras[0]))
+
+
+def test_coarse_mesh_file_reads_back(folder):
+    o3d = pytest.importorskip("open3d", reason="Open3D is not installed", exc_type=ImportError)
+    vertices, faces = tiny(foreground=True).initial_mesh()
+    mesh = o3d.io.read_triangle_mesh(str(folder / "mesh_coarse.ply"))
+    assert np.array_equal(np.asarray(mesh.vertices), vertices)
+    assert np.array_equal(np.asarray(mesh.triangles), faces)
+
+
+def test_evaluate_command_on_the_folder(folder, capsys):
+    status = run(["evaluate", str(folder / "depth_initial"), str(folder / "depth_true"), "--scene", str(folder),
+                  "--held-out", "held_out_0.png", "--before", str(folder / "depth_true")])
+    said = capsys.readouterr()
+    assert status == 0, said.err
+    assert "target.png: depth error" in said.out and "target.png from held_out_0.png" in said.out
+    assert run(["evaluate", str(folder / "depth_initial"), "--scene", str(folder)]) == 2
+
+
+def test_demo_with_a_faked_refinement(tmp_path, capsys, monkeypatch):
+    fake = ModuleType("pagas_cl.refine")
+    truth = {}
+
+    def refine_depth(target, contexts, depth, **_):
+        assert all(context is not target for context in contexts)
+        half = 0.5 * (depth + truth[target.name])
+        return SimpleNamespace(depth=half, confidence=np.ones_like(half), counts={"refined": int((half > 0).sum())})
+
+    fake.refine_depth = refine_depth
+    monkeypatch.setitem(sys.modules, "pagas_cl.refine", fake)
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    made = tiny(contexts=2, height=72)
+    truth.update({view.name: made.true_depth(view.camera) for view in made.views})
+    status = run(["demo", "--output", str(tmp_path), "--width", "96", "--context", "2", "--quiet"])
+    said = capsys.readouterr()
+    assert status == 0, said.err
+    assert "target" in said.out and "correlation with the held-out photo" in said.out
+    assert (tmp_path / "report" / "index.html").is_file()
+    old, new = map(float, re.search(r"target\s+([\d.]+) -> ([\d.]+)", said.out).groups())
+    assert new == pytest.approx(0.5 * old, rel=0.05)
+
+
+def test_demo_on_a_device(tmp_path):
+    if importlib.util.find_spec("pagas_cl.refine") is None:
+        pytest.skip("pagas_cl.refine is not there yet")
+    from pagas_cl.demo import run_demo
+
+    result = run_demo(tmp_path, width=200, height=150, contexts=4)
+    old, new = result.before["target"].smooth, result.after["target"].smooth
+    assert new.mean < 0.6 * old.mean and new.normal_mean < old.normal_mean
+    assert result.prediction[1] > result.prediction[0]
