@@ -13,8 +13,8 @@ import sys
 from ctypes.util import find_library
 from pathlib import Path
 
-CPU_ADVICE = ('For any CPU: pip install "pagas-cl[pocl]", or on Debian and Ubuntu: apt-get install pocl-opencl-icd; for a GPU '
-              "install its vendor's OpenCL driver.")
+CPU_ADVICE = ('For any CPU: pip install "pagas-cl[pocl]", or on Debian and Ubuntu: apt-get install pocl-opencl-icd; '
+              "for a GPU install its vendor's OpenCL driver.")
 
 
 def no_pyopencl(error: ImportError) -> str:

@@ -1,0 +1,168 @@
+"""The package as it is shipped: what a wheel holds, what an import loads, who may import whom, and names."""
+
+import ast
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+SOURCES = {"pagas_cl": ROOT / "pagas_cl", "pagas_cl/cl_kernels": ROOT / "cl_kernels", "pagas_cl/filters": ROOT / "filters"}
+SHIPPED = {".py", ".cl", ".clh", ".mlx"}
+OPTIONAL = {"open3d", "pymeshlab", "pycolmap", "matplotlib", "skimage", "scipy", "dask", "distributed"}
+
+# What each part may import of the others; the flow is one way (a part may always import itself, errors and config).
+ALLOWED = {
+    "errors": set(), "config": set(), "scene": set(), "reference": {"scene"}, "runtime": {"scene", "cl_kernels"},
+    "surface": {"scene", "runtime"}, "splat": {"scene", "runtime"}, "evaluate": {"scene"}, "made": {"scene", "evaluate"},
+    "camera_check": {"scene", "surface"},
+    "report": {"scene", "reference", "evaluate"},
+}
+WITHOUT_OPENCL = {"errors", "config", "scene", "reference", "report", "evaluate", "made"}
+# Kernel files that belong to a stage of another name.
+STAGE = {"alpha": "composite"}
+REFERENCE = {"alpha": "composite", "backward": "composite"}
+
+
+def shipped_files():
+    """Every file that belongs into the wheel, as the wheel names it."""
+    return {f"{prefix}/{path.relative_to(folder).as_posix()}" for prefix, folder in SOURCES.items()
+            for path in folder.rglob("*") if path.suffix in SHIPPED and "__pycache__" not in path.parts}
+
+
+def modules():
+    """(part, path, syntax tree) of every module of pagas_cl; a part is a folder or a module at the top."""
+    for path in sorted(SOURCES["pagas_cl"].rglob("*.py")):
+        yield path.relative_to(SOURCES["pagas_cl"]).parts[0].removesuffix(".py"), path, ast.parse(path.read_text())
+
+
+def imported(tree):
+    """Full names that the statements of `tree` import."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are written in full"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def imported_at_once(tree):
+    """As `imported`, of the statements that run when the module is imported."""
+    later = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, (ast.Import, ast.ImportFrom)):
+            yield from imported(ast.Module([node], []))
+        waiting += [child for child in ast.iter_child_nodes(node) if not isinstance(child, later)]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """A wheel built from a copy of the tree, so that nothing is left behind in it."""
+    tree, out = tmp_path_factory.mktemp("tree"), tmp_path_factory.mktemp("wheel")
+    for name in ("pagas_cl", "cl_kernels", "filters"):
+        shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, tree)
+    done = subprocess.run([sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(tree)],
+                          capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return next(out.glob("*.whl"))
+
+
+def test_wheel_holds_every_source_kernel_and_filter_and_nothing_else(wheel):
+    names = set(zipfile.ZipFile(wheel).namelist())
+    code = {name for name in names if ".dist-info/" not in name}
+    assert code == shipped_files()
+    assert any(name.endswith(".cl") for name in code) and any(name.endswith(".clh") for name in code)
+    assert any(name.endswith("LICENSE") for name in names - code)
+
+
+def test_kernels_are_read_from_a_zipped_wheel(wheel, tmp_path):
+    program = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import pagas_cl
+from importlib.resources import files
+from pagas_cl.runtime.program import source
+assert pagas_cl.__file__.startswith(sys.argv[1]), pagas_cl.__file__
+kernels = [f.name for f in files("pagas_cl.cl_kernels").iterdir() if f.name.endswith(".cl")]
+assert kernels and all("__kernel" in source(name) for name in kernels)
+"""
+    done = subprocess.run([sys.executable, "-c", program, str(wheel)], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_package_is_listed():
+    tomllib = pytest.importorskip("tomllib")  # Python 3.11
+    listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
+    there = {str(path.parent.relative_to(ROOT)).replace("/", ".") for path in SOURCES["pagas_cl"].rglob("__init__.py")}
+    assert listed == there | {"pagas_cl.cl_kernels", "pagas_cl.filters"}
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    program = """
+import sys
+import pagas_cl
+dir(pagas_cl); pagas_cl.Camera; pagas_cl.InputError; pagas_cl.Config
+heavy = {"pyopencl", "open3d", "pymeshlab", "pycolmap", "matplotlib", "scipy", "skimage", "typer"} & set(sys.modules)
+assert not heavy, heavy
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_public_name_is_there():
+    import pagas_cl
+
+    for name in pagas_cl.__all__:
+        assert getattr(pagas_cl, name).__name__ == name
+    with pytest.raises(AttributeError, match="no attribute 'refine_mash'"):
+        pagas_cl.refine_mash
+
+
+@pytest.mark.parametrize("part", sorted(ALLOWED))
+def test_the_flow_of_imports_is_one_way(part):
+    may = ALLOWED[part] | {part, "errors", "config"}
+    for name, path, tree in modules():
+        if name == part:
+            used = {full.split(".")[1] for full in imported(tree) if full.startswith("pagas_cl.")}
+            assert used <= may, f"{path} imports {sorted(used - may)}"
+
+
+def test_optional_packages_and_opencl_are_imported_late():
+    for part, path, tree in modules():
+        tops = {full.split(".")[0] for full in imported_at_once(tree)}
+        assert not tops & OPTIONAL, f"{path} imports {tops & OPTIONAL} when it is imported"
+        if part in WITHOUT_OPENCL:
+            assert "pyopencl" not in {full.split(".")[0] for full in imported(tree)}, path
+
+
+def test_library_keeps_its_habits():
+    for _, path, tree in modules():
+        for node in ast.walk(tree):
+            where = f"{path}:{getattr(node, 'lineno', 0)}"
+            assert not isinstance(node, ast.Assert), f"{where}: assert in the library"
+            assert not (isinstance(node, ast.ExceptHandler) and node.type is None), f"{where}: bare except"
+            called = getattr(getattr(node, "func", None), "id", "")
+            assert called != "print", f"{where}: print in the library"
+
+
+def test_kernels_stages_and_twins_have_the_same_names():
+    for kernel in sorted(path.stem for path in SOURCES["pagas_cl/cl_kernels"].glob("*.cl")):
+        stage, twin = STAGE.get(kernel, kernel), REFERENCE.get(kernel, kernel)
+        launchers = [path for path in (ROOT / "pagas_cl" / "splat" / f"{stage}.py",
+                                       ROOT / "pagas_cl" / "surface" / f"{stage}.py") if path.is_file()]
+        assert any(f'"{kernel}.cl"' in path.read_text() for path in launchers), f"nothing launches {kernel}.cl"
+        assert (ROOT / "pagas_cl" / "reference" / f"{twin}.py").is_file(), f"{kernel}.cl has no twin"
+
+
+def test_kernels_use_no_double_and_no_vendor_extension():
+    for path in SOURCES["pagas_cl/cl_kernels"].glob("*.cl*"):
+        code = "\n".join(line.partition("//")[0] for line in path.read_text().splitlines())
+        for word in ("double", "cl_khr_fp64", "cl_nv", "cl_amd", "cl_intel"):
+            assert word not in code, f"{path.name} uses {word}"
