@@ -54,7 +54,7 @@ class DemoResult:
         return head + "".join(rows) + f"correlation with the held-out photo: {old:.4f} -> {new:.4f}\n"
 
 
-def run_demo(folder, *, width=388, height=290, contexts=5, preset="balanced", config=None, device=None,
+def run_demo(folder, *, width=288, height=216, contexts=4, preset="balanced", config=None, device=None,
              progress=None, **settings) -> DemoResult:
     """Make a relief scene, refine the depth of each of its views, compare with the truth, fuse a mesh.
 

@@ -12,8 +12,8 @@ from pagas_cl.commands._console import shown_progress
 
 def command(
     output: Path = typer.Option(Path("demo_out"), "--output", help="Folder for the scene, the pictures and the mesh."),
-    width: int = typer.Option(388, "--width", help="Width of the photos; the height is three quarters of it."),
-    contexts: int = typer.Option(5, "--context", help="Context views."),
+    width: int = typer.Option(288, "--width", help="Width of the photos; the height is three quarters of it."),
+    contexts: int = typer.Option(4, "--context", help="Context views."),
     preset: str = typer.Option("balanced", "--preset", help="Settings to refine with."),
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name."),
     bar: float = typer.Option(0.0, "--bar", help="Width in pixels of a thin bar in front."),
@@ -23,7 +23,7 @@ def command(
     from pagas_cl.demo import run_demo
 
     with shown_progress(quiet) as progress:
-        result = run_demo(output, width=width, height=round(width * 0.7474), contexts=contexts, preset=preset,
+        result = run_demo(output, width=width, height=round(width * 0.75), contexts=contexts, preset=preset,
                           device=device, progress=progress, bar=bar)
     sys.stdout.write(result.table())
     sys.stdout.write(f"refined in {result.seconds:.1f} s\npictures: {result.page}\n")

@@ -45,9 +45,10 @@ class Relief:
         The relief is an ellipse in front of clutter that is different in every photo; views get masks.
     texture, contrast : str, float
         "photos", "noise" or "flat", and how strong its departures from mid grey are.
-    shine, exposure, noise : float
-        Strength of a moving highlight; spread of per-view gain (and a tenth of it of offset), context views only;
-        sensor noise (standard deviation, grey levels of 255).
+    shading, shine, exposure, noise : float
+        Share of the light that varies with the slope, the same in every view (0 leaves only the texture); strength of a
+        moving highlight; spread of per-view gain (and a tenth of it of offset), context views only; sensor noise
+        (standard deviation, grey levels of 255).
     sizes, zooms, distances : tuples of float
         Image size, focal length and distance of the context views relative to the target's, in turn.
     coarse_error : float
@@ -70,6 +71,7 @@ class Relief:
     foreground: bool = False
     texture: str = "photos"
     contrast: float = 1.0
+    shading: float = 0.3
     shine: float = 0.0
     exposure: float = 0.0
     noise: float = 0.0
@@ -83,7 +85,8 @@ class Relief:
         for name, low, high in (("width", 16, 1 << 15), ("height", 16, 1 << 15), ("contexts", 1, len(_GRID)),
                                 ("held_out", 0, len(_HELD_OUT)), ("spacing", 0.01, 20), ("base", 0, 60),
                                 ("detail", 0, 4), ("finest", 2, 1e4), ("coarsest", self.finest, 1e4), ("steps", 0, 4),
-                                ("bar", 0, 100), ("coarse_error", 0, 20), ("exposure", 0, 1), ("noise", 0, 255)):
+                                ("bar", 0, 100), ("coarse_error", 0, 20), ("exposure", 0, 1),
+                                ("shading", 0, 1), ("shine", 0, 10), ("noise", 0, 255)):
             value = getattr(self, name)
             if not low <= value <= high:
                 raise InputError(f"made scene: {name} is {value!r}, expected {low:g} to {high:g}")

@@ -67,7 +67,7 @@ class MadeScene:
         if relief.foreground:
             side = max(camera.width, camera.height)
             backdrop = patchwork(side, side, 1.0, rng, kind="noise")
-        return photo.photograph(self.true_solid, self.skin, camera, look=photo.Look(shine=relief.shine),
+        return photo.photograph(self.true_solid, self.skin, camera, look=photo.Look(relief.shading, relief.shine),
                                 sensor=sensor, backdrop=backdrop)
 
     def true_depth(self, camera: Camera) -> np.ndarray:
