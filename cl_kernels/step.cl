@@ -10,7 +10,7 @@
 
 __kernel void adam(__global float *depth, __global float *gradient, __global float *first, __global float *second,
                    __global const float *unit, __global const float *state, int count, int pass, float damping,
-                   float common_unit)
+                   float common_unit, float share)
 {
     const int i = get_global_id(0);
     if (i >= count)
@@ -26,7 +26,7 @@ __kernel void adam(__global float *depth, __global float *gradient, __global flo
     first[i] = m;
     second[i] = v;
     const float m_hat = m / (1.0f - pown(0.9f, pass)), v_hat = v / (1.0f - pown(0.999f, pass));
-    const float change = v > 0.0f ? state[RATE] * u * m_hat / (sqrt(v_hat) + damping) : 0.0f;
+    const float change = v > 0.0f ? state[RATE] * share * u * m_hat / (sqrt(v_hat) + damping) : 0.0f;
     depth[i] = fmax(d - change, NEAR);
 }
 
@@ -59,7 +59,7 @@ __kernel void plateau(__global float *state, __global float *history, int pass, 
         state[WAITED] = 0.0f;
     } else
         state[WAITED] += 1.0f;
-    if (state[WAITED] > patience) {
+    if (state[WAITED] >= patience) {
         state[WAITED] = 0.0f;
         state[RATE] *= 0.1f;
         if (state[RATE] < floor_rate)

@@ -152,10 +152,14 @@ class Solver:
         Steps without a better loss before the rate falls by 10; 0 keeps the rate.
     rate_floor : float
         A level stops when the rate falls below this share of the first one.
+    final_rate : float
+        The rate falls linearly to this share of it over the last half of a level's steps; 1 keeps it.
     views_per_step : int
         Context views used in each step, in turn; 0 means all.
     max_move : float
         A depth that moved by more than this, pixels of parallax, is rejected and the input kept.
+    tolerance : float
+        A depth is rejected where its patches correlate worse with the context photos than the input's by more.
     """
 
     rate: float = 0.02
@@ -163,14 +167,17 @@ class Solver:
     damping: float = 1e-8
     patience: int = 0
     rate_floor: float = 0.01
+    final_rate: float = 1.0
     views_per_step: int = 0
     max_move: float = 8.0
+    tolerance: float = 0.02
 
     def __post_init__(self):
         _check("solver", rate=_within(self.rate, 1e-12, 100), unit=_one_of(self.unit, "parallax", "distance"),
                damping=_within(self.damping, 0, 1e3), patience=_whole(self.patience, 0, 10**6),
                rate_floor=_within(self.rate_floor, 0, 1), views_per_step=_whole(self.views_per_step, 0, 10**4),
-               max_move=_within(self.max_move, 0, 1e9))
+               final_rate=_within(self.final_rate, 0, 1), max_move=_within(self.max_move, 0, 1e9),
+               tolerance=_within(self.tolerance, 0, 2))
 
 
 @dataclass(frozen=True)
@@ -306,7 +313,7 @@ PAPER = Config(
     splatting=Splatting(blend="alpha", radius=1.42, depth_slices=20.0, low_pass=0.3),
     loss=Loss(ssim=0.2, unseen_mask=True, target_view=True),
     smoothness=Smoothness(kind="none", weight=0.0),
-    solver=Solver(rate=1e-5, unit="distance", patience=10, rate_floor=1e-2, max_move=1e9),
+    solver=Solver(rate=1e-5, unit="distance", patience=10, rate_floor=1e-2, max_move=1e9, tolerance=2.0),
     pyramid=Pyramid(scales=(0.5, 1.0), steps=(100, 100)),
 )
 BALANCED = Config()

@@ -12,8 +12,9 @@ from pagas_cl.reference import resample
 from pagas_cl.reference.composite import Rendered, composite, composite_vjp
 from pagas_cl.reference.project import is_valid, median_depth, project
 from pagas_cl.reference.smooth import smoothness
-from pagas_cl.reference.step import Adam, Plateau, distance_unit, parallax_unit
+from pagas_cl.reference.step import Adam, Plateau, late_share, parallax_unit
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.rig import distance_unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +162,7 @@ def run_level(depth, target: Photo, contexts: list[Photo], config: Config, state
         rate = schedule.next_rate(value)
         if rate == 0:
             break
-        depth = adam.step(depth, gradient, length, rate, solver.damping)
+        depth = adam.step(depth, gradient, length, rate * late_share(step, steps, solver.final_rate), solver.damping)
     return depth, history
 
 

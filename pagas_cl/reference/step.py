@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pagas_cl.reference.project import NEAR, Projected
-from pagas_cl.scene.camera import Camera
 
 BETA1, BETA2 = 0.9, 0.999
 
@@ -27,24 +26,9 @@ def parallax_unit(projections: list[Projected], sizes: list[tuple[int, int]]) ->
     return np.where(total > 0, np.sqrt(count / np.where(total > 0, total, 1.0)), 0.0)
 
 
-def distance_unit(cameras: list[Camera]) -> float:
-    """Median distance of the cameras from the point they look at, scene units (the paper's unit of the rate).
-
-    The point is the one nearest to all viewing axes. NaN where the axes are parallel or the point lies behind most
-    cameras: then there is none.
-    """
-    centers = np.array([camera.center for camera in cameras])
-    axes = np.array([camera.direction for camera in cameras])
-    origin = centers[0]
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # projects onto the plane across each axis
-    normal_matrix = across.sum(axis=0)
-    if np.linalg.eigvalsh(normal_matrix)[0] < 1e-6 * len(cameras):
-        return float("nan")
-    point = np.linalg.solve(normal_matrix, np.einsum("nij,nj->i", across, centers - origin))
-    to_point = point - (centers - origin)
-    if ((to_point * axes).sum(axis=1) > 0).mean() <= 0.5:
-        return float("nan")
-    return float(np.median(np.linalg.norm(to_point, axis=1)))
+def late_share(step: int, steps: int, final: float) -> float:
+    """Of the rate, at step 0, 1, ... of `steps`: 1 over the first half, then linearly down to `final`."""
+    return 1 + max(0.0, 2 * (step + 1) / steps - 1) * (final - 1)
 
 
 @dataclass

@@ -17,7 +17,7 @@ from pagas_cl.splat.state import Size, allocate, camera_table
 
 @dataclass(frozen=True)
 class LevelInput:
-    """What a level works on, target first.
+    """What a level works on: the target first, then `contexts` context views, then views that only judge.
 
     Attributes
     ----------
@@ -31,6 +31,8 @@ class LevelInput:
         Depth threshold, device units.
     distance_unit : float
         Median distance of the cameras from the point they look at, device units.
+    contexts : int
+        Number of context views.
     """
 
     cameras: list[Camera]
@@ -38,6 +40,7 @@ class LevelInput:
     unit: float
     threshold: float
     distance_unit: float
+    contexts: int
 
     @property
     def sizes(self) -> list[Size]:
@@ -45,28 +48,32 @@ class LevelInput:
 
 
 class Level:
-    """Buffers and bound launches of one level. `run` refines the depth in `arena["depth"]` in place."""
+    """Buffers and bound launches of one level: `enter`, `start`, then `run` refines arena["depth"] in place."""
 
-    def __init__(self, device, config: Config, given: LevelInput, initial, start):
-        """`initial` and `start` are functions that enqueue the writing of a depth map into the buffer they get: that
-        of the whole run, under which units and unseen masks are taken, and the one that the level starts from."""
-        self.device, self.config, self.given = device, config, given
+    def __init__(self, device, config: Config, given: LevelInput):
         target, *contexts = given.sizes
+        self.device, self.config, self.given = device, config, given
         self.defines = defines(config, device, max(target.grid))
-        self.target, self.contexts = target, contexts
-        self.arena: Arena = allocate(device, config, target, contexts)
-        table = camera_table(given.cameras[0], given.cameras[1:], given.unit)
-        cl.enqueue_copy(device.queue, self.arena["cameras"], table)
-        self._prepare(initial, start)
-        self.views = [self._view(v) for v in range(1, len(given.cameras))]
-        self.target_view = self._target_view() if config.loss.target_view and config.solver.patience else []
+        self.target, self.contexts = target, contexts[:given.contexts]
+        self.arena: Arena = allocate(device, config, target, contexts, given.contexts)
+        cl.enqueue_copy(device.queue, self.arena["cameras"],
+                        camera_table(given.cameras[0], given.cameras[1:], given.unit))
+
+    def enter(self, write):
+        """Take units and unseen masks under the run's initial depth; `write(buffer)` enqueues its writing."""
+        self._once(write, project.before_steps)
+
+    def start(self, write):
+        """The depth that the steps start from."""
+        self._once(write, smooth.before_steps)
+        self.views = [self._view(v) for v in range(1, 1 + len(self.contexts))]
+        self.target_view = self._target_view() if self.config.loss.target_view and self.config.solver.patience else []
         self.smooth = smooth.launches(self)
 
-    def _prepare(self, initial, start):
-        for write, launches in ((initial, project.before_steps), (start, smooth.before_steps)):
-            write(self.arena["depth"])
-            for launch in launches(self):
-                launch.enqueue(self.device.queue)
+    def _once(self, write, launches):
+        write(self.arena["depth"])
+        for launch in launches(self):
+            launch.enqueue(self.device.queue)
 
     def _view(self, view: int) -> list:
         """All launches of one context view in one step."""
@@ -98,7 +105,7 @@ class Level:
         for number in range(steps):
             for launch in self.gradient_launches(number):
                 launch.enqueue(queue)
-            solver.enqueue(number)
+            solver.enqueue(number, steps)
             if solver.finished(number):
                 return number + 1
             queue.flush()

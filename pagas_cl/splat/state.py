@@ -50,8 +50,8 @@ def camera_table(target: Camera, contexts: list[Camera], unit: float) -> np.ndar
     return np.array(rows, np.float32)
 
 
-def level_buffers(config: Config, target: Size, contexts: list[Size]) -> list[BufferSpec]:
-    """Every buffer of a level except photos: per target pixel, and one context view's scratch."""
+def level_buffers(config: Config, target: Size, contexts: list[Size], masked: int) -> list[BufferSpec]:
+    """Every buffer of a level except photos: per target pixel, one view's scratch, `masked` unseen masks."""
     n, m = target.pixels, max(size.pixels for size in (*contexts, target))
     channels = 1 if config.loss.grey else 3
     specs = [BufferSpec(name, (n,), np.float32) for name in ("depth", "unit", "gradient", "first", "second")]
@@ -68,7 +68,7 @@ def level_buffers(config: Config, target: Size, contexts: list[Size]) -> list[Bu
     if config.smoothness.kind == "normal":
         specs += [BufferSpec(name, (n, 4), np.float32) for name in ("normals", "slopes")]
     if config.loss.unseen_mask:
-        specs += [BufferSpec(f"seen{k}", (size.pixels // 32 + 1,), np.uint32) for k, size in enumerate(contexts)]
+        specs += [BufferSpec(f"seen{k}", (size.pixels // 32 + 1,), np.uint32) for k, size in enumerate(contexts[:masked])]
     if config.solver.patience > 0:
         tiles = max(-(-s.width // 32) * -(-s.height // 16) for s in (*contexts, target))
         specs += [BufferSpec("losses", (tiles,), np.int64), BufferSpec("history", (max(config.pyramid.steps) + 1,), np.float32)]
@@ -133,9 +133,9 @@ def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.nda
     return scaled.astype(np.float32), unit
 
 
-def allocate(device, config: Config, target: Size, contexts: list[Size]) -> Arena:
+def allocate(device, config: Config, target: Size, contexts: list[Size], masked: int) -> Arena:
     """The level's arena, every buffer zeroed where the kernels add to it."""
-    arena = Arena(device, level_buffers(config, target, contexts))
+    arena = Arena(device, level_buffers(config, target, contexts, masked))
     for name in ("gradient", "first", "second", "fixed", "state"):
         if name in arena:
             cl.enqueue_fill_buffer(device.queue, arena[name], np.uint32(0), 0, arena.size(name))

@@ -24,18 +24,24 @@ class Solver:
         common = level.given.distance_unit if solver.unit == "distance" else 0.0
         n = level.target.pixels
         self._adam = bind(program, "adam", (n,), None, a["depth"], a["gradient"], a["first"], a["second"], a["unit"],
-                          a["state"], n, 1, float(solver.damping), float(common))
+                          a["state"], n, 1, float(solver.damping), float(common), 1.0)
         if self.patience:
-            floor = solver.rate * solver.rate_floor * 0.999
+            floor = solver.rate * solver.rate_floor * 0.999      # a rate that reaches the floor still counts
             self._plateau = bind(program, "plateau", (1,), None, a["state"], a["history"], 1, self.patience, float(floor))
 
-    def enqueue(self, number: int):
-        """Step `number` (from 0)."""
+    def enqueue(self, number: int, steps: int):
+        """Step `number` (from 0) of `steps`."""
         if self.patience:
             self._plateau.kernel.set_arg(2, np.int32(number + 1))
             self._plateau.enqueue(self.queue)
         self._adam.kernel.set_arg(7, np.int32(number + 1))
+        self._adam.kernel.set_arg(10, np.float32(self._share(number, steps)))
         self._adam.enqueue(self.queue)
+
+    def _share(self, number: int, steps: int) -> float:
+        """Of the rate, at step `number`: 1 over the first half, then linearly down to final_rate."""
+        late = max(0.0, 2 * (number + 1) / steps - 1)
+        return 1 + late * (self.level.config.solver.final_rate - 1)
 
     def finished(self, number: int) -> bool:
         """Whether the schedule has ended the level; asked only every few steps, since it waits for the device."""

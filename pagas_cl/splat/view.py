@@ -9,6 +9,7 @@ import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.scene.rig import distance_unit
+from pagas_cl.splat.evidence import Evidence
 from pagas_cl.splat.level import Level, LevelInput
 from pagas_cl.splat.resample import Resampler
 from pagas_cl.splat.state import PhotoStore, Size, level_size, normalized_depth
@@ -16,14 +17,22 @@ from pagas_cl.splat.state import PhotoStore, Size, level_size, normalized_depth
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """What the levels leave, arrays of the target's full size.
+    """What the levels leave, arrays of the target's full size, lengths in scene units.
 
     Attributes
     ----------
     depth : ndarray of shape (H, W), float32
-        Refined depth in scene units, 0 = no surface.
+        Refined depth, 0 = no surface.
+    status : ndarray of shape (H, W), uint8
+        0 no surface, 1 refined, 2 kept (no other view sees it), 3 rejected (the photos speak against it).
+    deviation : ndarray of shape (H, W), float32
+        Standard deviation of the depth; infinite where nothing is known, 0 where there is no surface.
     parallax : ndarray of shape (H, W), float32
-        Depth change that moves a pixel by one pixel in the context views, scene units; 0 where none sees it.
+        Depth change that moves a pixel by one pixel in the context views; 0 where none sees it.
+    cost : tuple of two floats
+        Mean 1 - correlation of patches with the context photos, before and after.
+    witness : tuple of two floats or None
+        The same with a photo that took no part in the refinement.
     steps : tuple of int
         Steps done at each level.
     losses : list of float
@@ -33,14 +42,18 @@ class Refinement:
     """
 
     depth: np.ndarray
+    status: np.ndarray
+    deviation: np.ndarray
     parallax: np.ndarray
+    cost: tuple[float, float]
+    witness: tuple[float, float] | None
     steps: tuple[int, ...]
     losses: list[float]
     device_bytes: int
 
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
-                  progress=None) -> Refinement:
+                  progress=None, witness=None) -> Refinement:
     """Run the pyramid on one view.
 
     Parameters
@@ -52,63 +65,93 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
         Initial z-depth in scene units, 0 = no surface.
     photos : PhotoStore
         Photos already on the device; a new store by default.
+    progress : callable of (done, total), optional
+        Called while the steps of the last level are enqueued.
+    witness : View, optional
+        A view that takes no part and judges the result.
     """
-    photos = photos or PhotoStore(device)
-    resampler, queue = Resampler(device, config), device.queue
-    initial, unit = normalized_depth(depth, target.load_mask())
-    full = Size(target.camera.width, target.camera.height)
-    entered = cl.Buffer(device.context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=initial)
-    inputs = _Inputs(target, contexts, config, unit, initial, photos, resampler)
-
+    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), witness)
     level, done, losses, most = None, [], [], 0
     for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
-        before, given = level, inputs.at(scale)
-        size = given.sizes[0]
-
-        def write_initial(out, size=size):
-            resampler.shrink_depth(entered, full, out, size)
-
-        def write_start(out, size=size, before=before):
-            if before is not None:
-                at_size = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 4 * size.pixels)
-                resampler.shrink_depth(entered, full, at_size, size)
-                resampler.enlarge_depth(before.arena["depth"], before.target, at_size, out, size)
-
-        level = Level(device, config, given, write_initial, write_start)
+        before, level = level, Level(device, config, run.at(scale))
+        level.enter(run.initial_writer(level))
+        evidence = run.weigh_initial(level) if scale == 1 else None
+        level.start(run.start_writer(level, before))
         if before is not None:
             before.release()
         done.append(level.run(steps, progress))
-        most = max(most, level.arena.nbytes + sum(photo.size for photo in given.photos))
+        most = max(most, level.arena.nbytes + sum(photo.size for photo in level.given.photos))
         if "history" in level.arena:
             losses += level.read("history", level.arena.specs["history"].shape)[:done[-1]].tolist()
-    refined = level.read("depth", depth.shape).astype(np.float64) * unit
-    parallax = level.read("unit", depth.shape) * np.float32(unit)
-    level.release()
-    queue.finish()
-    return Refinement(_untouched_exact(refined, depth, initial), parallax, tuple(done), losses, most)
+    return run.finish(level, evidence, tuple(done), losses, most)
 
 
-def _untouched_exact(refined, depth, initial) -> np.ndarray:
-    """Back to scene units; a depth without a Gaussian comes back with the bits that it came with."""
-    valid = initial > 0
-    return np.where(valid, refined, np.where(np.isfinite(depth), depth, 0)).astype(np.float32)
+class _Run:
+    """One view's inputs at any level, and its way back to scene units."""
 
-
-class _Inputs:
-    """Cameras and photos of a view at any level."""
-
-    def __init__(self, target, contexts, config, unit, initial, photos, resampler):
-        self.views, self.unit, self.photos, self.resampler = [target, *contexts], unit, photos, resampler
-        valid = initial[initial > 0]
+    def __init__(self, target, contexts, depth, config, device, photos, witness):
+        self.views, self.config, self.device, self.photos = [target, *contexts], config, device, photos
+        self.depth, self.witness = depth, witness
+        self.resampler = Resampler(device, config)
+        self.full = Size(target.camera.width, target.camera.height)
+        self.initial, self.unit = normalized_depth(depth, target.load_mask())
+        valid = self.initial[self.initial > 0]
         spread = float(valid.max() - valid.min()) if valid.size else 0.0
         self.threshold = spread / config.splatting.depth_slices
-        distance = distance_unit([view.camera for view in self.views]) / unit
+        distance = distance_unit([view.camera for view in self.views]) / self.unit
         self.distance = distance if np.isfinite(distance) else 1.0
+        self.entered = cl.Buffer(device.context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR,
+                                 hostbuf=self.initial)
 
     def at(self, scale: float) -> LevelInput:
         cameras, photos = [], []
-        for view in self.views:
+        for view in self.views + ([self.witness] if self.witness is not None and scale == 1 else []):
             full, size = Size(view.camera.width, view.camera.height), level_size(view.camera, scale)
             cameras.append(view.camera.resized(size.width, size.height))
             photos.append(self.resampler.photo(self.photos.photo(view), full, size))
-        return LevelInput(cameras, photos, self.unit, self.threshold, self.distance)
+        return LevelInput(cameras, photos, self.unit, self.threshold, self.distance, len(self.views) - 1)
+
+    def initial_writer(self, level: Level):
+        return lambda out: self.resampler.shrink_depth(self.entered, self.full, out, level.target)
+
+    def start_writer(self, level: Level, before: Level | None):
+        if before is None:
+            return lambda out: None
+
+        def write(out):
+            at_size = cl.Buffer(self.device.context, cl.mem_flags.READ_WRITE, 4 * level.target.pixels)
+            self.resampler.shrink_depth(self.entered, self.full, at_size, level.target)
+            self.resampler.enlarge_depth(before.arena["depth"], before.target, at_size, out, level.target)
+
+        return write
+
+    def weigh_initial(self, level: Level) -> tuple[Evidence, Evidence | None]:
+        """Evidence for the depth as it came: of the context views, and of the witness."""
+        contexts = Evidence(level, range(1, len(self.views)))
+        contexts.weigh_before()
+        if self.witness is None:
+            return contexts, None
+        witness = Evidence(level, [len(self.views)])
+        witness.weigh_before()
+        return contexts, witness
+
+    def finish(self, level: Level, evidence, steps, losses, most) -> Refinement:
+        contexts, witness = evidence
+        contexts.weigh_after()
+        verdict = contexts.decide(self.depth.shape)
+        refined = level.read("depth", self.depth.shape)
+        parallax = level.read("unit", self.depth.shape) * np.float32(self.unit)
+        judged = None
+        if witness is not None:
+            witness.weigh_after()
+            judged = witness.costs()
+        level.release()
+        return Refinement(self._back(refined, verdict.status), verdict.status,
+                          verdict.deviation * np.float32(self.unit), parallax,
+                          (verdict.cost_before, verdict.cost_after), judged, steps, losses, most)
+
+    def _back(self, refined: np.ndarray, status: np.ndarray) -> np.ndarray:
+        """Scene units again; a depth that was not refined comes back with the bits that it came with."""
+        scaled = (refined * np.float64(self.unit)).astype(np.float32)
+        given = np.where(np.isfinite(self.depth), self.depth, 0).astype(np.float32)
+        return np.where(status == 1, scaled, given)

@@ -1,0 +1,130 @@
+// What the photos say of each depth, apart from the loss that was minimised: patches of the target against the
+// context photos warped through the depth map (method section 9).
+//
+//   warp_photo   a context photo seen from the target: grey value and its slope by the depth, per target pixel
+//   weigh        5x5 patches of it against the target: correlation, and how sharply it fixes the depth
+//   decide       which refined depths are kept, and the standard deviation of each depth
+#include "splat.clh"
+
+#define PATCH 2                      // half the width of a patch
+#define LEAST_PIXELS 6               // of a patch must be visible
+#define NOISE (1.0f / 255.0f)        // of a photo: what a residual never falls below
+#define UNSEEN -1.0f
+
+#define NO_SURFACE 0
+#define REFINED 1
+#define KEPT 2
+#define REJECTED 3
+
+float grey_of(uchar4 p)
+{
+    return (0.299f * p.x + 0.587f * p.y + 0.114f * p.z) * (1.0f / 255.0f);
+}
+
+__kernel void warp_photo(__global const float *depth, __global const float *cameras, int view, float threshold,
+                         __global const uint *z_first, __global const uchar4 *photo, __global float *warped)
+{
+    const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= target.width || row >= target.height)
+        return;
+    const int i = row * target.width + column;
+    const float d = depth[i];
+    vstore2((float2)(UNSEEN, 0.0f), i, warped);
+    if (!(d > 0.0f))
+        return;
+    const float3 ray = pixel_ray(target, column, row);
+    const float3 q = (float3)(dot(context.r0, ray), dot(context.r1, ray), dot(context.r2, ray));
+    const float3 p = d * q + context.t;
+    if (!(p.z > NEAR))
+        return;
+    const float inverse_z = 1.0f / p.z;
+    const float u = context.fx * p.x * inverse_z + context.cx - 0.5f;
+    const float v = context.fy * p.y * inverse_z + context.cy - 0.5f;
+    if (!(u >= 0.0f && v >= 0.0f && u <= context.width - 1.001f && v <= context.height - 1.001f))
+        return;
+    const int x = (int)u, y = (int)v, pixel = y * context.width + x;
+    const float a = u - x, b = v - y;
+#ifdef OCCLUSION
+    if (p.z > as_float(z_first[(int)(v + 0.5f) * context.width + (int)(u + 0.5f)]) + threshold)
+        return;
+#endif
+    const int right = x + 1 < context.width ? 1 : 0, below = y + 1 < context.height ? context.width : 0;
+    const uchar4 p00 = photo[pixel], p10 = photo[pixel + right], p01 = photo[pixel + below];
+    const uchar4 p11 = photo[pixel + right + below];
+    if (p00.w == 0 || p10.w == 0 || p01.w == 0 || p11.w == 0)
+        return;
+    const float g00 = grey_of(p00), g10 = grey_of(p10), g01 = grey_of(p01), g11 = grey_of(p11);
+    const float value = (1 - b) * ((1 - a) * g00 + a * g10) + b * ((1 - a) * g01 + a * g11);
+    const float by_u = (1 - b) * (g10 - g00) + b * (g11 - g01), by_v = (1 - a) * (g01 - g00) + a * (g11 - g10);
+    const float zz = inverse_z * inverse_z;
+    const float slope = by_u * context.fx * (q.x * context.t.z - q.z * context.t.x) * zz
+                      + by_v * context.fy * (q.y * context.t.z - q.z * context.t.y) * zz;
+    vstore2((float2)(value, slope), i, warped);
+}
+
+// evidence per pixel: sum of 1 - correlation, number of views, sum of information (1 / variance of the depth)
+__kernel void weigh(__global const float *warped, __global const uchar4 *target_photo, int width, int height,
+                    __global float *evidence)
+{
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= width || row >= height || vload2(row * width + column, warped).x == UNSEEN)
+        return;
+    float n = 0.0f, w = 0.0f, t = 0.0f, s = 0.0f, ww = 0.0f, tt = 0.0f, wt = 0.0f, ss = 0.0f;
+    const float origin = vload2(row * width + column, warped).x, middle = grey_of(target_photo[row * width + column]);
+    for (int y = max(row - PATCH, 0); y <= min(row + PATCH, height - 1); ++y)
+        for (int x = max(column - PATCH, 0); x <= min(column + PATCH, width - 1); ++x) {
+            const float2 seen = vload2(y * width + x, warped);
+            if (seen.x == UNSEEN)
+                continue;
+            const float a = seen.x - origin, b = grey_of(target_photo[y * width + x]) - middle;
+            n += 1.0f;
+            w += a;
+            t += b;
+            s += seen.y;
+            ww += a * a;
+            tt += b * b;
+            wt += a * b;
+            ss += seen.y * seen.y;
+        }
+    if (n < LEAST_PIXELS)
+        return;
+    const float inverse = 1.0f / n, noise = NOISE * NOISE;
+    const float var_w = fmax(ww - w * w * inverse, 0.0f) * inverse, var_t = fmax(tt - t * t * inverse, 0.0f) * inverse;
+    const float cov = (wt - w * t * inverse) * inverse;
+    const float correlation = (cov + noise) / sqrt((var_w + noise) * (var_t + noise));
+    const float unexplained = var_w * (1.0f - fmin(fmax(correlation, 0.0f), 1.0f) * fmax(correlation, 0.0f)) + noise;
+    const int i = row * width + column;
+    float3 e = vload3(i, evidence);
+    e.x += 1.0f - correlation;
+    e.y += 1.0f;
+    e.z += fmax(ss - s * s * inverse, 0.0f) / unexplained;
+    vstore3(e, i, evidence);
+}
+
+// before, after: evidence under the initial and the refined depth. A depth goes back to the initial one where its
+// patches match worse than before, where it moved too far, and where no other view sees it.
+__kernel void decide(__global const float *initial, __global float *depth, __global const float *unit, int count,
+                     __global const float *before, __global const float *after, float max_move, float tolerance,
+                     float least_deviation, __global uchar *status, __global float *deviation)
+{
+    const int i = get_global_id(0);
+    if (i >= count)
+        return;
+    const float d0 = initial[i], d = depth[i];
+    const float3 was = vload3(i, before), is = vload3(i, after);
+    uchar verdict = REFINED;
+    if (!(d0 > 0.0f))
+        verdict = NO_SURFACE;
+    else if (unit[i] == 0.0f || is.y == 0.0f)
+        verdict = KEPT;
+    else if (!(fabs(d - d0) <= max_move * unit[i]))
+        verdict = REJECTED;
+    else if (was.y > 0.0f && is.x * was.y > was.x * is.y + tolerance * was.y * is.y)
+        verdict = REJECTED;
+    status[i] = verdict;
+    depth[i] = verdict == REFINED ? d : d0;
+    const float3 held = verdict == REFINED ? is : was;
+    deviation[i] = verdict == NO_SURFACE ? 0.0f
+                 : held.y > 0.0f && held.z > 0.0f ? sqrt(1.0f / held.z + pown(least_deviation * unit[i], 2)) : INFINITY;
+}

@@ -1,0 +1,89 @@
+"""Launches of evidence.cl: which refined depths the photos confirm, and how sure each depth is (method section 9)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.runtime.program import Fill, bind, build
+from pagas_cl.splat import project
+
+LEAST_DEVIATION = 0.02      # pixels of parallax: what no photo of this kind resolves
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """Per pixel of shape (H, W): status uint8 (0 no surface, 1 refined, 2 kept, 3 rejected); standard deviation of
+    the depth, float32, device units, infinite where nothing is known; and the mean 1 - correlation over the pixels
+    that views see, before and after."""
+
+    status: np.ndarray
+    deviation: np.ndarray
+    cost_before: float
+    cost_after: float
+
+
+class Evidence:
+    """Weighs the initial and the refined depth of one level by the photos of `views` (numbers from 1)."""
+
+    def __init__(self, level, views):
+        self.level, self.views = level, list(views)
+        self.program = build(level.device, "evidence.cl", level.defines)
+        n = level.target.pixels
+        self._warped = self._buffer(8 * n)
+        self._before, self._after, self._initial = self._buffer(12 * n), self._buffer(12 * n), self._buffer(4 * n)
+
+    def weigh_before(self):
+        """Keep a copy of the depth that is in the level now, the initial one, and weigh it."""
+        level = self.level
+        cl.enqueue_copy(level.device.queue, self._initial, level.arena["depth"], byte_count=4 * level.target.pixels)
+        self._weigh(self._before)
+
+    def weigh_after(self):
+        """Weigh the depth as it is now."""
+        self._weigh(self._after)
+
+    def costs(self) -> tuple[float, float]:
+        """Mean 1 - correlation before and after, over the pixels that are seen both times."""
+        before, after = self._read(self._before), self._read(self._after)
+        both = (before[:, 1] > 0) & (after[:, 1] > 0)
+        if not both.any():
+            return float("nan"), float("nan")
+        return tuple(float((e[both, 0] / e[both, 1]).mean(dtype=np.float64)) for e in (before, after))
+
+    def decide(self, shape) -> Verdict:
+        """Send back what the photos do not confirm; arena["depth"] holds what is accepted."""
+        level, n = self.level, self.level.target.pixels
+        solver, a = level.config.solver, level.arena
+        status, deviation = self._buffer(n), self._buffer(4 * n)
+        bind(self.program, "decide", (n,), None, self._initial, a["depth"], a["unit"], n, self._before, self._after,
+             float(solver.max_move), float(solver.tolerance), LEAST_DEVIATION, status,
+             deviation).enqueue(level.device.queue)
+        return Verdict(self._host(status, np.uint8).reshape(shape), self._host(deviation, np.float32).reshape(shape),
+                       *self.costs())
+
+    def _weigh(self, evidence: cl.Buffer):
+        level, size = self.level, self.level.target
+        launches = [Fill(evidence, np.uint32(0), 12 * size.pixels)]
+        for view in self.views:
+            launches += project.nearest(level, view)
+            launches += [bind(self.program, "warp_photo", size.grid, None, level.arena["depth"], level.arena["cameras"], view,
+                              float(level.given.threshold), level.arena["z_first"] if "z_first" in level.arena else None,
+                              level.given.photos[view], self._warped),
+                         bind(self.program, "weigh", size.grid, None, self._warped, level.given.photos[0], size.width,
+                              size.height, evidence)]
+        for launch in launches:
+            launch.enqueue(level.device.queue)
+
+    def _buffer(self, nbytes: int) -> cl.Buffer:
+        return cl.Buffer(self.level.device.context, cl.mem_flags.READ_WRITE, nbytes)
+
+    def _host(self, buffer: cl.Buffer, dtype) -> np.ndarray:
+        out = np.empty(buffer.size // np.dtype(dtype).itemsize, dtype)
+        cl.enqueue_copy(self.level.device.queue, out, buffer)
+        return out
+
+    def _read(self, buffer: cl.Buffer) -> np.ndarray:
+        return self._host(buffer, np.float32).reshape(-1, 3)
