@@ -21,7 +21,7 @@ FORMATS = {
     "neus": "neus",
     "open3d": "open3d_trajectory",
     "bundler": "bundler",
-    "mlp": "mlp",
+    "meshlab": "meshlab",
 }
 
 

@@ -1,0 +1,208 @@
+"""Context choice: which other views constrain a target, from what its initial depth says is seen by both.
+
+No photo and no sparse point is needed. Up to 2000 of the target's depths are carried to the candidates; what counts is
+the share that lands in front and inside, is not hidden behind that view's own initial depth, and is seen at an angle
+useful for depth. With many cameras the candidates are first cut by cheap geometry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pagas_cl.config import Context
+from pagas_cl.errors import InputError
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.sampling import SAMPLES, DepthSample, spread_pixels
+
+_MANY = 64              # with more cameras than this the candidates are cut first
+_HIDDEN = 1.02          # a point this much deeper than the other view's own surface is hidden there
+_RISE, _FALL = 8.0, 25.0  # degrees: the angle score is 1 between them and falls towards the limits of the setting
+
+
+@dataclass(frozen=True)
+class ContextChoice:
+    """Context views of a target, most useful first.
+
+    Attributes
+    ----------
+    indices : tuple of int
+        Into the list of cameras.
+    overlaps : tuple of float
+        Share of the target's valid depths that the view sees at an angle within the settings' limits.
+    angles : tuple of float
+        Median angle between the rays of target and view, degrees.
+    reason : str
+        Empty, or why there are fewer views than wanted.
+    """
+
+    indices: tuple[int, ...]
+    overlaps: tuple[float, ...]
+    angles: tuple[float, ...]
+    reason: str = ""
+
+
+def choose_contexts(target: int, cameras: list[Camera], depths: list, settings: Context = Context()) -> ContextChoice:
+    """Context views of camera `target`; for one target after another make a ContextChooser."""
+    return ContextChooser(cameras, depths, settings).choose(target)
+
+
+class ContextChooser:
+    """Chooses for one target after another; what all targets share is worked out once.
+
+    Parameters
+    ----------
+    cameras : list of Camera
+    depths : list of (ndarray of shape (H, W), DepthSample, or None)
+        Initial depth of each camera. A target needs one; another view without one is taken to hide nothing.
+    settings : config.Context
+    """
+
+    def __init__(self, cameras: list[Camera], depths: list, settings: Context = Context()):
+        if len(cameras) != len(depths):
+            raise InputError(f"there are {len(cameras)} cameras and {len(depths)} depth maps, expected one each")
+        for camera, depth in zip(cameras, depths):
+            if depth is not None and tuple(depth.shape) != (camera.height, camera.width):
+                raise InputError(f"depth map of {camera.name!r} is {depth.shape[1]} x {depth.shape[0]}, its camera "
+                                 f"says {camera.width} x {camera.height}")
+        self.cameras, self.depths, self.settings = list(cameras), list(depths), settings
+        origin = cameras[0].center if cameras else np.zeros(3)
+        self._centers = np.array([c.center - origin for c in cameras]).reshape(-1, 3)
+        self._rotations = np.array([c.world_to_camera[:3, :3] for c in cameras]).reshape(-1, 3, 3)
+        self._focal = np.array([(c.fx, c.fy) for c in cameras]).reshape(-1, 2)
+        self._middle = np.array([(c.cx, c.cy) for c in cameras]).reshape(-1, 2)
+        self._size = np.array([(c.width, c.height) for c in cameras]).reshape(-1, 2)
+
+    def choose(self, target: int) -> ContextChoice:
+        """Context views of the camera `target`."""
+        points, z = self._points(target)
+        if len(z) == 0:
+            return ContextChoice((), (), (), "its initial depth has no valid pixel (finite and above 0)")
+        candidates = self._candidates(target, points)
+        uv, depth, angle = self._project(target, candidates, points)
+        inside = self._inside(candidates, uv, depth)
+        seen = inside & ~self._hidden(candidates, uv, depth, inside)
+        useful = seen & (angle >= self.settings.min_angle) & (angle <= self.settings.max_angle)
+        overlap = useful.mean(axis=1)
+        # a view whose pixels are coarser on the surface than the target's tells less
+        coarser = depth / self._focal[candidates].mean(axis=1)[:, None] / (z / self._focal[target].mean())
+        score = useful * _angle_score(angle, self.settings) / np.maximum(coarser, 1)
+        usable = (overlap >= self.settings.min_overlap) & (overlap > 0)
+        order = _greedy(score, np.flatnonzero(usable), self.settings.number)
+        angles = [float(np.median(angle[k][useful[k]])) for k in order]
+        wanted = min(self.settings.number, len(self.cameras) - 1)
+        reason = "" if len(order) == wanted > 0 else self._reason(len(order), inside, seen, useful, angle)
+        return ContextChoice(tuple(int(candidates[k]) for k in order), tuple(float(overlap[k]) for k in order),
+                             tuple(angles), reason)
+
+    def _points(self, target: int) -> tuple[np.ndarray, np.ndarray]:
+        """Sampled surface points of the target, (N, 3) relative to the first camera's centre, and their depth (N,)."""
+        camera, depth = self.cameras[target], self.depths[target]
+        samples = SAMPLES if len(self.cameras) <= 1000 else SAMPLES // 4
+        if depth is None:
+            return np.zeros((0, 3)), np.zeros(0)
+        if isinstance(depth, DepthSample):
+            keep = slice(None, None, max(1, -(-len(depth.rows) // samples)))
+            rows, columns, z = depth.rows[keep], depth.columns[keep], depth.depth[keep]
+        else:
+            rows, columns = spread_pixels(depth, samples)
+            z = depth[rows, columns]
+        z = z.astype(np.float64)
+        rho = np.stack([(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy,
+                        np.ones(len(z))], -1)
+        return (rho * z[:, None]) @ self._rotations[target] + self._centers[target], z
+
+    def _candidates(self, target: int, points: np.ndarray) -> np.ndarray:
+        """Other cameras worth a close look, in their order; all of them while they are few."""
+        if len(self.cameras) <= _MANY:
+            return np.delete(np.arange(len(self.cameras)), target)
+        keep = max(3 * self.settings.number, 32)
+        middle = np.median(points, axis=0)  # all cameras, one point: distance, angle, side
+        away = middle - self._centers
+        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-300)
+        spread = np.percentile(np.linalg.norm(points - middle, axis=1), 90) / distance[target]
+        angle = np.degrees(np.arccos(np.clip(away @ away[target] / (distance * distance[target]), -1, 1)))
+        coarser = distance / self._focal[:, 0] / (distance[target] / self._focal[target, 0])
+        ahead = (away * self._rotations[:, 2]).sum(axis=1) > -spread * distance[target]
+        near = ahead & (angle <= self.settings.max_angle + np.degrees(np.arctan(spread))) & (coarser < 8)
+        near[target] = False
+        found = np.flatnonzero(near)
+        if len(found) > 16 * keep:
+            rough = (1 + _angle_score(angle[found], self.settings)) / np.maximum(coarser[found], 1)
+            found = np.sort(found[np.argsort(-rough, kind="stable")[:16 * keep]])
+        few = points[::max(1, len(points) // 24)]  # the rest, a few points
+        uv, depth, angle = self._project(target, found, few)
+        score = (self._inside(found, uv, depth) * _angle_score(angle, self.settings)).sum(axis=1)
+        best = np.argsort(-score, kind="stable")[:keep]
+        return np.sort(found[best])
+
+    def _project(self, target: int, which: np.ndarray, points: np.ndarray):
+        """Points in cameras `which`: pixel positions (M, N, 2), depth (M, N), angle to the target's rays (M, N) deg."""
+        away = points[None] - self._centers[which][:, None]
+        local = away @ np.swapaxes(self._rotations[which], 1, 2)
+        depth = local[..., 2]
+        uv = local[..., :2] / np.where(depth > 0, depth, 1)[..., None] * self._focal[which][:, None]
+        uv += self._middle[which][:, None]
+        own = points - self._centers[target]
+        length = np.linalg.norm(away, axis=-1) * np.linalg.norm(own, axis=-1)
+        cosine = (away * own).sum(axis=-1) / np.maximum(length, 1e-300)
+        return uv, depth, np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+    def _inside(self, which: np.ndarray, uv: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        return (depth > 0) & (uv >= 0).all(axis=-1) & (uv < self._size[which][:, None]).all(axis=-1)
+
+    def _hidden(self, which: np.ndarray, uv: np.ndarray, depth: np.ndarray, inside: np.ndarray) -> np.ndarray:
+        """Points that lie behind the other view's own surface."""
+        hidden = np.zeros(inside.shape, bool)
+        for k, j in enumerate(which):
+            own = self.depths[j]
+            if own is None:
+                continue
+            sampled = isinstance(own, DepthSample)
+            at = uv[k][inside[k]].astype(np.intp) // (own.cell if sampled else 1)
+            surface = (own.farthest if sampled else own)[at[:, 1], at[:, 0]]
+            hidden[k, inside[k]] = (surface > 0) & (depth[k][inside[k]] > _HIDDEN * surface)
+        return hidden
+
+    def _reason(self, found: int, inside, seen, useful, angle) -> str:
+        """Why so few of the candidates are usable: each counted under the first that fails."""
+        least, s = self.settings.min_overlap, self.settings
+        others = len(self.cameras) - 1
+        if others == 0:
+            return "there is no other view"
+        outside = inside.mean(axis=1) < max(least, 1e-12)
+        hidden = ~outside & (seen.mean(axis=1) < max(least, 1e-12))
+        off = ~outside & ~hidden & (useful.mean(axis=1) < max(least, 1e-12))
+        with np.errstate(invalid="ignore"):
+            middle = np.nanmedian(np.where(seen[off], angle[off], np.nan), axis=1) if off.any() else np.zeros(0)
+        causes = [(int(outside.sum()) + others - len(inside), f"see less than {least:.0%} of what it sees"),
+                  (int(hidden.sum()), "are blocked by nearer surfaces"),
+                  (int((middle < s.min_angle).sum()), f"are too close to its place (rays below {s.min_angle:g} degrees)"),
+                  (int((middle >= s.min_angle).sum()), f"look from too far aside (rays above {s.max_angle:g} degrees)")]
+        told = "; ".join(f"{n} {what}" for n, what in causes if n)
+        return f"{found} of {others} other views are usable" + (f": {told}" if told else "")
+
+
+def _angle_score(angle: np.ndarray, settings: Context) -> np.ndarray:
+    """0 to 1: how much an angle in degrees tells of depth while the two photos still look alike."""
+    rise, fall = max(_RISE, settings.min_angle), min(max(_FALL, settings.min_angle), settings.max_angle)
+    up = angle / rise
+    down = 1 - 0.9 * (angle - fall) / max(settings.max_angle - fall, 1e-9)
+    within = (angle >= settings.min_angle) & (angle <= settings.max_angle)
+    return np.where(within, np.clip(np.minimum(up, down), 0.01, 1), 0)
+
+
+def _greedy(score: np.ndarray, usable: np.ndarray, number: int) -> list[int]:
+    """Up to `number` of `usable`, each the one that adds most to the sum over samples of sqrt(score so far).
+
+    The root makes the second view of a region worth less than the first, so that no part of the target is left to
+    chance by ten views of the other part.
+    """
+    total, order, left = np.zeros(score.shape[1]), [], list(usable)
+    while left and len(order) < number:
+        gain = np.sqrt(total + score[left]).sum(axis=1)
+        best = left.pop(int(np.argmax(gain)))  # the first of equals
+        total += score[best]
+        order.append(int(best))
+    return order

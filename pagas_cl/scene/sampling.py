@@ -1,0 +1,64 @@
+"""A depth map cut down to what planning needs, so that 10,000 of them fit in memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+SAMPLES = 2000  # depths of a view that planning looks at
+
+
+@dataclass(frozen=True, eq=False)
+class DepthSample:
+    """Some depths of a view, and a coarse grid of its farthest ones (some 30 kB a view).
+
+    Attributes
+    ----------
+    rows, columns : ndarray of shape (N,), int32
+    depth : ndarray of shape (N,), float32
+        Up to `SAMPLES` valid pixels, evenly spread.
+    farthest : ndarray of shape (h, w), float32
+        Largest depth in each cell of a coarse grid over the image, 0 where none is valid.
+    shape : (int, int)
+        Height and width of the depth map.
+    """
+
+    rows: np.ndarray = field(repr=False)
+    columns: np.ndarray = field(repr=False)
+    depth: np.ndarray = field(repr=False)
+    farthest: np.ndarray = field(repr=False)
+    shape: tuple[int, int]
+
+    @property
+    def cell(self) -> int:
+        """Edge of a cell, pixels."""
+        return _cell(self.shape)
+
+
+def sample_depth(depth: np.ndarray) -> DepthSample:
+    """Cut a depth map (H, W) down."""
+    rows, columns = spread_pixels(depth)
+    size = _cell(depth.shape)
+    padded = np.zeros([-(-n // size) * size for n in depth.shape], np.float32)
+    padded[:depth.shape[0], :depth.shape[1]] = depth
+    height, width = padded.shape
+    farthest = padded.reshape(height // size, size, width // size, size).max(axis=(1, 3))
+    return DepthSample(rows.astype(np.int32), columns.astype(np.int32), depth[rows, columns].astype(np.float32),
+                       farthest, tuple(depth.shape))
+
+
+def spread_pixels(depth: np.ndarray, samples: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of up to `samples` valid (> 0) pixels, on a regular lattice as coarse as that allows."""
+    step = max(1, int(np.sqrt(depth.size / samples)))
+    while True:
+        rows, columns = np.nonzero(depth[step // 2::step, step // 2::step] > 0)
+        if len(rows) >= samples // 2 or step == 1:
+            break
+        step = max(1, step // 2)  # a small object in a large photo: look closer
+    keep = slice(None, None, max(1, -(-len(rows) // samples)))
+    return rows[keep] * step + step // 2, columns[keep] * step + step // 2
+
+
+def _cell(shape) -> int:
+    return -(-max(shape) // 64)

@@ -1,0 +1,101 @@
+"""Open3D's VoxelBlockGrid with nothing left to its defaults."""
+
+from __future__ import annotations
+
+import numpy as np
+
+_STRIDE = 4      # Open3D looks at every fourth pixel of every fourth row when it touches blocks (measured)
+# One look in each row and column of a 4 x 4 cell, so that a line one pixel wide is touched too.
+_FEW = ((0, 1), (1, 3), (2, 0), (3, 2))
+_REACH = 10.0    # Open3D looks at 4 depths across the truncation band: blocks must not fit between two of them
+_ALL = tuple((r, c) for r in range(_STRIDE) for c in range(_STRIDE))
+
+
+def block_resolution(truncation: float) -> int:
+    """Voxels along the edge of a block. Small blocks hug the surface: 8 takes 0.65 of the memory and time of 16."""
+    resolution = 8
+    while truncation > _REACH * resolution / 8:
+        resolution *= 2
+    return resolution
+
+
+class Grid:
+    """A sparse TSDF; lengths in the grid's own unit.
+
+    Parameters
+    ----------
+    voxel : float
+        Edge of a voxel.
+    truncation : float
+        In voxels.
+    blocks : int
+        How many blocks to make room for.
+    depth_max : float
+        Above every depth that will come.
+    colour : bool
+        Whether colours are fused too.
+    """
+
+    def __init__(self, voxel: float, truncation: float, blocks: int, depth_max: float, colour: bool, open3d):
+        self._o3c, self._geometry = open3d.core, open3d.t.geometry
+        names, channels = ("tsdf", "weight", "color"), ((1), (1), (3))
+        used = 3 if colour else 2
+        self._grid = self._geometry.VoxelBlockGrid(
+            attr_names=names[:used], attr_dtypes=(self._o3c.float32,) * used, attr_channels=channels[:used],
+            voxel_size=float(voxel), block_resolution=block_resolution(truncation), block_count=int(max(blocks, 1)),
+            device=self._o3c.Device("CPU:0"))
+        self._range = (1.0, float(depth_max), float(truncation))
+
+    def touched(self, depth: np.ndarray, K: np.ndarray, pose: np.ndarray, *, every: bool = False) -> np.ndarray:
+        """Blocks within the truncation distance of the depths: int32 of shape (N, 3), maybe none.
+
+        `every` looks at every pixel; needed where a pixel is wider than a voxel.
+        """
+        found = []
+        for row, column in _ALL if every else _FEW:
+            part = depth[row:, column:]
+            if not (part[::_STRIDE, ::_STRIDE] > 0).any():
+                continue  # Open3D raises "No block is touched"
+            moved = K.copy()
+            moved[:2, 2] -= (column, row)
+            blocks = self._grid.compute_unique_block_coordinates(
+                self._image(part[..., None]), self._o3c.Tensor(moved), self._o3c.Tensor(np.array(pose)), *self._range)
+            found.append(blocks.numpy())
+        return np.unique(np.concatenate(found), axis=0) if found else np.zeros((0, 3), np.int32)
+
+    def integrate(self, blocks: np.ndarray, depth: np.ndarray, colour: np.ndarray | None, K: np.ndarray,
+                  pose: np.ndarray) -> None:
+        """Add one depth map (H, W) float32, with colours (H, W, 3) float32 from 0 to 1."""
+        if len(blocks) == 0:
+            return
+        K, pose = self._o3c.Tensor(K), self._o3c.Tensor(np.array(pose))
+        images = [self._image(depth[..., None])]
+        intrinsics = [K]
+        if colour is not None:
+            images.append(self._image(colour))
+            intrinsics.append(K)
+        self._grid.integrate(self._o3c.Tensor(blocks), *images, *intrinsics, pose, *self._range)
+
+    def extract(self, threshold: float):
+        """Vertices (V, 3), faces (F, 3), normals (V, 3), colours (V, 3) or None, of voxels whose weight is above
+        `threshold`; empty arrays where there is no surface."""
+        if self._grid.hashmap().size() == 0:
+            return np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3)), None
+        mesh = self._grid.extract_triangle_mesh(weight_threshold=float(threshold))
+        if "positions" not in mesh.vertex or "indices" not in mesh.triangle:
+            return np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3)), None
+        colours = mesh.vertex["colors"].numpy() if "colors" in mesh.vertex else None
+        return (mesh.vertex["positions"].numpy(), mesh.triangle["indices"].numpy(), mesh.vertex["normals"].numpy(),
+                colours)
+
+    def seen(self, most: int = 4) -> np.ndarray:
+        """How many voxels hold weight 1, 2, ... `most` and more: int64 of shape (most,)."""
+        weight = self._grid.attribute("weight").numpy().reshape(-1)
+        count = np.zeros(most + 1, np.int64)
+        for start in range(0, len(weight), 1 << 24):
+            part = np.clip(np.rint(weight[start:start + (1 << 24)]), 0, most).astype(np.int64)
+            count += np.bincount(part, minlength=most + 1)
+        return count[1:]
+
+    def _image(self, pixels: np.ndarray):
+        return self._geometry.Image(self._o3c.Tensor(np.ascontiguousarray(pixels, np.float32)))
