@@ -119,6 +119,9 @@ def read_project(path: Path, *, outside: bool = False) -> Project:
     root = read_xml(path, "MeshLabProject")
     meshes = [_mesh(e, path, i, outside) for i, e in enumerate(root.findall("MeshGroup/MLMesh"))]
     rasters = [_raster(e, path, i, outside) for i, e in enumerate(root.findall("RasterGroup/MLRaster"))]
+    strays = len(list(root.iter("VCGCamera"))) - len(rasters) - len(root.findall("MeshGroup/MLMesh/VCGCamera"))
+    if strays:
+        raise InputError(f"{path} has {strays} cameras outside its raster layers: is the file damaged?")
     return Project(path, tuple(meshes), tuple(rasters))
 
 
