@@ -16,15 +16,15 @@ __kernel void smoothness_scale(__global const float *depth, __global const float
     weights[i] = 1.0f - texture * gradient_weight(photo, x, y, width, height);
 }
 
-float huber_slope(float e, float h)
+float huber_slope(float e, float h, float cut)
 {
-    return clamp(e / h, -1.0f, 1.0f);
+    return fabs(e) > cut ? 0.0f : clamp(e / h, -1.0f, 1.0f);
 }
 
 // Slope of the penalty of the second difference centred at i along `stride`, by w of its ends; twice that, negated,
 // is the slope by w_i. Zero where a neighbour is missing.
 float bend(__global const float *depth, __global const float *kappa, __global const float *weights, int i, int stride,
-           int along, int length, float h)
+           int along, int length, float h, float cut)
 {
     if (along < 1 || along >= length - 1)
         return 0.0f;
@@ -34,11 +34,11 @@ float bend(__global const float *depth, __global const float *kappa, __global co
     const float k = kappa[i];
     // differences first: three close numbers are never subtracted from their double
     const float e = k * ((d - before) / (d * before) + (d - after) / (d * after));
-    return weights[i] * k * huber_slope(e, h);
+    return weights[i] * k * huber_slope(e, h, cut);
 }
 
 __kernel void smoothness_planar(__global const float *depth, __global const float *kappa,
-                                __global const float *weights, int width, int height, float scale, float h,
+                                __global const float *weights, int width, int height, float scale, float h, float cut,
                                 __global float *gradient)
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -48,16 +48,16 @@ __kernel void smoothness_planar(__global const float *depth, __global const floa
     const float d = depth[i];
     if (!(d > 0.0f))
         return;
-    float by_inverse = -2.0f * (bend(depth, kappa, weights, i, 1, x, width, h)
-                                + bend(depth, kappa, weights, i, width, y, height, h));
+    float by_inverse = -2.0f * (bend(depth, kappa, weights, i, 1, x, width, h, cut)
+                                + bend(depth, kappa, weights, i, width, y, height, h, cut));
     if (x > 0)
-        by_inverse += bend(depth, kappa, weights, i - 1, 1, x - 1, width, h);
+        by_inverse += bend(depth, kappa, weights, i - 1, 1, x - 1, width, h, cut);
     if (x + 1 < width)
-        by_inverse += bend(depth, kappa, weights, i + 1, 1, x + 1, width, h);
+        by_inverse += bend(depth, kappa, weights, i + 1, 1, x + 1, width, h, cut);
     if (y > 0)
-        by_inverse += bend(depth, kappa, weights, i - width, width, y - 1, height, h);
+        by_inverse += bend(depth, kappa, weights, i - width, width, y - 1, height, h, cut);
     if (y + 1 < height)
-        by_inverse += bend(depth, kappa, weights, i + width, width, y + 1, height, h);
+        by_inverse += bend(depth, kappa, weights, i + width, width, y + 1, height, h, cut);
     gradient[i] -= scale * by_inverse / (d * d);
 }
 

@@ -123,16 +123,20 @@ class Smoothness:
         How much w_grad lowers the weight: 1 - texture * w_grad.
     huber : float
         With "planar": where the penalty turns from quadratic to linear, pixels of parallax.
+    cut : float
+        With "planar": a second difference beyond this, pixels of parallax, is a discontinuity and not penalised.
     """
 
     kind: str = "planar"
     weight: float = 0.1
     texture: float = 0.8
     huber: float = 0.1
+    cut: float = 3.0
 
     def __post_init__(self):
         _check("smoothness", kind=_one_of(self.kind, "none", "normal", "planar"), weight=_within(self.weight, 0, 100),
-               texture=_within(self.texture, 0, 1), huber=_within(self.huber, 1e-6, 1e6))
+               texture=_within(self.texture, 0, 1), huber=_within(self.huber, 1e-6, 1e6),
+               cut=_within(self.cut, 1e-6, 1e12))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from pagas_cl.reference import loss as losses
 from pagas_cl.reference import resample, smooth
 from pagas_cl.reference.level import Photo, loss_and_gradient, prepare, refine
 from pagas_cl.reference.project import NEAR, median_depth, project
-from pagas_cl.reference.step import Adam, Plateau, distance_unit
+from pagas_cl.reference.step import Adam, Plateau
+from pagas_cl.scene.rig import distance_unit
 from pagas_cl.scene.camera import Camera
 
 

@@ -27,14 +27,15 @@ def smoothness(depth, valid, settings: Smoothness, kappa, rays, texture):
     if settings.kind == "none" or settings.weight == 0:
         return 0.0, np.zeros(depth.shape)
     if settings.kind == "planar":
-        return planar(depth, valid, kappa, 1 - settings.texture * texture, settings.weight, settings.huber)
+        return planar(depth, valid, kappa, 1 - settings.texture * texture, settings.weight, settings.huber, settings.cut)
     return normal(depth, valid, rays, 1 - texture, settings.weight)
 
 
-def huber(e: np.ndarray, h: float):
-    """e^2 / (2h) up to |e| = h, |e| - h/2 beyond; value and derivative."""
-    size = np.abs(e)
-    return np.where(size <= h, e * e / (2 * h), size - h / 2), np.clip(e / h, -1, 1)
+def huber(e: np.ndarray, h: float, cut: float = np.inf):
+    """e^2 / (2h) up to |e| = h, |e| - h/2 beyond, constant beyond |e| = cut; value and derivative."""
+    size = np.minimum(np.abs(e), cut)
+    value = np.where(size <= h, size * size / (2 * h), size - h / 2)
+    return value, np.where(np.abs(e) > cut, 0.0, np.clip(e / h, -1, 1))
 
 
 def second_differences(depth, valid, kappa):
@@ -51,9 +52,9 @@ def second_differences(depth, valid, kappa):
     return e * kappa
 
 
-def planar(depth, valid, kappa, pixel_weight, weight, h):
+def planar(depth, valid, kappa, pixel_weight, weight, h, cut=np.inf):
     """weight / N sum_i pixel_weight_i (huber(e_x) + huber(e_y)), e of `second_differences` in pixels of parallax."""
-    value, slope = huber(second_differences(depth, valid, kappa), h)
+    value, slope = huber(second_differences(depth, valid, kappa), h, cut)
     scale = weight / depth.size * pixel_weight
     v_e = scale * slope * kappa  # e is 0 where it is not defined, and so is the slope
     v_w = np.zeros(depth.shape)

@@ -24,7 +24,7 @@ def launches(level) -> list:
     program = build(level.device, "smooth.cl", level.defines)
     if s.kind == "planar":
         return [bind(program, "smoothness_planar", size.grid, None, a["depth"], a["kappa"], a["weights"], size.width,
-                     size.height, float(s.weight), float(s.huber), a["gradient"])]
+                     size.height, float(s.weight), float(s.huber), float(s.cut), a["gradient"])]
     return [bind(program, "normal_map", size.grid, None, a["depth"], a["cameras"], a["normals"]),
             bind(program, "normal_slope", size.grid, None, a["normals"], a["weights"], size.width, size.height,
                  float(s.weight), a["slopes"]),

@@ -1,0 +1,65 @@
+"""The caller's cameras, photos and masks, as views."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.view import View
+
+
+def as_cameras(cams) -> list[Camera]:
+    """Cameras from a list of Camera, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction.
+
+    A reconstruction's cameras come in the order of their image names. Open3D's pixel centres are whole numbers (see
+    Camera.from_open3d).
+    """
+    if hasattr(cams, "parameters"):
+        return [Camera.from_open3d(p, name=f"{k:05d}") for k, p in enumerate(cams.parameters)]
+    if hasattr(cams, "images") and hasattr(cams, "cameras"):
+        images = sorted(cams.images.values(), key=lambda image: image.name)
+        return [Camera.from_colmap(cams.cameras[image.camera_id], image) for image in images]
+    cams = list(cams)
+    for k, camera in enumerate(cams):
+        if not isinstance(camera, Camera):
+            raise InputError(f"cams[{k}] is a {type(camera).__name__}, expected pagas_cl.Camera (see its from_... constructors), "
+                             "or an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction instead of the list")
+    return cams
+
+
+def as_views(cams, images, masks=None) -> list[View]:
+    """One View a camera.
+
+    Parameters
+    ----------
+    cams : see as_cameras
+    images : list of arrays or paths in the order of the cameras, dict by camera name, or a folder
+        A folder holds files called as the cameras are.
+    masks : the same, or None
+    """
+    cameras = as_cameras(cams)
+    if not cameras:
+        raise InputError("no cameras were given, expected at least two")
+    photos = _matched(images, cameras, "images")
+    masks = [None] * len(cameras) if masks is None else _matched(masks, cameras, "masks")
+    return [View(camera, photo, mask, camera.name or f"{k:05d}")
+            for k, (camera, photo, mask) in enumerate(zip(cameras, photos, masks))]
+
+
+def _matched(given, cameras: list[Camera], what: str) -> list:
+    if isinstance(given, (str, Path)):
+        folder = Path(given)
+        if not folder.is_dir():
+            raise InputError(f"{what}: {folder} is no folder; give a folder, a list in the order of the cameras, or a dict by "
+                             "camera name")
+        return [folder / camera.name for camera in cameras]
+    if isinstance(given, dict):
+        missing = [camera.name for camera in cameras if camera.name not in given]
+        if missing:
+            raise InputError(f"{what}: none for camera {missing[0]!r} ({len(missing)} of {len(cameras)} are missing)")
+        return [given[camera.name] for camera in cameras]
+    given = list(given)
+    if len(given) != len(cameras):
+        raise InputError(f"{len(given)} {what} were given for {len(cameras)} cameras, expected one each, in the same order")
+    return given
