@@ -1,0 +1,102 @@
+"""Kernels against their float64 twins: the gradient of one step, a whole level, and the same bytes every time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from close import assert_kernel_close
+from kernel_cases import SEES_LOSS, Scene, device_gradient, start_level, twin_gradient
+
+from pagas_cl.config import BALANCED, PAPER
+from pagas_cl.errors import DeviceError
+from pagas_cl.reference.level import prepare, run_level
+from pagas_cl.runtime.device import open_device
+
+PLAIN = BALANCED.with_settings(smoothness__kind="none", smoothness__weight=0.0, **SEES_LOSS)
+PAPER = PAPER.with_settings(**SEES_LOSS)
+CASES = {
+    "order-free": (PLAIN, {}),
+    "order-free low-pass": (PLAIN, dict(splatting__low_pass=0.3, splatting__radius=1.42)),
+    "order-free narrow": (PLAIN, dict(splatting__radius=0.5)),
+    "order-free wide": (PLAIN, dict(splatting__radius=3.0)),
+    "order-free relative": (PLAIN, dict(splatting__depth_relative=0.01)),
+    "order-free no occlusion": (PLAIN, dict(splatting__occlusion=False)),
+    "order-free grey": (PLAIN, dict(loss__grey=True)),
+    "order-free unseen": (PLAIN, dict(loss__unseen_mask=True, loss__coverage_weight=False)),
+    "L1 only": (PLAIN, dict(loss__ssim=0.0)),
+    "SSIM only": (PLAIN, dict(loss__ssim=1.0)),
+    "no weights": (PLAIN, dict(loss__gradient_weight=False, loss__coverage_weight=False)),
+    "target view": (PLAIN, dict(loss__target_view=True, splatting__radius=1.42)),
+    "planar": (PLAIN, dict(smoothness__kind="planar", smoothness__weight=0.1)),
+    "normal": (PLAIN, dict(smoothness__kind="normal", smoothness__weight=0.1)),
+    "alpha": (PAPER, {}),
+    "alpha no low-pass": (PAPER, dict(splatting__low_pass=0.0)),
+    "alpha normalised": (PAPER, dict(splatting__normalize=True)),
+    "alpha narrow": (PAPER, dict(splatting__radius=0.5)),
+    "alpha grey": (PAPER, dict(loss__grey=True, splatting__radius=1.0)),
+    "alpha relative": (PAPER, dict(splatting__depth_relative=0.01)),
+    "alpha wide": (PAPER, dict(splatting__radius=3.0)),
+    "alpha crowded": (PAPER, dict(splatting__radius=5.0, splatting__occlusion=False)),
+    "alpha L1 only": (PAPER, dict(loss__ssim=0.0)),
+}
+
+
+@pytest.fixture(scope="module")
+def device():
+    try:
+        return open_device()
+    except DeviceError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """Odd sizes, all different, masks, holes, a step in depth; no two depths so close that float32 swaps their order."""
+    return Scene.make(13, width=45, height=37, contexts=3, masks=True)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_gradient_equals_the_twin(device, scene, name):
+    base, settings = CASES[name]
+    config = base.with_settings(**settings)
+    got, loss = device_gradient(device, config, scene)
+    want, value = twin_gradient(config, scene)
+    assert_kernel_close(got, want)
+    if config.smoothness.kind == "none":                     # what the schedule follows is the photometric part
+        assert loss == pytest.approx(value, rel=1e-5)
+
+
+@pytest.mark.parametrize("size", [(10, 30), (33, 11), (32, 16), (65, 17)])
+@pytest.mark.parametrize("base", [PLAIN, PAPER], ids=["order-free", "alpha"])
+def test_any_image_size(device, base, size):
+    """Smaller than a window, one window wide, one tile, a pixel more than a tile."""
+    scene = Scene.make(5, width=size[0], height=size[1], contexts=2)
+    got, loss = device_gradient(device, base, scene)
+    want, value = twin_gradient(base, scene)
+    assert_kernel_close(got, want)
+    assert loss == pytest.approx(value, rel=1e-5)
+
+
+@pytest.mark.parametrize("base", [PLAIN, PAPER, PAPER.with_settings(splatting__radius=3.0)],
+                         ids=["order-free", "alpha", "alpha wide"])
+def test_same_bytes_every_time(device, scene, base):
+    first, second = device_gradient(device, base, scene), device_gradient(device, base, scene)
+    assert first[0].tobytes() == second[0].tobytes()
+    assert first[1] == second[1]
+
+
+@pytest.mark.parametrize("base", [BALANCED, PAPER], ids=["order-free", "alpha"])
+def test_level_follows_the_twin(device, scene, base):
+    """Eight steps of Adam stay within a few hundredths of the way that they go."""
+    config = base.with_settings(solver__views_per_step=2)
+    level, initial = start_level(device, config, scene), scene.initial.astype(np.float64)
+    assert level.run(8) == 8
+    got = level.read("depth", initial.shape)
+    level.release()
+    state = prepare(initial, scene.target, scene.contexts, config, scene.unit, scene.delta(config))
+    if config.solver.unit == "distance":
+        object.__setattr__(state, "distance", 1.0)          # what the level was given
+    want, _ = run_level(scene.moved.astype(np.float64), scene.target, scene.contexts, config, state, 8)
+    way, error = np.abs(want - scene.moved), np.abs(got - want)
+    assert np.median(way[initial > 0]) > 0
+    assert error.mean() < 0.03 * way.mean()
