@@ -154,13 +154,13 @@ def initial_depths(surface, views: list[View], progress=None) -> list[np.ndarray
 
 def fuse_results(views: list[View], results: list[DepthResult], config: Config, progress=None):
     """Keep what other views confirm, then TSDF: a Surface."""
-    from pagas_cl.surface.agree import filter_depths
+    from pagas_cl.surface.agree import confirmed
     from pagas_cl.surface.fuse import fuse
 
     by_camera = {id(result.camera): result for result in results}
     used = [view for view in views if id(view.camera) in by_camera]
     depths = [by_camera[id(view.camera)].depth for view in used]
-    agreed = filter_depths([view.camera for view in used], depths, config.fusion)
+    agreed = confirmed([view.camera for view in used], depths, config.fusion)
     return fuse(used, agreed, config.fusion, progress=progress)
 
 
