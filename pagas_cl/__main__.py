@@ -15,11 +15,28 @@ from pagas_cl import __version__, commands
 from pagas_cl.commands._console import log_to_stderr
 from pagas_cl.errors import InputError, MissingExtraError, PagasError
 
+INTERRUPTED = 130
+
 
 def command_names() -> list[str]:
     """Every command, from the files in pagas_cl/commands."""
     found = (module.name for module in pkgutil.iter_modules(commands.__path__))
     return sorted(name.replace("_", "-") for name in found if not name.startswith("_"))
+
+
+def spread(arguments: list[str], many) -> list[str]:
+    """`--views a b` as `--views a --views b`, for the options in `many`."""
+    result, option = [], None
+    for word in arguments:
+        if word.startswith("-"):
+            option = word if word in many else None
+            if option is None:
+                result.append(word)
+        elif option:
+            result += [option, word]
+        else:
+            result.append(word)
+    return result
 
 
 def build_app(names) -> typer.Typer:
@@ -45,16 +62,25 @@ def run(arguments: list[str]) -> int:
     known = command_names()
     wanted = [word for word in arguments if not word.startswith("-")][:1]
     try:
-        app = build_app(wanted if wanted and wanted[0] in known else known)
-        status = app(arguments, prog_name="pagas-cl", standalone_mode=False)
+        one = wanted if wanted and wanted[0] in known else []
+        app = build_app(one or known)
+        status = app(spread(arguments, _many(one)), prog_name="pagas-cl", standalone_mode=False)
+        if status == INTERRUPTED:  # typer has caught it
+            raise KeyboardInterrupt
         return status if isinstance(status, int) else 0
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write("pagas-cl: interrupted\n")
-        return 130
+        return INTERRUPTED
     except Exception as error:  # the outermost place: whatever it is becomes a sentence and a status
         if debug:
             raise
         return _explain(error)
+
+
+def _many(names) -> tuple[str, ...]:
+    """Options of the command that take several words."""
+    modules = (import_module(f"pagas_cl.commands.{name.replace('-', '_')}") for name in names)
+    return tuple(option for module in modules for option in getattr(module, "MANY", ()))
 
 
 def _explain(error: Exception) -> int:

@@ -10,18 +10,19 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-SOURCES = {"pagas_cl": ROOT / "pagas_cl", "pagas_cl/cl_kernels": ROOT / "cl_kernels", "pagas_cl/filters": ROOT / "filters"}
+SOURCES = {"pagas_cl": ROOT / "pagas_cl", "pagas_cl/cl_kernels": ROOT / "cl_kernels",
+           "pagas_cl/filters": ROOT / "filters"}
 SHIPPED = {".py", ".cl", ".clh", ".mlx"}
 OPTIONAL = {"open3d", "pymeshlab", "pycolmap", "matplotlib", "skimage", "scipy", "dask", "distributed"}
 
 # What each part may import of the others; the flow is one way (a part may always import itself, errors and config).
 ALLOWED = {
     "errors": set(), "config": set(), "scene": set(), "reference": {"scene"}, "runtime": {"scene", "cl_kernels"},
-    "surface": {"scene", "runtime"}, "splat": {"scene", "runtime"}, "evaluate": {"scene"}, "made": {"scene", "evaluate"},
-    "camera_check": {"scene", "surface"},
-    "report": {"scene", "reference", "evaluate"},
+    "surface": {"scene", "runtime"}, "splat": {"scene", "runtime"}, "result": {"scene"},
+    "refine": {"scene", "runtime", "surface", "splat", "result"}, "camera_check": {"scene", "surface"},
+    "evaluate": {"scene"}, "made": {"scene", "evaluate"}, "report": {"scene", "reference", "evaluate", "result"},
 }
-WITHOUT_OPENCL = {"errors", "config", "scene", "reference", "report", "evaluate", "made"}
+WITHOUT_OPENCL = {"errors", "config", "scene", "reference", "report", "evaluate", "made", "result"}
 # Kernel files that belong to a stage of another name.
 STAGE = {"alpha": "composite"}
 REFERENCE = {"alpha": "composite", "backward": "composite"}

@@ -108,6 +108,12 @@ def parallax_change(target: Camera, contexts: list[Camera], before, after) -> np
     return change
 
 
+def change_in_units(before, after, parallax) -> np.ndarray:
+    """(after - before) / parallax where all three are above 0, NaN elsewhere."""
+    known = (np.asarray(before) > 0) & (np.asarray(after) > 0) & (np.asarray(parallax) > 0)
+    return np.where(known, (np.asarray(after, np.float64) - before) / np.where(known, parallax, 1), np.nan)
+
+
 def _projected(camera: Camera, points):
     """Pixel positions of camera-frame points, and whether each lies in front and inside the image."""
     z = points[:, 2]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.report.page import figure, html_page, write_picture, write_text
-from pagas_cl.report.pictures import parallax_change, view_pictures
+from pagas_cl.report.pictures import change_in_units, parallax_change, view_pictures
 
 
 class Report:
@@ -39,7 +39,7 @@ class Report:
     def __exit__(self, *_):
         self.write()
 
-    def add(self, view, before, after, *, contexts=(), confidence=None, counts=None, remarks=()) -> None:
+    def add(self, view, before, after, *, contexts=(), parallax=None, confidence=None, counts=None, remarks=()) -> None:
         """Write the pictures of one view and remember its row of the table.
 
         Parameters
@@ -48,7 +48,10 @@ class Report:
         before, after : ndarray of shape (H, W)
             z-depth, 0 = no surface.
         contexts : list of Camera
-            Cameras of the context views; without them there is no picture of the change.
+            Cameras of the context views, to measure the change by (`parallax_change`).
+        parallax : ndarray of shape (H, W), optional
+            Instead of `contexts`: change of depth that is one pixel of parallax, 0 = unknown. Without either of them
+            there is no picture of the change.
         confidence : ndarray of shape (H, W), optional
         counts : dict of str to number, optional
             Columns of the table.
@@ -57,6 +60,8 @@ class Report:
         """
         photo, camera = view.load_image(), view.camera
         change = parallax_change(camera, list(contexts), before, after) if contexts else None
+        if parallax is not None:
+            change = change_in_units(before, after, parallax)
         stem = file_stem(view.name)
         figures = []
         for picture in view_pictures(photo, camera, before, after, change=change, confidence=confidence):

@@ -1,0 +1,148 @@
+"""`pagas-cl refine`: the whole way from a folder of photos to refined depth maps and a mesh."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import nullcontext
+from pathlib import Path
+
+import typer
+
+from pagas_cl.commands._console import shown_progress
+from pagas_cl.errors import InputError, need
+
+MANY = ("--views", "--set")  # options that take several words: `--views a b c`
+
+log = logging.getLogger("pagas_cl")
+
+
+def command(
+    scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
+    mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where the refinement starts."),
+    output: Path = typer.Option(None, "--output", help="The refined mesh to write (.ply, .obj, .stl, .off)."),
+    depth_dir: Path = typer.Option(None, "--depth-dir", help="Initial depth maps, <image stem>.npz, not --mesh."),
+    save_depth: Path = typer.Option(None, "--save-depth", help="Folder for the refined depth maps, <image stem>.npz."),
+    views: list[str] = typer.Option([], "--views", help="Refine these views only (several names may follow)."),
+    context: int = typer.Option(None, "--context", help="Most context views of each view."),
+    preset: str = typer.Option("balanced", "--preset", help="Settings to start from: balanced or paper."),
+    device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
+    report: Path = typer.Option(None, "--report", help="Folder for pictures of every view and a page to open."),
+    settings: list[str] = typer.Option([], "--set", metavar="STAGE.FIELD=VALUE", help="Change one setting."),
+    format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
+    depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
+    outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
+    quiet: bool = typer.Option(False, "--quiet", help="No progress."),
+):
+    """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
+    from pagas_cl.commands._settings import build_config
+    from pagas_cl.refine import fuse_results, refine_views
+    from pagas_cl.runtime.device import open_device
+    from pagas_cl.scene.mesh_file import write_mesh
+    from pagas_cl.scene.readers import read_scene
+
+    _check_request(mesh, depth_dir, output, save_depth, report)
+    config = build_config(preset, settings, **({} if context is None else {"context__number": context}))
+    found = read_scene(scene, format, **({"outside": True} if outside else {}))
+    for view in found.views:
+        view.check_files()
+    names = [found.views[found.index(name)].name for name in views] or None
+    opened = open_device(device)
+    with shown_progress(quiet) as progress, _report(report, found, preset, settings, opened) as page:
+        depths = _initial(found, mesh, depth_dir, depth_scale, progress)
+        results = refine_views(found.views, depths, names=names, config=config, device=opened, progress=progress,
+                               on_view=_Keeper(found, save_depth, page))
+        if output is not None:
+            write_mesh(output, fuse_results(found.views, results, config, progress))
+            log.info("mesh: %s", output)
+    _tell(results, save_depth, report)
+
+
+def _check_request(mesh, depth_dir, output, save_depth, report) -> None:
+    """Refuse what cannot end well before any work is done."""
+    from pagas_cl.scene.mesh_file import check_mesh_path
+
+    if (mesh is None) == (depth_dir is None):
+        raise InputError("expected either --mesh or --depth-dir (where the refinement starts), got "
+                         + ("neither" if mesh is None else "both"))
+    if output is None and save_depth is None and report is None:
+        raise InputError("nothing to write: give --output, --save-depth or --report")
+    if depth_dir is not None and not depth_dir.is_dir():
+        raise InputError(f"--depth-dir {str(depth_dir)!r} is no folder")
+    if output is not None:
+        check_mesh_path(output)
+        need("open3d", "mesh", "fusing depth maps to a mesh (--output)")
+    for name, folder in (("--save-depth", save_depth), ("--report", report)):
+        if folder is not None and folder.exists() and not folder.is_dir():
+            raise InputError(f"{name} {str(folder)!r} is a file, expected a folder")
+
+
+def _initial(found, mesh, depth_dir, depth_scale, progress) -> list:
+    """Initial depth of every view, from the mesh or from files; None for a view without a file."""
+    if mesh is not None:
+        from pagas_cl.refine import initial_depths
+        from pagas_cl.scene.mesh import to_surface
+
+        return initial_depths(to_surface(mesh), found.views, progress)
+    from pagas_cl.scene.depthmap import find_depth, load_depth
+
+    files = [find_depth(depth_dir, view.name) for view in found.views]
+    if not any(files):
+        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
+                         f"expected for instance {found.views[0].stem}.npz")
+    depths = []
+    for view, file in zip(found.views, files):
+        size = view.camera.width, view.camera.height
+        depths.append(None if file is None else load_depth(file, size, scale=depth_scale))
+    return depths
+
+
+def depth_file(folder: Path, found, view) -> Path:
+    """Where the depth of a view goes: <image stem>.npz, below its folders where two views have the same stem."""
+    alone = sum(other.stem == view.stem for other in found.views) == 1
+    return folder / (f"{view.stem}.npz" if alone else Path(view.name).with_suffix(".npz"))
+
+
+class _Keeper:
+    """Writes each view's depth and pictures as soon as it is done, so that an interrupted run keeps them."""
+
+    def __init__(self, found, save_depth, page):
+        self.found, self.save_depth, self.page = found, save_depth, page
+
+    def __call__(self, view, initial, result) -> None:
+        from pagas_cl.scene.depthmap import save_depth
+
+        if self.save_depth is not None:
+            save_depth(depth_file(self.save_depth, self.found, view), result.depth)
+        if self.page is not None:
+            told = result.report
+            remarks = [f"kept as it came: {result.reason}"] if result.reason else []
+            if told.get("contexts"):
+                remarks.append("context views: " + ", ".join(told["contexts"]))
+            figures = {"seconds": round(told["seconds"], 2)} if "seconds" in told else {}
+            self.page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
+                          counts={**result.counts, **figures}, remarks=remarks)
+
+
+def _report(folder, found, preset, settings, opened):
+    """The Report to fill, or a context of None where none was asked for."""
+    if folder is None:
+        return nullcontext()
+    from pagas_cl.report import Report
+
+    changed = f", {', '.join(settings)}" if settings else ""
+    return Report(folder, "pagas-cl refine", [f"scene: {found.source}, {len(found.views)} views",
+                                             f"settings: {preset}{changed}", f"device: {opened.info}"])
+
+
+def _tell(results, save_depth, report) -> None:
+    total = {}
+    for result in results:
+        for name, number in result.counts.items():
+            total[name] = total.get(name, 0) + number
+    kept = sum(bool(result.reason) for result in results)
+    log.info("%d views%s; pixels: %s", len(results), f", {kept} of them kept as they came" if kept else "",
+             ", ".join(f"{number} {name}" for name, number in total.items()))
+    if save_depth is not None:
+        log.info("depth maps: %s", save_depth)
+    if report is not None:
+        log.info("pictures: %s", report / "index.html")
