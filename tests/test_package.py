@@ -20,7 +20,7 @@ ALLOWED = {
     "errors": set(), "config": set(), "scene": set(), "reference": {"scene"}, "runtime": {"scene", "cl_kernels"},
     "surface": {"scene", "runtime"}, "splat": {"scene", "runtime"}, "result": {"scene"},
     "refine": {"scene", "runtime", "surface", "splat", "result"}, "camera_check": {"scene", "surface"},
-    "evaluate": {"scene"}, "made": {"scene", "evaluate"}, "report": {"scene", "reference", "evaluate", "result"},
+    "evaluate": {"scene"}, "made": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
 }
 WITHOUT_OPENCL = {"errors", "config", "scene", "reference", "report", "evaluate", "made", "result"}
 # Kernel files that belong to a stage of another name.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pagas_cl.reference.smooth import normals as depth_normals
 from pagas_cl.report.colors import colored, normal_colors
+from pagas_cl.result import normals_of
 from pagas_cl.scene.camera import Camera
 
 _SMALLEST_CHANGE = 0.1  # pixels: where nothing moved the scale does not blow rounding up to full colour
@@ -55,8 +55,7 @@ def view_pictures(photo, camera: Camera, before, after, *, change=None, confiden
     legend = f"z-depth from {low:.4g} to {high:.4g} scene units"
     pictures += [Picture(f"depth_{when}", f"depth {when}", colored(depth, low, high, depth > 0), legend, "sequential")
                  for when, depth in (("before", before), ("after", after))]
-    rays = camera.rays()
-    pictures += [Picture(f"normals_{when}", f"normals {when}", _normals(depth, rays),
+    pictures += [Picture(f"normals_{when}", f"normals {when}", _normals(depth, camera),
                          "red: to the right, green: up, blue: towards the camera")
                  for when, depth in (("before", before), ("after", after))]
     if change is not None:
@@ -124,6 +123,6 @@ def _projected(camera: Camera, points):
     return m, inside
 
 
-def _normals(depth, rays) -> np.ndarray:
-    normals = depth_normals(np.asarray(depth, np.float64), np.asarray(depth) > 0, rays)
+def _normals(depth, camera: Camera) -> np.ndarray:
+    normals = normals_of(np.asarray(depth), camera)
     return normal_colors(normals, (normals != 0).any(axis=-1))
