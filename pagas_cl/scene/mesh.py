@@ -182,7 +182,10 @@ def _to_tensor(surface: Surface, like):
 
 
 def _from_pymeshlab(mesh) -> Surface:
-    mesh = mesh.current_mesh() if hasattr(mesh, "current_mesh") else mesh
+    if hasattr(mesh, "current_mesh"):
+        if mesh.mesh_number() == 0:
+            raise InputError("the mesh is empty: a pymeshlab MeshSet without meshes")
+        mesh = mesh.current_mesh()
     if mesh.vertex_number() == 0 or mesh.face_number() == 0:
         raise InputError(f"the mesh is empty: {mesh.vertex_number()} vertices and {mesh.face_number()} faces")
     vertices = mesh.transformed_vertex_matrix()  # with the layer's matrix, which vertex_matrix() leaves out

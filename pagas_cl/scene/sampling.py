@@ -56,8 +56,10 @@ def spread_pixels(depth: np.ndarray, samples: int = SAMPLES) -> tuple[np.ndarray
         if len(rows) >= samples // 2 or step == 1:
             break
         step = max(1, step // 2)  # a small object in a large photo: look closer
-    keep = slice(None, None, max(1, -(-len(rows) // samples)))
-    return rows[keep] * step + step // 2, columns[keep] * step + step // 2
+    rows, columns = rows * step + step // 2, columns * step + step // 2
+    finite = np.isfinite(depth[rows, columns])
+    keep = slice(None, None, max(1, -(-np.count_nonzero(finite) // samples)))
+    return rows[finite][keep], columns[finite][keep]
 
 
 def _cell(shape) -> int:

@@ -50,9 +50,9 @@ def confirmations(target: Camera, depth: np.ndarray, cameras: list[Camera], dept
     return count.reshape(depth.shape)
 
 
-def filter_depths(cameras: list[Camera], depths: list[np.ndarray | None], settings: Fusion,
-                  neighbours: list | None = None) -> list[np.ndarray | None]:
-    """Depth maps without the depths that fewer than `settings.agree_views` others confirm.
+def confirmed(cameras: list[Camera], depths: list[np.ndarray | None], settings: Fusion,
+              neighbours: list | None = None) -> list[np.ndarray | None]:
+    """Copies of the depth maps without the depths that fewer than `settings.agree_views` others confirm.
 
     Parameters
     ----------

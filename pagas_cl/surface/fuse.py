@@ -21,12 +21,13 @@ from pagas_cl.scene.view import View
 from pagas_cl.surface.convention import grid_shift
 from pagas_cl.surface.grid import Grid, block_resolution
 from pagas_cl.surface.memory import available_mb
-from pagas_cl.surface.pieces import without_small_pieces
+from pagas_cl.surface.pieces import in_order, without_small_pieces
 
 log = logging.getLogger("pagas_cl")
 
-_VOXEL_BYTES = 20 + 16        # tsdf, weight, colour; and what extracting the mesh adds
-_VERTEX_BYTES = 300           # a vertex, its two triangles, and copies of both
+_VOXEL_BYTES = 20 * 1.1 + 16  # tsdf, weight, colour, with the grid's spare room; and what extracting the mesh adds
+_VERTEX_BYTES = 80            # a vertex and its two triangles as extracted (measured)
+_AFTER_BYTES = 300            # the same while it is cleaned and ordered, the grid gone (measured)
 _VERTICES = 0.7               # vertices in a block, as a share of the voxels in one of its faces (measured)
 _FAR = 100.0                  # pixels wider than this many voxels make flecks, not a surface
 _WEIGHT_STEPS = 3             # Open3D integrates with weight 1; weights are made by integrating up to 3 times
@@ -96,7 +97,8 @@ def fusion_plan(views, depths, settings: Fusion = Fusion()) -> FusionPlan:
         keys = np.union1d(keys, _keys(blocks[-1]))
     count = len(keys)
     edge = block_resolution(settings.truncation)
-    memory = count * (edge**3 * _VOXEL_BYTES + edge**2 * _VERTICES * _VERTEX_BYTES) / 1e6
+    vertices = count * edge**2 * _VERTICES
+    memory = max(count * edge**3 * _VOXEL_BYTES + vertices * _VERTEX_BYTES, vertices * _AFTER_BYTES) / 1e6
     return FusionPlan(voxel, settings.truncation * voxel, (low, high), blocks, count, memory, middle, unit)
 
 
@@ -138,13 +140,15 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
                                _pose(view.camera, plan.middle, plan.unit))
         if progress:
             progress("fuse", i + 1, len(views))
-    ones = grid.seen()
-    log.info("fusion: voxels seen by 1, 2, 3, more views: %s", ", ".join(map(str, ones)))
-    return _mesh(grid, plan, settings, ones)
+    seen = grid.seen()
+    log.info("fusion: voxels seen by 1, 2, 3, more views: %s", ", ".join(map(str, seen)))
+    extracted = grid.extract(settings.min_views - 0.5)
+    del grid  # cleaning the mesh takes memory of its own
+    return _mesh(extracted, plan, settings, seen)
 
 
-def _mesh(grid: Grid, plan: FusionPlan, settings: Fusion, seen: np.ndarray) -> Surface:
-    vertices, faces, normals, colours = grid.extract(settings.min_views - 0.5)
+def _mesh(extracted, plan: FusionPlan, settings: Fusion, seen: np.ndarray) -> Surface:
+    vertices, faces, normals, colours = extracted
     if len(faces) == 0:
         raise InputError(f"fused mesh is empty: depths {plan.depth_range[0]:.4g} to {plan.depth_range[1]:.4g}, voxel "
                          f"{plan.voxel:.4g}, truncation {plan.truncation:.4g}, fusion.min_views {settings.min_views}; "
@@ -154,6 +158,8 @@ def _mesh(grid: Grid, plan: FusionPlan, settings: Fusion, seen: np.ndarray) -> S
     if dropped:
         log.info("fusion: %d pieces with fewer than %g of the largest one's triangles are dropped", dropped,
                  settings.min_component)
+    first, faces = in_order(vertices[keep], normals[keep], faces)
+    keep = keep[first]
     length = np.linalg.norm(normals[keep], axis=1, keepdims=True)
     return Surface(vertices[keep].astype(np.float64) * plan.unit + plan.middle, faces,
                    normals[keep] / np.where(length > 0, length, 1),

@@ -8,6 +8,7 @@ _STRIDE = 4      # Open3D looks at every fourth pixel of every fourth row when i
 # One look in each row and column of a 4 x 4 cell, so that a line one pixel wide is touched too.
 _FEW = ((0, 1), (1, 3), (2, 0), (3, 2))
 _REACH = 10.0    # Open3D looks at 4 depths across the truncation band: blocks must not fit between two of them
+_ROOM = 10       # a tenth of the blocks is spare room, see Grid.integrate
 _ALL = tuple((r, c) for r in range(_STRIDE) for c in range(_STRIDE))
 
 
@@ -40,9 +41,10 @@ class Grid:
         self._o3c, self._geometry = open3d.core, open3d.t.geometry
         names, channels = ("tsdf", "weight", "color"), ((1), (1), (3))
         used = 3 if colour else 2
+        self._room = max(64, int(blocks) // _ROOM)
         self._grid = self._geometry.VoxelBlockGrid(
             attr_names=names[:used], attr_dtypes=(self._o3c.float32,) * used, attr_channels=channels[:used],
-            voxel_size=float(voxel), block_resolution=block_resolution(truncation), block_count=int(max(blocks, 1)),
+            voxel_size=float(voxel), block_resolution=block_resolution(truncation), block_count=int(blocks) + self._room,
             device=self._o3c.Device("CPU:0"))
         self._range = (1.0, float(depth_max), float(truncation))
 
@@ -65,16 +67,20 @@ class Grid:
 
     def integrate(self, blocks: np.ndarray, depth: np.ndarray, colour: np.ndarray | None, K: np.ndarray,
                   pose: np.ndarray) -> None:
-        """Add one depth map (H, W) float32, with colours (H, W, 3) float32 from 0 to 1."""
-        if len(blocks) == 0:
-            return
+        """Add one depth map (H, W) float32, with colours (H, W, 3) float32 from 0 to 1.
+
+        Blocks go in by parts: Open3D doubles its table when the blocks it has and those that come, old or new, exceed
+        it together (measured).
+        """
         K, pose = self._o3c.Tensor(K), self._o3c.Tensor(np.array(pose))
         images = [self._image(depth[..., None])]
         intrinsics = [K]
         if colour is not None:
             images.append(self._image(colour))
             intrinsics.append(K)
-        self._grid.integrate(self._o3c.Tensor(blocks), *images, *intrinsics, pose, *self._range)
+        for start in range(0, len(blocks), self._room):
+            part = self._o3c.Tensor(np.ascontiguousarray(blocks[start:start + self._room]))
+            self._grid.integrate(part, *images, *intrinsics, pose, *self._range)
 
     def extract(self, threshold: float):
         """Vertices (V, 3), faces (F, 3), normals (V, 3), colours (V, 3) or None, of voxels whose weight is above

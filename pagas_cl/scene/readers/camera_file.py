@@ -15,7 +15,7 @@ from pathlib import Path
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.readers import untrusted
-from pagas_cl.scene.readers.photos import existing, find_mask, inside
+from pagas_cl.scene.readers.photos import find_mask, inside
 from pagas_cl.scene.view import Scene, View
 
 NAME = "cameras.json"
@@ -67,14 +67,21 @@ def _view(folder: Path, entry, where: str, outside: bool) -> View:
     absent = [key for key in _KNOWN if key not in entry and key not in ("mask", "name")]
     if absent:
         raise InputError(f"{where}: {absent[0]!r} is missing")
-    image = existing(inside(folder / "images", entry["image"], f"{where}: image", outside=outside), where)
+    image = _file(folder / "images", entry["image"], f"{where}: image", outside)
     fx, fy, cx, cy = (untrusted.number(entry[key], f"{where}: {key}") for key in ("fx", "fy", "cx", "cy"))
     camera = untrusted.pinhole([[fx, 0, cx], [0, fy, cy], [0, 0, 1]],
                                untrusted.matrix(entry["world_to_camera"], 4, 4, f"{where}: world_to_camera"),
                                entry["width"], entry["height"], entry["image"])
     mask = entry.get("mask")
     if mask is not None:
-        mask = existing(inside(folder / "masks", mask, f"{where}: mask", outside=outside), where)
+        mask = _file(folder / "masks", mask, f"{where}: mask", outside)
     view = View(camera, image, mask or find_mask(folder, image, ("masks",)), entry["image"])
     view.check_files()
     return view
+
+
+def _file(folder: Path, name, what: str, outside: bool) -> Path:
+    path = inside(folder, name, what, outside=outside)
+    if not path.is_file():
+        raise InputError(f"{what} {untrusted.short(name)} is missing in {str(folder)!r}")
+    return path

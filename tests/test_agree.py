@@ -1,0 +1,112 @@
+"""Confirmation by other views: exact surfaces, errors in pixels of parallax, occlusion, no parallax."""
+
+import numpy as np
+import pytest
+from conftest import look_at, plane_depth
+
+from pagas_cl.config import Fusion
+from pagas_cl.errors import InputError
+from pagas_cl.surface import agree
+
+NORMAL = np.array([0.3, 0.2, -0.93]) / np.linalg.norm([0.3, 0.2, -0.93])
+
+
+def parallax(target, others):
+    """One pixel of parallax at the target's middle pixel, by finite differences of the projection."""
+    depth = plane_depth(target, NORMAL, 0)
+    i, j = target.height // 2, target.width // 2
+    ray = target.rays()[i, j] @ target.world_to_camera[:3, :3]
+    d, step = depth[i, j], 1e-4
+    squared = [np.sum(((c.project(target.center + (d + step) * ray)[0] - c.project(target.center + d * ray)[0])
+                       / step) ** 2) for c in others]
+    return (i, j), 1 / np.sqrt(np.mean(squared))
+
+
+def test_every_view_that_sees_a_point_confirms_it(ring):
+    depths = [plane_depth(camera, NORMAL, 0) for camera in ring]
+    count = agree.confirmations(ring[3], depths[3], ring[:3] + ring[4:], depths[:3] + depths[4:], 0.05)
+    assert count.dtype == np.uint16 and count.max() == 6
+    points = (ring[3].rays() * depths[3][..., None]) @ ring[3].world_to_camera[:3, :3] + ring[3].center
+    seen = np.zeros(count.shape, int)
+    for k, camera in enumerate(ring):
+        uv, z = camera.project(points)
+        seen += (k != 3) & (z > 0) & (uv > 0.5).all(-1) & (uv < (159.5, 119.5)).all(-1)
+    assert (count >= seen).all()
+
+
+@pytest.mark.parametrize("off, confirmed", [(0.5, True), (1.8, True), (2.2, False), (-1.8, True), (-2.2, False)])
+def test_tolerance_is_in_pixels_of_parallax(ring, off, confirmed):
+    others = ring[:3] + ring[4:]
+    (i, j), unit = parallax(ring[3], others)
+    depth = plane_depth(ring[3], NORMAL, 0)
+    depth[i, j] += off * unit
+    # the plane seen by the others also moves sideways under the shifted point: a shallow one keeps this apart
+    flat = [plane_depth(camera, NORMAL, 0) for camera in others]
+    count = agree.confirmations(ring[3], depth, others, flat, 2.0)
+    alone = agree.confirmations(ring[3], depth, others, flat, 3.5)
+    assert (count[i, j] >= 3) == confirmed or abs(abs(off) - 2) < 0.3
+    assert alone[i, j] >= 4
+
+
+def test_far_errors_are_not_confirmed_and_holes_confirm_nothing(ring):
+    depths = [plane_depth(camera, NORMAL, 0) for camera in ring]
+    wrong = depths[3] * np.float32(1.2)
+    assert agree.confirmations(ring[3], wrong, ring[:3], depths[:3], 2.0).max() == 0
+    none = [np.zeros_like(d) for d in depths[:3]]
+    assert agree.confirmations(ring[3], depths[3], ring[:3], none, 2.0).max() == 0
+    assert agree.confirmations(ring[3], depths[3], ring[:2], [None, None], 2.0).max() == 0
+    assert agree.confirmations(ring[3], np.zeros_like(wrong), ring[:3], depths[:3], 2.0).max() == 0
+
+
+def test_no_parallax_confirms_nothing(ring):
+    depth = plane_depth(ring[0], NORMAL, 0)
+    assert agree.confirmations(ring[0], depth, [ring[0]], [depth], 2.0).max() == 0
+
+
+def test_hidden_points_are_not_confirmed_by_what_hides_them(ring):
+    depths = [plane_depth(camera, NORMAL, 0) for camera in ring]
+    wall = np.full_like(depths[2], 1.0)
+    assert agree.confirmations(ring[3], depths[3], [ring[2]], [wall], 2.0).max() == 0
+
+
+def test_chunks_unit_and_origin(ring, monkeypatch):
+    from pagas_cl.scene.camera import Camera
+
+    rng = np.random.default_rng(0)
+    depths = [plane_depth(c, NORMAL, 0) * (1 + 0.01 * rng.normal(size=(120, 160))).astype("f4") for c in ring]
+    whole = agree.confirmations(ring[3], depths[3], ring[:3], depths[:3], 2.0)
+    moved = []
+    for c in ring:
+        pose = c.world_to_camera.copy()
+        pose[:3, 3] = -pose[:3, :3] @ (c.center * 1e3 + 5e6)
+        moved.append(Camera(c.width, c.height, c.fx, c.fy, c.cx, c.cy, pose))
+    other = agree.confirmations(moved[3], depths[3] * np.float32(1e3), moved[:3], [d * np.float32(1e3) for d in depths[:3]],
+                                2.0)
+    assert 0.2 < whole.mean() / 3 < 0.99 and (whole != other).mean() < 1e-3
+    monkeypatch.setattr(agree, "_ROWS", 1000)
+    assert np.array_equal(agree.confirmations(ring[3], depths[3], ring[:3], depths[:3], 2.0), whole)
+
+
+def test_depth_maps_without_what_is_not_confirmed(ring):
+    depths = [plane_depth(camera, NORMAL, 0) for camera in ring]
+    depths[3][40:60, 50:70] *= 1.3
+    kept = agree.confirmed(ring, depths, Fusion(agree_views=2))
+    assert (kept[3][40:60, 50:70] == 0).all() and (kept[3] > 0).mean() > 0.8
+    assert np.array_equal(kept[3][kept[3] > 0], depths[3][kept[3] > 0])
+    same = agree.confirmed(ring, depths, Fusion(agree_views=0))
+    assert all(a is b for a, b in zip(same, depths))
+    few = agree.confirmed(ring, depths, Fusion(agree_views=2), neighbours=[[1]] * 7)
+    assert few[0].max() == 0
+
+
+def test_sizes_must_fit(ring):
+    with pytest.raises(InputError, match="its camera says 160 x 120"):
+        agree.confirmations(ring[0], np.ones((3, 3)), [], [])
+    with pytest.raises(InputError, match="1 cameras and 0"):
+        agree.confirmations(ring[0], np.ones((120, 160)), ring[:1], [])
+
+
+def test_look_at_far_views_do_not_count_behind_the_camera():
+    front, back = look_at((0, 0, -4), (0, 0, 0)), look_at((0, 0, -4.5), (0, 0, -10))
+    depth = plane_depth(front, NORMAL, 0)
+    assert agree.confirmations(front, depth, [back], [np.full_like(depth, 4.0)], 2.0).max() == 0

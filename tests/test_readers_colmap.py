@@ -1,0 +1,204 @@
+"""Readers of COLMAP models and cameras.json: real models, models that pycolmap writes, and everything missing."""
+
+import logging
+import shutil
+
+import numpy as np
+import pytest
+from conftest import look_at
+from PIL import Image
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.lens import Lens
+from pagas_cl.scene.readers import camera_file, colmap, formats, read_scene
+from pagas_cl.scene.view import View
+
+pycolmap = pytest.importorskip("pycolmap")
+
+
+def write_model(folder, cameras, *, model="PINHOLE", extra=(), binary=True, place="sparse/0", photos=True):
+    """A scene folder with one COLMAP camera and the poses of `cameras`."""
+    first = cameras[0]
+    params = {"PINHOLE": [first.fx, first.fy, first.cx, first.cy], "SIMPLE_PINHOLE": [first.fx, first.cx, first.cy],
+              "SIMPLE_RADIAL": [first.fx, first.cx, first.cy, *extra],
+              "OPENCV": [first.fx, first.fy, first.cx, first.cy, *extra],
+              "OPENCV_FISHEYE": [first.fx, first.fy, first.cx, first.cy, *extra]}[model]
+    made = pycolmap.Reconstruction()
+    made.add_camera_with_trivial_rig(pycolmap.Camera(model=model, width=first.width, height=first.height,
+                                                     params=params, camera_id=1))
+    for number, camera in enumerate(cameras, 1):
+        image = pycolmap.Image(name=camera.name, camera_id=1, image_id=number)
+        made.add_image_with_trivial_frame(image, pycolmap.Rigid3d(camera.world_to_camera[:3]))
+    target = folder / place
+    target.mkdir(parents=True, exist_ok=True)
+    (made.write_binary if binary else made.write_text)(str(target))
+    if photos:
+        rng = np.random.default_rng(0)
+        for camera in cameras:
+            path = folder / "images" / camera.name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(rng.integers(0, 256, (first.height, first.width, 3), dtype=np.uint8)).save(path)
+    return folder
+
+
+@pytest.mark.parametrize("binary", [True, False])
+@pytest.mark.parametrize("place", ["sparse/0", "sparse"])
+def test_pinhole_models_come_back_exactly(tmp_path, ring, binary, place):
+    scene = read_scene(write_model(tmp_path, ring, binary=binary, place=place))
+    assert [view.name for view in scene.views] == [camera.name for camera in ring]
+    for view, camera in zip(scene.views, ring):
+        assert np.abs(view.camera.world_to_camera - camera.world_to_camera).max() < 1e-9
+        assert np.abs(view.camera.K - camera.K).max() < 1e-9
+        assert view.load_image().shape == (120, 160, 3) and view.load_mask() is None
+
+
+def test_simple_pinhole_and_sub_folders(tmp_path, ring):
+    from dataclasses import replace
+
+    named = [replace(camera, name=f"cam{i}/a.png") for i, camera in enumerate(ring[:2])]
+    (tmp_path / "masks" / "cam0").mkdir(parents=True)
+    Image.fromarray(np.full((120, 160), 255, np.uint8)).save(tmp_path / "masks" / "cam0" / "a.png")
+    Image.fromarray(np.zeros((120, 160), np.uint8)).save(tmp_path / "masks" / "a.png")
+    scene = read_scene(write_model(tmp_path, named, model="SIMPLE_PINHOLE"))
+    assert scene.views[0].camera.fx == scene.views[0].camera.fy == ring[0].fx
+    assert scene.views[0].load_mask().all() and not scene.views[1].load_mask().any()
+
+
+@pytest.mark.parametrize("model, extra", [("SIMPLE_RADIAL", [-0.1]), ("OPENCV", [0.1, -0.05, 0.002, -0.001]),
+                                          ("OPENCV_FISHEYE", [0.02, 0.001, 0, 0])])
+def test_distorted_photos_are_undistorted(tmp_path, ring, model, extra, caplog):
+    """A picture of what the pixel's ray is, so that any slip of the resampling shows as an error in pixels."""
+    folder = write_model(tmp_path, ring[:2], model=model, extra=extra)
+    lens = pycolmap.Reconstruction(str(folder / "sparse/0")).cameras[1]
+    columns, rows = np.meshgrid(np.arange(160) + 0.5, np.arange(120) + 0.5)
+    rays = lens.cam_from_img(np.stack([columns, rows], -1).reshape(-1, 2)).reshape(120, 160, 2)
+    Image.fromarray(np.dstack([np.rint(np.clip(128 + 150 * rays, 0, 255)), np.zeros((120, 160))]).astype(np.uint8)
+                    ).save(folder / "images" / ring[0].name)
+    (folder / "masks").mkdir()
+    Image.fromarray(np.full((120, 160), 255, np.uint8)).save(folder / "masks" / ring[0].name)
+    with caplog.at_level(logging.INFO, "pagas_cl"):
+        view = read_scene(folder).views[0]
+    assert f"camera 1 is {model}: its photos are undistorted" in caplog.text
+    assert "1 of 2 views have no mask" in caplog.text
+    photo, camera = view.load_image(), view.camera
+    want = 128 + 150 * camera.rays()[..., :2]
+    inside = ((want > 1) & (want < 254)).all(-1)
+    inside[:2] = inside[-2:] = inside[:, :2] = inside[:, -2:] = False
+    assert inside.mean() > 0.5
+    assert np.abs(photo[..., :2] - want)[inside].max() < 1.6  # 8-bit steps, of about a pixel each
+    assert abs((photo[..., :2] - want)[inside].mean()) < 0.1  # half a pixel would be 0.5
+    assert view.load_mask().shape == photo.shape[:2] and view.load_mask().all()
+
+
+def test_lens_without_a_pinhole_is_refused():
+    camera = pycolmap.Camera(model="EQUIRECTANGULAR", width=64, height=32, params=[]) \
+        if "EQUIRECTANGULAR" in pycolmap.CameraModelId.__members__ else None
+    if camera is None:
+        pytest.skip("this pycolmap knows no panoramas")
+    with pytest.raises(InputError, match="EQUIRECTANGULAR.*cannot be undistorted.*image_undistorter"):
+        Lens.from_colmap(camera, "a.png")
+
+
+def test_missing_photos_are_counted_and_named(tmp_path, ring):
+    folder = write_model(tmp_path, ring)
+    for i in (1, 3, 4, 5):
+        (folder / "images" / f"view{i}.png").unlink()
+    with pytest.raises(InputError, match="4 of 7 photos .* missing in .*images': view1.png, view3.png, view4.png and 1"):
+        read_scene(folder)
+    shutil.rmtree(folder / "images")
+    with pytest.raises(InputError, match="images' does not exist"):
+        read_scene(folder)
+
+
+def test_size_mismatch_is_told_before_any_work(tmp_path, ring):
+    folder = write_model(tmp_path, ring)
+    Image.fromarray(np.zeros((60, 80, 3), np.uint8)).save(folder / "images" / "view2.png")
+    with pytest.raises(InputError, match=r"image 'view2.png' is 80 x 60, its camera says 160 x 120"):
+        read_scene(folder)
+    (folder / "images" / "view2.png").write_bytes(b"no picture")
+    with pytest.raises(InputError, match="view2.png' cannot be read"):
+        read_scene(folder)
+
+
+def test_masks_of_nothing_or_of_another_size(tmp_path, ring):
+    folder = write_model(tmp_path, ring)
+    (folder / "masks").mkdir()
+    with pytest.raises(InputError, match="no mask in .* belongs to any photo; expected names like view0.png"):
+        read_scene(folder)
+    Image.fromarray(np.zeros((10, 10), np.uint8)).save(folder / "masks" / "view0.png.png")
+    with pytest.raises(InputError, match="mask 'view0.png' is 10 x 10, its camera says 160 x 120"):
+        read_scene(folder)
+
+
+def test_names_that_lead_out_of_the_scene(tmp_path, ring):
+    from dataclasses import replace
+
+    folder = write_model(tmp_path, [replace(ring[0], name="../../etc/passwd")], photos=False)
+    with pytest.raises(InputError, match="leads out"):
+        read_scene(folder)
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
+def test_cut_off_models(tmp_path, ring, name):
+    folder = write_model(tmp_path, ring)
+    path = folder / "sparse/0" / name
+    path.write_bytes(path.read_bytes()[:-30])
+    with pytest.raises(InputError):
+        read_scene(folder)
+
+
+def test_no_scene_and_unknown_format(tmp_path):
+    with pytest.raises(InputError, match="does not exist"):
+        read_scene(tmp_path / "no")
+    with pytest.raises(InputError, match="no cameras in a known format"):
+        read_scene(tmp_path)
+    with pytest.raises(InputError, match="unknown format 'x', expected one of cameras, colmap"):
+        read_scene(tmp_path, "x")
+    with pytest.raises(InputError, match="no COLMAP model: looked for"):
+        read_scene(tmp_path, "colmap")
+    assert not colmap.detect(tmp_path) and {"cameras", "colmap"} <= set(formats())
+
+
+def test_camera_file_round_trip(tmp_path, ring):
+    folder = write_model(tmp_path, ring)
+    views = read_scene(folder).views
+    (folder / "masks").mkdir()
+    Image.fromarray(np.full((120, 160), 255, np.uint8)).save(folder / "masks" / "m.png")
+    views[0] = View(views[0].camera, views[0].image, folder / "masks" / "m.png", views[0].name)
+    camera_file.write(folder, views)
+    back = read_scene(folder)
+    assert back.source.endswith("cameras.json")
+    for a, b in zip(views, back.views):
+        assert np.array_equal(a.camera.world_to_camera, b.camera.world_to_camera) and np.array_equal(a.camera.K, b.camera.K)
+        assert a.name == b.name and a.image == b.image
+    assert back.views[0].load_mask().all() and back.views[1].mask is None
+
+
+@pytest.mark.parametrize("change, words", [
+    (lambda d: d.update(convention="opengl"), "convention is 'opengl', expected"),
+    (lambda d: d.update(views=[]), "'views'"), (lambda d: d["views"][1].pop("fx"), "view 1: 'fx' is missing"),
+    (lambda d: d["views"][0].update(width="9"), "'9', expected a number"),
+    (lambda d: d["views"][0].update(image="no.png"), "no.png"),
+    (lambda d: d["views"][0].update(image="../cameras.json"), "leads out"),
+    (lambda d: d["views"][0].update(mask="no.png"), "no.png"),
+    (lambda d: d["views"][0].update(width=80), "160 x 120, its camera says 80 x 120"),
+])
+def test_camera_file_errors(tmp_path, ring, change, words):
+    import json
+
+    folder = write_model(tmp_path, ring[:2])
+    path = camera_file.write(folder, read_scene(folder).views)
+    data = json.loads(path.read_text())
+    change(data)
+    path.write_text(json.dumps(data))
+    with pytest.raises(InputError, match=words):
+        read_scene(folder, "cameras")
+
+
+@pytest.mark.parametrize("name, count, size", [("dtu_scan24", 16, (1600, 1200)), ("sceaux_castle", 10, (2832, 2128))])
+def test_real_models(data_dir, name, count, size):
+    scene = read_scene(data_dir / name)
+    assert len(scene.views) == count and scene.source.startswith("COLMAP")
+    camera = scene.views[0].camera
+    assert (camera.width, camera.height) == size
+    assert scene.views[-1].load_image().shape == (size[1], size[0], 3)

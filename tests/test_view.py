@@ -1,0 +1,112 @@
+"""View, Scene, photos and masks: what comes in, what is refused and how."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.images import as_mask, as_photo, read_mask, read_photo
+from pagas_cl.scene.view import Scene, View
+
+
+def camera(width=20, height=10, name="a.png"):
+    return Camera(width, height, 15, 15, width / 2, height / 2, np.eye(4), name)
+
+
+@pytest.fixture
+def photo():
+    return np.random.default_rng(0).integers(0, 256, (10, 20, 3), dtype=np.uint8)
+
+
+def test_file_and_array_give_the_same_bytes(tmp_path, photo):
+    Image.fromarray(photo).save(tmp_path / "a.png")
+    for source in (photo, tmp_path / "a.png", str(tmp_path / "a.png"), photo / 255.0, (photo / 255).astype("f4")):
+        assert np.array_equal(View(camera(), source).load_image(), photo)
+
+
+def test_other_kinds_of_photos(tmp_path, photo):
+    grey = photo[..., 0]
+    assert np.array_equal(as_photo(grey), np.repeat(grey[..., None], 3, 2))
+    assert np.array_equal(as_photo(photo.astype(np.uint16) * 257), photo)
+    Image.fromarray(grey.astype(np.uint16) * 257).save(tmp_path / "wide.png")
+    assert np.array_equal(read_photo(tmp_path / "wide.png")[..., 1], grey)
+    Image.fromarray(np.dstack([photo, grey]), "RGBA").save(tmp_path / "rgba.png")
+    assert np.array_equal(read_photo(tmp_path / "rgba.png"), photo)
+
+
+def test_exif_orientation_is_not_applied(tmp_path, photo):
+    image = Image.fromarray(photo)
+    exif = image.getexif()
+    exif[0x0112] = 6
+    image.save(tmp_path / "turned.png", exif=exif)
+    assert read_photo(tmp_path / "turned.png").shape == (10, 20, 3)
+
+
+@pytest.mark.parametrize("pixels, words", [
+    (np.zeros((4, 4, 2), np.uint8), r"shape \(4, 4, 2\)"), (np.zeros((0, 4, 3), np.uint8), "shape"),
+    (np.full((2, 2, 3), 200.0), "0 to 1; divide by 255"), (np.full((2, 2, 3), np.nan), "not finite"),
+    (np.zeros((2, 2, 3), np.int64), "dtype int64"), (np.array(["x"]), "shape"),
+])
+def test_bad_arrays_are_refused(pixels, words):
+    with pytest.raises(InputError, match=words):
+        as_photo(pixels, "image 'x'")
+
+
+def test_size_mismatch_names_both_sizes_and_the_remedy(photo):
+    with pytest.raises(InputError, match=r"image 'a.png' is 20 x 10, its camera says 40 x 20: .*resized\(20, 10\)"):
+        View(camera(40, 20), photo)
+    with pytest.raises(InputError, match="its camera says 10 x 20: the shapes differ"):
+        View(camera(10, 20), photo)
+    with pytest.raises(InputError, match="mask 'a.png' is 3 x 4, its camera says 20 x 10"):
+        View(camera(), photo, np.ones((4, 3), bool))
+
+
+def test_size_mismatch_of_files_is_found_from_the_header(tmp_path, photo):
+    Image.fromarray(photo).save(tmp_path / "a.png")
+    Image.fromarray(photo[:5, :, 0]).save(tmp_path / "m.png")
+    with pytest.raises(InputError, match="image 'a.png' is 20 x 10, its camera says 40 x 20"):
+        View(camera(40, 20), tmp_path / "a.png").check_files()
+    with pytest.raises(InputError, match="mask 'a.png' is 20 x 5"):
+        View(camera(), tmp_path / "a.png", tmp_path / "m.png").check_files()
+    with pytest.raises(InputError, match="image 'a.png' is 20 x 10"):
+        View(camera(40, 20), tmp_path / "a.png").load_image()
+
+
+def test_missing_and_damaged_files(tmp_path, photo):
+    with pytest.raises(InputError, match="nowhere.png' does not exist"):
+        View(camera(), tmp_path / "nowhere.png").load_image()
+    (tmp_path / "text.png").write_text("hello")
+    with pytest.raises(InputError, match="text.png' cannot be read"):
+        read_photo(tmp_path / "text.png")
+    big = np.random.default_rng(0).integers(0, 256, (200, 300, 3), dtype=np.uint8)
+    Image.fromarray(big).save(tmp_path / "whole.png")
+    (tmp_path / "cut.png").write_bytes((tmp_path / "whole.png").read_bytes()[:20000])
+    with pytest.raises(InputError, match="cut.png' cannot be decoded.*damaged or cut off"):
+        read_photo(tmp_path / "cut.png")
+    with pytest.raises(InputError, match="is not a file"):
+        read_photo(tmp_path)
+
+
+def test_masks(tmp_path):
+    truth = np.array([[True, False], [False, True]])
+    for values in (truth, truth * 1, truth * np.uint8(255), truth * 1.0, np.dstack([truth * np.uint8(255)] * 3)):
+        assert np.array_equal(as_mask(values), truth)
+    assert np.array_equal(as_mask(np.array([[0, 127, 128, 255]], np.uint8)), [[False, False, True, True]])
+    Image.fromarray(truth * np.uint8(255)).convert("1").save(tmp_path / "one.png")
+    assert np.array_equal(read_mask(tmp_path / "one.png"), truth)
+    rgba = np.zeros((2, 2, 4), np.uint8)
+    rgba[..., 3] = truth * 255
+    Image.fromarray(rgba).save(tmp_path / "alpha.png")
+    assert np.array_equal(read_mask(tmp_path / "alpha.png"), truth)
+    with pytest.raises(InputError, match="shape"):
+        as_mask(np.zeros(4))
+
+
+def test_scene_finds_views_by_name_and_stem(photo):
+    scene = Scene([View(camera(name=f"left/{i}.png"), photo) for i in range(3)], "made")
+    assert scene.index("left/1.png") == scene.index("1.png") == scene.index("1") == 1
+    with pytest.raises(InputError, match="no view '7'.*did you mean"):
+        scene.index("7")
+    with pytest.raises(InputError, match="there twice"):
+        Scene([View(camera(), photo)] * 2)
