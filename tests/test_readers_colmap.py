@@ -91,10 +91,9 @@ def test_distorted_photos_are_undistorted(tmp_path, ring, model, extra, caplog):
 
 
 def test_lens_without_a_pinhole_is_refused():
-    camera = pycolmap.Camera(model="EQUIRECTANGULAR", width=64, height=32, params=[]) \
-        if "EQUIRECTANGULAR" in pycolmap.CameraModelId.__members__ else None
-    if camera is None:
+    if "EQUIRECTANGULAR" not in pycolmap.CameraModelId.__members__:
         pytest.skip("this pycolmap knows no panoramas")
+    camera = pycolmap.Camera(model="EQUIRECTANGULAR", width=64, height=32, params=[])
     with pytest.raises(InputError, match="EQUIRECTANGULAR.*cannot be undistorted.*image_undistorter"):
         Lens.from_colmap(camera, "a.png")
 
@@ -169,7 +168,8 @@ def test_camera_file_round_trip(tmp_path, ring):
     back = read_scene(folder)
     assert back.source.endswith("cameras.json")
     for a, b in zip(views, back.views):
-        assert np.array_equal(a.camera.world_to_camera, b.camera.world_to_camera) and np.array_equal(a.camera.K, b.camera.K)
+        assert np.array_equal(a.camera.world_to_camera, b.camera.world_to_camera)
+        assert np.array_equal(a.camera.K, b.camera.K)
         assert a.name == b.name and a.image == b.image
     assert back.views[0].load_mask().all() and back.views[1].mask is None
 

@@ -55,8 +55,8 @@ def check_seen(surface, cameras: list[Camera]) -> np.ndarray:
         _, what, constructor = _READINGS[best]
         raise InputError(f"{_who(seeing, count, front)}; {what} {better[best]} of {count} do: pass {constructor}")
     if seeing == 0:
-        raise InputError(f"{_who(seeing, count, front)}, nor with inverse matrices or OpenGL axes: {_places(points, cameras)}"
-                         "; are mesh and cameras in the same frame and unit?")
+        raise InputError(f"{_who(seeing, count, front)}, nor do more with inverse matrices or OpenGL axes: "
+                         f"{_places(points, cameras)}; are mesh and cameras in the same frame and unit?")
     return inside
 
 

@@ -178,8 +178,10 @@ class ContextChooser:
             middle = np.nanmedian(np.where(seen[off], angle[off], np.nan), axis=1) if off.any() else np.zeros(0)
         causes = [(int(outside.sum()) + others - len(inside), f"see less than {least:.0%} of what it sees"),
                   (int(hidden.sum()), "are blocked by nearer surfaces"),
-                  (int((middle < s.min_angle).sum()), f"are too close to its place (rays below {s.min_angle:g} degrees)"),
-                  (int((middle >= s.min_angle).sum()), f"look from too far aside (rays above {s.max_angle:g} degrees)")]
+                  (int((middle < s.min_angle).sum()),
+                   f"are too close to its place (rays below {s.min_angle:g} degrees)"),
+                  (int((middle >= s.min_angle).sum()),
+                   f"look from too far aside (rays above {s.max_angle:g} degrees)")]
         told = "; ".join(f"{n} {what}" for n, what in causes if n)
         return f"{found} of {others} other views are usable" + (f": {told}" if told else "")
 

@@ -90,8 +90,8 @@ def mesh_kind(mesh) -> str:
         return "pymeshlab"
     if isinstance(mesh, (tuple, list)) and len(mesh) == 2:
         return "pair"
-    raise InputError(f"mesh is a {module}.{name}, expected an Open3D TriangleMesh (legacy or tensor), a pymeshlab.Mesh, "
-                     "a pair (vertices, faces) or the path of a mesh file")
+    raise InputError(f"mesh is a {module}.{name}, expected an Open3D TriangleMesh (legacy or tensor), a "
+                     "pymeshlab.Mesh, a pair (vertices, faces) or the path of a mesh file")
 
 
 def read_mesh(path) -> Surface:

@@ -131,13 +131,8 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
     _check_memory(plan, settings, memory_mb)
     grid = Grid(plan.voxel / plan.unit, settings.truncation, plan.block_count, 2 * plan.depth_range[1] / plan.unit,
                 True, need("open3d", "mesh", "fusing depth maps to a mesh"))
-    for i, (view, depth) in enumerate(zip(views, depths)):
-        depth = _depth(view.camera, depth, _FAR * plan.voxel, plan.unit)
-        if depth is not None:
-            colour = view.load_image().astype(np.float32) / 255
-            for share in _shares(depth, None if weights is None else weights[i], view.name):
-                grid.integrate(plan.blocks[i], share, colour, _intrinsics(view.camera),
-                               _pose(view.camera, plan.middle, plan.unit))
+    for i, view in enumerate(views):
+        _integrate(grid, plan, i, view, depths[i], None if weights is None else weights[i])
         if progress:
             progress("fuse", i + 1, len(views))
     seen = grid.seen()
@@ -145,6 +140,16 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
     extracted = grid.extract(settings.min_views - 0.5)
     del grid  # cleaning the mesh takes memory of its own
     return _mesh(extracted, plan, settings, seen)
+
+
+def _integrate(grid: Grid, plan: FusionPlan, index: int, view: View, depth, weight) -> None:
+    depth = _depth(view.camera, depth, _FAR * plan.voxel, plan.unit)
+    if depth is None:
+        return
+    colour = view.load_image().astype(np.float32) / 255
+    for share in _shares(depth, weight, view.name):
+        grid.integrate(plan.blocks[index], share, colour, _intrinsics(view.camera),
+                       _pose(view.camera, plan.middle, plan.unit))
 
 
 def _mesh(extracted, plan: FusionPlan, settings: Fusion, seen: np.ndarray) -> Surface:
@@ -224,7 +229,7 @@ def _intrinsics(camera: Camera) -> np.ndarray:
 
 
 def _pose(camera: Camera, middle: np.ndarray, unit: float) -> np.ndarray:
-    """World-to-camera for the grid's frame; the difference of the places is taken before the product, to keep digits."""
+    """World-to-camera for the grid's frame; places are subtracted before the product, to keep their digits."""
     pose = np.eye(4)
     pose[:3, :3] = camera.world_to_camera[:3, :3]
     pose[:3, 3] = pose[:3, :3] @ ((middle - camera.center) / unit)

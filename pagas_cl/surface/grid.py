@@ -44,8 +44,8 @@ class Grid:
         self._room = max(64, int(blocks) // _ROOM)
         self._grid = self._geometry.VoxelBlockGrid(
             attr_names=names[:used], attr_dtypes=(self._o3c.float32,) * used, attr_channels=channels[:used],
-            voxel_size=float(voxel), block_resolution=block_resolution(truncation), block_count=int(blocks) + self._room,
-            device=self._o3c.Device("CPU:0"))
+            voxel_size=float(voxel), block_resolution=block_resolution(truncation),
+            block_count=int(blocks) + self._room, device=self._o3c.Device("CPU:0"))
         self._range = (1.0, float(depth_max), float(truncation))
 
     def touched(self, depth: np.ndarray, K: np.ndarray, pose: np.ndarray, *, every: bool = False) -> np.ndarray:
