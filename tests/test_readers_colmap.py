@@ -102,7 +102,7 @@ def test_missing_photos_are_counted_and_named(tmp_path, ring):
     folder = write_model(tmp_path, ring)
     for i in (1, 3, 4, 5):
         (folder / "images" / f"view{i}.png").unlink()
-    with pytest.raises(InputError, match="4 of 7 photos .* missing in .*images': view1.png, view3.png, view4.png and 1"):
+    with pytest.raises(InputError, match="4 of 7 photos .* missing in .*: view1.png, view3.png, view4.png and 1"):
         read_scene(folder)
     shutil.rmtree(folder / "images")
     with pytest.raises(InputError, match="images' does not exist"):

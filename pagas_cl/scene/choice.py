@@ -120,11 +120,11 @@ class ContextChooser:
         keep = max(3 * self.settings.number, 32)
         middle = np.median(points, axis=0)  # all cameras, one point: distance, angle, side
         away = middle - self._centers
-        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-300)
+        distance = np.maximum(np.sqrt(np.einsum("ni,ni->n", away, away)), 1e-300)
         spread = np.percentile(np.linalg.norm(points - middle, axis=1), 90) / distance[target]
         angle = np.degrees(np.arccos(np.clip(away @ away[target] / (distance * distance[target]), -1, 1)))
         coarser = distance / self._focal[:, 0] / (distance[target] / self._focal[target, 0])
-        ahead = (away * self._rotations[:, 2]).sum(axis=1) > -spread * distance[target]
+        ahead = np.einsum("ni,ni->n", away, self._rotations[:, 2]) > -spread * distance[target]
         near = ahead & (angle <= self.settings.max_angle + np.degrees(np.arctan(spread))) & (coarser < 8)
         near[target] = False
         found = np.flatnonzero(near)
@@ -145,12 +145,13 @@ class ContextChooser:
         uv = local[..., :2] / np.where(depth > 0, depth, 1)[..., None] * self._focal[which][:, None]
         uv += self._middle[which][:, None]
         own = points - self._centers[target]
-        length = np.linalg.norm(away, axis=-1) * np.linalg.norm(own, axis=-1)
-        cosine = (away * own).sum(axis=-1) / np.maximum(length, 1e-300)
+        length = np.sqrt(np.einsum("mni,mni->mn", away, away) * np.einsum("ni,ni->n", own, own))
+        cosine = np.einsum("mni,ni->mn", away, own) / np.maximum(length, 1e-300)
         return uv, depth, np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
     def _inside(self, which: np.ndarray, uv: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        return (depth > 0) & (uv >= 0).all(axis=-1) & (uv < self._size[which][:, None]).all(axis=-1)
+        (u, v), (width, height) = np.moveaxis(uv, -1, 0), self._size[which].T[..., None]
+        return (depth > 0) & (u >= 0) & (v >= 0) & (u < width) & (v < height)
 
     def _hidden(self, which: np.ndarray, uv: np.ndarray, depth: np.ndarray, inside: np.ndarray) -> np.ndarray:
         """Points that lie behind the other view's own surface."""
