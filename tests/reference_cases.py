@@ -5,14 +5,18 @@ from __future__ import annotations
 import numpy as np
 from random_scenes import random_scene
 
-from pagas_cl.config import Config, Smoothness
+from pagas_cl.config import Config, Loss, Pyramid, Smoothness, Solver, Splatting
 from pagas_cl.reference import loss as losses
 from pagas_cl.reference import smooth
 from pagas_cl.reference.composite import ALPHA_MAX
 from pagas_cl.reference.level import depth_threshold, loss_and_gradient, prepare, render
 from pagas_cl.reference.project import is_valid, median_depth, project
 
-BASE = Config(smoothness=Smoothness(kind="none", weight=0.0))
+# Every case says what it changes from settings that no tuning of a preset moves.
+BASE = Config(splatting=Splatting(radius=1.0, depth_slices=20.0),
+              loss=Loss(ssim=0.2, gradient_weight=True, coverage_weight=True),
+              smoothness=Smoothness(kind="none", weight=0.0, texture=0.8, huber=0.1, cut=1e9),
+              solver=Solver(rate=0.02, damping=1e-8, final_rate=1.0, views_per_step=0), pyramid=Pyramid(steps=(60,)))
 CASES = {
     "order-free": dict(),
     "order-free low-pass": dict(splatting__low_pass=0.3),
