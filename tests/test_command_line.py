@@ -246,7 +246,7 @@ def spoil(scene, how):
 
 
 @pytest.mark.parametrize("how, words", [
-    ("missing", "there is no file"), ("unreadable", "context_00"), ("size", "its camera says 64 x 48"),
+    ("missing", "context_00.png' is missing"), ("unreadable", "context_00"), ("size", "its camera says 64 x 48"),
     ("mask size", "mask"), ("all-zero depth", "valid pixel"), ("broken depth", "target.npz")])
 def test_bad_files(scene, tmp_path, fails, how, words):
     spoil(scene, how)

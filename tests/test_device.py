@@ -36,6 +36,7 @@ def platform(name, *devices):
 def machine(monkeypatch):
     """A function that puts platforms into a mocked pyopencl."""
     monkeypatch.delenv("PAGAS_CL_DEVICE", raising=False)
+    monkeypatch.setattr("pagas_cl.runtime.device._told", set())
 
     def install(*platforms, get_platforms=None, Context=lambda devices: devices[0], build=lambda context: None):
         fake = SimpleNamespace(

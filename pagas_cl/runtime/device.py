@@ -17,6 +17,7 @@ LOCAL_MEMORY = 32 * 1024   # bytes of local memory that the kernels may use
 WORK_GROUP = 64            # work-items in a group that the kernels may ask for at least
 # A driver may list a processor that its compiler does not know: believed only after a kernel has been built.
 _TRIAL = "__kernel void trial(__global float *x) { x[get_global_id(0)] = exp(x[0]); }"
+_told: set[DeviceInfo] = set()
 _PREFERENCE = ("GPU", "accelerator", "CPU", "other")
 
 
@@ -144,8 +145,7 @@ def open_device(name=None, *, profiling: bool = False) -> Device:
             faults.append(f"{info}: {_cause(error)}")
             log.warning("OpenCL device %s does not work and is passed over: %s", info, _cause(error))
             continue
-        _warn_of_slowness(info, name)
-        log.info("OpenCL device: %s", info)
+        _tell(info, name)
         return Device(info, cl_device, context, queue, profiling)
     raise DeviceError(f"no OpenCL device that matches works: {'; '.join(faults)}. Is it in use by another process, or "
                       f"its driver older than the hardware? Choose another with device= or {ENVIRONMENT}. "
@@ -239,7 +239,12 @@ def _candidates(found, name):
     return sorted(usable, key=lambda pair: (_PREFERENCE.index(pair[0].kind), -pair[0].compute_units))
 
 
-def _warn_of_slowness(info: DeviceInfo, name):
+def _tell(info: DeviceInfo, name):
+    """Log the choice, once a process for each device: one run may open it for every view."""
+    if info in _told:
+        return
+    _told.add(info)
+    log.info("OpenCL device: %s", info)
     if _asked(name)[0].strip().lower() == "auto" and info.kind != "GPU":
         log.warning("no usable OpenCL GPU found: running on %s, which is many times slower; "
                     "'pagas-cl devices' tells what is missing", info)
