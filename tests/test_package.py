@@ -25,7 +25,7 @@ ALLOWED = {
 WITHOUT_OPENCL = {"errors", "config", "scene", "reference", "report", "evaluate", "made", "result"}
 # Kernel files that belong to a stage of another name.
 STAGE = {"alpha": "composite"}
-REFERENCE = {"alpha": "composite", "backward": "composite"}
+REFERENCE = {"alpha": "composite", "backward": "composite", "ssim": "loss"}
 
 
 def shipped_files():
