@@ -30,19 +30,21 @@ __kernel void adam(__global float *depth, __global float *gradient, __global flo
     depth[i] = fmax(d - change, NEAR);
 }
 
+#define ADD_GROUP 64                     // as in splat/loss.py
+
 // Sum the partial losses of one view; in whole numbers, so that the order does not matter.
-__kernel __attribute__((reqd_work_group_size(LOSS_GROUP, 1, 1)))
+__kernel __attribute__((reqd_work_group_size(ADD_GROUP, 1, 1)))
 void add_loss(__global const long *partials, int count, float scale, __global float *state)
 {
-    __local long scratch[LOSS_GROUP];
+    __local long scratch[ADD_GROUP];
     const int lane = get_local_id(0);
     long sum = 0;
-    for (int k = lane; k < count; k += LOSS_GROUP)
+    for (int k = lane; k < count; k += ADD_GROUP)
         sum += partials[k];
     scratch[lane] = sum;
     barrier(CLK_LOCAL_MEM_FENCE);
     if (lane == 0) {
-        for (int k = 1; k < LOSS_GROUP; ++k)
+        for (int k = 1; k < ADD_GROUP; ++k)
             sum += scratch[k];
         state[LOSS] += (float)sum * (1.0f / 4294967296.0f) * scale;
     }

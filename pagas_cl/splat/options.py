@@ -6,7 +6,6 @@ from math import ceil, floor, log2
 
 from pagas_cl.config import Config
 
-LOSS_GROUP = 128          # work-items that share a tile of loss.cl
 MAX_SLOTS = 16            # candidates that a pixel sorts in registers at a time (alpha.cl)
 
 
@@ -47,6 +46,6 @@ def defines(config: Config, device, longest_side: int) -> tuple[str, ...]:
         "TRACK_LOSS": config.solver.patience > 0,
         "INT64_ATOMICS": device.has("cl_khr_int64_base_atomics"),
     }
-    numbers = {"LOSS_GROUP": LOSS_GROUP, "REACH": reach(splatting.radius), "SLOTS": slots(splatting.radius),
+    numbers = {"REACH": reach(splatting.radius), "SLOTS": slots(splatting.radius),
                "FIXED_BITS": fixed_bits(longest_side)}
     return tuple(name for name, on in switches.items() if on) + tuple(f"{k}={v}" for k, v in numbers.items())

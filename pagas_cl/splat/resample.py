@@ -6,7 +6,7 @@ import pyopencl as cl
 
 from pagas_cl.runtime.program import bind, build
 from pagas_cl.splat.options import defines
-from pagas_cl.splat.state import Size
+from pagas_cl.splat.state import Size, photo_buffer
 
 
 class Resampler:
@@ -19,7 +19,7 @@ class Resampler:
         """`source` at the size `to`, by area averaging; `source` itself where nothing changes."""
         if size == to:
             return source
-        out = cl.Buffer(self.device.context, cl.mem_flags.READ_WRITE, 4 * to.pixels)
+        out = photo_buffer(self.device, to.pixels)
         bind(self.program, "shrink_photo", to.grid, None, source, size.width, size.height, out, to.width,
              to.height).enqueue(self.device.queue)
         return out

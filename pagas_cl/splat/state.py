@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 import pyopencl as cl
@@ -10,10 +11,12 @@ import pyopencl as cl
 from pagas_cl.config import Config
 from pagas_cl.runtime.arena import Arena, BufferSpec
 from pagas_cl.scene.camera import Camera
+from pagas_cl.splat import tile as tiles
 from pagas_cl.splat.options import reach
 
 NEAR = 1e-3               # as in constants.clh
 FAR = 1e6
+PHOTO_MARGIN = 16         # pixels behind a photo that may be read
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ def camera_table(target: Camera, contexts: list[Camera], unit: float) -> np.ndar
     return np.array(rows, np.float32)
 
 
-def level_buffers(config: Config, target: Size, contexts: list[Size], masked: int) -> list[BufferSpec]:
+def level_buffers(config: Config, target: Size, contexts: list[Size], masked: int, tile: tiles.Tile) -> list[BufferSpec]:
     """Every buffer of a level except photos: per target pixel, one view's scratch, `masked` unseen masks."""
     n, m = target.pixels, max(size.pixels for size in (*contexts, target))
     channels = 1 if config.loss.grey else 3
@@ -58,7 +61,8 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
     specs += [BufferSpec("cameras", (1 + len(contexts), 20), np.float32), BufferSpec("state", (8,), np.float32)]
     specs += [BufferSpec("rendered", (m, channels + 1), np.float32), BufferSpec("upstream", (m, channels + 1), np.float32)]
     if config.loss.ssim > 0:
-        specs.append(BufferSpec("partials", (m, 3 * channels), np.float32))
+        rows = max(tiles.pitch(size.width) * size.height for size in (*contexts, target))
+        specs.append(BufferSpec("partials", (3 * channels * rows + 2 * tiles.MARGIN,), np.float32))
     specs.append(BufferSpec("z_first", (m if config.splatting.occlusion else 1,), np.uint32))
     if config.splatting.blend == "alpha":
         specs += _list_buffers(config, n, (*contexts, target))
@@ -67,10 +71,10 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
     if config.smoothness.kind == "normal":
         specs += [BufferSpec(name, (n, 4), np.float32) for name in ("normals", "slopes")]
     if config.loss.unseen_mask:
-        specs += [BufferSpec(f"seen{k}", (size.pixels // 32 + 1,), np.uint32) for k, size in enumerate(contexts[:masked])]
+        specs += [BufferSpec(f"seen{k}", (size.pixels // 32 + 2,), np.uint32) for k, size in enumerate(contexts[:masked])]
     if config.solver.patience > 0:
-        tiles = max(-(-s.width // 32) * -(-s.height // 16) for s in (*contexts, target))
-        specs += [BufferSpec("losses", (tiles,), np.int64), BufferSpec("history", (max(config.pyramid.steps) + 1,), np.float32)]
+        groups = max(prod(tile.groups(*size.grid)) for size in (*contexts, target))
+        specs += [BufferSpec("losses", (groups,), np.int64), BufferSpec("history", (max(config.pyramid.steps) + 1,), np.float32)]
     return specs
 
 
@@ -98,14 +102,19 @@ class PhotoStore:
         if held is None:
             pixels = rgba(view.load_image(), view.load_mask())
             self._make_room(pixels.nbytes)
-            held = (view, cl.Buffer(self.device.context, cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR,
-                                    hostbuf=pixels))
+            held = (view, photo_buffer(self.device, view.camera.width * view.camera.height))
+            cl.enqueue_copy(self.device.queue, held[1], pixels)
         self._photos[key] = held       # last in the order of use; the view is held so that its id stays its own
         return held[1]
 
     def _make_room(self, nbytes: int):
         while self._photos and sum(buffer.size for _, buffer in self._photos.values()) + nbytes > self.limit:
             self._photos.pop(next(iter(self._photos)))
+
+
+def photo_buffer(device, pixels: int) -> cl.Buffer:
+    """Room for a photo of `pixels`, and for what vector reads touch behind it."""
+    return cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 4 * (pixels + PHOTO_MARGIN))
 
 
 def rgba(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
@@ -132,9 +141,9 @@ def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.nda
     return scaled.astype(np.float32), unit
 
 
-def allocate(device, config: Config, target: Size, contexts: list[Size], masked: int) -> Arena:
+def allocate(device, config: Config, target: Size, contexts: list[Size], masked: int, tile: tiles.Tile) -> Arena:
     """The level's arena, every buffer zeroed where the kernels add to it."""
-    arena = Arena(device, level_buffers(config, target, contexts, masked))
+    arena = Arena(device, level_buffers(config, target, contexts, masked, tile))
     for name in ("gradient", "first", "second", "fixed", "state"):
         if name in arena:
             cl.enqueue_fill_buffer(device.queue, arena[name], np.uint32(0), 0, arena.size(name))

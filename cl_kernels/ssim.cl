@@ -1,0 +1,136 @@
+// SSIM of a rendered context view and its photo (method section 5): for each window that lies inside the image, the
+// derivatives by its means: d SSIM / d (mean x, E[xx + yy], E[xy]), per channel. A window is named by its first pixel.
+#include "window.clh"
+
+#define C1 1e-4f
+#define C2 9e-4f
+
+// 8-bit photos fit into bytes; grey ones are no longer whole numbers.
+#ifdef GREY
+typedef float shade_t;
+#define LOAD_SHADES(p) LOAD_COLUMNS(p)
+#define STORE_SHADES(v, p) STORE_COLUMNS(v, p)
+#elif COLUMNS == 1
+typedef uchar shade_t;
+#define LOAD_SHADES(p) (*(p) * (1.0f / 255.0f))
+#define STORE_SHADES(v, p) (*(p) = convert_uchar_rte((v) * 255.0f))
+#else
+typedef uchar shade_t;
+#define LOAD_SHADES(p) (TO_COLUMNS(LOAD_COLUMNS(p)) * (1.0f / 255.0f))
+#define STORE_SHADES(v, p) STORE_COLUMNS(JOIN(JOIN(convert_uchar, COLUMNS), _rte)((v) * 255.0f), p)
+#endif
+
+// The tile's colours, x rendered and y of the photo, to local memory.
+void load_tile(__global const stored_t *rendered, __global const uchar4 *photo, int left, int top, int width,
+               int height, __local float *xs, __local shade_t *ys)
+{
+    for (int t = get_local_id(0); t < TALL * ACROSS; t += LOSS_GROUP) {
+        const int y = t / ACROSS, x = span_start(t % ACROSS, COLUMNS, WIDE), place = y * STRIDE + x;
+        const int pixel = min(top + y, height - 1) * width + min(left + x, width - COLUMNS);
+        const Rendered r = load_rendered(rendered, photo, pixel);
+        for (int c = 0; c < CHANNELS; ++c) {
+            STORE_COLUMNS(r.color[c], xs + c * TALL * STRIDE + place);
+            STORE_SHADES(r.photo[c], ys + c * TALL * STRIDE + place);
+        }
+    }
+}
+
+// Vertical windows of x, y, xx + yy and xy.
+void blur_down(__local const float *xs, __local const shade_t *ys, __local float *sums)
+{
+    for (int t = get_local_id(0); t < (TILE_H / RUN) * ACROSS; t += LOSS_GROUP) {
+        const int y = t / ACROSS * RUN, x = span_start(t % ACROSS, COLUMNS, WIDE), place = y * STRIDE + x;
+        columns_t sum_x[RUN], sum_y[RUN], sum_squares[RUN], sum_product[RUN];
+#pragma unroll
+        for (int k = 0; k < RUN; ++k)
+            sum_x[k] = sum_y[k] = sum_squares[k] = sum_product[k] = ZERO;
+#pragma unroll
+        for (int j = 0; j < TAPS + RUN - 1; ++j) {
+            const columns_t a = LOAD_COLUMNS(xs + place + j * STRIDE), b = LOAD_SHADES(ys + place + j * STRIDE);
+            const columns_t squares = a * a + b * b, product = a * b;
+#pragma unroll
+            for (int k = 0; k < RUN; ++k)
+                if (j >= k && j - k < TAPS) {
+                    const float w = WINDOW[j - k];
+                    sum_x[k] += w * a;
+                    sum_y[k] += w * b;
+                    sum_squares[k] += w * squares;
+                    sum_product[k] += w * product;
+                }
+        }
+#pragma unroll
+        for (int k = 0; k < RUN; ++k) {
+            __local float *out = sums + place + k * STRIDE;
+            STORE_COLUMNS(sum_x[k], out);
+            STORE_COLUMNS(sum_y[k], out + TILE_H * STRIDE);
+            STORE_COLUMNS(sum_squares[k], out + 2 * TILE_H * STRIDE);
+            STORE_COLUMNS(sum_product[k], out + 3 * TILE_H * STRIDE);
+        }
+    }
+}
+
+// SSIM of LANES windows, and its derivatives to three planes from `out` on.
+lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, __global float *out, int plane)
+{
+    const lanes_t a1 = 2.0f * mx * my + C1, a2 = 2.0f * (product - mx * my) + C2;
+    const lanes_t b1 = mx * mx + my * my + C1, b2 = fmax(squares - mx * mx - my * my, 0.0f) + C2;
+    const lanes_t inverse = 1.0f / (b1 * b2), similar = a1 * a2 * inverse;
+    const lanes_t by_squares = -similar * b1 * inverse, by_product = 2.0f * a1 * inverse;
+    const lanes_t by_mean = 2.0f * (my * a2 * inverse - mx * similar * b2 * inverse) - my * by_product
+                            - 2.0f * mx * by_squares;
+    STORE_LANES(by_mean, out);
+    STORE_LANES(by_squares, out + plane);
+    STORE_LANES(by_product, out + 2 * plane);
+    return similar;
+}
+
+// 1 - SSIM as whole numbers, of those lanes that are new: not repeated, inside the image.
+long dissimilarity(lanes_t similar, int first, int from, int end)
+{
+    float lane[LANES];
+    long sum = 0;
+    JOIN(vstore, LANES)(similar, 0, lane);
+    for (int k = 0; k < LANES; ++k)
+        if (first + k >= from && first + k < end)
+            sum += convert_long_rte((1.0f - lane[k]) * LOSS_ONE);
+    return sum;
+}
+
+__kernel TILE_LOOP
+void ssim_forward(__global const stored_t *rendered, __global const uchar4 *photo, int width, int height, int pitch,
+                  __global float *partials, __global long *losses)
+{
+    __local float xs[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));
+    __local shade_t ys[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));
+    __local float sums[4 * TILE_H * STRIDE] __attribute__((aligned(16)));
+#ifdef TRACK_LOSS
+    __local long scratch[LOSS_GROUP];
+    long loss = 0;
+#endif
+    const int columns = width - HALO, rows = height - HALO, plane = pitch * height;
+    const int left = tile_start(get_group_id(0), TILE_W, columns), top = tile_start(get_group_id(1), TILE_H, rows);
+    load_tile(rendered, photo, left, top, width, height, xs, ys);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int c = 0; c < CHANNELS; ++c) {
+        blur_down(xs + c * TALL * STRIDE, ys + c * TALL * STRIDE, sums);
+        barrier(CLK_LOCAL_MEM_FENCE);
+        for (int t = get_local_id(0); t < TILE_H * CHUNKS; t += LOSS_GROUP) {
+            const int y = t / CHUNKS, x = span_start(t % CHUNKS, LANES, TILE_W), row = top + y;
+            if (row >= rows || left + x >= columns)
+                continue;
+            __local const float *at = sums + y * STRIDE + x;
+            const lanes_t similar = similarity(
+                blur_across(at), blur_across(at + TILE_H * STRIDE), blur_across(at + 2 * TILE_H * STRIDE),
+                blur_across(at + 3 * TILE_H * STRIDE), partials + MARGIN + c * 3 * plane + row * pitch + left + x, plane);
+#ifdef TRACK_LOSS
+            const int from = max((int)get_group_id(0) * TILE_W, left + t % CHUNKS * LANES);
+            if (row >= (int)get_group_id(1) * TILE_H)
+                loss += dissimilarity(similar, left + x, from, columns);
+#endif
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
+#ifdef TRACK_LOSS
+    sum_into(scratch, loss, losses);
+#endif
+}

@@ -1,0 +1,22 @@
+"""Launches of ssim.cl: how alike a rendered view and its photo are, window by window (method section 5)."""
+
+from __future__ import annotations
+
+from pagas_cl.runtime.program import bind, build
+from pagas_cl.splat.tile import HALO, pitch
+
+
+def windows(size) -> tuple[int, int]:
+    """SSIM windows inside an image of `size`, across and down."""
+    return max(size.width - HALO, 0), max(size.height - HALO, 0)
+
+
+def launches(level, view: int) -> list:
+    """Derivatives by the windows' means to arena["partials"] for context view `view` (0: the target's own)."""
+    size, photo, a, tile = level.given.sizes[view], level.given.photos[view], level.arena, level.tile
+    if 0 in windows(size):
+        return []
+    program = build(level.device, "ssim.cl", (*level.defines, *tile.defines))
+    losses = a["losses"] if "losses" in a else None
+    return [bind(program, "ssim_forward", tile.grid(*windows(size)), (tile.group, 1), a["rendered"], photo, size.width,
+                 size.height, pitch(size.width), a["partials"], losses)]

@@ -1,0 +1,65 @@
+"""How ssim.cl and loss.cl share an image between work-items: in vectors on a CPU, in tiles on a GPU."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+HALO = 10                 # as in window.clh
+MARGIN = 16
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Size of a tile in pixels, work-items that share it, and pixels that one of them handles side by side.
+
+    Attributes
+    ----------
+    width, height : int
+    group : int
+        Work-items in a work-group.
+    columns : int
+        Pixels that a work-item handles side by side where all are handled alike.
+    lanes : int
+        The same in a horizontal blur.
+    """
+
+    width: int
+    height: int
+    group: int
+    columns: int
+    lanes: int
+
+    @property
+    def defines(self) -> tuple[str, ...]:
+        """The -D defines of lanes.clh and window.clh."""
+        return (f"TILE_W={self.width}", f"TILE_H={self.height}", f"LOSS_GROUP={self.group}", f"COLUMNS={self.columns}",
+                f"LANES={self.lanes}")
+
+    def groups(self, width: int, height: int) -> tuple[int, int]:
+        """Tiles across and down that cover `width` x `height` pixels."""
+        return -(-width // self.width), -(-height // self.height)
+
+    def grid(self, width: int, height: int) -> tuple[int, int]:
+        """Work-items that cover `width` x `height` pixels."""
+        across, down = self.groups(width, height)
+        return across * self.group, down
+
+
+# 124 of 128 work-items are busy in the vertical pass, 104 in the horizontal one; rows start on 16 bytes
+SCALAR = Tile(52, 8, 128, 1, 4)
+
+
+def choose_tile(device, sizes) -> Tile:
+    """The tile for images of `sizes`, (width, height) pairs, on `device`."""
+    lanes = min(16, device.cl_device.native_vector_width_float)
+    if lanes < 4:
+        return SCALAR
+    tile = Tile(64 - HALO, 16, 1, lanes, lanes)
+    if all(w >= tile.width + HALO and h >= tile.height + HALO for w, h in sizes):
+        return tile
+    return Tile(SCALAR.width, SCALAR.height, 1, SCALAR.columns, SCALAR.lanes)   # vectors would cross the image's edge
+
+
+def pitch(width: int) -> int:
+    """Floats in a row of the partials of an image of `width`."""
+    return -(-width // 4) * 4
