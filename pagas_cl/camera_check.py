@@ -15,6 +15,7 @@ import numpy as np
 from pagas_cl.errors import InputError
 from pagas_cl.scene import consistency
 from pagas_cl.scene.camera import Camera, inverse_pose
+from pagas_cl.scene.inputs import as_cameras, as_views
 from pagas_cl.scene.mesh import to_surface
 from pagas_cl.scene.view import View
 
@@ -106,24 +107,20 @@ def check_cameras(mesh, cams, images=None) -> CameraReport:
     Parameters
     ----------
     mesh : anything that `refine_mesh` takes
-    cams : list of Camera
-    images : list of arrays or paths, optional
+    cams : list of Camera, Open3D PinholeCameraTrajectory, or pycolmap Reconstruction
+    images : list of arrays or paths, dict by camera name, or a folder; optional
         Without photos only what each view sees of the mesh is compared.
     """
-    cams = list(cams)
-    if not cams or not all(isinstance(camera, Camera) for camera in cams):
-        raise InputError("cams must be a list of at least one pagas_cl.Camera")
-    if images is not None:
-        images = list(images)
-        if len(images) != len(cams):
-            raise InputError(f"{len(cams)} cameras and {len(images)} images, expected one image a camera")
-        images = [View(camera, image, name=camera.name or f"view {i}")
-                  for i, (camera, image) in enumerate(zip(cams, images))]
-    return check_views(mesh, cams, images)
+    if images is None:
+        return check_views(mesh, as_cameras(cams), None)
+    views = as_views(cams, images)
+    return check_views(mesh, [view.camera for view in views], views)
 
 
 def check_views(mesh, cams: list[Camera], views: list[View] | None, most: int = 10) -> CameraReport:
     """The same for a scene's views; at most `most` photos, evenly chosen, are decoded."""
+    if not cams:
+        raise InputError("no cameras were given, expected at least one")
     samples = consistency.sample_surface(to_surface(mesh))
     if not samples.few:
         raise InputError("the mesh has no area: all its triangles are degenerate")

@@ -11,6 +11,7 @@ import numpy as np
 from pagas_cl.config import Config
 from pagas_cl.config import preset as named_preset
 from pagas_cl.errors import InputError
+from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.inputs import as_views
@@ -20,7 +21,8 @@ from pagas_cl.scene.view import View
 log = logging.getLogger("pagas_cl")
 
 
-def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=None, device=None, progress=None):
+def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=None, device=None, progress=None,
+                output="tsdf", subdivide=None):
     """Refine a mesh with calibrated photos.
 
     mesh -> depth of every view -> refine each view by itself -> keep what other views confirm -> TSDF -> mesh
@@ -38,20 +40,31 @@ def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=Non
     device : str, optional
         Part of the name of an OpenCL device; a GPU before a CPU by default.
     progress : callable of (stage, done, total), optional
+    output : str
+        "tsdf": a new mesh, fused from the refined depth maps. "displace": the given mesh with its vertices moved onto
+        depths that at least two views agree on; topology, texture coordinates and attributes stay.
+    subdivide : float, optional
+        With "displace": first split edges longer than this many pixel footprints.
 
     Returns
     -------
-    A mesh of the kind that came in, with colours and normals.
+    A mesh of the kind that came in; with "tsdf", new colours and normals. (A path gives a Surface, with "displace" an
+    Open3D mesh.)
 
     Raises
     ------
     InputError, DeviceError, MissingExtraError
     """
+    if output not in ("tsdf", "displace"):
+        raise InputError(f"output is {output!r}, expected 'tsdf' or 'displace'")
+    check_subdivide(subdivide)
     config = _config(preset, config)
     views = as_views(cams, images, masks)
     surface = to_surface(mesh)
     depths = initial_depths(surface, views, progress)
     results = refine_views(views, depths, config=config, device=device, progress=progress)
+    if output == "displace":
+        return displaced_mesh(mesh, views, depths, results, config, subdivide)
     return from_surface(fuse_results(views, results, config, progress), like=mesh)
 
 

@@ -31,16 +31,21 @@ def command(
     format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
     depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
+    keep_mesh: bool = typer.Option(False, "--keep-mesh", help="Move the vertices of --mesh instead of fusing a new one."),
+    subdivide: float = typer.Option(None, "--subdivide", metavar="PIXELS",
+                                    help="With --keep-mesh: first split edges longer than this many pixels."),
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
     from pagas_cl.commands._settings import build_config
+    from pagas_cl.keep_mesh import displaced_mesh, write_whole
     from pagas_cl.refine import fuse_results, refine_views
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.mesh_file import write_mesh
     from pagas_cl.scene.readers import read_scene
 
     _check_request(mesh, depth_dir, output, save_depth, report)
+    _check_keep(keep_mesh, subdivide, mesh)
     config = build_config(preset, settings, **({} if context is None else {"context__number": context}))
     found = read_scene(scene, format, **({"outside": True} if outside else {}))
     for view in found.views:
@@ -51,8 +56,11 @@ def command(
         depths = _initial(found, mesh, depth_dir, depth_scale, progress)
         results = refine_views(found.views, depths, names=names, config=config, device=opened, progress=progress,
                                on_view=_Keeper(found, save_depth, page))
-        if output is not None:
+        if output is not None and keep_mesh:
+            write_whole(output, displaced_mesh(mesh, found.views, depths, results, config, subdivide))
+        elif output is not None:
             write_mesh(output, fuse_results(found.views, results, config, progress))
+        if output is not None:
             log.info("mesh: %s", output)
     _tell(results, save_depth, report)
 
@@ -74,6 +82,16 @@ def _check_request(mesh, depth_dir, output, save_depth, report) -> None:
     for name, folder in (("--save-depth", save_depth), ("--report", report)):
         if folder is not None and folder.exists() and not folder.is_dir():
             raise InputError(f"{name} {str(folder)!r} is a file, expected a folder")
+
+
+def _check_keep(keep_mesh: bool, subdivide, mesh) -> None:
+    from pagas_cl.keep_mesh import check_subdivide
+
+    check_subdivide(subdivide)
+    if keep_mesh and mesh is None:
+        raise InputError("--keep-mesh needs --mesh: it moves that mesh's vertices")
+    if subdivide is not None and not keep_mesh:
+        raise InputError("--subdivide needs --keep-mesh: a fused mesh has the voxel's fineness (--set fusion.voxel=...)")
 
 
 def _initial(found, mesh, depth_dir, depth_scale, progress) -> list:
