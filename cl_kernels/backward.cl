@@ -5,7 +5,8 @@
 __kernel void gather_gradient(__global const float *depth, __global const uchar4 *target_photo,
                               __global const float *cameras, int view, float radius, float low_pass,
                               float threshold, float relative, __global const uint *z_first,
-                              __global const float *upstream, __global float *gradient)
+                              __global const float *exposure, __global const float *upstream,
+                              __global float *gradient)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     const int column = get_global_id(0), row = get_global_id(1);
@@ -18,7 +19,7 @@ __kernel void gather_gradient(__global const float *depth, __global const uchar4
     if (!(d > 0.0f) || !project_gaussian(target, context, column, row, d, radius, low_pass, &splat, &motion))
         return;
     const Footprint f = footprint(splat.mean, radius, context.width, context.height);
-    const color_t color = color_of(target_photo[i]);
+    const color_t color = exposed_color(target_photo[i], exposure, view);
     float sum = 0.0f;
     for (int y = f.y0; y <= f.y1; ++y)
         for (int x = f.x0; x <= f.x1; ++x) {

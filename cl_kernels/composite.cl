@@ -21,7 +21,7 @@ void add_pair(__global volatile uint *pair, uint low, uint high)
 __kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
                                __global const float *cameras, int view, float radius, float low_pass,
                                float threshold, float relative, __global const uint *z_first,
-                               __global volatile uint *sums)
+                               __global const float *exposure, __global volatile uint *sums)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     const int column = get_global_id(0), row = get_global_id(1);
@@ -34,7 +34,7 @@ __kernel void splat_order_free(__global const float *depth, __global const uchar
     if (!(d > 0.0f) || !project_gaussian(target, context, column, row, d, radius, low_pass, &splat, &motion))
         return;
     const Footprint f = footprint(splat.mean, radius, context.width, context.height);
-    const color_t color = color_of(target_photo[i]) * FIXED_ONE;
+    const color_t color = exposed_color(target_photo[i], exposure, view) * FIXED_ONE;
     for (int y = f.y0; y <= f.y1; ++y)
         for (int x = f.x0; x <= f.x1; ++x) {
             const int pixel = y * context.width + x;

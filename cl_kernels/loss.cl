@@ -162,8 +162,14 @@ void loss_backward(__global const stored_t *rendered, __global const uchar4 *pho
         columns_t by[CHANNELS], mean_residual = ZERO;
         for (int c = 0; c < CHANNELS; ++c) {
             const columns_t e = r.color[c] - r.photo[c];
+#ifdef ROBUST
+            mean_residual += fmin(fabs(e), 0.25f * ROBUST) * (1.0f / CHANNELS);
+            const columns_t slope = select(ZERO, sign(e), fabs(e) <= 0.25f * ROBUST);
+#else
             mean_residual += fabs(e) * (1.0f / CHANNELS);
-            by[c] = l1_scale * (1.0f / CHANNELS) * full_weight * sign(e);
+            const columns_t slope = sign(e);
+#endif
+            by[c] = l1_scale * (1.0f / CHANNELS) * full_weight * slope;
 #ifdef SSIM
             by[c] += LOAD_COLUMNS(by_color + (c * TILE_H + row) * TILE_STRIDE + column);
 #endif

@@ -78,10 +78,20 @@ lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, __g
     const lanes_t by_squares = -similar * b1 * inverse, by_product = 2.0f * a1 * inverse;
     const lanes_t by_mean = 2.0f * (my * a2 * inverse - mx * similar * b2 * inverse) - my * by_product
                             - 2.0f * mx * by_squares;
-    STORE_LANES(by_mean, out);
-    STORE_LANES(by_squares, out + plane);
-    STORE_LANES(by_product, out + 2 * plane);
+#ifdef ROBUST
+    const JOIN(int, LANES) kept = similar >= 1.0f - ROBUST;
+#define KEPT(x) select((lanes_t)0.0f, x, kept)
+#else
+#define KEPT(x) (x)
+#endif
+    STORE_LANES(KEPT(by_mean), out);
+    STORE_LANES(KEPT(by_squares), out + plane);
+    STORE_LANES(KEPT(by_product), out + 2 * plane);
+#ifdef ROBUST
+    return fmax(similar, 1.0f - ROBUST);
+#else
     return similar;
+#endif
 }
 
 // 1 - SSIM as whole numbers, of those lanes that are new: not repeated, inside the image.

@@ -91,6 +91,12 @@ class Loss:
         Leave out the pixels that no valid target pixel reaches under the initial depth (L1 only).
     grey : bool
         Compare grey images (Rec. 601 luma) instead of three channels.
+    exposure : bool
+        Fit a gain and an offset of each channel between the target's photo and each context photo, in closed form
+        under the initial depth, and compare after them.
+    robust : float
+        Windows with 1 - SSIM above this, and residuals above a quarter of it, count as a constant (shiny surfaces,
+        moving things); 0 compiles it out.
     target_view : bool
         Count the target's own view in the reported loss (it has no gradient).
     """
@@ -100,12 +106,14 @@ class Loss:
     coverage_weight: bool = False
     unseen_mask: bool = False
     grey: bool = False
+    exposure: bool = False
+    robust: float = 0.0
     target_view: bool = False
 
     def __post_init__(self):
-        _check("loss", ssim=_within(self.ssim, 0, 1),
+        _check("loss", ssim=_within(self.ssim, 0, 1), robust=_within(self.robust, 0, 2),
                **{name: _flag(getattr(self, name)) for name in
-                  ("gradient_weight", "coverage_weight", "unseen_mask", "grey", "target_view")})
+                  ("gradient_weight", "coverage_weight", "unseen_mask", "grey", "exposure", "target_view")})
 
 
 @dataclass(frozen=True)
@@ -268,6 +276,36 @@ class Fusion:
 
 
 @dataclass(frozen=True)
+class Effects:
+    """Which effects are simulated (method section 8): "on", "off", "auto" (decided from measurements of the scene), or
+    "set" (the settings of the other stages hold as they are).
+
+    Attributes
+    ----------
+    occlusion, unseen_mask, exposure, view_dependence, antialiasing, smoothness, noise, pyramid, consistency : str
+        See pagas_cl.effects, which says what each one sets, and on what evidence.
+    """
+
+    occlusion: str = "auto"
+    unseen_mask: str = "auto"
+    exposure: str = "auto"
+    view_dependence: str = "auto"
+    antialiasing: str = "auto"
+    smoothness: str = "auto"
+    noise: str = "auto"
+    pyramid: str = "auto"
+    consistency: str = "auto"
+
+    def __post_init__(self):
+        _check("effects", **{f.name: _one_of(getattr(self, f.name), "auto", "on", "off", "set") for f in fields(self)})
+
+    @classmethod
+    def every(cls, choice: str) -> Effects:
+        """The same choice for all."""
+        return cls(**{f.name: choice for f in fields(cls)})
+
+
+@dataclass(frozen=True)
 class Config:
     """All settings of a run."""
 
@@ -278,6 +316,7 @@ class Config:
     pyramid: Pyramid = field(default_factory=Pyramid)
     context: Context = field(default_factory=Context)
     fusion: Fusion = field(default_factory=Fusion)
+    effects: Effects = field(default_factory=Effects)
 
     def __post_init__(self):
         for stage in fields(self):
@@ -321,6 +360,7 @@ PAPER = Config(
     solver=Solver(rate=1e-5, unit="distance", damping=1e-8, final_rate=1.0, patience=10, views_per_step=0, max_move=1e9,
                   tolerance=2.0),
     pyramid=Pyramid(scales=(0.5, 1.0), steps=(100, 100)),
+    effects=Effects.every("set"),
 )
 # The knee of the front of error against time, measured on made scenes with exact truth, on Middlebury pairs and by
 # prediction of held-out photos on DTU: one context view a step, in turn, is as good per step as all of them.

@@ -10,6 +10,7 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.config import preset as named_preset
+from pagas_cl.effects import decide, measure
 from pagas_cl.errors import InputError
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
 from pagas_cl.result import DepthResult
@@ -88,16 +89,17 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
         As in refine_mesh.
     """
     from pagas_cl.runtime.device import open_device
-    from pagas_cl.splat import refine_levels
+    from pagas_cl.splat import PhotoStore, refine_levels
 
-    config, depth = _config(preset, config), _checked_depth(depth, target)
+    config, depth, device = _config(preset, config), _checked_depth(depth, target), open_device(device)
     if not contexts:
         return DepthResult.unrefined(target.camera, depth, "no context views were given")
-    start = time.perf_counter()
-    refined = refine_levels(target, contexts, depth, config, open_device(device), photos,
-                            _steps_of(progress, target), witness)
+    start, photos = time.perf_counter(), photos or PhotoStore(device)
+    config, decisions, exposure = settle(target, contexts, depth, config, device, photos)
+    refined = refine_levels(target, contexts, depth, config, device, photos, _steps_of(progress, target), witness,
+                            exposure)
     report = {"contexts": [view.name for view in contexts], "witness": witness.name if witness else None,
-              "steps": refined.steps, "cost": refined.cost, "witness_cost": refined.witness,
+              "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost, "witness_cost": refined.witness,
               "device_bytes": refined.device_bytes, "seconds": time.perf_counter() - start}
     harm = _harm(refined, witness)
     if harm:
@@ -149,6 +151,18 @@ def refine_views(views: list[View], depths, *, names=None, config=None, preset="
     if progress:
         progress("refine", len(asked), len(asked))
     return results
+
+
+def settle(target: View, contexts: list[View], depth, config: Config, device, photos):
+    """Decide which effects this view calls for: the settings that follow, the decisions, the exposure of each view."""
+    if all(choice in ("set", "off") for choice in vars(config.effects).values()) and not config.loss.exposure:
+        return *decide(config, None), None
+    measured = measure(target, contexts, depth, config, device, photos)
+    config, decisions = decide(config, measured)
+    for decision in decisions:
+        log.debug("view %s: %s %s (%.4g, threshold %.4g)", target.name, decision.effect, "on" if decision.on else "off",
+                  decision.evidence, decision.threshold)
+    return config, decisions, measured.exposure if config.loss.exposure else None
 
 
 def initial_depths(surface, views: list[View], progress=None) -> list[np.ndarray]:

@@ -19,11 +19,13 @@ from pagas_cl.scene.rig import distance_unit
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """One view as the twin sees it: camera, image (H, W, 3) float64 in 0..1, mask (H, W) bool or None."""
+    """One view as the twin sees it: camera, image (H, W, 3) float64 in 0..1, mask (H, W) bool or None, and of a
+    context view the gain and offset of each channel from the target's photo, (3, 2) or None."""
 
     camera: Camera
     image: np.ndarray
     mask: np.ndarray | None = None
+    exposure: np.ndarray | None = None
 
     @classmethod
     def from_view(cls, view) -> Photo:
@@ -34,7 +36,14 @@ class Photo:
         """The view at a pyramid level."""
         size = resample.scaled_size(self.camera.width, self.camera.height, scale)
         mask = None if self.mask is None else resample.shrink_mask(self.mask, *size)
-        return Photo(self.camera.resized(*size), resample.shrink_image(self.image, *size), mask)
+        return Photo(self.camera.resized(*size), resample.shrink_image(self.image, *size), mask, self.exposure)
+
+    def exposed_as(self, context: Photo) -> np.ndarray:
+        """This photo with the exposure of `context`, clipped as a photo is."""
+        if context.exposure is None:
+            return self.image
+        gain, offset = context.exposure.T
+        return np.clip(gain * self.image + offset, 0, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +111,7 @@ def render(depth, target: Photo, context: Photo, config: Config, state: State) -
     """The target's Gaussians in the view of `context` (method sections 3 and 4)."""
     projected = project(depth, target.camera, context.camera, config.splatting.low_pass, state.unit)
     photo = losses.comparable(context.image, config.loss)
-    colors = losses.comparable(target.image, config.loss)
+    colors = losses.comparable(target.exposed_as(context), config.loss)
     return composite(projected, colors.reshape(-1, colors.shape[-1]), photo, config.splatting, state.delta)
 
 

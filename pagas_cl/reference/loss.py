@@ -50,16 +50,17 @@ def pixel_weight(photo: np.ndarray, loss: Loss, seen_mask=None, mask=None) -> np
     return weight if mask is None else weight * mask
 
 
-def l1(color: np.ndarray, coverage: np.ndarray, photo: np.ndarray, weight: np.ndarray, by_coverage: bool):
-    """L1 = mean over all pixels of w A mean_channel |C - I| (A only with `by_coverage`).
+def l1(color: np.ndarray, coverage: np.ndarray, photo: np.ndarray, weight: np.ndarray, by_coverage: bool,
+       most: float = np.inf):
+    """L1 = mean over all pixels of w A mean_channel min(|C - I|, most) (A only with `by_coverage`).
 
     Returns the value, dL1/dC of shape (H, W, channels), dL1/dA of shape (H, W).
     """
     residual = color - photo
     weight = weight / weight.size
-    per_pixel = np.abs(residual).mean(axis=-1)
+    per_pixel = np.minimum(np.abs(residual), most).mean(axis=-1)
     w = weight * coverage if by_coverage else weight
-    v_color = w[..., None] * np.sign(residual) / residual.shape[-1]
+    v_color = w[..., None] * np.sign(residual) * (np.abs(residual) <= most) / residual.shape[-1]
     v_coverage = weight * per_pixel if by_coverage else np.zeros_like(weight)
     return float((w * per_pixel).sum()), v_color, v_coverage
 
@@ -90,8 +91,10 @@ def blur_vjp(v_mean: np.ndarray) -> np.ndarray:
     return image
 
 
-def ssim(x: np.ndarray, y: np.ndarray):
+def ssim(x: np.ndarray, y: np.ndarray, robust: float = 0.0):
     """Mean SSIM of (H, W, channels) images over channels and windows inside the image, and its gradient by x.
+
+    With `robust` above 0 a window's 1 - SSIM counts as at most that.
 
     Without any such window (a side below 11 pixels) the value is 1, so that 1 - SSIM is 0, and the gradient 0.
     """
@@ -104,6 +107,9 @@ def ssim(x: np.ndarray, y: np.ndarray):
     v_xy = 2 * a1 / (b1 * b2)
     v_xx = -value / b2
     v_mx = 2 * my * a2 / (b1 * b2) - my * v_xy - 2 * mx * value / b1 - 2 * mx * v_xx
+    if robust > 0:
+        kept = value >= 1 - robust
+        value, v_mx, v_xx, v_xy = np.maximum(value, 1 - robust), kept * v_mx, kept * v_xx, kept * v_xy
     gradient = blur_vjp(v_mx) + 2 * x * blur_vjp(v_xx) + y * blur_vjp(v_xy)
     return float(value.mean()), gradient / value.size
 
@@ -124,11 +130,11 @@ def photometric(color: np.ndarray, coverage: np.ndarray, photo: np.ndarray, loss
     value, v_color (H, W, channels), v_coverage (H, W)
     """
     value, v_color, v_coverage = l1(color, coverage, photo, pixel_weight(photo, loss, seen_mask, mask),
-                                    loss.coverage_weight)
+                                    loss.coverage_weight, loss.robust / 4 if loss.robust > 0 else np.inf)
     value, v_color, v_coverage = (1 - loss.ssim) * value, (1 - loss.ssim) * v_color, (1 - loss.ssim) * v_coverage
     if loss.ssim > 0:
         inside = np.ones(photo.shape[:2], bool) if mask is None else np.asarray(mask, bool)
-        similarity, v_x = ssim(np.where(inside[..., None], color, photo), photo)
+        similarity, v_x = ssim(np.where(inside[..., None], color, photo), photo, loss.robust)
         value += loss.ssim * (1 - similarity)
         v_color = v_color - loss.ssim * np.where(inside[..., None], v_x, 0.0)
     return value, v_color, v_coverage

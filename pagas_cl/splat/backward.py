@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pagas_cl.runtime.program import bind, build
-from pagas_cl.splat.composite import threshold_arguments
+from pagas_cl.splat.composite import exposure_argument, threshold_arguments
 
 
 def launches(level, view: int) -> list:
@@ -13,7 +13,8 @@ def launches(level, view: int) -> list:
     if s.blend == "order_free":
         program = build(level.device, "backward.cl", level.defines)
         return [bind(program, "gather_gradient", level.target.grid, None, a["depth"], photo, a["cameras"], view, radius,
-                     low_pass, *threshold_arguments(level), a["z_first"], a["upstream"], a["gradient"])]
+                     low_pass, *threshold_arguments(level), a["z_first"], exposure_argument(level),
+                     a["upstream"], a["gradient"])]
     program = build(level.device, "alpha.cl", level.defines)
     return [bind(program, "composite_alpha_vjp", level.given.sizes[view].grid, None, a["depth"], a["records"], photo,
                  a["cameras"], view, a["heads"], a["next"], radius, low_pass, *threshold_arguments(level), a["upstream"],

@@ -19,6 +19,11 @@ def threshold_arguments(level) -> tuple[float, float]:
     return float(level.given.threshold), float(level.config.splatting.depth_relative)
 
 
+def exposure_argument(level):
+    """Gains and offsets of every context view; None where they are not part of the program."""
+    return level.arena["exposure"] if level.config.loss.exposure else None
+
+
 def _order_free(level, view: int) -> list:
     program, a, s = build(level.device, "composite.cl", level.defines), level.arena, level.config.splatting
     pixels = level.given.sizes[view].pixels
@@ -26,7 +31,8 @@ def _order_free(level, view: int) -> list:
     return [*project.nearest(level, view),
             Fill(a["rendered"], np.uint32(0), pixels * (channels + 1) * 4),
             bind(program, "splat_order_free", level.target.grid, None, a["depth"], level.given.photos[0], a["cameras"],
-                 view, float(s.radius), float(s.low_pass), *threshold_arguments(level), a["z_first"], a["rendered"])]
+                 view, float(s.radius), float(s.low_pass), *threshold_arguments(level), a["z_first"],
+                 exposure_argument(level), a["rendered"])]
 
 
 def _alpha(level, view: int) -> list:

@@ -34,6 +34,8 @@ class LevelInput:
         Median distance of the cameras from the point they look at, device units.
     contexts : int
         Number of context views.
+    exposure : ndarray of shape (contexts, 3, 2), optional
+        Gain and offset of each channel from the target's photo to each context photo.
     """
 
     cameras: list[Camera]
@@ -42,6 +44,7 @@ class LevelInput:
     threshold: float
     distance_unit: float
     contexts: int
+    exposure: np.ndarray | None = None
 
     @property
     def sizes(self) -> list[Size]:
@@ -60,6 +63,16 @@ class Level:
         self.arena: Arena = allocate(device, config, target, contexts, given.contexts, self.tile)
         cl.enqueue_copy(device.queue, self.arena["cameras"],
                         camera_table(given.cameras[0], given.cameras[1:], given.unit))
+        if config.loss.exposure:
+            cl.enqueue_copy(device.queue, self.arena["exposure"], self._exposure())
+
+    def _exposure(self) -> np.ndarray:
+        """Gains and offsets as photo.clh reads them: (1, 0) for the target and for views that only judge."""
+        table = np.zeros((len(self.given.cameras), 2, 3), np.float32)
+        table[:, 0] = 1
+        if self.given.exposure is not None:
+            table[1:1 + len(self.contexts)] = self.given.exposure.transpose(0, 2, 1)
+        return table
 
     def enter(self, write):
         """Take units and unseen masks under the run's initial depth; `write(buffer)` enqueues its writing."""

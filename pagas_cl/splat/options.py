@@ -40,6 +40,7 @@ def defines(config: Config, device, longest_side: int) -> tuple[str, ...]:
         "LOW_PASS": splatting.low_pass > 0,
         "SSIM": loss.ssim > 0,
         "GREY": loss.grey,
+        "EXPOSURE": loss.exposure,
         "GRADIENT_WEIGHT": loss.gradient_weight,
         "COVERAGE_WEIGHT": loss.coverage_weight,
         "UNSEEN_MASK": loss.unseen_mask,
@@ -48,4 +49,6 @@ def defines(config: Config, device, longest_side: int) -> tuple[str, ...]:
     }
     numbers = {"REACH": reach(splatting.radius), "SLOTS": slots(splatting.radius),
                "FIXED_BITS": fixed_bits(longest_side)}
+    if loss.robust > 0:
+        numbers["ROBUST"] = f"{loss.robust:.9g}f" if "." in f"{loss.robust:.9g}" else f"{loss.robust:.9g}.0f"
     return tuple(name for name, on in switches.items() if on) + tuple(f"{k}={v}" for k, v in numbers.items())

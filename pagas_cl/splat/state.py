@@ -70,6 +70,8 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
         specs += [BufferSpec(name, (n,), np.float32) for name in ("kappa", "weights")]
     if config.smoothness.kind == "normal":
         specs += [BufferSpec(name, (n, 4), np.float32) for name in ("normals", "slopes")]
+    if config.loss.exposure:
+        specs.append(BufferSpec("exposure", (1 + len(contexts), 2, 3), np.float32))
     if config.loss.unseen_mask:
         specs += [BufferSpec(f"seen{k}", (size.pixels // 32 + 2,), np.uint32) for k, size in enumerate(contexts[:masked])]
     if config.solver.patience > 0:

@@ -11,6 +11,7 @@ from pagas_cl.config import Config
 from pagas_cl.scene.rig import distance_unit
 from pagas_cl.splat.evidence import Evidence
 from pagas_cl.splat.level import Level, LevelInput
+from pagas_cl.splat.measure import Probe
 from pagas_cl.splat.resample import Resampler
 from pagas_cl.splat.state import PhotoStore, Size, level_size, normalized_depth
 
@@ -53,7 +54,7 @@ class Refinement:
 
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
-                  progress=None, witness=None) -> Refinement:
+                  progress=None, witness=None, exposure=None) -> Refinement:
     """Run the pyramid on one view.
 
     Parameters
@@ -69,8 +70,10 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
         Called while the steps of the last level are enqueued.
     witness : View, optional
         A view that takes no part and judges the result.
+    exposure : ndarray of shape (contexts, 3, 2), optional
+        Gain and offset of each channel from the target's photo to each context photo (with `loss.exposure`).
     """
-    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), witness)
+    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), witness, exposure)
     level, done, losses, most = None, [], [], 0
     for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
         before, level = level, Level(device, config, run.at(scale))
@@ -86,12 +89,22 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     return run.finish(level, evidence, tuple(done), losses, most)
 
 
+def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None):
+    """Samples of every context view under the initial depth, and their grid (stride, across, down); see measure.py."""
+    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), None, None)
+    given = run.at(1.0)
+    probe = Probe(device, config, given, lambda out: run.resampler.shrink_depth(run.entered, run.full, out, run.full))
+    samples = [probe.samples(view) for view in range(1, len(given.cameras))]
+    probe.release()
+    return samples, (probe.stride, probe.across, probe.down)
+
+
 class _Run:
     """One view's inputs at any level, and its way back to scene units."""
 
-    def __init__(self, target, contexts, depth, config, device, photos, witness):
+    def __init__(self, target, contexts, depth, config, device, photos, witness, exposure):
         self.views, self.config, self.device, self.photos = [target, *contexts], config, device, photos
-        self.depth, self.witness = depth, witness
+        self.depth, self.witness, self.exposure = depth, witness, exposure
         self.resampler = Resampler(device, config)
         self.full = Size(target.camera.width, target.camera.height)
         self.initial, self.unit = normalized_depth(depth, target.load_mask())
@@ -109,7 +122,8 @@ class _Run:
             full, size = Size(view.camera.width, view.camera.height), level_size(view.camera, scale)
             cameras.append(view.camera.resized(size.width, size.height))
             photos.append(self.resampler.photo(self.photos.photo(view), full, size))
-        return LevelInput(cameras, photos, self.unit, self.threshold, self.distance, len(self.views) - 1)
+        return LevelInput(cameras, photos, self.unit, self.threshold, self.distance, len(self.views) - 1,
+                          self.exposure)
 
     def initial_writer(self, level: Level):
         return lambda out: self.resampler.shrink_depth(self.entered, self.full, out, level.target)

@@ -1,0 +1,238 @@
+"""Simulate only what the scene calls for (method section 8): measure a view, decide, say why."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields, replace
+
+import numpy as np
+
+from pagas_cl.config import Config, Effects
+from pagas_cl.scene import exposure as exposures
+from pagas_cl.scene.texture import noise_and_texture
+
+_TEXTURED = 1.5          # costs above this are of patches without texture: nothing is read from them
+_QUANTISATION = 0.0012   # noise that rounding to 8 bits alone leaves
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Evidence of one view, from samples of its context views under the initial depth.
+
+    Attributes
+    ----------
+    overlap : float
+        Share of the target's surface that at least one context view sees.
+    hidden : float
+        Share of the projected Gaussians that a nearer surface hides by more than the depth threshold.
+    unseen : float
+        Share of a context photo, at least, that the target's surface does not reach.
+    exposure_change : float
+        Largest root mean square change of colour that the exposure fits make, 0 to 1.
+    gloss : float
+        95th percentile of the residual that stays after the exposure fit and after averaging over neighbouring
+        samples: what neither texture nor a depth error explains.
+    smallest : float
+        Smallest median standard deviation of the projected Gaussians over the context views, pixels (0.5 at the
+        target's own resolution).
+    plain : float
+        Share of the target's pixels with little texture.
+    noise : float
+        Standard deviation of the target's noise, 0 to 1.
+    far_off : float
+        Share of the textured samples whose patches match clearly better two or more pixels of parallax away.
+    masked : bool
+        Whether masks were given.
+    gains : tuple of tuple
+        Gain and offset of each channel for each context view.
+    """
+
+    overlap: float
+    hidden: float
+    unseen: float
+    exposure_change: float
+    gloss: float
+    smallest: float
+    plain: float
+    noise: float
+    far_off: float
+    masked: bool
+    gains: tuple
+
+    @property
+    def exposure(self) -> np.ndarray:
+        """gains as an array of shape (contexts, 3, 2)."""
+        return np.array(self.gains)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One effect: its evidence, the threshold, and whether it is simulated, with the reason."""
+
+    effect: str
+    evidence: float
+    threshold: float
+    on: bool
+    reason: str
+
+    def as_dict(self) -> dict:
+        return asdict(self)
+
+
+# effect: (evidence, threshold, whether above it calls for the effect, what is measured)
+RULES = {
+    "occlusion": ("hidden", 0.0005, True, "share of Gaussians hidden by a nearer surface"),
+    "unseen_mask": ("unseen", 0.02, True, "share of a context photo that the target does not reach"),
+    "exposure": ("exposure_change", 0.008, True, "change of colour by gain and offset (0 to 1)"),
+    "view_dependence": ("gloss", 0.035, True, "residual left after exposure (0 to 1)"),
+    "antialiasing": ("smallest", 0.36, False, "smallest projected Gaussian, pixels"),
+    "smoothness": ("plain", 0.01, True, "share of pixels with little texture"),
+    "noise": ("noise", 0.006, True, "noise of the photo (0 to 1)"),
+    "pyramid": ("far_off", 0.15, True, "share of samples that match two or more pixels away"),
+}
+
+
+def decide(config: Config, measured: Measurements | None) -> tuple[Config, list[Decision]]:
+    """Settle every effect that is not "set": the settings that follow, and the decisions.
+
+    Without measurements every effect must be "off" or "set".
+    """
+    decisions = [_decision(config, name, measured) for name in RULES if getattr(config.effects, name) != "set"]
+    for decision in decisions:
+        config = _SETTERS[decision.effect](config, decision, measured)
+    keep = {f.name: "set" for f in fields(Effects) if f.name in RULES}
+    return replace(config, effects=replace(config.effects, **keep)), decisions
+
+
+def _decision(config: Config, name: str, measured: Measurements) -> Decision:
+    attribute, threshold, above, what = RULES[name]
+    evidence = float("nan") if measured is None else float(getattr(measured, attribute))
+    choice = getattr(config.effects, name)
+    called_for = evidence > threshold if above else evidence < threshold
+    if name == "unseen_mask" and config.splatting.blend == "order_free":
+        called_for, what = False, "the order-free blend compares only what is covered"
+    on = choice == "on" or (choice == "auto" and called_for)
+    return Decision(name, evidence, threshold, on, what if choice == "auto" else f"asked for: {choice}")
+
+
+def _occlusion(config, decision, _):
+    return config.with_settings(splatting__occlusion=decision.on)
+
+
+def _unseen_mask(config, decision, _):
+    return config.with_settings(loss__unseen_mask=decision.on)
+
+
+def _exposure(config, decision, _):
+    return config.with_settings(loss__exposure=decision.on)
+
+
+def _view_dependence(config, decision, _):
+    return config.with_settings(loss__robust=0.5 if decision.on else 0.0)
+
+
+def _antialiasing(config, decision, _):
+    return config.with_settings(splatting__low_pass=0.3 if decision.on else 0.0)
+
+
+def _smoothness(config, decision, _):
+    kind = config.smoothness.kind if config.smoothness.kind != "none" else "planar"
+    return config.with_settings(smoothness__kind=kind if decision.on else "none")
+
+
+def _noise(config, decision, measured):
+    """Noise-adaptive: the noisier the photo, the more its neighbours must agree."""
+    if not decision.on or config.smoothness.kind == "none":
+        return config
+    factor = float(np.clip(measured.noise / RULES["noise"][1], 1.5, 8.0))
+    return config.with_settings(smoothness__weight=min(config.smoothness.weight * factor, 100.0))
+
+
+def _pyramid(config, decision, _):
+    if not decision.on or len(config.pyramid.scales) > 1:
+        return config if decision.on else config.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps[-1:])
+    steps = config.pyramid.steps[0]
+    return config.with_settings(pyramid__scales=(0.25, 0.5, 1.0), pyramid__steps=(steps, steps, steps))
+
+
+_SETTERS = {"occlusion": _occlusion, "unseen_mask": _unseen_mask, "exposure": _exposure,
+            "view_dependence": _view_dependence, "antialiasing": _antialiasing, "smoothness": _smoothness,
+            "noise": _noise, "pyramid": _pyramid}
+
+
+def measure(target, contexts, depth, config: Config, device, photos=None) -> Measurements:
+    """Evidence of one view, on the device under the initial depth: a few percent of a refinement.
+
+    Parameters are those of refine_depth; `photos` is a PhotoStore.
+    """
+    from pagas_cl.splat import probe_view
+
+    samples, shape = probe_view(target, contexts, depth, config, device, photos)
+    seen = [s.state == 1 for s in samples]
+    fits = [exposures.fit(s.own[ok], s.other[ok]) for s, ok in zip(samples, seen)]
+    surface = np.isfinite(depth) & (depth > 0)
+    noise, plain = noise_and_texture(target.load_image())
+    return Measurements(
+        overlap=float(np.any(seen, axis=0).sum() / max(1, _sampled(surface, shape).sum())),
+        hidden=_share([(s.state == 2).sum() for s in samples], [(s.state > 0).sum() for s in samples]),
+        unseen=_unseen(target, contexts, samples, shape),
+        exposure_change=max(_change(s, ok, fit) for s, ok, fit in zip(samples, seen, fits)),
+        gloss=float(np.median([_gloss(s, ok, fit, shape) for s, ok, fit in zip(samples, seen, fits)])),
+        smallest=min((float(np.median(s.size[ok])) for s, ok in zip(samples, seen) if ok.any()), default=0.5),
+        plain=plain, noise=max(noise, _QUANTISATION), far_off=_far_off(samples),
+        masked=target.mask is not None or any(view.mask is not None for view in contexts),
+        gains=tuple(tuple(tuple(float(v) for v in channel) for channel in fit) for fit in fits))
+
+
+def _sampled(image: np.ndarray, shape) -> np.ndarray:
+    stride, across, down = shape
+    rows = np.minimum(np.arange(down) * stride + stride // 2, image.shape[0] - 1)
+    columns = np.minimum(np.arange(across) * stride + stride // 2, image.shape[1] - 1)
+    return image[np.ix_(rows, columns)]
+
+
+def _share(part, whole) -> float:
+    return float(sum(part) / max(1, sum(whole)))
+
+
+def _unseen(target, contexts, samples, shape) -> float:
+    """A sample stands for stride^2 pixels of the target, each of (2 size)^2 pixels in the context photo."""
+    area = [shape[0] ** 2 * float((4 * s.size[s.state == 1] ** 2).sum()) for s in samples]
+    return float(np.mean([max(0.0, 1 - a / (v.camera.width * v.camera.height)) for a, v in zip(area, contexts)]))
+
+
+def _change(s, ok, fit) -> float:
+    if not ok.any():
+        return 0.0
+    change = s.own[ok] * (fit[:, 0] - 1) + fit[:, 1]
+    return float(np.sqrt(np.mean(change**2)))
+
+
+def _gloss(s, ok, fit, shape) -> float:
+    """Residual after the fit, averaged over 5x5 samples: texture averages out, a highlight does not."""
+    stride, across, down = shape
+    residual = np.where(ok, (s.other - s.own * fit[:, 0] - fit[:, 1]).mean(axis=1), 0).reshape(down, across)
+    weight = ok.reshape(down, across).astype(np.float64)
+    total, number = _box(residual), _box(weight)
+    full = number > 12
+    return float(np.quantile(np.abs(total[full] / number[full]), 0.95)) if full.any() else 0.0
+
+
+def _box(image: np.ndarray, half: int = 2) -> np.ndarray:
+    padded = np.pad(image, half)
+    rows = sum(padded[k:k + image.shape[0]] for k in range(2 * half + 1))
+    return sum(rows[:, k:k + image.shape[1]] for k in range(2 * half + 1))
+
+
+def _far_off(samples) -> float:
+    """Share of the textured samples that match clearly better two or more pixels of parallax away."""
+    from pagas_cl.splat import SHIFTS
+
+    cost = np.stack([s.cost for s in samples])
+    defined = (cost < _TEXTURED).all(axis=2) & np.stack([s.state == 1 for s in samples])
+    number = defined.sum(axis=0)
+    mean = np.where(defined[..., None], cost, 0).sum(axis=0) / np.maximum(number, 1)[:, None]
+    mean = mean[number > 0]
+    if len(mean) < 50:
+        return 0.0
+    here, far = mean[:, np.abs(SHIFTS) < 2].min(axis=1), mean[:, np.abs(SHIFTS) >= 2].min(axis=1)
+    return float((far < here - 0.05).mean())
