@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyopencl as cl
@@ -14,6 +14,7 @@ from pagas_cl.scene.view import View
 from pagas_cl.splat.level import Level, LevelInput
 from pagas_cl.splat.state import PhotoStore
 
+GAINS = np.array([[[0.8, 0.05], [0.9, 0.02], [1.1, -0.03]], [[1.3, -0.1], [1.0, 0.0], [0.7, 0.1]]])
 SEES_LOSS = dict(solver__patience=5)          # the loss is summed only where the schedule follows it
 
 
@@ -47,13 +48,19 @@ class Scene:
 def start_level(device, config, scene: Scene) -> Level:
     """The level under the scene's initial depth; its buffer then holds the moved one."""
     photos, views = PhotoStore(device), [view_of(p) for p in (scene.target, *scene.contexts)]
+    exposure = gains(len(scene.contexts)) if config.loss.exposure else None
     given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.unit, scene.delta(config), 1.0,
-                       len(scene.contexts))
+                       len(scene.contexts), exposure)
     level = Level(device, config, given)
     level.enter(lambda out: cl.enqueue_copy(device.queue, out, scene.initial))
     level.start(lambda out: None)
     cl.enqueue_copy(device.queue, level.arena["depth"], scene.moved)
     return level
+
+
+def gains(contexts: int) -> np.ndarray:
+    """Gain and offset of each channel for each context view, some of which clip: shape (contexts, 3, 2)."""
+    return np.array([GAINS[k % len(GAINS)] for k in range(contexts)])
 
 
 def device_gradient(device, config, scene: Scene) -> tuple[np.ndarray, float]:
@@ -70,6 +77,8 @@ def device_gradient(device, config, scene: Scene) -> tuple[np.ndarray, float]:
 def twin_gradient(config, scene: Scene) -> tuple[np.ndarray, float]:
     """The same by the float64 twin."""
     contexts, initial = scene.contexts, scene.initial.astype(np.float64)
+    if config.loss.exposure:
+        contexts = [replace(photo, exposure=gain) for photo, gain in zip(contexts, gains(len(contexts)))]
     state = prepare(initial, scene.target, contexts, config, scene.unit, scene.delta(config))
     value, gradient = loss_and_gradient(scene.moved.astype(np.float64), scene.target, contexts, config, state)
     return gradient, value

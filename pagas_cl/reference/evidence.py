@@ -1,0 +1,73 @@
+"""Twin of splat/evidence: what patches of the photos say of each depth (method section 9)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pagas_cl.reference.project import project
+
+PATCH, LEAST_PIXELS, NOISE = 2, 6, 1 / 255
+NO_SURFACE, REFINED, KEPT, REJECTED = range(4)
+
+
+def luma(image: np.ndarray) -> np.ndarray:
+    """Grey of shape (H, W) of an image (H, W, 3)."""
+    return image @ np.array([0.299, 0.587, 0.114])
+
+
+def warped(depth, target, context, z_first, delta, unit):
+    """The context photo seen from the target: grey value, its slope by the depth, and where they are defined.
+
+    Parameters
+    ----------
+    depth : ndarray of shape (H, W), units
+    target, context : Photo
+    z_first : ndarray of shape (H', W')
+        Nearest depth of each context pixel, inf where there is none.
+    delta, unit : float
+        Depth threshold in units; scene units per unit.
+    """
+    p = project(depth, target.camera, context.camera, 0.0, unit)
+    photo, (height, width) = luma(context.image), context.image.shape[:2]
+    u, v = (p.m - 0.5).T
+    inside = p.valid & (u >= 0) & (v >= 0) & (u <= width - 1.001) & (v <= height - 1.001)
+    x, y = np.where(inside, u, 0).astype(int), np.where(inside, v, 0).astype(int)
+    right, below = np.minimum(x + 1, width - 1), np.minimum(y + 1, height - 1)
+    a, b = np.where(inside, u, 0) - x, np.where(inside, v, 0) - y
+    near = z_first[np.floor(np.where(inside, v, 0) + 0.5).astype(int), np.floor(np.where(inside, u, 0) + 0.5).astype(int)]
+    inside &= p.z <= near + delta
+    if context.mask is not None:
+        inside &= context.mask[y, x] & context.mask[y, right] & context.mask[below, x] & context.mask[below, right]
+    g00, g10, g01, g11 = photo[y, x], photo[y, right], photo[below, x], photo[below, right]
+    value = (1 - b) * ((1 - a) * g00 + a * g10) + b * ((1 - a) * g01 + a * g11)
+    slope = ((1 - b) * (g10 - g00) + b * (g11 - g01)) * p.m_d[:, 0] + ((1 - a) * (g01 - g00) + a * (g11 - g10)) * p.m_d[:, 1]
+    return value.reshape(depth.shape), slope.reshape(depth.shape), inside.reshape(depth.shape)
+
+
+def weigh(value, slope, inside, own):
+    """1 - correlation of 5x5 patches, the information on the depth (1 / variance), and where both are defined.
+
+    Parameters
+    ----------
+    value, slope, inside : ndarray of shape (H, W)
+        From `warped`.
+    own : ndarray of shape (H, W)
+        Grey of the target's photo.
+    """
+    n = _patch_sum(inside.astype(float))
+    mean = lambda x: _patch_sum(np.where(inside, x, 0.0)) / np.maximum(n, 1)   # noqa: E731
+    mw, mt, ms = mean(value), mean(own), mean(slope)
+    var_w, var_t = mean(value**2) - mw**2, mean(own**2) - mt**2
+    noise = NOISE**2
+    correlation = (mean(value * own) - mw * mt + noise) / np.sqrt((np.maximum(var_w, 0) + noise) * (np.maximum(var_t, 0) + noise))
+    positive = np.clip(correlation, 0, None)
+    unexplained = np.maximum(var_w, 0) * (1 - np.minimum(positive, 1) * positive) + noise
+    information = np.maximum(n * (mean(slope**2) - ms**2), 0) / unexplained
+    return 1 - correlation, information, inside & (n >= LEAST_PIXELS)
+
+
+def _patch_sum(image: np.ndarray) -> np.ndarray:
+    padded = np.pad(image, PATCH)
+    height, width = image.shape
+    size = 2 * PATCH + 1
+    return sum(padded[y:y + height, x:x + width] for y in range(size) for x in range(size))

@@ -1,0 +1,77 @@
+"""Evidence on the device against its float64 twin, and what is decided on it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from kernel_cases import Scene, start_level
+
+from pagas_cl.config import BALANCED
+from pagas_cl.errors import DeviceError
+from pagas_cl.reference import evidence as twin
+from pagas_cl.reference.composite import candidates, nearest_surface
+from pagas_cl.reference.project import project
+from pagas_cl.runtime.device import open_device
+from pagas_cl.splat.evidence import Evidence
+
+CONFIG = BALANCED.with_settings(solver__views_per_step=0)
+
+
+@pytest.fixture(scope="module")
+def device():
+    try:
+        return open_device()
+    except DeviceError as error:
+        pytest.skip(str(error))
+
+
+def twin_evidence(scene: Scene, depth):
+    """(sum of 1 - correlation, views, information) of shape (H, W, 3), and where float32 may decide otherwise."""
+    total, depth, band = np.zeros((*depth.shape, 3)), depth.astype(np.float64), np.zeros(depth.shape, bool)
+    for context in scene.contexts:
+        p = project(depth, scene.target.camera, context.camera, 0.0, scene.unit)
+        size = context.camera.width, context.camera.height
+        pairs = candidates(p, *size, CONFIG.splatting.radius)
+        z_first = nearest_surface(pairs, size[0] * size[1]).reshape(size[1], size[0])
+        value, slope, inside = twin.warped(depth, scene.target, context, z_first, scene.delta(CONFIG), scene.unit)
+        cost, information, defined = twin.weigh(value, slope, inside, twin.luma(scene.target.image))
+        total += np.where(defined[..., None], np.stack([cost, np.ones_like(cost), information], axis=-1), 0)
+        edge = np.abs(p.m - np.round(p.m)).min(axis=1).reshape(depth.shape) < 1e-3   # which pixel's z_first is asked
+        band |= edge
+    return total, band
+
+
+def test_evidence_equals_the_twin(device):
+    scene = Scene.make(17, width=45, height=37, contexts=3, masks=True)
+    level = start_level(device, CONFIG, scene)
+    judge = Evidence(level, [1, 2, 3])
+    judge.weigh_before()
+    got = judge._read(judge._before).reshape(*scene.moved.shape, 3)
+    want, band = twin_evidence(scene, scene.moved)
+    level.release()
+    same = (got[..., 1] == want[..., 1])
+    assert same[~_near(band)].mean() > 0.99
+    assert (want[..., 1] > 0).mean() > 0.3
+    assert np.abs(got - want)[same][:, 0].max() < 2e-3
+    informed = same & (want[..., 2] > 0)
+    assert np.median(np.abs(got / np.maximum(want, 1e-12) - 1)[informed][:, 2]) < 1e-3
+
+
+def _near(band):
+    grown = np.pad(band, 2)
+    return np.any([grown[y:y + band.shape[0], x:x + band.shape[1]] for y in range(5) for x in range(5)], axis=0)
+
+
+def test_a_worse_depth_is_sent_back_bit_for_bit(device):
+    from pagas_cl.made import relief_scene
+    from pagas_cl.splat import refine_levels
+
+    made = relief_scene(96, 72, 2)
+    view, *others = made.views
+    truth = made.true_depth(view.camera).astype(np.float32)
+    steps = CONFIG.with_settings(pyramid__steps=(3,), solver__rate=3.0, solver__tolerance=0.0, solver__max_move=100.0)
+    result = refine_levels(view, others, truth, steps, device)       # steps of three pixels away from the truth
+    rejected = result.status == 3
+    assert rejected.mean() > 0.1
+    assert (result.depth[rejected] == truth[rejected]).all()
+    assert (result.depth[result.status == 1] != truth[result.status == 1]).any()
