@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pagas_cl.runtime.program import bind, build
 from pagas_cl.splat.composite import exposure_argument, threshold_arguments
+from pagas_cl.splat.options import LIST_GROUP
 
 
 def launches(level, view: int) -> list:
@@ -16,7 +17,9 @@ def launches(level, view: int) -> list:
                      low_pass, *threshold_arguments(level), a["z_first"], exposure_argument(level),
                      a["upstream"], a["gradient"])]
     program = build(level.device, "alpha.cl", level.defines)
-    return [bind(program, "composite_alpha_vjp", level.given.sizes[view].grid, None, a["depth"], a["records"], photo,
-                 a["cameras"], view, a["heads"], a["next"], radius, low_pass, *threshold_arguments(level), a["upstream"],
-                 a["fixed"]),
-            bind(program, "collect_gradient", (level.target.pixels,), None, a["fixed"], level.target.pixels, a["gradient"])]
+    size = level.given.sizes[view]
+    return [bind(program, "composite_alpha_vjp", size.grid, LIST_GROUP, photo, exposure_argument(level), view, a["heads"],
+                 a["links"], a["alphas"], level.target.pixels, size.width, size.height, *threshold_arguments(level),
+                 a["upstream"]),
+            bind(program, "gather_alpha", level.target.grid, None, a["depth"], a["cameras"], view, radius, low_pass,
+                 a["alphas"], a["gradient"])]

@@ -6,7 +6,7 @@ import numpy as np
 
 from pagas_cl.runtime.program import Fill, bind, build
 from pagas_cl.splat import project
-from pagas_cl.splat.options import reach
+from pagas_cl.splat.options import LIST_GROUP, reach
 
 
 def launches(level, view: int) -> list:
@@ -41,6 +41,7 @@ def _alpha(level, view: int) -> list:
     border = 2 * reach(s.radius) + 1
     return [Fill(a["heads"], np.int32(-1), 4 * (size.width + border) * (size.height + border)),
             bind(program, "link_bins", level.target.grid, None, a["depth"], a["cameras"], view, float(s.radius),
-                 float(s.low_pass), a["heads"], a["next"], a["records"]),
-            bind(program, "composite_alpha", size.grid, None, a["records"], level.given.photos[0], a["heads"], a["next"],
-                 size.width, size.height, float(s.radius), *threshold_arguments(level), a["rendered"])]
+                 float(s.low_pass), a["heads"], a["links"], a["alphas"]),
+            bind(program, "composite_alpha", size.grid, LIST_GROUP, level.given.photos[0], exposure_argument(level), view,
+                 a["heads"], a["links"], a["alphas"], level.target.pixels, size.width, size.height,
+                 *threshold_arguments(level), a["rendered"])]

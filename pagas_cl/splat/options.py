@@ -6,7 +6,8 @@ from math import ceil, floor, log2
 
 from pagas_cl.config import Config
 
-MAX_SLOTS = 16            # candidates that a pixel sorts in registers at a time (alpha.cl)
+MAX_SLOTS = 16            # candidates that a pixel sorts at a time (alpha.cl)
+LIST_GROUP = (16, 4)      # work-items that sort side by side: 16 bytes a slot, 16 kB of local memory
 
 
 def reach(radius: float) -> int:
@@ -48,6 +49,7 @@ def defines(config: Config, device, longest_side: int) -> tuple[str, ...]:
         "INT64_ATOMICS": device.has("cl_khr_int64_base_atomics"),
     }
     numbers = {"REACH": reach(splatting.radius), "SLOTS": slots(splatting.radius),
+               "LIST_GROUP_W": LIST_GROUP[0], "LIST_GROUP_H": LIST_GROUP[1],
                "FIXED_BITS": fixed_bits(longest_side)}
     if loss.robust > 0:
         numbers["ROBUST"] = f"{loss.robust:.9g}f" if "." in f"{loss.robust:.9g}" else f"{loss.robust:.9g}.0f"

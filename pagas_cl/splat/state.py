@@ -83,8 +83,8 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
 def _list_buffers(config: Config, n: int, sizes) -> list[BufferSpec]:
     border = 2 * reach(config.splatting.radius) + 1
     bins = max((s.width + border) * (s.height + border) for s in sizes)
-    return [BufferSpec("heads", (bins,), np.int32), BufferSpec("next", (n,), np.int32),
-            BufferSpec("records", (n, 8), np.float32), BufferSpec("fixed", (n,), np.int64)]
+    return [BufferSpec("heads", (bins,), np.int32), BufferSpec("links", (n, 2), np.int32),
+            BufferSpec("alphas", (border**2, n), np.float32)]
 
 
 class PhotoStore:
@@ -146,7 +146,7 @@ def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.nda
 def allocate(device, config: Config, target: Size, contexts: list[Size], masked: int, tile: tiles.Tile) -> Arena:
     """The level's arena, every buffer zeroed where the kernels add to it."""
     arena = Arena(device, level_buffers(config, target, contexts, masked, tile))
-    for name in ("gradient", "first", "second", "fixed", "state"):
+    for name in ("gradient", "first", "second", "state"):
         if name in arena:
             cl.enqueue_fill_buffer(device.queue, arena[name], np.uint32(0), 0, arena.size(name))
     return arena
