@@ -41,7 +41,7 @@ def displaced_mesh(mesh, views: list[View], depths, results, config: Config, sub
     check_subdivide(subdivide)
     mesh = load_whole(mesh)
     surface, division = to_surface(mesh), None
-    observed = _observed(views, depths, results)
+    observed = observed_views(views, depths, results)
     if subdivide is not None:
         finest = footprints(surface.vertices, [o.camera for o in observed], [o.initial for o in observed])
         division = split_edges(surface.vertices, surface.faces, subdivide * finest)
@@ -53,7 +53,8 @@ def displaced_mesh(mesh, views: list[View], depths, results, config: Config, sub
     return with_vertices(mesh, moved.vertices, division, moved.quality)
 
 
-def _observed(views, depths, results) -> list:
+def observed_views(views: list[View], depths, results) -> list:
+    """What surface.displace takes, of what refine_views took and gave."""
     from pagas_cl.surface.displace import Observed
 
     initial = {id(view.camera): depth for view, depth in zip(views, depths)}

@@ -1,0 +1,124 @@
+"""What pymeshlab knows of the MeshLab filters that a script names: which exist, which parameters of which type they take.
+
+Nothing here is a list that ages: the installed pymeshlab is asked, in a child process that may crash.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import lru_cache
+from pathlib import Path
+
+from pagas_cl.errors import InputError, need
+
+_SECONDS = 60.0  # for one child process; a filter with default values on a small sphere takes milliseconds
+
+
+@dataclass(frozen=True)
+class Known:
+    """A MeshLab filter: `types` maps parameter names to Rich types (None where pymeshlab did not tell), `crash` says
+    how trying it ended the process (None: it did not)."""
+
+    exists: bool
+    types: dict | None = None
+    enums: dict | None = None
+    crash: str | None = None
+    spelling: str | None = None
+
+
+_answers: dict[str, Known] = {}
+
+
+def look_up(names: list[str]) -> dict[str, Known]:
+    """What pymeshlab knows of each name; remembered for the life of the process."""
+    ask = [name for name in dict.fromkeys(names) if name not in _answers]
+    if ask:
+        _ask([(name, python_name(name)) for name in ask])
+    return {name: _answers[name] for name in names}
+
+
+def nearest(name: str) -> str:
+    """The MeshLab filter whose name is most like `name`, in MeshLab's own spelling where pymeshlab tells it."""
+    key = get_close_matches(_plain(name), _names(), n=1, cutoff=0.0)[0]
+    probe = f"?{key}"
+    if probe not in _answers:
+        _ask([(probe, _names()[key])])
+    return _answers[probe].spelling or key.replace("_", " ")
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+
+
+@lru_cache(maxsize=1)
+def _names() -> dict[str, str]:
+    """MeshLab's names in plain letters -> pymeshlab's names, from the table that pymeshlab brings for old scripts."""
+    pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
+    known = set(pymeshlab.filter_list())
+    table = Path(pymeshlab.__file__).with_name("keys.txt")
+    names = {name: name for name in known}
+    if table.is_file():
+        pairs = (line.split() for line in table.read_text(encoding="utf-8").splitlines())
+        names.update({pair[0]: pair[1] for pair in pairs if len(pair) == 2 and pair[1] in known})
+    return names
+
+
+def python_name(name: str) -> str | None:
+    """pymeshlab's name of the filter that MeshLab calls `name`, where its table has it."""
+    return _names().get(_plain(name))
+
+
+def _ask(questions: list[tuple[str, str | None]]) -> None:
+    """Fill `_answers`; a child that dies is answered for the name it died of, and another goes on."""
+    need("pymeshlab", "meshlab", "running a filter script")
+    with tempfile.TemporaryDirectory() as folder:
+        asked, answers = Path(folder) / "questions.json", Path(folder) / "answers.jsonl"
+        while questions:
+            asked.write_text(json.dumps(questions), encoding="utf-8")
+            answers.write_text("", encoding="utf-8")
+            how = _child(asked, answers)
+            lines = [json.loads(line) for line in answers.read_text(encoding="utf-8").splitlines()]
+            for line in lines:
+                if "known" in line:
+                    _answers[line["name"]] = _read(line)
+            done = {line["name"] for line in lines if "known" in line}
+            questions = [question for question in questions if question[0] not in done]
+            if questions and (not lines or "start" not in lines[-1]):
+                raise InputError(f"pymeshlab cannot be asked about its filters: the child process ended with {how}")
+            if questions:
+                _answers[questions[0][0]] = Known(True, crash=how)
+                questions = questions[1:]
+
+
+def _child(asked: Path, answers: Path) -> str:
+    """Run the probe; how it ended, in words."""
+    try:
+        # in the temporary folder, since some filters write files there when they are tried
+        paths = os.pathsep.join(str(Path(path).absolute()) for path in sys.path)
+        done = subprocess.run([sys.executable, "-m", "pagas_cl.filters.native_probe", str(asked), str(answers)],
+                              cwd=asked.parent, env={**os.environ, "PYTHONPATH": paths}, stdin=subprocess.DEVNULL,
+                              stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, timeout=_SECONDS, check=False)
+    except subprocess.TimeoutExpired:
+        return f"no answer within {_SECONDS:g} s"
+    if done.returncode < 0:
+        return signal.Signals(-done.returncode).name
+    tail = done.stderr.decode("utf-8", "replace").strip().splitlines()
+    return f"status {done.returncode}" + (f" ({tail[-1][:200]})" if done.returncode and tail else "")
+
+
+def _read(line: dict) -> Known:
+    written = line["written"]
+    if written is None:
+        return Known(line["known"])
+    matches = line["known"] and written["name"] == line["name"]
+    types = {p["name"]: p["type"] for p in written["parameters"]} if matches else None
+    enums = {p["name"]: int(p["enum_cardinality"]) for p in written["parameters"] if "enum_cardinality" in p}
+    return Known(line["known"], types, enums if matches else None, None, written["name"])

@@ -1,0 +1,215 @@
+"""Our step as a method of pymeshlab's MeshSet.
+
+    register()                                       # once: MeshSet gets apply_pagas_depth_refinement
+    meshes.apply_pagas_depth_refinement("SCENE")     # refines the current layer with the photos of SCENE
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from pagas_cl.errors import InputError, need
+from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
+from pagas_cl.scene.view import Scene, View
+
+log = logging.getLogger("pagas_cl")
+
+METHOD = "apply_pagas_depth_refinement"
+_MOST_FACES = 40_000_000
+
+
+def register(meshes=None):
+    """Add the step as a method `apply_pagas_depth_refinement`; returns the class that has it now.
+
+    Parameters
+    ----------
+    meshes : pymeshlab.MeshSet, or a class of it, optional
+        pymeshlab.MeshSet itself by default. An object's class is extended, since its objects take no attributes.
+    """
+    kind = need("pymeshlab", "meshlab", "the MeshLab step").MeshSet
+    if meshes is not None:
+        kind = meshes if isinstance(meshes, type) else type(meshes)
+    if not hasattr(kind, "current_mesh"):
+        raise InputError(f"{kind.__name__} is no pymeshlab.MeshSet: it has no current_mesh")
+    setattr(kind, METHOD, apply_pagas_depth_refinement)
+    return kind
+
+
+def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", output: str = "tsdf", subdivide: float = 0.0,
+                                 context_views: int | None = None, radius: float | None = None,
+                                 smoothness: float | None = None, max_move: float | None = None,
+                                 voxel: float | None = None, agree_views: int | None = None, settings: str = "",
+                                 device: str = "", progress=None) -> dict:
+    """Refine the current layer with photos (PAGaS, arXiv 2604.22129).
+
+    Parameters
+    ----------
+    scene : folder, Scene, list of View, or (cameras, images)
+        Photos and cameras, in the world that the layer's matrix leads to.
+    preset : str
+        Settings to start from; those below that are None keep the preset's value.
+    output : str
+        "tsdf": a new layer, fused from the refined depths, becomes the current one. "displace": the vertices of the
+        current layer move; its topology, textures and attributes stay.
+    subdivide : float
+        With "displace": first split edges longer than this many pixel footprints; 0 splits none.
+    context_views, radius, smoothness, max_move, voxel, agree_views
+        Most context views; radius threshold (pixels); smoothness weight; largest move (pixels of parallax); voxel edge
+        (pixel footprints); how many other views must confirm a depth.
+    settings : str
+        Any other settings, "stage.field=value; stage.field=value".
+    device : str
+        Part of an OpenCL device's name.
+
+    Returns
+    -------
+    dict
+        Pixels refined, kept, rejected, over all views. Confidence is the layer's vertex quality. The step is in the
+        history, so that save_filter_script writes it.
+    """
+    from pagas_cl.filters.filter_script import restore_history, saved_history
+
+    values = to_values(preset=preset, output=output, subdivide=subdivide, context_views=context_views, radius=radius,
+                       smoothness=smoothness, max_move=max_move, voxel=voxel, agree_views=agree_views, settings=settings,
+                       device=device)
+    asked, history = request(values, FILTER), saved_history(self)
+    try:
+        counts = refine_layer(self, scene_views(scene), asked, progress=progress)
+        history.append(history_element(values))
+    finally:
+        restore_history(self, history)
+    return counts
+
+
+def history_element(values: dict[str, str]) -> ElementTree.Element:
+    """The step as MeshLab's history and scripts hold one."""
+    element = ElementTree.Element("filter", name=FILTER)
+    for parameter in PARAMETERS:
+        if parameter.name in values:
+            ElementTree.SubElement(element, "Param", type=parameter.rich, name=parameter.name,
+                                   value=values[parameter.name], description=parameter.description, tooltip="")
+    return element
+
+
+def scene_views(scene) -> list[View]:
+    """Views of a folder, a Scene, a list of View, or a pair (cameras, images)."""
+    from pagas_cl.scene.inputs import as_views
+    from pagas_cl.scene.readers import read_scene
+
+    if scene is None:
+        raise InputError(f"the step {FILTER!r} needs a scene: a folder with photos and cameras, a Scene, or views")
+    if isinstance(scene, (str, Path)):
+        return read_scene(scene).views
+    if isinstance(scene, Scene):
+        return scene.views
+    if isinstance(scene, tuple) and len(scene) == 2 and not isinstance(scene[0], View):
+        return as_views(*scene)
+    if isinstance(scene, (list, tuple)) and scene and all(isinstance(view, View) for view in scene):
+        return list(scene)
+    raise InputError(f"scene is a {type(scene).__name__}, expected a folder, a Scene, a list of View, or a pair "
+                     "(cameras, images)")
+
+
+def refine_layer(meshes, views: list[View], asked: Request, *, device=None, progress=None) -> dict:
+    """Refine the current layer of a MeshSet; what the method and the script share. Does not touch the history's past."""
+    from pagas_cl.refine import fuse_results, initial_depths, refine_views
+    from pagas_cl.scene.mesh import to_surface
+
+    layer = meshes.current_mesh()
+    label, matrix = layer.label(), np.array(layer.transform_matrix())
+    surface = to_surface(layer)  # the layer's matrix applied
+    if asked.output == "displace":
+        surface = _without_quality(surface)
+    depths = initial_depths(surface, views, progress)
+    if asked.output == "displace" and asked.subdivide is not None:
+        surface = _subdivided(meshes, surface, views, depths, asked.subdivide, matrix)
+    results = refine_views(views, depths, config=asked.config, device=device or asked.device, progress=progress)
+    if asked.output == "displace":
+        _displace_layer(meshes, surface, views, depths, results, asked, matrix)
+    else:
+        _add_layer(meshes, fuse_results(views, results, asked.config, progress), results, f"{label} refined", matrix)
+    return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
+
+
+def _without_quality(surface):
+    return replace(surface, quality=None, colors=None, normals=None)
+
+
+def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """World coordinates in the layer's own frame."""
+    return np.linalg.solve(matrix[:3, :3], (vertices - matrix[:3, 3]).T).T
+
+
+def _add_layer(meshes, surface, results, label: str, matrix: np.ndarray) -> None:
+    """The fused mesh as a new current layer with the old one's matrix, confidence as quality, unit normals."""
+    from pagas_cl.scene.mesh import from_surface
+    from pagas_cl.surface.confidence import vertex_confidence
+
+    quality = vertex_confidence(surface.vertices, [r.camera for r in results], [r.depth for r in results],
+                                [r.confidence for r in results])
+    surface = replace(surface, vertices=_local(surface.vertices, matrix), quality=quality, normals=None)
+    meshes.add_mesh(from_surface(surface, like=meshes.current_mesh()), label)
+    if not np.array_equal(matrix, np.eye(4)):
+        meshes.set_matrix(transformmatrix=matrix, freeze=False)
+    meshes.compute_normal_per_vertex()  # pymeshlab drops given normals and makes its own, not of unit length
+
+
+def _displace_layer(meshes, surface, views, depths, results, asked: Request, matrix: np.ndarray) -> None:
+    """Move the current layer's vertices where they are: pymeshlab's meshes take no new positions from outside, but its
+    filters can copy vertex attributes, exactly, into positions and quality."""
+    from pagas_cl.keep_mesh import observed_views
+    from pagas_cl.surface.displace import displace
+
+    fusion = asked.config.fusion
+    moved = displace(surface, observed_views(views, depths, results), agree_views=fusion.agree_views,
+                     agree_pixels=fusion.agree_pixels)
+    # vertices that stayed keep their bits: they are not sent through the matrix and back
+    local = np.where(moved.moved[:, None], _local(moved.vertices, matrix), meshes.current_mesh().vertex_matrix())
+    names = _attribute_names(meshes.current_mesh())
+    for name, values in zip(names, (*local.T, moved.quality)):
+        meshes.current_mesh().add_vertex_custom_scalar_attribute(np.ascontiguousarray(values), name)
+    meshes.compute_coord_by_function(x=names[0], y=names[1], z=names[2], onselected=False)
+    meshes.compute_scalar_by_function_per_vertex(q=names[3], onselected=False)
+    meshes.compute_normal_per_vertex()
+    if not np.array_equal(meshes.current_mesh().vertex_matrix(), local):
+        raise InputError("this pymeshlab does not copy vertex attributes into positions exactly; use output='tsdf'")
+
+
+def _attribute_names(mesh) -> list[str]:
+    """Four names that the mesh's vertices do not have yet (MeshLab's expressions take letters and digits)."""
+    import pymeshlab
+
+    for trial in range(1000):
+        names = [f"pagas{axis}{trial}" for axis in "xyzq"]
+        try:
+            mesh.vertex_custom_scalar_attribute_array(names[0])
+        except (pymeshlab.PyMeshLabException, RuntimeError):
+            return names
+    raise InputError("the layer already has 1000 sets of pagas attributes; start from a fresh layer")
+
+
+def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: np.ndarray):
+    """Split the current layer's long edges by pymeshlab's own filter, which keeps textures and attributes."""
+    import pymeshlab
+
+    from pagas_cl.scene.mesh import to_surface
+    from pagas_cl.surface.displace import footprints
+
+    finest = footprints(surface.vertices, [view.camera for view in views], depths)
+    if not np.isfinite(finest).any():
+        raise InputError("no view sees a vertex of the layer, so that its pixel footprint is unknown")
+    longest = footprint_edges * float(np.median(finest[np.isfinite(finest)]))
+    a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    faces = float((1 + area / (0.1 * longest**2)).sum())
+    if faces > _MOST_FACES:
+        raise InputError(f"subdividing to {footprint_edges:g} pixel footprints would make some {faces:.2g} faces, more than "
+                         f"{_MOST_FACES:.0e}; use a larger number")
+    scale = np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
+    meshes.meshing_surface_subdivision_midpoint(iterations=12, threshold=pymeshlab.PureValue(longest / scale))
+    return _without_quality(to_surface(meshes.current_mesh()))

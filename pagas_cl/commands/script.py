@@ -1,0 +1,146 @@
+"""`pagas-cl script`: a MeshLab filter script (.mlx) with our step in it, without MeshLab's window and without OpenGL."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import typer
+
+from pagas_cl.commands._console import shown_progress
+from pagas_cl.errors import InputError, need
+
+log = logging.getLogger("pagas_cl")
+
+
+def command(
+    script: Path = typer.Argument(..., metavar="SCRIPT", help="The filter script (.mlx)."),
+    scene: Path = typer.Argument(None, metavar="[SCENE]", help="Folder with photos and cameras, for our step."),
+    mesh: Path = typer.Option(None, "--mesh", help="The mesh that the script starts from."),
+    project: Path = typer.Option(None, "--project", help="A MeshLab project (.mlp): its layers, and its photos as scene."),
+    output: Path = typer.Option(..., "--output", help="Where the current layer goes in the end (.ply, .obj ...), or a .mlp "
+                                                      "for all layers."),
+    layer: str = typer.Option(None, "--layer", help="With --project: the layer to start from (default: the last one)."),
+    save_script: Path = typer.Option(None, "--save-script", help="Write the history, our step included, as .mlx."),
+    flavour: str = typer.Option(None, "--mlp-flavour", help="How the project counts CenterPx.y: meshlab or openmvs."),
+    format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
+    device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
+    outside: bool = typer.Option(False, "--outside", help="Allow files outside the folders (files that you trust)."),
+    quiet: bool = typer.Option(False, "--quiet", help="No progress."),
+):
+    """Run SCRIPT on a mesh, or on a MeshLab project; the whole script is checked before anything runs."""
+    pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
+    from pagas_cl.filters import filter_script
+
+    if (mesh is None) == (project is None):
+        raise InputError("expected either --mesh or --project (what the script starts from), got "
+                         + ("neither" if mesh is None else "both"))
+    if mesh is None and scene is not None:
+        raise InputError("got SCENE and --project: a project brings its own photos; give one of them")
+    filter_script.check_script(script, outside=outside)
+    with _meshlab_chatter():
+        meshes, found = _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside)
+        with shown_progress(quiet) as progress:
+            filter_script.run_script(meshes, script, found, outside=outside, device=device, progress=progress)
+        _save(meshes, output, found)
+        if save_script is not None:
+            meshes.save_filter_script(str(save_script.absolute()))
+    log.info("current layer: %s, %d vertices, %d faces", meshes.current_mesh().label(),
+             meshes.current_mesh().vertex_number(), meshes.current_mesh().face_number())
+
+
+def _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside):
+    """The MeshSet to start from, and the scene or None."""
+    from pagas_cl.scene.readers import read_scene
+
+    meshes, options = pymeshlab.MeshSet(), {"outside": True} if outside else {}
+    if mesh is not None:
+        load_layer(pymeshlab, meshes, mesh)
+        return meshes, None if scene is None else read_scene(scene, format, **options)
+    from pagas_cl.scene.readers.meshlab import read_project
+    from pagas_cl.scene.readers.mlp_flavour import settle_flavour
+
+    read = read_project(project, outside=outside)
+    layers = [entry for entry in read.meshes if entry.path is not None]
+    if not layers:
+        raise InputError(f"{project} has no mesh layer with a file")
+    for entry in layers:
+        load_layer(pymeshlab, meshes, entry.path, entry.label, entry.matrix)
+    labels = [entry.label for entry in layers]
+    if layer is not None:
+        if labels.count(layer) != 1:
+            raise InputError(f"{project} has {labels.count(layer)} layers called {layer!r}, expected one of {labels}")
+        meshes.set_current_mesh(labels.index(layer))
+    if not read.rasters:
+        return meshes, None
+    if flavour is None:
+        flavour, reason = settle_flavour(read)
+        log.info("%s", reason)
+    return meshes, read.scene(flavour)
+
+
+def load_layer(pymeshlab, meshes, path: Path, label: str | None = None, matrix=None) -> None:
+    """A mesh file as a new layer, which becomes the current one; its matrix keeps all its digits."""
+    import numpy as np
+
+    if not Path(path).is_file():
+        raise InputError(f"mesh {str(path)!r} does not exist")
+    try:
+        meshes.load_new_mesh(str(Path(path).absolute()))
+    except (pymeshlab.PyMeshLabException, RuntimeError) as error:
+        raise InputError(f"mesh {str(path)!r} cannot be read: {' '.join(str(error).split())[:200]}") from error
+    if label:
+        meshes.current_mesh().set_label(label)
+    if matrix is not None and not np.array_equal(matrix, np.eye(4)):
+        meshes.set_matrix(transformmatrix=np.asarray(matrix, np.float64), freeze=False)
+    meshes.clear_filter_script()  # loading is no step of the script
+
+
+def _save(meshes, output: Path, scene) -> None:
+    """The current layer, or all layers as a project, under the final names at once."""
+    if output.suffix.lower() != ".mlp":
+        save_layer(meshes, output)
+        return
+    from pagas_cl.scene.readers.meshlab import MeshLayer, write_project
+
+    layers = []
+    for number in range(meshes.mesh_number()):
+        mesh = meshes.mesh(number)
+        path = output.with_name(f"{output.stem}_{number}.ply")
+        current = meshes.current_mesh_id()
+        meshes.set_current_mesh(mesh.id())
+        save_layer(meshes, path)
+        meshes.set_current_mesh(current)
+        layers.append(MeshLayer(mesh.label(), path, mesh.transform_matrix(), mesh.is_visible()))
+    write_project(output, [] if scene is None else scene.views, layers)
+
+
+def save_layer(meshes, path: Path) -> None:
+    """The current layer beside `path` first, then renamed; the file holds the layer's own coordinates, not its matrix."""
+    path = path.absolute()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    try:
+        meshes.save_current_mesh(str(beside))
+        if not beside.is_file():
+            raise InputError(f"pymeshlab did not write {str(path)!r}: is {path.suffix!r} a kind of mesh file?")
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+@contextmanager
+def _meshlab_chatter():
+    """Send what pymeshlab's C++ part prints on standard output to standard error."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    try:
+        os.dup2(2, 1)
+        yield
+    finally:
+        sys.stdout.flush()
+        os.dup2(kept, 1)
+        os.close(kept)
