@@ -7,16 +7,10 @@
 //   gather_alpha         per Gaussian: from the dL/dalpha in its places to dL/dd
 //
 // Each pair of a Gaussian and a pixel has a place of its own, so that no two work-items ever write to the same one.
-// A work-item keeps the SLOTS nearest candidates sorted by (z, index) in local memory. More are worked off in chunks,
-// each one the next SLOTS behind the last; at most the MAX_PARTICIPANTS nearest take part.
-#include "splat.clh"
-
-#define MAX_PARTICIPANTS 128
-#define MAX_CHUNKS ((MAX_PARTICIPANTS + SLOTS - 1) / SLOTS)
-#define SIDE (2 * REACH + 1)
-#define PLACES (SIDE * SIDE)
-#define GROUP (LIST_GROUP_W * LIST_GROUP_H)
-#define IN_GROUPS __attribute__((reqd_work_group_size(LIST_GROUP_W, LIST_GROUP_H, 1)))
+// few.clh serves the pixels with few candidates, which are nearly all of them; lists.clh the others. Both give the same
+// order, and so the same numbers.
+#include "few.clh"
+#include "lists.clh"
 
 __kernel void link_bins(__global const float *depth, __global const float *cameras, int view, float radius,
                         float low_pass, __global volatile int *heads, __global int2 *links, __global float *alphas)
@@ -43,107 +37,6 @@ __kernel void link_bins(__global const float *depth, __global const float *camer
     links[i] = (int2)(atomic_xchg(&heads[bin], i), as_int(depth_key(s.z)));
 }
 
-// What a pixel finds around it: `heads` of its lowest bin on, rows of `stride` bins; planes of `count` alphas.
-typedef struct {
-    __global const int *heads;
-    __global const int2 *links;
-    __global float *alphas;
-    int stride, count;
-} Around;
-
-Around look_around(__global const int *heads, __global const int2 *links, __global float *alphas, int count,
-                   int column, int row, int width)
-{
-    Around a;
-    a.heads = heads + row * (width + SIDE) + column;
-    a.links = links;
-    a.alphas = alphas;
-    a.stride = width + SIDE;
-    a.count = count;
-    return a;
-}
-
-// A slot holds depth bits, pixel index, bits of alpha, and the plane that alpha came from.
-ulong key_of(uint4 slot)
-{
-    return ((ulong)slot.x << 32) | slot.y;
-}
-
-// Put a candidate where it belongs in a list of `held`; the last one falls out of a full list.
-void insert(__local uint4 *list, int held, uint4 slot)
-{
-    const ulong key = key_of(slot);
-    int k = held;
-    if (k == SLOTS) {
-        if (key >= key_of(list[--k * GROUP]))
-            return;
-    }
-    while (k > 0) {
-        const uint4 before = list[(k - 1) * GROUP];
-        if (key_of(before) <= key)
-            break;
-        list[k-- * GROUP] = before;
-    }
-    list[k * GROUP] = slot;
-}
-
-// Sort the SLOTS nearest candidates behind `behind` into the list; returns how many there are in all.
-int gather(const Around a, ulong behind, bool first, __local uint4 *list)
-{
-    int seen = 0;
-    for (int by = 0; by < SIDE; ++by) {
-        int chains[SIDE];                  // of a row of bins at a time, so that their loads overlap
-#pragma unroll
-        for (int bx = 0; bx < SIDE; ++bx)
-            chains[bx] = a.heads[by * a.stride + bx];
-        int2 links[SIDE];
-        float alphas[SIDE];
-#pragma unroll
-        for (int bx = 0; bx < SIDE; ++bx) {
-            const int place = PLACES - 1 - by * SIDE - bx, i = max(chains[bx], 0);
-            links[bx] = chains[bx] >= 0 ? a.links[i] : (int2)(-1, 0);
-            alphas[bx] = chains[bx] >= 0 ? a.alphas[place * a.count + i] : 0.0f;
-        }
-#pragma unroll
-        for (int bx = 0; bx < SIDE; ++bx) {
-            const int place = PLACES - 1 - by * SIDE - bx;
-            int i = chains[bx];
-            int2 link = links[bx];
-            float alpha = alphas[bx];
-            while (i >= 0) {
-                const uint4 slot = (uint4)((uint)link.y, (uint)i, as_uint(alpha), (uint)place);
-                if (alpha != 0.0f && (first || key_of(slot) > behind)) {
-                    insert(list, min(seen, SLOTS), slot);
-                    ++seen;
-                }
-                i = link.x;
-                if (i >= 0) {
-                    link = a.links[i];
-                    alpha = a.alphas[place * a.count + i];
-                }
-            }
-        }
-    }
-    return seen;
-}
-
-// How many of the first `held` take part: none behind the depth threshold, which the first visible one sets. `limit`
-// is carried from chunk to chunk.
-int participants(__local const uint4 *list, int held, float threshold, float relative, float *limit)
-{
-#ifdef OCCLUSION
-    for (int k = 0; k < held; ++k) {
-        const uint4 slot = list[k * GROUP];
-        const float z = as_float(slot.x);
-        if (isinf(*limit) && as_float(slot.z) > ALPHA_SEEN)
-            *limit = depth_limit(z, threshold, relative);
-        if (z > *limit)
-            return k;
-    }
-#endif
-    return held;
-}
-
 __kernel IN_GROUPS
 void composite_alpha(__global const uchar4 *target_photo, __global const float *exposure, int view,
                      __global const int *heads, __global const int2 *links, __global float *alphas, int count, int width, int height, float threshold, float relative,
@@ -158,7 +51,15 @@ void composite_alpha(__global const uchar4 *target_photo, __global const float *
     color_t color = 0.0f;
     float transmittance = 1.0f, limit = INFINITY;
     ulong behind = 0;
-    for (int taken = 0; taken < MAX_PARTICIPANTS; taken += SLOTS) {
+#if REACH == 1
+    Few few;
+    const bool done = gather_few(around, &few);
+    if (done)
+        transmittance = blend_few(&few, target_photo, exposure, view, threshold, relative, &color);
+#else
+    const bool done = false;
+#endif
+    for (int taken = 0; !done && taken < MAX_PARTICIPANTS; taken += SLOTS) {
         const int seen = gather(around, behind, taken == 0, list);
         const int held = min(min(seen, SLOTS), MAX_PARTICIPANTS - taken);
         const int kept = participants(list, held, threshold, relative, &limit);
@@ -229,6 +130,13 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
     const float4 up = vload4(pixel, upstream);
     const color_t v_color = up.xyz;
     const float v_coverage = up.w;
+#endif
+#if REACH == 1
+    Few few;
+    if (gather_few(around, &few)) {
+        pass_back_few(around, &few, target_photo, exposure, view, threshold, relative, v_color, v_coverage);
+        return;
+    }
 #endif
     // forward over the chunks: where each one starts, the transmittance in front of it
     float in_front[MAX_CHUNKS], limit = INFINITY, transmittance = 1.0f;

@@ -6,18 +6,13 @@ from math import ceil, floor, log2
 
 from pagas_cl.config import Config
 
-MAX_SLOTS = 16            # candidates that a pixel sorts at a time (alpha.cl)
-LIST_GROUP = (16, 4)      # work-items that sort side by side: 16 bytes a slot, 16 kB of local memory
+SLOTS = 12                # candidates that a pixel sorts at a time where they are many (lists.clh)
+LIST_GROUP = (32, 4)      # work-items that sort side by side: 16 bytes a slot, 24 kB of local memory
 
 
 def reach(radius: float) -> int:
     """How many one-pixel bins away a Gaussian's mean may lie and still be within `radius` of a pixel's centre."""
     return floor(radius + 0.5)
-
-
-def slots(radius: float) -> int:
-    """Candidates sorted at a time: a power of two above what a surface seen at its own resolution gives."""
-    return 8 if radius <= 1.2 else MAX_SLOTS
 
 
 def fixed_bits(longest_side: int) -> int:
@@ -42,13 +37,14 @@ def defines(config: Config, device, longest_side: int) -> tuple[str, ...]:
         "SSIM": loss.ssim > 0,
         "GREY": loss.grey,
         "EXPOSURE": loss.exposure,
+        "STRUCTURE": loss.structure,
         "GRADIENT_WEIGHT": loss.gradient_weight,
         "COVERAGE_WEIGHT": loss.coverage_weight,
         "UNSEEN_MASK": loss.unseen_mask,
         "TRACK_LOSS": config.solver.patience > 0,
         "INT64_ATOMICS": device.has("cl_khr_int64_base_atomics"),
     }
-    numbers = {"REACH": reach(splatting.radius), "SLOTS": slots(splatting.radius),
+    numbers = {"REACH": reach(splatting.radius), "SLOTS": SLOTS,
                "LIST_GROUP_W": LIST_GROUP[0], "LIST_GROUP_H": LIST_GROUP[1],
                "FIXED_BITS": fixed_bits(longest_side)}
     if loss.robust > 0:
