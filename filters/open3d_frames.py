@@ -1,0 +1,189 @@
+"""Open3D's RGB-D frames, in any of the forms in which people hold them, as views and depth maps, and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pagas_cl.errors import InputError, need
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.depthmap import clean_depth
+from pagas_cl.scene.images import as_photo, read_photo
+from pagas_cl.scene.view import View
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame: its view, its depth in scene units (0 = none), and the form it came in.
+
+    `form`: "legacy" (RGBDImage), "tensor" (t.geometry.RGBDImage), or "pair"; `scale`: what divides its depth numbers.
+    """
+
+    view: View
+    depth: np.ndarray
+    given: Any
+    form: str
+    scale: float
+
+
+def read_frames(frames, intrinsics, extrinsics=None, *, depth_scale=None, depth_trunc=None, pixel_center=0.0) -> list[Frame]:
+    """Frames with their cameras; parameters as in open3d_pipeline.refine_rgbd."""
+    frames = list(frames)
+    if not frames:
+        raise InputError("no frames were given, expected a list of RGBDImage or of pairs (color, depth)")
+    sizes = [_pixels(_parts(frame)[1], f"depth of frame {k}").shape[1::-1] for k, frame in enumerate(frames)]
+    cameras = read_cameras(intrinsics, extrinsics, sizes, pixel_center=pixel_center)
+    for name, value in (("depth_scale", depth_scale), ("depth_trunc", depth_trunc)):
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise InputError(f"{name} is {value!r}, expected a number above 0")
+    return [_frame(frame, camera, depth_scale, depth_trunc) for frame, camera in zip(frames, cameras)]
+
+
+def _frame(given, camera: Camera, depth_scale, depth_trunc) -> Frame:
+    color, depth = _parts(given)
+    form = _form(given)
+    raw = _pixels(depth, f"depth of frame {camera.name}")
+    if form == "legacy" and depth_scale not in (None, 1, 1.0):
+        raise InputError(f"frame {camera.name}: depth_scale is {depth_scale:g}, but an RGBDImage already holds scene units: "
+                         "create_from_color_and_depth has divided its depth; leave depth_scale out")
+    if depth_scale is None:
+        depth_scale = 1000.0 if raw.dtype == np.uint16 else 1.0
+    depth = clean_depth(raw.astype(np.float64) / depth_scale, f"depth of frame {camera.name}")
+    if depth_trunc is not None:
+        depth = np.where(depth < depth_trunc, depth, np.float32(0))  # as Open3D: what reaches it is dropped
+    who = f"color of frame {camera.name}"
+    photo = read_photo(color) if isinstance(color, (str, Path)) else as_photo(_intensity(_pixels(color, who)), who)
+    if photo.shape[:2] != depth.shape:
+        raise InputError(f"frame {camera.name}: color is {photo.shape[1]} x {photo.shape[0]} and depth {depth.shape[1]} x "
+                         f"{depth.shape[0]}; register the depth to the color first")
+    return Frame(View(camera, photo, None, camera.name), depth, given, form, float(depth_scale))
+
+
+def _intensity(pixels: np.ndarray) -> np.ndarray:
+    """Floating point colours as Open3D makes them can pass 1 by rounding."""
+    return np.clip(pixels, 0, 1) if pixels.dtype.kind == "f" and pixels.max(initial=0) < 1.01 else pixels
+
+
+def _form(given) -> str:
+    if isinstance(given, (tuple, list)):
+        return "pair"
+    return "tensor" if ".t." in type(given).__module__ else "legacy"
+
+
+def _parts(given) -> tuple:
+    if isinstance(given, (tuple, list)):
+        if len(given) != 2:
+            raise InputError(f"a frame has {len(given)} parts, expected a pair (color, depth) or an RGBDImage")
+        return tuple(given)
+    if not (hasattr(given, "color") and hasattr(given, "depth")):
+        raise InputError(f"a frame is a {type(given).__name__}, expected an Open3D RGBDImage (legacy or tensor) or a pair "
+                         "(color, depth)")
+    return given.color, given.depth
+
+
+def _pixels(image, who: str) -> np.ndarray:
+    """(H, W) or (H, W, C) array of a legacy or tensor Image, an array, or a file."""
+    if isinstance(image, (str, Path)):
+        from PIL import Image
+
+        from pagas_cl.scene.images import image_size
+
+        image_size(image)  # a sentence for what is no image
+        with Image.open(image) as file:
+            pixels = np.asarray(file)
+        return pixels.astype(np.uint16) if pixels.dtype == np.int32 else pixels
+    if hasattr(image, "as_tensor"):
+        image = image.as_tensor().cpu().numpy()
+    elif hasattr(image, "cpu") and hasattr(image, "numpy"):
+        image = image.cpu().numpy()
+    pixels = np.asarray(image)
+    if pixels.ndim == 3 and pixels.shape[2] == 1:
+        pixels = pixels[..., 0]
+    if pixels.ndim not in (2, 3) or pixels.size == 0 or pixels.dtype.kind not in "uif":
+        raise InputError(f"{who} has shape {pixels.shape} and dtype {pixels.dtype}, expected an image")
+    return pixels
+
+
+def read_cameras(intrinsics, extrinsics, sizes, *, pixel_center: float = 0.0) -> list[Camera]:
+    """Cameras of Open3D's intrinsics and extrinsics.
+
+    Parameters
+    ----------
+    intrinsics : PinholeCameraTrajectory; or PinholeCameraIntrinsic, (3, 3) array or tensor, one for all or a list
+    extrinsics : list of (4, 4) arrays or tensors, world-to-camera; None with a trajectory
+    sizes : list of (width, height)
+        Of the frames.
+    pixel_center : float
+        Where the intrinsics put the centre of the top-left pixel: 0 (Open3D's legacy cameras and PrimeSense defaults), or
+        0.5 (COLMAP).
+    """
+    count = len(sizes)
+    if hasattr(intrinsics, "parameters"):
+        if extrinsics is not None:
+            raise InputError("a PinholeCameraTrajectory brings its own extrinsics; leave them out")
+        intrinsics, extrinsics = zip(*((p.intrinsic, p.extrinsic) for p in intrinsics.parameters), strict=True)
+    if extrinsics is None:
+        raise InputError("extrinsics are missing: give one world-to-camera matrix a frame")
+    each = list(intrinsics) if isinstance(intrinsics, (list, tuple)) else [intrinsics] * count
+    extrinsics = list(extrinsics)
+    for what, got in (("intrinsics", each), ("extrinsics", extrinsics)):
+        if len(got) != count:
+            raise InputError(f"{len(got)} {what} were given for {count} frames, expected one each, in the same order")
+    return [_camera(K, E, size, f"{k:05d}", pixel_center) for k, (K, E, size) in enumerate(zip(each, extrinsics, sizes))]
+
+
+def _camera(intrinsic, extrinsic, size, name: str, pixel_center: float) -> Camera:
+    if hasattr(intrinsic, "intrinsic_matrix"):
+        said = (intrinsic.width, intrinsic.height)
+        if said != tuple(size) and min(said) > 0:
+            raise InputError(f"frame {name} is {size[0]} x {size[1]}, its intrinsics say {said[0]} x {said[1]}: scale the "
+                             "intrinsics, or take those of this size")
+        intrinsic = intrinsic.intrinsic_matrix
+    K, E = (_array(value) for value in (intrinsic, extrinsic))
+    return Camera.from_opencv_w2c(K, E, *size, pixel_center=pixel_center, name=name)
+
+
+def _array(value) -> np.ndarray:
+    return value.cpu().numpy() if hasattr(value, "cpu") else np.asarray(value, np.float64)
+
+
+def give_back(frame: Frame, depth: np.ndarray):
+    """A frame of the form that came in with another depth, float32 in the numbers that came in (times its scale).
+
+    Colours stay as they are, but for tensors, which become float32 from 0 to 1: VoxelBlockGrid takes floating point depth
+    only together with floating point colours.
+    """
+    raw = np.ascontiguousarray(depth * np.float32(frame.scale), np.float32)
+    if frame.form == "pair":
+        color, given = frame.given
+        made = _image_like(given, raw)
+        return type(frame.given)((_float_color(color) if hasattr(made, "as_tensor") else color, made))
+    o3d = need("open3d", "mesh", "RGB-D frames")
+    if frame.form == "tensor":
+        return o3d.t.geometry.RGBDImage(_float_color(frame.given.color), _image_like(frame.given.depth, raw))
+    new = o3d.geometry.RGBDImage()
+    new.color, new.depth = frame.given.color, o3d.geometry.Image(raw)
+    return new
+
+
+def _image_like(given, raw: np.ndarray):
+    if isinstance(given, (np.ndarray, str, Path)):
+        return raw
+    o3d = need("open3d", "mesh", "RGB-D frames")
+    if hasattr(given, "as_tensor"):
+        return o3d.t.geometry.Image(o3d.core.Tensor(raw[..., None]))
+    return o3d.geometry.Image(raw) if "open3d" in type(given).__module__ else raw
+
+
+def _float_color(color):
+    """A tensor image as float32 from 0 to 1; anything else as it is."""
+    if not hasattr(color, "as_tensor"):
+        return color
+    o3d = need("open3d", "mesh", "RGB-D frames")
+    pixels = color.as_tensor().cpu().numpy()
+    if pixels.dtype.kind in "iu":
+        pixels = pixels.astype(np.float32) / np.iinfo(pixels.dtype).max
+    return o3d.t.geometry.Image(o3d.core.Tensor(np.ascontiguousarray(pixels, np.float32)))

@@ -1,0 +1,138 @@
+"""A step for Open3D's RGB-D pipelines: refine the frames, then integrate them as before.
+
+    frames = refine_rgbd(frames, intrinsic, extrinsics)        # before the loop of the RGBD-integration tutorial
+    mesh = refine_and_integrate(frames, intrinsic, extrinsics) # or all of it in one call
+
+Half pixels: Open3D's legacy cameras (PinholeCameraIntrinsic) and volumes count pixel centres at whole numbers, its
+VoxelBlockGrid at +0.5. Intrinsics are read with `pixel_center` (0, as the legacy ones have it); what goes into a
+VoxelBlockGrid here is shifted as a measurement of the installed Open3D says (surface.convention).
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+
+from pagas_cl.config import Config
+from pagas_cl.config import preset as named_preset
+from pagas_cl.errors import InputError, need
+from pagas_cl.filters.open3d_frames import Frame, give_back, read_frames
+
+log = logging.getLogger("pagas_cl")
+
+
+def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | None = None, depth_trunc: float | None = None,
+                pixel_center: float = 0.0, preset: str = "balanced", config: Config | None = None, device=None,
+                progress=None) -> list:
+    """Refine the depth of RGB-D frames with each other's colours.
+
+    Parameters
+    ----------
+    frames : list of RGBDImage (legacy or tensor), or of pairs (color, depth)
+        Parts of pairs: Image (legacy or tensor), arrays, or paths.
+    intrinsics : PinholeCameraIntrinsic, (3, 3) array or tensor, a list of them, or a PinholeCameraTrajectory
+    extrinsics : list of (4, 4) arrays or tensors, optional
+        World-to-camera, as Open3D's `integrate` takes them; left out with a trajectory.
+    depth_scale : float, optional
+        What divides depth numbers, in Open3D's meaning; 1000 for 16-bit depth and 1 for floating point where it is left
+        out. A legacy RGBDImage has been divided already.
+    depth_trunc : float, optional
+        Depths that reach it (scene units) are dropped, in Open3D's meaning; none are where it is left out.
+    pixel_center : float
+        Where the intrinsics put the centre of the top-left pixel: 0 (Open3D's legacy cameras) or 0.5 (COLMAP).
+    preset, config, device, progress
+        As in refine_mesh.
+
+    Returns
+    -------
+    list of the same form, in the same order
+        Depth is float32 in the numbers that came in (times depth_scale); valid where it was. Colours of tensors are
+        float32 from 0 to 1, which VoxelBlockGrid wants beside floating point depth.
+    """
+    config = named_preset(preset) if config is None else config
+    read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,
+                       pixel_center=pixel_center)
+    return [give_back(frame, result.depth) for frame, result in _refined(read, config, device, progress)]
+
+
+def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: float | None = None,
+                         depth_scale: float | None = None, depth_trunc: float | None = None, pixel_center: float = 0.0,
+                         preset: str = "balanced", config: Config | None = None, device=None, progress=None):
+    """Refine the frames, integrate them into a VoxelBlockGrid and extract the mesh.
+
+    Parameters
+    ----------
+    voxel_size : float, optional
+        Scene units, in Open3D's meaning; the setting fusion.voxel (pixel footprints) where it is left out.
+    others
+        As in refine_rgbd.
+
+    Returns
+    -------
+    open3d.t.geometry.TriangleMesh
+        With colours, normals, and "quality": the mean confidence (0 to 1) of the views that see a vertex.
+    """
+    from pagas_cl.refine import fuse_results
+    from pagas_cl.surface.confidence import vertex_confidence
+
+    config = named_preset(preset) if config is None else config
+    read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,
+                       pixel_center=pixel_center)
+    if voxel_size is not None:
+        config = config.with_settings(fusion__voxel=_footprints(read, voxel_size))
+    pairs = _refined(read, config, device, progress)
+    results = [result for _, result in pairs]
+    surface = fuse_results([frame.view for frame, _ in pairs], results, config, progress)
+    quality = vertex_confidence(surface.vertices, [r.camera for r in results], [r.depth for r in results],
+                                [r.confidence for r in results])
+    return _tensor_mesh(replace(surface, quality=quality))
+
+
+def grid_intrinsic(intrinsic, *, pixel_center: float = 0.0):
+    """K (3, 3), an open3d.core.Tensor of float64, as this Open3D's VoxelBlockGrid wants it, for a loop of your own.
+
+    Passing a legacy intrinsic to a VoxelBlockGrid unchanged puts the surface half a pixel off.
+    """
+    from pagas_cl.surface.convention import grid_shift
+
+    o3d = need("open3d", "mesh", "a VoxelBlockGrid")
+    K = np.array(intrinsic.intrinsic_matrix if hasattr(intrinsic, "intrinsic_matrix") else intrinsic, np.float64)
+    if K.shape != (3, 3):
+        raise InputError(f"the intrinsic matrix has shape {K.shape}, expected (3, 3)")
+    K[:2, 2] += 0.5 - pixel_center + grid_shift()
+    return o3d.core.Tensor(K)
+
+
+def _refined(read: list[Frame], config: Config, device, progress) -> list:
+    """[(frame, DepthResult)]; a frame without any depth is given back as it came."""
+    from pagas_cl.refine import refine_views
+    from pagas_cl.result import DepthResult
+
+    depths = [frame.depth if (frame.depth > 0).any() else None for frame in read]
+    if not any(depth is not None for depth in depths):
+        raise InputError(f"none of the {len(read)} frames has a valid depth: are depth_scale and depth_trunc right?")
+    results = iter(refine_views([frame.view for frame in read], depths, config=config, device=device, progress=progress))
+    return [(frame, next(results) if depth is not None else
+             DepthResult.unrefined(frame.view.camera, frame.depth, "the frame has no depth"))
+            for frame, depth in zip(read, depths)]
+
+
+def _footprints(read: list[Frame], voxel_size: float) -> float:
+    """A voxel's edge in scene units as pixel footprints."""
+    from pagas_cl.config import Fusion
+    from pagas_cl.surface.fuse import fusion_plan
+
+    if not (np.isfinite(voxel_size) and voxel_size > 0):
+        raise InputError(f"voxel_size is {voxel_size!r}, expected scene units above 0")
+    coarse = 64.0  # the plan is only asked for the footprint: let it touch few blocks
+    plan = fusion_plan([frame.view for frame in read], [frame.depth for frame in read], Fusion(voxel=coarse))
+    return float(voxel_size * coarse / plan.voxel)
+
+
+def _tensor_mesh(surface):
+    from pagas_cl.scene.mesh import from_surface
+
+    o3d = need("open3d", "mesh", "making an Open3D mesh")
+    return from_surface(surface, like=o3d.t.geometry.TriangleMesh())
