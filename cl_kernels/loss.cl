@@ -2,8 +2,7 @@
 //   upstream (G, h): dL/dalpha_i = G . c_i + h (order-free), or (dL/dC, dL/dA) (alpha blend)
 #include "window.clh"
 
-#define TILE_STRIDE ((TILE_W + 3) / 4 * 4)
-#define TILE_ACROSS ((TILE_W + COLUMNS - 1) / COLUMNS)
+#define TILE_ACROSS (TILE_W / COLUMNS)                   // tiles are whole vectors wide: none is repeated
 
 #ifdef SSIM
 // Vertical windows of the three partials of channel c, over the windows that hold a pixel of the tile.
@@ -41,18 +40,18 @@ void gather_down(__global const float *partials, int left, int top, int width, i
     }
 }
 
-// -scale dSSIM/dx of channel c at the tile's pixels, from its partials.
+// -scale dSSIM/dx of channel c at the tile's pixels, from its partials; takes the place of x.
 void ssim_backward(__global const float *partials, int left, int top, int width, int height, int pitch, float scale,
-                   __local float *sums, __local const float *xs, __local const float *ys, __local float *by_color)
+                   __local float *sums, __local float *xs, __local const float *ys)
 {
     gather_down(partials, left, top, width, height, pitch, sums);
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int t = get_local_id(0); t < TILE_H * CHUNKS; t += LOSS_GROUP) {
-        const int y = t / CHUNKS, x = span_start(t % CHUNKS, LANES, TILE_W), place = y * TILE_STRIDE + x;
+        const int y = t / CHUNKS, x = t % CHUNKS * LANES, place = y * TILE_W + x;
         __local const float *at = sums + y * STRIDE + x;
         const lanes_t by = blur_across(at) + 2.0f * LOAD_LANES(xs + place) * blur_across(at + TILE_H * STRIDE)
                            + LOAD_LANES(ys + place) * blur_across(at + 2 * TILE_H * STRIDE);
-        JOIN(vstore, LANES)(-scale * by, 0, by_color + place);
+        JOIN(vstore, LANES)(-scale * by, 0, xs + place);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 }
@@ -62,11 +61,11 @@ void load_colors(__global const stored_t *rendered, __global const uchar4 *photo
                  int height, __local float *xs, __local float *ys)
 {
     for (int t = get_local_id(0); t < TILE_H * TILE_ACROSS; t += LOSS_GROUP) {
-        const int y = t / TILE_ACROSS, x = span_start(t % TILE_ACROSS, COLUMNS, TILE_W);
+        const int y = t / TILE_ACROSS, x = t % TILE_ACROSS * COLUMNS;
         const Rendered r = load_rendered(rendered, photo, min(top + y, height - 1) * width + min(left + x, width - COLUMNS));
         for (int c = 0; c < CHANNELS; ++c) {
-            STORE_COLUMNS(r.color[c], xs + (c * TILE_H + y) * TILE_STRIDE + x);
-            STORE_COLUMNS(r.photo[c], ys + (c * TILE_H + y) * TILE_STRIDE + x);
+            STORE_COLUMNS(r.color[c], xs + (c * TILE_H + y) * TILE_W + x);
+            STORE_COLUMNS(r.photo[c], ys + (c * TILE_H + y) * TILE_W + x);
         }
     }
 }
@@ -113,7 +112,7 @@ void store_upstream(const Rendered r, columns_t by[CHANNELS], columns_t by_cover
 }
 
 #ifdef TRACK_LOSS
-// Whole numbers of the lanes that are new: not repeated from the vector or the tile before.
+// Whole numbers of the lanes that are new: not repeated from the tile before.
 long whole_loss(columns_t loss, int repeated)
 {
     float lane[COLUMNS];
@@ -132,23 +131,26 @@ void loss_backward(__global const stored_t *rendered, __global const uchar4 *pho
 {
     const int left = tile_start(get_group_id(0), TILE_W, width), top = tile_start(get_group_id(1), TILE_H, height);
 #ifdef SSIM
-    __local float xs[CHANNELS * TILE_H * TILE_STRIDE] __attribute__((aligned(16)));
-    __local float ys[CHANNELS * TILE_H * TILE_STRIDE] __attribute__((aligned(16)));
-    __local float by_color[CHANNELS * TILE_H * TILE_STRIDE] __attribute__((aligned(16)));
+    __local float xs[CHANNELS * TILE_H * TILE_W] __attribute__((aligned(16)));
+    __local float ys[CHANNELS * TILE_H * TILE_W] __attribute__((aligned(16)));
     __local float sums[3 * TILE_H * STRIDE] __attribute__((aligned(16)));
     load_colors(rendered, photo, left, top, width, height, xs, ys);
     for (int c = 0; c < CHANNELS; ++c) {
-        const int place = c * TILE_H * TILE_STRIDE;
+        const int place = c * TILE_H * TILE_W;
         ssim_backward(partials + MARGIN + c * 3 * pitch * height, left, top, width, height, pitch, ssim_scale, sums,
-                      xs + place, ys + place, by_color + place);
+                      xs + place, ys + place);
     }
 #endif
 #ifdef TRACK_LOSS
+#ifdef SSIM
+    __local long *scratch = (__local long *)sums;      // no longer needed
+#else
     __local long scratch[LOSS_GROUP];
+#endif
     long loss = 0;
 #endif
     for (int t = get_local_id(0); t < TILE_H * TILE_ACROSS; t += LOSS_GROUP) {
-        const int row = t / TILE_ACROSS, column = span_start(t % TILE_ACROSS, COLUMNS, TILE_W);
+        const int row = t / TILE_ACROSS, column = t % TILE_ACROSS * COLUMNS;
         const int x = left + column, y = top + row, pixel = y * width + x;
         if (x >= width || y >= height)
             continue;
@@ -171,7 +173,7 @@ void loss_backward(__global const stored_t *rendered, __global const uchar4 *pho
 #endif
             by[c] = l1_scale * (1.0f / CHANNELS) * full_weight * slope;
 #ifdef SSIM
-            by[c] += LOAD_COLUMNS(by_color + (c * TILE_H + row) * TILE_STRIDE + column);
+            by[c] += LOAD_COLUMNS(xs + (c * TILE_H + row) * TILE_W + column);
 #endif
             by[c] = select(ZERO, by[c], r.live);
         }
@@ -182,9 +184,8 @@ void loss_backward(__global const stored_t *rendered, __global const uchar4 *pho
 #endif
         store_upstream(r, by, by_coverage, upstream + pixel * (CHANNELS + 1));
 #ifdef TRACK_LOSS
-        const int first = max((int)get_group_id(0) * TILE_W, left + t % TILE_ACROSS * COLUMNS);
         if (y >= (int)get_group_id(1) * TILE_H)
-            loss += whole_loss(select(ZERO, full_weight * mean_residual, r.live), first - x);
+            loss += whole_loss(select(ZERO, full_weight * mean_residual, r.live), (int)get_group_id(0) * TILE_W - x);
 #endif
     }
 #ifdef TRACK_LOSS

@@ -13,7 +13,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.splat import backward, composite, loss, project, smooth, step
 from pagas_cl.splat.options import defines
 from pagas_cl.splat.state import Size, allocate, camera_table
-from pagas_cl.splat.tile import choose_tile
+from pagas_cl.splat.tile import choose_tiles
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,9 @@ class Level:
         self.device, self.config, self.given = device, config, given
         self.defines = defines(config, device, max(target.grid))
         self.target, self.contexts = target, contexts[:given.contexts]
-        self.tile = choose_tile(device, [size.grid for size in given.sizes])
-        self.arena: Arena = allocate(device, config, target, contexts, given.contexts, self.tile)
+        self.ssim_tile, self.loss_tile = choose_tiles(device, [size.grid for size in given.sizes])
+        self.arena: Arena = allocate(device, config, target, contexts, given.contexts,
+                                    (self.ssim_tile, self.loss_tile))
         cl.enqueue_copy(device.queue, self.arena["cameras"],
                         camera_table(given.cameras[0], given.cameras[1:], given.unit))
         if config.loss.exposure:

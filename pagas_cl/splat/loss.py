@@ -13,7 +13,7 @@ ADD_GROUP = 64            # as in step.cl
 
 def launches(level, view: int) -> list:
     """From arena["rendered"] to arena["upstream"] for context view `view` (0: the target's own)."""
-    a, tile, share = level.arena, level.tile, level.config.loss.ssim
+    a, tile, share = level.arena, level.loss_tile, level.config.loss.ssim
     size, photo = level.given.sizes[view], level.given.photos[view]
     windows = ssim.windows(size)
     channels = 1 if level.config.loss.grey else 3
@@ -24,19 +24,19 @@ def launches(level, view: int) -> list:
     out = []
     if share > 0:
         forward = ssim.launches(level, view)
-        out += forward + (_sum(level, windows, ssim_scale / n) if forward else [])
+        out += forward + (_sum(level, level.ssim_tile.groups(*windows), ssim_scale / n) if forward else [])
     program = build(level.device, "loss.cl", (*level.defines, *tile.defines))
     out.append(bind(program, "loss_backward", tile.grid(*size.grid), (tile.group, 1), a["rendered"], photo, size.width,
                     size.height, pitch(size.width), a["partials"] if share > 0 else None, seen, float(l1_scale),
                     float(ssim_scale), a["upstream"], a["losses"] if "losses" in a else None))
-    return out + _sum(level, size.grid, l1_scale / n)
+    return out + _sum(level, tile.groups(*size.grid), l1_scale / n)
 
 
-def _sum(level, extent: tuple[int, int], scale: float) -> list:
+def _sum(level, groups: tuple[int, int], scale: float) -> list:
     """Add the tiles' losses to the schedule's, where it follows the loss."""
     a = level.arena
     if "losses" not in a:
         return []
     program = build(level.device, "step.cl", level.defines)
-    return [bind(program, "add_loss", (ADD_GROUP,), (ADD_GROUP,), a["losses"], prod(level.tile.groups(*extent)), float(scale),
+    return [bind(program, "add_loss", (ADD_GROUP,), (ADD_GROUP,), a["losses"], prod(groups), float(scale),
                  a["state"])]

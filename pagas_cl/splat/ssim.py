@@ -13,7 +13,7 @@ def windows(size) -> tuple[int, int]:
 
 def launches(level, view: int) -> list:
     """Derivatives by the windows' means to arena["partials"] for context view `view` (0: the target's own)."""
-    size, photo, a, tile = level.given.sizes[view], level.given.photos[view], level.arena, level.tile
+    size, photo, a, tile = level.given.sizes[view], level.given.photos[view], level.arena, level.ssim_tile
     if 0 in windows(size):
         return []
     program = build(level.device, "ssim.cl", (*level.defines, *tile.defines))

@@ -53,7 +53,7 @@ def camera_table(target: Camera, contexts: list[Camera], unit: float) -> np.ndar
     return np.array(rows, np.float32)
 
 
-def level_buffers(config: Config, target: Size, contexts: list[Size], masked: int, tile: tiles.Tile) -> list[BufferSpec]:
+def level_buffers(config: Config, target: Size, contexts: list[Size], masked: int, used: tuple[tiles.Tile, ...]) -> list[BufferSpec]:
     """Every buffer of a level except photos: per target pixel, one view's scratch, `masked` unseen masks."""
     n, m = target.pixels, max(size.pixels for size in (*contexts, target))
     channels = 1 if config.loss.grey else 3
@@ -75,7 +75,7 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
     if config.loss.unseen_mask:
         specs += [BufferSpec(f"seen{k}", (size.pixels // 32 + 2,), np.uint32) for k, size in enumerate(contexts[:masked])]
     if config.solver.patience > 0:
-        groups = max(prod(tile.groups(*size.grid)) for size in (*contexts, target))
+        groups = max(prod(tile.groups(*size.grid)) for size in (*contexts, target) for tile in used)
         specs += [BufferSpec("losses", (groups,), np.int64), BufferSpec("history", (max(config.pyramid.steps) + 1,), np.float32)]
     return specs
 
@@ -143,9 +143,9 @@ def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.nda
     return scaled.astype(np.float32), unit
 
 
-def allocate(device, config: Config, target: Size, contexts: list[Size], masked: int, tile: tiles.Tile) -> Arena:
+def allocate(device, config: Config, target: Size, contexts: list[Size], masked: int, used: tuple[tiles.Tile, ...]) -> Arena:
     """The level's arena, every buffer zeroed where the kernels add to it."""
-    arena = Arena(device, level_buffers(config, target, contexts, masked, tile))
+    arena = Arena(device, level_buffers(config, target, contexts, masked, used))
     for name in ("gradient", "first", "second", "state"):
         if name in arena:
             cl.enqueue_fill_buffer(device.queue, arena[name], np.uint32(0), 0, arena.size(name))

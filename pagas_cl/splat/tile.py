@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 HALO = 10                 # as in window.clh
 MARGIN = 16
@@ -45,19 +45,20 @@ class Tile:
         return across * self.group, down
 
 
-# 124 of 128 work-items are busy in the vertical pass, 104 in the horizontal one; rows start on 16 bytes
-SCALAR = Tile(52, 8, 128, 1, 4)
+# For ssim.cl and loss.cl: what fits into 32 kB of local memory. 31 of 32 work-items are busy in the vertical pass, 26
+# in the horizontal one; rows start on 16 bytes.
+SCALAR = Tile(52, 8, 128, 1, 4), Tile(52, 16, 256, 1, 4)
 
 
-def choose_tile(device, sizes) -> Tile:
-    """The tile for images of `sizes`, (width, height) pairs, on `device`."""
+def choose_tiles(device, sizes) -> tuple[Tile, Tile]:
+    """The tiles of ssim.cl and of loss.cl for images of `sizes`, (width, height) pairs, on `device`."""
     lanes = min(16, device.cl_device.native_vector_width_float)
     if lanes < 4:
         return SCALAR
-    tile = Tile(64 - HALO, 16, 1, lanes, lanes)
+    tile = Tile(64, 16, 1, lanes, lanes)
     if all(w >= tile.width + HALO and h >= tile.height + HALO for w, h in sizes):
-        return tile
-    return Tile(SCALAR.width, SCALAR.height, 1, SCALAR.columns, SCALAR.lanes)   # vectors would cross the image's edge
+        return tile, tile
+    return tuple(replace(tile, group=1) for tile in SCALAR)       # vectors would cross the image's edge
 
 
 def pitch(width: int) -> int:
