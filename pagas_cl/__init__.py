@@ -17,6 +17,7 @@ _HOME = {
     "preset": "pagas_cl.config",
     "refine_mesh": "pagas_cl.refine",
     "refine_depth": "pagas_cl.refine",
+    "tradeoff": "pagas_cl.tradeoffs",
     "check_cameras": "pagas_cl.camera_check",
     "PagasError": "pagas_cl.errors",
     "InputError": "pagas_cl.errors",

@@ -1,0 +1,70 @@
+"""`pagas-cl tradeoff`: what accuracy costs in time on this device, for this scene."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import typer
+
+from pagas_cl.commands._console import shown_progress
+from pagas_cl.errors import InputError
+
+MANY = ("--views", "--held-out")
+
+
+def command(
+    scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
+    mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where the refinement starts."),
+    depth_dir: Path = typer.Option(None, "--depth-dir", help="Initial depth maps, <image stem>.npz, not --mesh."),
+    truth: Path = typer.Option(None, "--truth", help="True depth maps, <image stem>.npz, or a true mesh; else photos "
+                                                     "that are held out of the refinement are the judge."),
+    views: list[str] = typer.Option([], "--views", help="Measure on these views (several names may follow)."),
+    held_out: list[str] = typer.Option([], "--held-out", help="Views kept out of everything, to be predicted."),
+    sample: int = typer.Option(2, "--sample", help="Without --views: how many views to measure on."),
+    budget: float = typer.Option(None, "--budget", metavar="MINUTES", help="Leave out what does not fit any more."),
+    report: Path = typer.Option(None, "--report", help="Folder for tradeoff.json, the plot and a page to open; a "
+                                                       "second run goes on where the first one ended."),
+    ablation: str = typer.Option(None, "--ablation", metavar="PRESET", help="Instead of the front, the paper's "
+                                                                            "ablation of 'paper' or 'balanced'."),
+    repeats: int = typer.Option(1, "--repeats", help="Timed runs of each setting; the median counts."),
+    device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
+    format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
+    depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
+    outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
+    quiet: bool = typer.Option(False, "--quiet", help="No progress."),
+):
+    """Run a plan of settings on a sample of views: error, time and memory of each, and the front of the best."""
+    from pagas_cl.commands.refine import _initial
+    from pagas_cl.runtime.device import open_device
+    from pagas_cl.scene.readers import read_scene
+    from pagas_cl.tradeoffs import tradeoff
+    from pagas_cl.tradeoffs.ablation import ablation_plan, ablation_table
+    from pagas_cl.tradeoffs.page import markdown, notes
+
+    if (mesh is None) == (depth_dir is None):
+        raise InputError("expected either --mesh or --depth-dir (where the refinement starts), got "
+                         + ("neither" if mesh is None else "both"))
+    found = read_scene(scene, format, **({"outside": True} if outside else {}))
+    for view in found.views:
+        view.check_files()
+    opened = open_device(device)
+    with shown_progress(quiet) as progress:
+        depths = _initial(found, mesh, depth_dir, depth_scale, progress)
+        true = None if truth is None else _truth(found, truth, depth_scale, progress)
+        study = tradeoff(found.views, depths, truth=true, names=views or None, held_out=held_out or None, sample=sample,
+                         budget=budget, settings=ablation_plan(ablation) if ablation else None, device=opened,
+                         report=report, repeats=repeats, progress=progress)
+    sys.stdout.write("\n".join(notes(study)) + "\n\n")
+    sys.stdout.write(ablation_table(study.points) if ablation else markdown(study.points))
+    if report is not None:
+        sys.stdout.write(f"\nplot and page: {report / 'index.html'}\n")
+
+
+def _truth(found, truth: Path, depth_scale, progress) -> list:
+    """True depth of every view, from files or rendered from a mesh; None where there is no file."""
+    from pagas_cl.commands.refine import _initial
+
+    if not truth.exists():
+        raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
+    return _initial(found, None if truth.is_dir() else truth, truth if truth.is_dir() else None, depth_scale, progress)

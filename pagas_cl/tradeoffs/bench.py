@@ -1,0 +1,140 @@
+"""A bench: one view to measure settings on, with its context views, photos kept out of it, and the truth where known."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from pagas_cl.config import Context
+from pagas_cl.errors import InputError
+from pagas_cl.scene.choice import ContextChooser
+from pagas_cl.scene.view import View
+
+log = logging.getLogger("pagas_cl")
+
+_HELD_OUT_PLACES = (1, 4)  # of the choice of contexts: well-placed photos, but not the best one
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """One view to measure on. Depth maps are (H, W) float32 z-depth, 0 = no surface.
+
+    Attributes
+    ----------
+    name : str
+    target : View
+    contexts : list of View
+        Most useful first; a setting with n context views takes the first n.
+    held_out : list of View
+        Photos that no setting sees.
+    initial : ndarray
+    truth : ndarray or None
+    context_depths : list of (ndarray or None)
+        Initial depth of each context view, for settings that compare refined views.
+    """
+
+    name: str
+    target: View
+    contexts: list[View] = field(repr=False)
+    held_out: list[View] = field(repr=False)
+    initial: np.ndarray = field(repr=False)
+    truth: np.ndarray | None = field(default=None, repr=False)
+    context_depths: list = field(default_factory=list, repr=False)
+
+    @property
+    def pixels(self) -> int:
+        return self.target.camera.width * self.target.camera.height
+
+    @cached_property
+    def discontinuities(self) -> np.ndarray:
+        """Pixels beside a discontinuity of the true depth, bool (H, W)."""
+        from pagas_cl.evaluate import find_discontinuities
+
+        return find_discontinuities(self.truth, self.target.camera)
+
+    @cached_property
+    def true_normals(self) -> np.ndarray:
+        """Normals of the true depth, float64 (H, W, 3)."""
+        from pagas_cl.evaluate import depth_normals
+
+        return depth_normals(self.truth, self.target.camera)
+
+    @cached_property
+    def parallax(self) -> np.ndarray:
+        """Depth of one pixel of parallax, float64 (H, W), 0 = unknown."""
+        from pagas_cl.evaluate import parallax_unit
+
+        return parallax_unit(self.initial, self.target.camera, [view.camera for view in self.contexts])
+
+
+def make_benches(views: list[View], depths, *, truth=None, names=None, sample: int = 1, held_out=None,
+                 most_contexts: int = 10, scene_name: str = "") -> list[Bench]:
+    """Benches from the views of a scene.
+
+    Parameters
+    ----------
+    views : list of View
+    depths : list of (ndarray of shape (H, W) or None)
+        Initial depth of each view.
+    truth : list of (ndarray or None), optional
+        True depth of each view.
+    names : list of str, optional
+        Views to measure on; by default `sample` of those with a depth (and truth), evenly spread.
+    held_out : list of str, optional
+        Views that no setting may see; by default one or two well-placed ones of each target, where it has six context
+        views or more to choose from.
+    """
+    truth = truth or [None] * len(views)
+    banned = {_index(views, name) for name in held_out or ()}
+    # a held-out view is no context view of any target; the chooser may not see it
+    usable = [depth if k not in banned else None for k, depth in enumerate(depths)]
+    targets = _targets(usable, truth, sample) if names is None else [_index(views, name) for name in names]
+    chooser = ContextChooser([view.camera for view in views], depths, Context(number=most_contexts + 2 + len(banned)))
+    benches = []
+    for k in targets:
+        if depths[k] is None:
+            raise InputError(f"view {views[k].name!r} has no initial depth map to measure on")
+        chosen = [j for j in chooser.choose(k).indices if j not in banned]
+        kept_out = sorted(banned) if held_out is not None else _kept_out(chosen)
+        contexts = [j for j in chosen if j not in kept_out][:most_contexts]
+        if not contexts:
+            log.warning("view %s has no usable context view and is left out", views[k].name)
+            continue
+        name = f"{scene_name}/{views[k].stem}" if scene_name else views[k].stem
+        benches.append(Bench(name, views[k], [views[j] for j in contexts], [views[j] for j in kept_out], depths[k],
+                             truth[k], [depths[j] for j in contexts]))
+    if not benches:
+        raise InputError("no view can be measured on: none has an initial depth map and a usable context view")
+    return benches
+
+
+def _index(views, name: str) -> int:
+    for k, view in enumerate(views):
+        if name in (view.name, view.stem):
+            return k
+    raise InputError(f"no view is called {name!r}; known are {', '.join(sorted(v.name for v in views)[:10])}")
+
+
+def _targets(depths, truth, sample: int) -> list[int]:
+    """Views with a depth, and with truth where any has it: `sample` of them, evenly spread."""
+    have = [k for k, depth in enumerate(depths) if depth is not None and np.any(depth > 0)]
+    have = [k for k in have if truth[k] is not None] or have
+    places = np.unique(np.linspace(0, len(have) - 1, min(sample, len(have))).round().astype(int)) if have else []
+    return [have[k] for k in places]
+
+
+def _kept_out(chosen) -> list[int]:
+    places = _HELD_OUT_PLACES if len(chosen) >= 6 else ()
+    return [chosen[k] for k in places]
+
+
+def loaded(bench: Bench) -> Bench:
+    """The bench with its photos in memory, so that no file is read while something is timed."""
+    def load(view):
+        return replace(view, image=view.load_image(), mask=view.load_mask())
+
+    return replace(bench, target=load(bench.target), contexts=[load(v) for v in bench.contexts],
+                   held_out=[load(v) for v in bench.held_out])

@@ -1,0 +1,103 @@
+"""One setting on one bench: the refined depth, its time and its memory."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from zlib import crc32
+
+import numpy as np
+
+from pagas_cl.tradeoffs.bench import Bench
+from pagas_cl.tradeoffs.plan import OWN_ERROR, RANDOM, Setting
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What one run gives.
+
+    Attributes
+    ----------
+    depth : ndarray of shape (H, W), float32
+    seconds : float
+        From photos on the device to the depth on the host, the measuring of effects included; median of the repeats.
+        The device's compiler and the upload of the photos are not counted.
+    view_steps : float
+        Full-size steps times context views that were done.
+    device_bytes : int
+        Most memory that was taken on the device, photos included.
+    """
+
+    depth: np.ndarray
+    seconds: float
+    view_steps: float
+    device_bytes: int
+
+
+def run(setting: Setting, bench: Bench, device, photos, repeats: int = 1) -> Outcome:
+    """Run `setting` on `bench`, after a run of a step a level that compiles and uploads."""
+    initial = initial_depth(setting, bench)
+    short = [stage.with_settings(pyramid__steps=tuple(min(1, n) for n in stage.pyramid.steps))
+             for stage in setting.stages]
+    _stages(short, bench.target, bench.contexts, initial, device, photos)
+    times = []
+    for _ in range(max(1, repeats)):
+        start = time.perf_counter()
+        depth, work, most = _stages(setting.stages, bench.target, bench.contexts, initial, device, photos)
+        if setting.agree:
+            depth = _agreed(setting, bench, depth, device, photos)
+        times.append(time.perf_counter() - start)
+    return Outcome(depth, float(np.median(times)), work * (1 + setting.agree), most)
+
+
+def _stages(stages, target, contexts, depth, device, photos):
+    from pagas_cl.refine import settle
+    from pagas_cl.splat import refine_levels
+
+    work, most = 0.0, 0
+    for stage in stages:
+        used, depth = contexts[:stage.context.number], np.asarray(depth, np.float64)
+        stage, _, exposure = settle(target, used, depth, stage, device, photos)
+        found = refine_levels(target, used, depth, stage, device, photos, exposure=exposure)
+        each = min(stage.solver.views_per_step or len(used), len(used))
+        work += sum(scale**2 * steps * each for scale, steps in zip(stage.pyramid.scales, found.steps))
+        depth, most = found.depth, max(most, found.device_bytes)
+    return depth, work, most
+
+
+def _agreed(setting, bench, depth, device, photos):
+    """The depth where enough refined context views confirm it, 0 elsewhere."""
+    from pagas_cl.surface.agree import confirmations
+
+    views = [bench.target, *bench.contexts]
+    cameras, others = [], []
+    for view, start in zip(bench.contexts, bench.context_depths):
+        if start is not None and len(others) < 2 * setting.agree:
+            around = [other for other in views if other is not view]
+            cameras.append(view.camera)
+            others.append(_stages(setting.stages, view, around, start, device, photos)[0])
+    count = confirmations(bench.target.camera, depth, cameras, others, setting.stages[-1].fusion.agree_pixels)
+    return np.where(count >= setting.agree, depth, np.float32(0))
+
+
+def initial_depth(setting: Setting, bench: Bench) -> np.ndarray:
+    """The depth that `setting` starts from: the bench's own, or one made from it, the same every time."""
+    given = np.where(np.isfinite(bench.initial), bench.initial, 0).astype(np.float32)
+    rng = np.random.default_rng(crc32(bench.name.encode()))
+    valid = given > 0
+    if setting.initial == RANDOM:
+        low, high = (float(f(given[valid])) for f in (np.min, np.max))
+        return np.where(valid, rng.uniform(low, high, given.shape), 0).astype(np.float32)
+    if setting.initial == OWN_ERROR:
+        return np.where(valid, np.maximum(given + 0.5 * bench.parallax * _smooth_noise(rng, given.shape, 40), 0),
+                        0).astype(np.float32)
+    return given
+
+
+def _smooth_noise(rng, shape, wavelength: int) -> np.ndarray:
+    """Noise of mean absolute value 1 that changes over `wavelength` pixels, float64 (H, W)."""
+    from pagas_cl.scene.pyramid import depth_up
+
+    coarse = rng.uniform(1.0, 3.0, [max(2, n // wavelength + 2) for n in shape]).astype(np.float32)
+    noise = depth_up(coarse, shape[1], shape[0]).astype(np.float64) - 2.0
+    return noise / np.abs(noise).mean()

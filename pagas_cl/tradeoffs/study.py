@@ -1,0 +1,181 @@
+"""Settings on benches, one record after the other: resumable, within a budget."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from pagas_cl.config import preset
+from pagas_cl.errors import DeviceError, InputError
+from pagas_cl.tradeoffs.bench import Bench, loaded, make_benches
+from pagas_cl.tradeoffs.book import Book
+from pagas_cl.tradeoffs.front import Point, pareto, rank_correlation, summarise
+from pagas_cl.tradeoffs.judges import Judges
+from pagas_cl.tradeoffs.plan import Setting, distinct, front_plan
+from pagas_cl.tradeoffs.run import run
+from pagas_cl.tradeoffs.score import score
+
+log = logging.getLogger("pagas_cl")
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What was measured.
+
+    Attributes
+    ----------
+    points : list of Point
+        Cheapest first; those of the front are marked.
+    figure : str
+        The error that the front is of: "depth" where there is truth, else "unpredicted".
+    initial : dict
+        Errors of each bench's initial depth.
+    proxy : float
+        Rank correlation of "unpredicted" (held-out photos) with "depth" over the settings; nan without both.
+    device : str
+    left_out : list of str
+        Settings for which the budget did not suffice.
+    """
+
+    points: list[Point]
+    figure: str
+    initial: dict
+    proxy: float
+    device: str
+    left_out: list[str] = field(default_factory=list)
+
+    @property
+    def front(self) -> list[Point]:
+        return [point for point in self.points if point.on_front]
+
+
+def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: int = 1, budget=None, settings=None,
+             device=None, report=None, repeats: int = 1, workers: int = 0, progress=None) -> Study:
+    """Measure error against time of many settings on a sample of a scene's views.
+
+    Parameters
+    ----------
+    views : list of View
+    depths : list of (ndarray of shape (H, W) or None)
+        Initial depth of each view, z-depth in scene units, 0 = no surface.
+    truth : list of (ndarray or None), optional
+        True depth of each view; without it held-out photos are the judge.
+    names, held_out, sample
+        Views to measure on, views kept out of everything, or how many views to take: see `make_benches`.
+    budget : float, optional
+        Minutes; settings that do not fit any more are left out.
+    settings : list of Setting, optional
+        `front_plan()` by default.
+    report : path, optional
+        Folder for tradeoff.json, the plot and the page. A study that finds its own earlier records there goes on
+        where that one ended.
+    repeats : int
+        Timed runs of each setting; the median counts.
+    workers : int
+        Processes that judge results while the device goes on; 0 judges in this one, which leaves the processor to the
+        device.
+    """
+    most = max(setting.contexts for setting in settings or front_plan())
+    benches = make_benches(views, depths, truth=truth, names=names, held_out=held_out, sample=sample, most_contexts=most)
+    return measure(benches, settings, budget=budget, device=device, report=report, repeats=repeats, workers=workers,
+                   progress=progress)
+
+
+def measure(benches: list[Bench], settings: list[Setting] | None = None, *, budget=None, device=None, report=None,
+            repeats: int = 1, workers: int = 0, progress=None) -> Study:
+    """As `tradeoff`, on benches that are made already."""
+    from pagas_cl.runtime.device import open_device
+
+    most = max(len(bench.contexts) for bench in benches)
+    settings, device = distinct(settings or front_plan(), most), open_device(device)
+    if budget is not None and not budget > 0:
+        raise InputError(f"the budget is {budget!r} minutes, expected more than 0")
+    benches = [loaded(bench) for bench in benches]
+    book = Book(None if report is None else Path(report), device.info.title)
+    initial = {bench.name: score(bench, bench.initial) for bench in benches}
+    left_out = _fill(book, benches, settings, device, budget, repeats, workers, progress)
+    study = _study(book.records, settings, initial, benches, device, left_out)
+    if report is not None:
+        from pagas_cl.tradeoffs.page import write_report
+
+        write_report(Path(report), study, book.told(study))
+    return study
+
+
+def _study(records, settings, initial, benches, device, left_out) -> Study:
+    points = summarise(settings, records, initial, [bench.name for bench in benches])
+    figure = "depth" if all("depth" in scores for scores in initial.values()) else "unpredicted"
+    points = sorted(points, key=lambda p: p.seconds)
+    marks = pareto([p.seconds for p in points], [p.error(figure) for p in points]) if points else []
+    proxy = rank_correlation(*([p.error(which) for p in points] for which in ("depth", "unpredicted")))
+    return Study([replace(p, on_front=bool(mark)) for p, mark in zip(points, marks)], figure, initial, proxy,
+                 str(device.info), left_out)
+
+
+def _fill(book, benches, settings, device, budget, repeats, workers, progress) -> list[str]:
+    """Run what the book does not have; returns the names of what did not fit into the budget."""
+    from pagas_cl.splat import PhotoStore
+
+    began, photos, left_out = time.monotonic(), PhotoStore(device), []
+    todo = [(setting, k) for setting in settings for k, bench in enumerate(benches) if not book.has(setting, bench)]
+    guess = _Guess(benches[0], device, repeats) if todo else None
+    if todo:
+        log.info("%d settings on %d views, %d runs still to do: about %.1f minutes%s", len(settings), len(benches), len(todo),
+                 sum(guess.seconds(setting, benches[k]) for setting, k in todo) / 60,
+                 f", at most {budget:g}" if budget else "")
+    with Judges(benches, workers) as judges:
+        for done, (setting, k) in enumerate(todo):
+            if progress:
+                progress("measure", done, len(todo))
+            spent = time.monotonic() - began
+            if budget and spent + guess.seconds(setting, benches[k]) > 60 * budget:
+                left_out.append(setting.name)
+                continue
+            _one(book, setting, benches[k], k, device, photos, repeats, judges, guess)
+    if progress:
+        progress("measure", len(todo), len(todo))
+    if left_out:
+        log.warning("left out, since the budget of %g minutes would not do: %s", budget, ", ".join(dict.fromkeys(left_out)))
+    return list(dict.fromkeys(left_out))
+
+
+def _one(book, setting, bench, number, device, photos, repeats, judges, guess):
+    start = time.monotonic()
+    record = {"key": setting.key, "setting": setting.name, "bench": bench.name}
+    try:
+        outcome = run(setting, bench, device, photos, repeats)
+    except DeviceError as error:  # too much memory for this device: the others still go
+        log.warning("%s on %s: %s", setting.name, bench.name, error)
+        book.add({**record, "error": str(error)})
+        return
+    record |= {"seconds": outcome.seconds, "view_steps": outcome.view_steps, "device_bytes": outcome.device_bytes,
+               "pixels": bench.pixels}
+    judges.judge(number, outcome.depth, lambda scores: book.add({**record, "scores": scores}))
+    guess.learn(setting, bench, time.monotonic() - start)
+
+
+class _Guess:
+    """How long a run will take: by its work, corrected by how long the ones before it took."""
+
+    def __init__(self, bench, device, repeats):
+        from pagas_cl.costs import probe
+
+        self.cost = probe(bench.target, bench.contexts, bench.initial, preset("balanced"), device)
+        self.repeats, self.factor = max(1, repeats), 1.3
+
+    def seconds(self, setting, bench) -> float:
+        return self.factor * self._plain(setting, bench)
+
+    def _plain(self, setting, bench) -> float:
+        total = 0.0
+        for stage in setting.stages:
+            size = 1 + 2 * round(stage.splatting.radius)
+            factor = size**2 / 9 * (4.0 if stage.splatting.blend == "alpha" else 1.0) * (0.7 if stage.loss.grey else 1.0)
+            total += factor * self.cost.seconds(stage, bench.pixels, len(bench.contexts))
+        judging = 1e-6 * bench.pixels * (1 + len(bench.held_out))
+        return total * self.repeats * (1 + 2 * setting.agree) + judging + 0.5
+
+    def learn(self, setting, bench, seconds: float):
+        self.factor = 0.8 * self.factor + 0.2 * min(10.0, max(0.1, seconds / self._plain(setting, bench)))

@@ -1,0 +1,72 @@
+"""The cost model: exact on times that are linear, and of the right size on a real run."""
+
+import time
+
+import pytest
+
+from pagas_cl import costs
+from pagas_cl.config import preset
+from pagas_cl.errors import InputError
+from pagas_cl.made import relief_scene
+from pagas_cl.refine import refine_views
+from pagas_cl.runtime.device import open_device
+
+
+@pytest.fixture(scope="module")
+def made():
+    return relief_scene(96, 72, 4, held_out=0)
+
+
+def test_linear_times_are_found_again():
+    pixels, contexts, setup, step, view = 1000, 5, 0.5, 0.01, 0.02
+
+    def measure(steps, each):
+        return setup + steps * (step + each * view)
+
+    cost = costs._solve(measure, contexts, pixels, photo=0.1)
+    assert cost.setup * pixels * (1 + contexts) == pytest.approx(setup)
+    assert cost.per_step * pixels == pytest.approx(step)
+    assert cost.per_view_step * pixels == pytest.approx(view)
+    config = preset("accurate")
+    assert cost.seconds(config, pixels, contexts) == pytest.approx(0.1 + setup + 300 * (step + 2 * view))
+
+
+def test_levels_count_by_their_share_of_the_pixels():
+    cost = costs.Cost(0.0, 0.0, 0.0, 1.0)
+    config = preset("balanced").with_settings(pyramid__scales=(0.5, 1), pyramid__steps=(40, 10), solver__views_per_step=0)
+    assert cost.seconds(config, 1, 3) == pytest.approx(3 * (10 + 10))
+    assert cost.seconds(config.with_settings(context__number=2), 1, 3) == pytest.approx(2 * 20)
+
+
+def test_rungs_rise_in_work():
+    cost = costs.Cost(0.0, 0.0, 0.0, 1.0)
+    work = [cost.seconds(config, 1, 10) for _, config in costs.rungs()]
+    assert all(a < b for a, b in zip(work, work[1:]) if a != b) and work == sorted(work)
+    assert {"fast", "balanced", "accurate"} <= {name for name, _ in costs.rungs()}
+
+
+def test_a_run_takes_about_what_was_expected(made):
+    """Within a factor of 2.5: other programs may use this machine; the model's own error is in the bench."""
+    device = open_device(None)
+    depths = [made.initial_depth(view.camera) for view in made.views]
+    expected = costs.Costs(made.views, depths, device, names=[made.views[0].name])
+    config = preset("balanced").with_settings(pyramid__steps=(60,))
+    seconds = expected.seconds(config)
+    start = time.perf_counter()
+    refine_views(made.views, depths, names=[made.views[0].name], config=config, device=device)
+    taken = time.perf_counter() - start
+    assert taken / 2.5 < seconds < 2.5 * taken
+
+
+def test_the_richest_setting_that_fits_is_chosen(made, monkeypatch):
+    expected = costs.Costs.__new__(costs.Costs)
+    expected.pixels, expected.device = [100], open_device(None)
+    times = {name: 2.0**k for k, (name, _) in enumerate(costs.rungs())}
+    by_config = {config: times[name] for name, config in costs.rungs()}
+    monkeypatch.setattr(expected, "seconds", by_config.__getitem__)
+    assert expected.choose(times["balanced"]).name == "balanced"
+    assert expected.choose(1e9).name == "accurate"
+    with pytest.raises(InputError, match="at least 1 s on .* 0.5 s were allowed"):
+        expected.choose(0.5)
+    with pytest.raises(InputError, match="expected seconds above 0"):
+        expected.choose(0)
