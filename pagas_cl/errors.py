@@ -31,6 +31,10 @@ class KernelBuildError(DeviceError):
         self.log, self.options, self.source = log, options, source
 
 
+class OutputError(PagasError, OSError):
+    """A result cannot be written: disk full, no permission, no such folder."""
+
+
 class MissingExtraError(PagasError, ImportError):
     """An optional package is needed and absent; the message gives the pip command."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from dataclasses import replace
 
 import numpy as np
 
@@ -14,16 +13,16 @@ from pagas_cl.effects import decide, measure
 from pagas_cl.errors import InputError
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
 from pagas_cl.result import DepthResult
-from pagas_cl.scene.choice import ContextChooser
-from pagas_cl.scene.inputs import as_views
+from pagas_cl.scene.inputs import as_views, asked_views, checked_depth
 from pagas_cl.scene.mesh import from_surface, to_surface
+from pagas_cl.scene.partners import PartnerChooser, Partners
 from pagas_cl.scene.view import View
 
 log = logging.getLogger("pagas_cl")
 
 
 def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=None, device=None, progress=None,
-                output="tsdf", subdivide=None):
+                output="tsdf", subdivide=None, executor=None, folder=None):
     """Refine a mesh with calibrated photos.
 
     mesh -> depth of every view -> refine each view by itself -> keep what other views confirm -> TSDF -> mesh
@@ -39,13 +38,16 @@ def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=Non
     preset : str
         Name of the settings to start from; `config` (a Config) replaces them.
     device : str, optional
-        Part of the name of an OpenCL device; a GPU before a CPU by default.
+        Part of the name of an OpenCL device; a GPU before a CPU by default. "all", or a list of names: one process on
+        each of these devices of this machine.
     progress : callable of (stage, done, total), optional
     output : str
         "tsdf": a new mesh, fused from the refined depth maps. "displace": the given mesh with its vertices moved onto
         depths that at least two views agree on; topology, texture coordinates and attributes stay.
     subdivide : float, optional
         With "displace": first split edges longer than this many pixel footprints.
+    executor, folder
+        As in refine_views.
 
     Returns
     -------
@@ -63,7 +65,8 @@ def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=Non
     views = as_views(cams, images, masks)
     surface = to_surface(mesh)
     depths = initial_depths(surface, views, progress)
-    results = refine_views(views, depths, config=config, device=device, progress=progress)
+    results = refine_views(views, depths, config=config, device=device, progress=progress, executor=executor,
+                           folder=folder)
     if output == "displace":
         return displaced_mesh(mesh, views, depths, results, config, subdivide)
     return from_surface(fuse_results(views, results, config, progress), like=mesh)
@@ -91,7 +94,7 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import PhotoStore, refine_levels
 
-    config, depth, device = _config(preset, config), _checked_depth(depth, target), open_device(device)
+    config, depth, device = _config(preset, config), checked_depth(depth, target), open_device(device)
     if not contexts:
         return DepthResult.unrefined(target.camera, depth, "no context views were given")
     start, photos = time.perf_counter(), photos or PhotoStore(device)
@@ -109,7 +112,7 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
 
 
 def refine_views(views: list[View], depths, *, names=None, config=None, preset="balanced", device=None, progress=None,
-                 on_view=None) -> list[DepthResult]:
+                 on_view=None, executor=None, folder=None, extras=True) -> list[DepthResult]:
     """Refine the depth maps of many views, each by itself.
 
     Parameters
@@ -121,6 +124,13 @@ def refine_views(views: list[View], depths, *, names=None, config=None, preset="
         Views to refine; all that have a depth map by default. The others are context views still.
     on_view : callable of (view, initial depth, DepthResult), optional
         Called as soon as a view is finished; what it returns is dropped.
+    executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
+        Where the views are refined instead of in this process; see pagas_cl.jobs.
+    folder : path, optional
+        Keeps each finished view; a run with the same inputs, settings and code goes on from them. Results then read
+        their arrays from there when they are asked for.
+    extras : bool
+        With `folder`: whether it keeps status, deviation and parallax too, 9 bytes a pixel.
 
     Returns
     -------
@@ -129,28 +139,38 @@ def refine_views(views: list[View], depths, *, names=None, config=None, preset="
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import PhotoStore
 
-    config, device = _config(preset, config), open_device(device)
-    asked = _asked(views, depths, names)
-    photos, results = PhotoStore(device), []
-    one_more = replace(config.context, number=config.context.number + 1)
-    chooser = ContextChooser([view.camera for view in views], depths, one_more)
+    config, asked = _config(preset, config), asked_views(views, depths, names)
+    if executor is not None or folder is not None or device == "all" or isinstance(device, (list, tuple)):
+        from pagas_cl.jobs import refine_all
+
+        return refine_all(refine_one, views, depths, asked, config, device=device, executor=executor, folder=folder,
+                          extras=extras, progress=progress, on_view=on_view)
+    device, results = open_device(device), []
+    photos, chooser = PhotoStore(device), PartnerChooser([view.camera for view in views], depths, config.context)
     for done, index in enumerate(asked):
         if progress:
             progress("refine", done, len(asked))
-        target, depth = views[index], _checked_depth(depths[index], views[index])
-        chosen, witness, reason = _contexts(chooser.choose(index), config.context.number)
-        if chosen:
-            result = refine_depth(target, [views[k] for k in chosen], depth, config=config, device=device, photos=photos,
-                                  witness=None if witness is None else views[witness])
-        else:
-            log.warning("view %s is kept as it came: %s", target.name, reason)
-            result = DepthResult.unrefined(target.camera, depth, reason)
+        result = refine_one(views, chooser.choose(index), depths[index], config, device, photos)
         results.append(result)
         if on_view:
-            on_view(target, depth, result)
+            on_view(views[index], depths[index], result)
     if progress:
         progress("refine", len(asked), len(asked))
     return results
+
+
+def refine_one(views, partners: Partners, depth, config: Config, device, photos) -> DepthResult:
+    """One of many views, with the partners chosen for it: a pure function, which any worker may run.
+
+    `views` by place: a list, or a dict with those that are needed.
+    """
+    target, depth = views[partners.target], checked_depth(depth, views[partners.target])
+    if not partners.contexts:
+        log.warning("view %s is kept as it came: %s", target.name, partners.reason)
+        return DepthResult.unrefined(target.camera, depth, partners.reason)
+    witness = None if partners.witness is None else views[partners.witness]
+    return refine_depth(target, [views[k] for k in partners.contexts], depth, config=config, device=device,
+                        photos=photos, witness=witness)
 
 
 def settle(target: View, contexts: list[View], depth, config: Config, device, photos):
@@ -165,30 +185,35 @@ def settle(target: View, contexts: list[View], depth, config: Config, device, ph
     return config, decisions, measured.exposure if config.loss.exposure else None
 
 
-def initial_depths(surface, views: list[View], progress=None) -> list[np.ndarray]:
-    """Depth of every view from the surface, by ray casting: float32 of shape (H, W), 0 = no surface."""
+def initial_depths(surface, views: list[View], progress=None, keep=None) -> list:
+    """Depth of every view from the surface, by ray casting: float32 of shape (H, W), 0 = no surface.
+
+    `keep` replaces each by what stands for it, such as the place where it put it.
+    """
     from pagas_cl.scene.check import check_seen
     from pagas_cl.surface.raster import each_depth
 
     cameras, depths = [view.camera for view in views], []
     check_seen(surface, cameras)
     for depth in each_depth(surface, cameras):
-        depths.append(depth)
+        depths.append(keep(depth) if keep else depth)
         if progress:
             progress("render the mesh", len(depths), len(cameras))
     return depths
 
 
-def fuse_results(views: list[View], results: list[DepthResult], config: Config, progress=None):
-    """Keep what other views confirm, then TSDF: a Surface."""
+def fuse_results(views: list[View], results: list[DepthResult], config: Config, progress=None, memory_mb=None):
+    """Keep what other views confirm, then TSDF: a Surface. In `memory_mb` of host memory, or what is free."""
     from pagas_cl.surface.agree import confirmed
-    from pagas_cl.surface.fuse import fuse
+    from pagas_cl.surface.blocks import fuse_within
 
     by_camera = {id(result.camera): result for result in results}
     used = [view for view in views if id(view.camera) in by_camera]
-    depths = [by_camera[id(view.camera)].depth for view in used]
+    results = [by_camera[id(view.camera)] for view in used]
+    on_disk = config.fusion.agree_views == 0  # read one at a time, then
+    depths = [result.file if on_disk and hasattr(result, "file") else result.depth for result in results]
     agreed = confirmed([view.camera for view in used], depths, config.fusion)
-    return fuse(used, agreed, config.fusion, progress=progress)
+    return fuse_within(used, agreed, config.fusion, memory_mb, progress=progress)
 
 
 def _config(preset: str, config) -> Config:
@@ -197,39 +222,6 @@ def _config(preset: str, config) -> Config:
     if not isinstance(config, Config):
         raise InputError(f"config is a {type(config).__name__}, expected pagas_cl.Config (start from pagas_cl.preset({preset!r}))")
     return config
-
-
-def _checked_depth(depth, view: View) -> np.ndarray:
-    depth = np.asarray(depth)
-    size = view.camera.height, view.camera.width
-    if depth.shape != size:
-        raise InputError(f"depth map of view {view.name!r} has shape {depth.shape}, its photo {size}; resize it with "
-                         "pagas_cl.scene.depthmap.resize_depth")
-    if not (np.isfinite(depth) & (depth > 0)).any():
-        raise InputError(f"depth map of view {view.name!r} has no valid pixel (all are zero, negative or not finite); expected "
-                         "z-depths in scene units")
-    return depth
-
-
-def _asked(views, depths, names) -> list[int]:
-    if len(depths) != len(views):
-        raise InputError(f"{len(depths)} depth maps were given for {len(views)} views, expected one each (None where there is none)")
-    have = [k for k, depth in enumerate(depths) if depth is not None and np.any(np.asarray(depth) > 0)]
-    if names is None:
-        if not have:
-            raise InputError("no view has a depth map with a valid pixel: nothing to refine")
-        return have
-    known = {label: k for k, view in enumerate(views) for label in (view.name, view.stem)}
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise InputError(f"no view is called {unknown[0]!r}; known are {', '.join(sorted({v.name for v in views})[:10])}")
-    return [k for k in dict.fromkeys(known[name] for name in names)]
-
-
-def _contexts(choice, number: int):
-    """Context views, one more usable view as a witness where there is one, and the reason where there is none."""
-    spare = choice.indices[number:]
-    return choice.indices[:number], spare[0] if spare else None, choice.reason
 
 
 def _harm(refined, witness) -> str:

@@ -53,9 +53,7 @@ class DepthResult:
     def confidence(self) -> np.ndarray:
         """From 0 (the photos say nothing) to 1, float32: 1 / (1 + (deviation / parallax)^2), so that a deviation of
         one pixel of parallax gives a half."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            trust = 1 / (1 + np.square(self.deviation.astype(np.float64) / self.parallax))
-        return np.where((self.depth > 0) & (self.parallax > 0) & np.isfinite(trust), trust, 0).astype(np.float32)
+        return confidence_of(self.depth, self.deviation, self.parallax)
 
     @cached_property
     def normals(self) -> np.ndarray:
@@ -64,12 +62,25 @@ class DepthResult:
         return normals_of(self.depth, self.camera)
 
     @classmethod
+    def missing(cls, camera: Camera, reason: str) -> DepthResult:
+        """No surface anywhere, of a view that could not be refined."""
+        nothing = np.zeros((camera.height, camera.width), np.float32)
+        return cls(camera, nothing, nothing.astype(np.uint8), nothing, nothing, reason, {"failed": reason})
+
+    @classmethod
     def unrefined(cls, camera: Camera, depth: np.ndarray, reason: str, report: dict | None = None) -> DepthResult:
         """The input as it came, with the reason."""
         depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
         status = np.where(depth > 0, KEPT, NO_SURFACE).astype(np.uint8)
         deviation = np.where(depth > 0, np.inf, 0).astype(np.float32)
         return cls(camera, depth, status, deviation, np.zeros_like(depth), reason, report or {})
+
+
+def confidence_of(depth: np.ndarray, deviation: np.ndarray, parallax: np.ndarray) -> np.ndarray:
+    """Confidence of a depth map; see DepthResult.confidence."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        trust = 1 / (1 + np.square(deviation.astype(np.float64) / parallax))
+    return np.where((depth > 0) & (parallax > 0) & np.isfinite(trust), trust, 0).astype(np.float32)
 
 
 def normals_of(depth: np.ndarray, camera: Camera) -> np.ndarray:

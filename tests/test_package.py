@@ -19,7 +19,9 @@ OPTIONAL = {"open3d", "pymeshlab", "pycolmap", "matplotlib", "skimage", "scipy",
 ALLOWED = {
     "errors": set(), "config": set(), "scene": set(), "reference": {"scene"}, "runtime": {"scene", "cl_kernels"},
     "surface": {"scene", "runtime"}, "splat": {"scene", "runtime"}, "result": {"scene"},
-    "refine": {"scene", "runtime", "surface", "splat", "result"}, "camera_check": {"scene", "surface"},
+    "jobs": {"scene", "runtime", "splat", "result"},
+    "refine": {"jobs", "scene", "runtime", "surface", "splat", "result", "effects", "keep_mesh"},
+    "camera_check": {"scene", "surface"},
     "evaluate": {"scene"}, "made": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
 }
 WITHOUT_OPENCL = {"errors", "config", "scene", "reference", "report", "evaluate", "made", "result"}

@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 from contextlib import nullcontext
 from pathlib import Path
+from shutil import rmtree
 
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.errors import InputError, need
+from pagas_cl.errors import InputError, PagasError, need
 
 MANY = ("--views", "--set")  # options that take several words: `--views a b c`
 
@@ -34,13 +35,15 @@ def command(
     keep_mesh: bool = typer.Option(False, "--keep-mesh", help="Move the vertices of --mesh instead of fusing a new one."),
     subdivide: float = typer.Option(None, "--subdivide", metavar="PIXELS",
                                     help="With --keep-mesh: first split edges longer than this many pixels."),
+    devices: str = typer.Option(None, "--devices", metavar="all|NAME,...", help="One process on each of these devices."),
+    scheduler: str = typer.Option(None, "--scheduler", metavar="tcp://HOST:PORT", help="A running Dask cluster."),
+    memory: float = typer.Option(None, "--memory", metavar="MB", help="Most host memory for fusing; what is free by default."),
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
     from pagas_cl.commands._settings import build_config
     from pagas_cl.keep_mesh import displaced_mesh, write_whole
     from pagas_cl.refine import fuse_results, refine_views
-    from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.mesh_file import write_mesh
     from pagas_cl.scene.readers import read_scene
 
@@ -50,19 +53,41 @@ def command(
     found = read_scene(scene, format, **({"outside": True} if outside else {}))
     for view in found.views:
         view.check_files()
+    place, folder = _place(device, devices, scheduler), _folder(save_depth, output)
     names = [found.views[found.index(name)].name for name in views] or None
-    opened = open_device(device)
-    with shown_progress(quiet) as progress, _report(report, found, preset, settings, opened) as page:
-        depths = _initial(found, mesh, depth_dir, depth_scale, progress)
-        results = refine_views(found.views, depths, names=names, config=config, device=opened, progress=progress,
-                               on_view=_Keeper(found, save_depth, page))
+    with shown_progress(quiet) as progress, _report(report, found, preset, settings, place) as page:
+        depths = _initial(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder)
+        results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder, progress=progress,
+                               on_view=page and _Pictures(page), extras=page is not None or keep_mesh)
         if output is not None and keep_mesh:
             write_whole(output, displaced_mesh(mesh, found.views, depths, results, config, subdivide))
         elif output is not None:
-            write_mesh(output, fuse_results(found.views, results, config, progress))
+            write_mesh(output, fuse_results(found.views, results, config, progress, memory))
         if output is not None:
             log.info("mesh: %s", output)
     _tell(results, save_depth, report)
+    _tell_failures(found, results)
+    if folder is not None and save_depth is None:
+        rmtree(folder, ignore_errors=True)
+
+
+def _place(device, devices, scheduler) -> dict:
+    """Where the work is done, as refine_views takes it."""
+    from pagas_cl.runtime.device import open_device
+
+    if sum(choice is not None for choice in (device, devices)) > 1:
+        raise InputError("got both --device and --devices, expected one of them")
+    several = "all" if devices == "all" else devices.split(",") if devices else None
+    if scheduler is not None:
+        return {"executor": scheduler, "device": several or device}
+    return {"device": several or open_device(device)}
+
+
+def _folder(save_depth, output) -> Path | None:
+    """Where finished views are kept: with the depth maps, or beside the mesh until it is written."""
+    if save_depth is not None or output is None:
+        return save_depth
+    return output.parent / f".{output.name}.views"
 
 
 def _check_request(mesh, depth_dir, output, save_depth, report) -> None:
@@ -94,14 +119,21 @@ def _check_keep(keep_mesh: bool, subdivide, mesh) -> None:
         raise InputError("--subdivide needs --keep-mesh: a fused mesh has the voxel's fineness (--set fusion.voxel=...)")
 
 
-def _initial(found, mesh, depth_dir, depth_scale, progress) -> list:
-    """Initial depth of every view, from the mesh or from files; None for a view without a file."""
+def _initial(found, mesh, depth_dir, depth_scale, progress, folder) -> list:
+    """Initial depth of every view, from the mesh or from files; None for a view without a file.
+
+    With a folder for the run they stay on disk, and what stands for them is given instead.
+    """
+    from pagas_cl.jobs.finished import work_folder
+    from pagas_cl.jobs.store import DepthFile, Store
+
     if mesh is not None:
         from pagas_cl.refine import initial_depths
         from pagas_cl.scene.mesh import to_surface
 
-        return initial_depths(to_surface(mesh), found.views, progress)
-    from pagas_cl.scene.depthmap import find_depth, load_depth
+        keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
+        return initial_depths(to_surface(mesh), found.views, progress, keep)
+    from pagas_cl.scene.depthmap import find_depth
 
     files = [find_depth(depth_dir, view.name) for view in found.views]
     if not any(files):
@@ -110,46 +142,37 @@ def _initial(found, mesh, depth_dir, depth_scale, progress) -> list:
     depths = []
     for view, file in zip(found.views, files):
         size = view.camera.width, view.camera.height
-        depths.append(None if file is None else load_depth(file, size, scale=depth_scale))
+        source = None if file is None else DepthFile(file.resolve(), size, depth_scale)
+        depths.append(source if source is None or folder is not None else source.load())
     return depths
 
 
-def depth_file(folder: Path, found, view) -> Path:
-    """Where the depth of a view goes: <image stem>.npz, below its folders where two views have the same stem."""
-    alone = sum(other.stem == view.stem for other in found.views) == 1
-    return folder / (f"{view.stem}.npz" if alone else Path(view.name).with_suffix(".npz"))
+class _Pictures:
+    """Puts each view's pictures on the page as soon as it is done, so that an interrupted run has them."""
 
-
-class _Keeper:
-    """Writes each view's depth and pictures as soon as it is done, so that an interrupted run keeps them."""
-
-    def __init__(self, found, save_depth, page):
-        self.found, self.save_depth, self.page = found, save_depth, page
+    def __init__(self, page):
+        self.page = page
 
     def __call__(self, view, initial, result) -> None:
-        from pagas_cl.scene.depthmap import save_depth
-
-        if self.save_depth is not None:
-            save_depth(depth_file(self.save_depth, self.found, view), result.depth)
-        if self.page is not None:
-            told = result.report
-            remarks = [f"kept as it came: {result.reason}"] if result.reason else []
-            if told.get("contexts"):
-                remarks.append("context views: " + ", ".join(told["contexts"]))
-            figures = {"seconds": round(told["seconds"], 2)} if "seconds" in told else {}
-            self.page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
-                          counts={**result.counts, **figures}, remarks=remarks)
+        told = result.report
+        remarks = [f"kept as it came: {result.reason}"] if result.reason else []
+        if told.get("contexts"):
+            remarks.append("context views: " + ", ".join(told["contexts"]))
+        figures = {"seconds": round(told["seconds"], 2)} if "seconds" in told else {}
+        self.page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
+                      counts={**result.counts, **figures}, remarks=remarks)
 
 
-def _report(folder, found, preset, settings, opened):
+def _report(folder, found, preset, settings, place):
     """The Report to fill, or a context of None where none was asked for."""
     if folder is None:
         return nullcontext()
     from pagas_cl.report import Report
 
     changed = f", {', '.join(settings)}" if settings else ""
+    where = place.get("executor") or getattr(place["device"], "info", place["device"])
     return Report(folder, "pagas-cl refine", [f"scene: {found.source}, {len(found.views)} views",
-                                             f"settings: {preset}{changed}", f"device: {opened.info}"])
+                                             f"settings: {preset}{changed}", f"device: {where}"])
 
 
 def _tell(results, save_depth, report) -> None:
@@ -164,3 +187,13 @@ def _tell(results, save_depth, report) -> None:
         log.info("depth maps: %s", save_depth)
     if report is not None:
         log.info("pictures: %s", report / "index.html")
+
+
+def _tell_failures(found, results) -> None:
+    """The exit status says so when views were left out; what was made without them stays."""
+    by_camera = {id(view.camera): view.name for view in found.views}
+    failed = [(by_camera[id(r.camera)], r.report["failed"]) for r in results if "failed" in r.report]
+    if failed:
+        names = ", ".join(name for name, _ in failed[:10]) + (", ..." if len(failed) > 10 else "")
+        raise PagasError(f"{len(failed)} of {len(results)} views failed and were left out: {names} ({failed[0][1]}); the rest is "
+                         "done, start the same command again for these")

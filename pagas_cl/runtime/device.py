@@ -134,22 +134,29 @@ def open_device(name=None, *, profiling: bool = False) -> Device:
     if isinstance(name, Device):
         return name
     cl = import_pyopencl()
-    candidates, faults = _candidates(find_devices(cl), name), []
-    for info, cl_device in candidates:
+    faults = []
+    for info, cl_device in candidates(find_devices(cl), name):
         try:
-            context = cl.Context([cl_device])
-            properties = cl.command_queue_properties.PROFILING_ENABLE if profiling else 0
-            queue = cl.CommandQueue(context, cl_device, properties=properties)
-            cl.Program(context, _TRIAL).build(["-cl-std=CL1.2"])
+            device = opened(info, cl_device, profiling)
         except cl.Error as error:
             faults.append(f"{info}: {_cause(error)}")
             log.warning("OpenCL device %s does not work and is passed over: %s", info, _cause(error))
             continue
         _tell(info, name)
-        return Device(info, cl_device, context, queue, profiling)
+        return device
     raise DeviceError(f"no OpenCL device that matches works: {'; '.join(faults)}. Is it in use by another process, or "
                       f"its driver older than the hardware? Choose another with device= or {ENVIRONMENT}. "
                       f"{icd.CPU_ADVICE}")
+
+
+def opened(info: DeviceInfo, cl_device, profiling: bool = False) -> Device:
+    """Open one device of `find_devices` and try it; a pyopencl error where it does not work."""
+    cl = import_pyopencl()
+    context = cl.Context([cl_device])
+    properties = cl.command_queue_properties.PROFILING_ENABLE if profiling else 0
+    queue = cl.CommandQueue(context, cl_device, properties=properties)
+    cl.Program(context, _TRIAL).build(["-cl-std=CL1.2"])
+    return Device(info, cl_device, context, queue, profiling)
 
 
 def import_pyopencl():
@@ -224,7 +231,7 @@ def _cause(error) -> str:
     return next((line for line in lines if line.startswith("error:")), lines[0] if lines else repr(error))
 
 
-def _candidates(found, name):
+def candidates(found, name):
     """The (DeviceInfo, device) pairs of `found` that `name` means, best first; see open_device."""
     name, source = _asked(name)
     wanted = name.strip().lower()

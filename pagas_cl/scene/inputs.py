@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.view import View
@@ -45,6 +47,36 @@ def as_views(cams, images, masks=None) -> list[View]:
     masks = [None] * len(cameras) if masks is None else _matched(masks, cameras, "masks")
     return [View(camera, photo, mask, camera.name or f"{k:05d}")
             for k, (camera, photo, mask) in enumerate(zip(cameras, photos, masks))]
+
+
+def checked_depth(depth, view: View) -> np.ndarray:
+    """The depth map as an array, of the view's size and with at least one valid pixel."""
+    depth = np.asarray(depth)
+    size = view.camera.height, view.camera.width
+    if depth.shape != size:
+        raise InputError(f"depth map of view {view.name!r} has shape {depth.shape}, its photo {size}; resize it with "
+                         "pagas_cl.scene.depthmap.resize_depth")
+    if not (np.isfinite(depth) & (depth > 0)).any():
+        raise InputError(f"depth map of view {view.name!r} has no valid pixel (all are zero, negative or not finite); expected "
+                         "z-depths in scene units")
+    return depth
+
+
+def asked_views(views, depths, names) -> list[int]:
+    """Places of the views called `names`; of all that have a depth map where names is None."""
+    if len(depths) != len(views):
+        raise InputError(f"{len(depths)} depth maps were given for {len(views)} views, expected one each (None where there is none)")
+    have = [k for k, depth in enumerate(depths)
+            if depth is not None and (hasattr(depth, "load") or np.any(np.asarray(depth) > 0))]
+    if names is None:
+        if not have:
+            raise InputError("no view has a depth map with a valid pixel: nothing to refine")
+        return have
+    known = {label: k for k, view in enumerate(views) for label in (view.name, view.stem)}
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise InputError(f"no view is called {unknown[0]!r}; known are {', '.join(sorted({v.name for v in views})[:10])}")
+    return [k for k in dict.fromkeys(known[name] for name in names)]
 
 
 def _matched(given, cameras: list[Camera], what: str) -> list:

@@ -1,0 +1,137 @@
+"""Batches to an executor, records back; a view that fails is asked for again, three times at most."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, wait
+
+from pagas_cl.errors import DeviceError, OutputError
+from pagas_cl.jobs.executors import Here
+from pagas_cl.jobs.finished import find_finished, work_folder
+from pagas_cl.jobs.task import Batch, Record
+from pagas_cl.jobs.worker import STOP, attempts, run_batch
+
+log = logging.getLogger("pagas_cl")
+
+TRIES = 3
+
+
+class Run:
+    """One run's batches on their way.
+
+    Parameters
+    ----------
+    executor : Executor
+    renew : callable returning an Executor, or None
+        Makes a new one when the present one has broken (a process of a pool was killed).
+    on_record : callable(Record)
+        Called for each view, done or given up.
+    """
+
+    def __init__(self, executor: Executor, renew, on_record):
+        self.executor, self.renew, self.on_record = executor, renew, on_record
+        self._queue: deque[Batch] = deque()
+        self._waiting: dict = {}
+        self._errors: dict[str, list[Record]] = {}
+
+    def finish(self, batches: list[Batch]) -> None:
+        """Work through `batches`."""
+        self._queue.extend(batches)
+        most = 1 if isinstance(self.executor, Here) else None
+        try:
+            while self._queue or self._waiting:
+                while self._queue and (most is None or len(self._waiting) < most):
+                    self._send(self._queue.popleft())
+                for future in wait(self._waiting, return_when=FIRST_COMPLETED).done:
+                    if future in self._waiting:
+                        self._receive(future, self._waiting.pop(future))
+        except BaseException:
+            self._ask_to_stop(batches[0])
+            raise
+
+    def close(self) -> None:
+        """End the executor, without the batches that have not begun."""
+        for future in self._waiting:
+            future.cancel()
+        self.executor.shutdown(wait=True)
+
+    def _send(self, batch: Batch) -> None:
+        try:
+            self._waiting[self.executor.submit(run_batch, batch)] = batch
+        except BrokenExecutor as error:
+            self._queue.appendleft(batch)
+            self._broken(error)
+
+    def _receive(self, future, batch: Batch) -> None:
+        try:
+            records = future.result()
+        except OutputError:
+            raise
+        except BrokenExecutor as error:
+            self._queue.appendleft(batch)
+            self._broken(error)
+            return
+        except Exception as error:  # a lost worker, as the executor tells it; a worker without a device
+            self._lost(batch, error)
+            return
+        for record in records:
+            self._take(record, batch)
+
+    def _take(self, record: Record, batch: Batch) -> None:
+        if not record.error:
+            self.on_record(record)
+            return
+        told = self._errors.setdefault(record.name, [])
+        told.append(record)
+        if len(told) >= TRIES:
+            log.error("view %s has failed %d times and is left out: %s", record.name, TRIES, record.error)
+            self.on_record(record)
+            return
+        log.warning("view %s has failed, it is tried again: %s", record.name, record.error)
+        self._queue.append(batch.only([task for task in batch.tasks if task.name == record.name]))
+
+    def _lost(self, batch: Batch, error: Exception) -> None:
+        """What a lost worker had finished is kept; the rest goes to others, a view at a time."""
+        if isinstance(error, DeviceError) and isinstance(self.executor, Here):
+            raise error
+        for task in batch.tasks:
+            record = find_finished(batch.folder, task, batch.extras)
+            self._take(record or Record(task.name, task.stem, task.key, error=f"{type(error).__name__}: {error}"), batch)
+
+    def _broken(self, error: BrokenExecutor) -> None:
+        """A process of a pool was killed, which ends the whole pool: views that were begun three times are given up."""
+        if self.renew is None:
+            raise DeviceError(f"the executor has lost a worker and takes no more tasks ({error}); finished views are kept: "
+                              "start the same command again") from error
+        unfinished = [*self._queue, *self._waiting.values()]
+        self._queue.clear(), self._waiting.clear()
+        log.warning("a worker process was lost; its views are given to a new one")
+        self.executor.shutdown(wait=True)
+        self.executor = self.renew()
+        begun = attempts(unfinished[0].folder)
+        for batch in unfinished:
+            self._again(batch, begun)
+
+    def _again(self, batch: Batch, begun: dict[str, int]) -> None:
+        left = []
+        for task in batch.tasks:
+            record = find_finished(batch.folder, task, batch.extras)
+            if record is None and begun.get(task.name, 0) >= TRIES:
+                record = Record(task.name, task.stem, task.key, error="its worker process was lost each time")
+                log.error("view %s has failed %d times and is left out: %s", task.name, TRIES, record.error)
+            if record is not None:
+                self.on_record(record)
+            else:
+                left.append(task)
+        for task in left:
+            self._queue.append(batch.only([task]))
+
+    def _ask_to_stop(self, batch: Batch) -> None:
+        """Let every worker end after its present view."""
+        for future in self._waiting:
+            future.cancel()
+        try:
+            (work_folder(batch.folder) / STOP).touch()
+        except OSError as error:
+            log.warning("workers cannot be asked to stop: %s", error)

@@ -1,0 +1,166 @@
+"""From views and depth maps to refined depth maps in a folder, by any executor."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.errors import InputError, PagasError
+from pagas_cl.jobs.disk import clear_parts, told_as_output_error
+from pagas_cl.jobs.executors import Here, dask_executor, local_pool, worker_count
+from pagas_cl.jobs.finished import StoredResult, find_finished, work_folder
+from pagas_cl.jobs.identity import code_version
+from pagas_cl.jobs.plan import in_batches, make_tasks, on_disk
+from pagas_cl.jobs.run import Run
+from pagas_cl.jobs.store import Store
+from pagas_cl.jobs.task import Batch
+from pagas_cl.jobs.worker import STOP
+from pagas_cl.result import DepthResult
+from pagas_cl.scene.partners import for_planning
+
+log = logging.getLogger("pagas_cl")
+
+
+def refine_all(work, views, depths, asked, config, *, device=None, executor=None, folder=None, extras=True,
+               progress=None, on_view=None) -> list:
+    """Refine many views, resuming what an earlier run has finished.
+
+    Parameters
+    ----------
+    work : callable
+        See task.Batch.
+    views : list of View
+    depths : list of (ndarray of shape (H, W), StoredArray, DepthFile, or None)
+    asked : list of int
+        Views to refine.
+    device : str, sequence of str, Device, or None
+        "all" and sequences: one process a device. With an executor: what each worker chooses from.
+    executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
+        This process alone where it is left out, and no several devices are asked for.
+    folder : path, optional
+        Gets `<stem>.npz` of each view and the work folder; every worker must see it. A run that finds finished views
+        of the same inputs, settings and code there does not do them again. A temporary folder where it is left out.
+    extras : bool
+        Whether status, deviation and parallax are kept.
+    on_view : callable of (view, initial depth, result), optional
+        Called in the order of `asked`.
+
+    Returns
+    -------
+    list of StoredResult (DepthResult without a folder), in the order of `asked`. A view that failed three times has
+    no surface, and its error in `report["failed"]`.
+    """
+    if folder is None:
+        with tempfile.TemporaryDirectory(prefix="pagas_cl-") as temporary:
+            results = refine_all(work, views, depths, asked, config, device=device, executor=executor, folder=temporary,
+                                 progress=progress, on_view=on_view)
+            return [result if isinstance(result, DepthResult) else result.loaded() for result in results]
+    folder = Path(folder).resolve()
+    store = Store(work_folder(folder) / "inputs")
+    samples = [_sample(depth, len(views)) for depth in depths]
+    asked = [k for k in asked if _has_surface(samples[k])]
+    if not asked:
+        raise InputError("no view has a depth map with a valid pixel: nothing to refine")
+    stored = on_disk(views, store)
+    kept = [store.put(depth) if isinstance(depth, np.ndarray) else depth for depth in depths]
+    tasks, digests = make_tasks(stored, kept, samples, asked, config, work)
+    pipeline, renew, own = _executor(executor, device)
+    template = Batch(work, {}, {}, (), config, folder, _sent_device(device, pipeline), code_version(), extras)
+    collect = _Collect(tasks, views, kept, folder, progress, on_view)
+    _make_ready(folder)
+    run = Run(pipeline, renew, collect)
+    try:
+        todo = [task for task in tasks if not collect.earlier(find_finished(folder, task, extras))]
+        collect.tell_earlier()
+        if todo:
+            run.finish(in_batches(todo, stored, digests, worker_count(pipeline), template))
+    finally:
+        if own:
+            run.close()
+    shutil.rmtree(store.folder, ignore_errors=True)
+    return collect.results()
+
+
+class _Collect:
+    """Takes the records as they come, tells of them in order."""
+
+    def __init__(self, tasks, views, depths, folder, progress, on_view):
+        self.tasks, self.views, self.depths, self.folder = tasks, views, depths, folder
+        self.progress, self.on_view = progress or (lambda stage, done, total: None), on_view
+        self.records, self._told = {}, 0
+
+    def earlier(self, record) -> bool:
+        """Take the record of an earlier run; whether there is one."""
+        if record is not None:
+            self.records[record.name] = record
+        return record is not None
+
+    def tell_earlier(self) -> None:
+        if self.records:
+            log.info("%d of %d views were finished by an earlier run and are kept", len(self.records), len(self.tasks))
+        self._tell()
+
+    def __call__(self, record) -> None:
+        self.records[record.name] = record
+        self._tell()
+
+    def _tell(self) -> None:
+        self.progress("refine", len(self.records), len(self.tasks))
+        while self.on_view and self._told < len(self.tasks) and self.tasks[self._told].name in self.records:
+            task = self.tasks[self._told]
+            self._told += 1
+            self.on_view(self.views[task.partners.target], task.depth.load(), self._result(task))
+
+    def results(self) -> list:
+        failed = [record for record in self.records.values() if record.error]
+        if failed and len(failed) == len(self.tasks):
+            kind = InputError if all(record.bad_input for record in failed) else PagasError
+            raise kind(f"every view has failed; {failed[0].name}: {failed[0].error}")
+        return [self._result(task) for task in self.tasks]
+
+    def _result(self, task):
+        record, camera = self.records[task.name], self.views[task.partners.target].camera
+        return DepthResult.missing(camera, record.error) if record.error else StoredResult(camera, self.folder, record)
+
+
+def _sample(depth, views: int):
+    """What planning needs of a depth map; one is loaded at a time."""
+    return for_planning(depth.load() if hasattr(depth, "load") else depth, views)
+
+
+def _has_surface(sample) -> bool:
+    return sample is not None and bool((getattr(sample, "depth", sample) > 0).any())
+
+
+def _executor(executor, device):
+    """The executor, what renews it, and whether it is ours to close."""
+    if isinstance(executor, str):
+        return dask_executor(executor), None, True
+    if executor is not None:
+        return executor, None, False
+    if device == "all" or isinstance(device, (list, tuple)):
+        return local_pool(device), lambda: local_pool(device), True
+    return Here(), None, True
+
+
+def _sent_device(device, executor):
+    """What the workers are told: this process opens its device here, others choose from what is named."""
+    if isinstance(executor, Here):
+        from pagas_cl.runtime.device import open_device
+
+        return open_device(device)
+    return tuple(device) if isinstance(device, list) else device
+
+
+def _make_ready(folder: Path) -> None:
+    """A folder that can be written, without what killed runs have left."""
+    work = work_folder(folder)
+    with told_as_output_error(folder):
+        work.mkdir(parents=True, exist_ok=True)
+        clear_parts(folder)
+        shutil.rmtree(work / "journal", ignore_errors=True)
+        (work / STOP).unlink(missing_ok=True)

@@ -1,0 +1,105 @@
+"""What happens in a worker: a batch in, records out; device, kernels and photos stay for the next batch."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import threading
+import time
+from datetime import datetime
+
+from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError
+from pagas_cl.jobs.disk import told_as_output_error
+from pagas_cl.jobs.finished import find_finished, work_folder, write_finished
+from pagas_cl.jobs.identity import code_version
+from pagas_cl.jobs.task import Batch, Record, ViewTask
+
+log = logging.getLogger("pagas_cl")
+
+STOP = "stop"          # a file of this name in the work folder asks every worker to end after its present view
+_one_at_a_time = threading.Lock()  # tasks of one process share a device's queue
+_benches: dict = {}
+
+
+class Bench:
+    """What a process keeps: the device with its compiled kernels, photos on the device, views by their content."""
+
+    def __init__(self, device):
+        from pagas_cl.splat import PhotoStore
+
+        self.device, self.photos = device, PhotoStore(device)
+        self._views: dict = {}
+
+    def views(self, batch: Batch) -> dict:
+        """The batch's views, those of earlier batches as the same objects, so that their photos are found again."""
+        return {k: self._views.setdefault(batch.digests[k], view) for k, view in batch.views.items()}
+
+
+def run_batch(batch: Batch) -> list[Record]:
+    """Refine the views of `batch` that are not finished; one record each.
+
+    An error of one view is told in its record. OutputError (nothing can be written) and DeviceError (no device to
+    work with) are raised: they are not the view's fault.
+    """
+    if batch.code != code_version():
+        raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that planned "
+                          "the run: install the same version everywhere")
+    with _one_at_a_time:
+        records, views = [], _bench(batch.device).views(batch)
+        for task in batch.tasks:
+            if (work_folder(batch.folder) / STOP).exists():
+                break
+            records.append(find_finished(batch.folder, task, batch.extras) or _attempt(batch, task, views))
+        return records
+
+
+def _attempt(batch: Batch, task: ViewTask, views: dict) -> Record:
+    bench, start = _bench(batch.device), time.perf_counter()
+    note_down(batch.folder, "began", task.name)
+    try:
+        result = batch.work(views, task.partners, task.depth.load(), batch.config, bench.device, bench.photos)
+        about = {"device": bench.device.info.title, "worker": worker_name(), "seconds": time.perf_counter() - start}
+        record = write_finished(batch.folder, task, result, batch.extras, about)
+    except OutputError:
+        raise
+    except Exception as error:  # whatever it is, the other views must not suffer
+        if not isinstance(error, InputError):
+            _benches.pop(batch.device, None)  # the device may be in any state: opened anew for the next view
+        told = str(error) if isinstance(error, PagasError) else f"{type(error).__name__}: {error}"
+        note_down(batch.folder, "failed", task.name)
+        return Record(task.name, task.stem, task.key, error=told, bad_input=isinstance(error, InputError))
+    note_down(batch.folder, "ended", task.name)
+    return record
+
+
+def _bench(device) -> Bench:
+    if device not in _benches:
+        from pagas_cl.runtime.claim import claim_device
+
+        _benches[device] = Bench(claim_device(device))
+    return _benches[device]
+
+
+def worker_name() -> str:
+    return f"{socket.gethostname()}-{os.getpid()}"
+
+
+def note_down(folder, what: str, name: str) -> None:
+    """A line in this process's journal: what it was at when it was lost can be read there."""
+    path = work_folder(folder) / "journal" / f"{worker_name()}.txt"
+    with told_as_output_error(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(path, "a", encoding="utf-8") as file:
+            file.write(f"{datetime.now().isoformat(timespec='milliseconds')} {what} {name}\n")
+
+
+def attempts(folder) -> dict[str, int]:
+    """How often each view was begun in this run, by the journals of all workers."""
+    count: dict[str, int] = {}
+    for path in sorted((work_folder(folder) / "journal").glob("*.txt")):
+        for line in path.read_text(encoding="utf-8").splitlines():
+            _, what, name = (line.split(" ", 2) + ["", ""])[:3]
+            if what == "began":
+                count[name] = count.get(name, 0) + 1
+    return count

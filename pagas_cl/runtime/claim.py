@@ -1,0 +1,102 @@
+"""One worker process, one device: several processes of a machine take different devices, without talking.
+
+Each process locks a file named after the device (its place on the bus where the driver tells it). The lock goes with
+the process, however that ends, so that a new worker can take a lost one's place.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from pathlib import Path
+
+from pagas_cl.errors import DeviceError, InputError
+from pagas_cl.runtime import device as devices
+from pagas_cl.runtime.device import Device
+
+SHARE = "PAGAS_CL_SHARE"  # how many processes may work on one device
+_held: dict[str, object] = {}
+
+
+def known_devices(names=None) -> list[tuple]:
+    """(DeviceInfo, pyopencl.Device) of every device that `names` means and that works, best first.
+
+    Parameters
+    ----------
+    names : str, tuple of str, or None
+        Parts of device names. "all" and None mean every device of the best kind there is: all GPUs, or else the CPU
+        (one, since several drivers may offer the same one); None heeds the environment variable PAGAS_CL_DEVICE first.
+    """
+    cl, chosen = devices.import_pyopencl(), []
+    found = devices.find_devices(cl)
+    every = names is None or "all" in ([names] if isinstance(names, str) else names)
+    for name in ([None if names is None else "auto"] if every else [names] if isinstance(names, str) else names):
+        for pair in devices.candidates(found, name):
+            if pair[1] not in [other for _, other in chosen] and not devices.trial_fault(cl, pair[1]):
+                chosen.append(pair)
+    if every:
+        best = [pair for pair in chosen if pair[0].kind == chosen[0][0].kind]
+        chosen = best[:1] if best and best[0][0].kind == "CPU" else best
+    if not chosen:
+        raise DeviceError(f"no OpenCL device of {names!r} works: see 'pagas-cl devices'")
+    return chosen
+
+
+def claim_device(names=None) -> Device:
+    """Open the first of `names` that no other process works on.
+
+    Raises
+    ------
+    DeviceError
+        All of them are taken. PAGAS_CL_SHARE=3 in the environment lets three processes work on one device.
+    """
+    if isinstance(names, Device):
+        return names
+    share, known = shares(), known_devices(names)
+    for slot in range(share):
+        for place, (info, cl_device) in enumerate(known):
+            if _lock(f"{_identity(info, cl_device, place)}-{slot}"):
+                return devices.opened(info, cl_device)
+    titles = ", ".join(info.title for info, _ in known)
+    raise DeviceError(f"every device asked for ({titles}) is at work for another process; start one worker a device, or "
+                      f"let several share one with {SHARE}={share + 1}")
+
+
+def shares() -> int:
+    """How many processes may work on one device."""
+    text = os.environ.get(SHARE, "1")
+    if not text.isdigit() or int(text) < 1:
+        raise InputError(f"environment variable {SHARE} is {text!r}, expected a whole number of at least 1")
+    return int(text)
+
+
+def _identity(info, cl_device, place: int) -> str:
+    """The same in every process of the machine, whichever devices it is allowed to see."""
+    where = []
+    for name in ("pci_domain_id_nv", "pci_bus_id_nv", "pci_slot_id_nv", "topology_amd"):
+        try:
+            where.append(str(getattr(cl_device, name)))
+        except Exception:  # each driver has its own way to say that it does not know
+            continue
+    return re.sub(r"[^\w.-]+", "_", f"{info.title}-{'-'.join(where) or place}")
+
+
+def _lock(name: str) -> bool:
+    """Take the lock `name` for the life of this process."""
+    try:
+        import fcntl
+    except ImportError:  # no such locks on this system: the caller sees to it
+        return True
+    if name in _held:
+        return True
+    folder = Path(tempfile.gettempdir()) / f"pagas_cl-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    file = open(folder / f"{name}.lock", "w")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        file.close()
+        return False
+    _held[name] = file
+    return True

@@ -1,0 +1,58 @@
+"""Who works with a view: the context views that constrain it, and one more that only judges the result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from pagas_cl.config import Context
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.choice import ContextChooser
+from pagas_cl.scene.sampling import DepthSample, sample_depth
+
+_MANY = 64  # with more views than this, planning looks at samples of their depth maps
+
+
+@dataclass(frozen=True)
+class Partners:
+    """Places in the list of views.
+
+    Attributes
+    ----------
+    target : int
+    contexts : tuple of int
+        Most useful first; empty where no view is usable.
+    witness : int or None
+        One more usable view, which takes no part.
+    reason : str
+        Why there are fewer context views than wanted.
+    """
+
+    target: int
+    contexts: tuple[int, ...]
+    witness: int | None = None
+    reason: str = ""
+
+    @property
+    def all(self) -> tuple[int, ...]:
+        """Every view that is needed."""
+        return (self.target, *self.contexts, *(() if self.witness is None else (self.witness,)))
+
+
+def for_planning(depth, views: int):
+    """What is needed of a depth map (or None) to choose partners among so many views: all of it, or a sample."""
+    return depth if depth is None or views <= _MANY or isinstance(depth, DepthSample) else sample_depth(depth)
+
+
+class PartnerChooser:
+    """Chooses for one target after another; parameters as in ContextChooser."""
+
+    def __init__(self, cameras: list[Camera], depths: list, settings: Context):
+        self._number = settings.number
+        depths = [for_planning(depth, len(cameras)) for depth in depths]
+        self._chooser = ContextChooser(cameras, depths, replace(settings, number=settings.number + 1))
+
+    def choose(self, target: int) -> Partners:
+        """Partners of the view `target`."""
+        choice = self._chooser.choose(target)
+        spare = choice.indices[self._number:]
+        return Partners(target, choice.indices[:self._number], spare[0] if spare else None, choice.reason)

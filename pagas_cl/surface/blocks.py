@@ -1,0 +1,167 @@
+"""TSDF fusion in less memory than the whole grid takes: space is cut into boxes, one grid after another.
+
+Each box is fused with a margin of one block of the grid around it, where the same depths make the same voxels as in one
+grid, and keeps the triangles of its own cells. A cell belongs to exactly one box, so that the pieces fit without a seam:
+the same triangles, bit for bit, as from one grid, in another order.
+"""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.config import Fusion
+from pagas_cl.errors import InputError, need
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.view import View
+from pagas_cl.surface import fuse as whole
+from pagas_cl.surface.fuse import FusionPlan, fuse
+from pagas_cl.surface.grid import Grid, block_resolution
+from pagas_cl.surface.memory import available_mb
+from pagas_cl.surface.pieces import in_order
+from pagas_cl.surface.seams import join
+from pagas_cl.surface.touched import Touched, touched_by_views
+
+log = logging.getLogger("pagas_cl")
+
+_SURFACE_BYTES = 72   # a vertex and its two triangles in the mesh that comes out
+_PHOTO_BYTES = 40     # a pixel of the view at hand: depth, colours, and what Open3D copies of them (measured)
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """Blocks from `low` up to, not including, `high` (three whole numbers each), and how many are in use with the margin."""
+
+    low: tuple[int, int, int]
+    high: tuple[int, int, int]
+    blocks: int
+
+
+@dataclass(frozen=True, eq=False)
+class BoxTask:
+    """One box to fuse: arrays or paths in, a file out. May be sent to any executor."""
+
+    views: list
+    depths: list
+    weights: list | None
+    settings: Fusion
+    plan: FusionPlan
+    box: Box
+    file: Path
+
+
+def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_mb: float | None = None, *, weights=None,
+                progress=None, executor=None) -> Surface:
+    """Fuse depth maps to a mesh in no more than `memory_mb` of host memory (what is free by default).
+
+    One grid where it fits, else boxes.
+
+    Parameters
+    ----------
+    views, depths, settings, weights, progress
+        As in surface.fuse.fuse. Depths that are paths, and photos that are, are read when they are needed.
+    executor : concurrent.futures.Executor, optional
+        Fuses boxes elsewhere, `memory_mb` for each; views and depths must then be on disk, and Open3D where it runs.
+
+    Raises
+    ------
+    InputError
+        As fuse; and where the mesh alone would not fit.
+    """
+    allowed = available_mb() if memory_mb is None else memory_mb
+    with tempfile.TemporaryDirectory(prefix="pagas_cl-") as folder:
+        touched = touched_by_views(views, depths, settings, Path(folder))
+        plan = touched.plan
+        log.info("%s", plan)
+        if plan.memory_mb <= allowed:
+            return fuse(views, depths, settings, weights, progress, plan=plan, memory_mb=allowed)
+        boxes = cut(touched, settings, allowed, views)
+        most = max(_memory_mb(box.blocks, settings) for box in boxes)
+        log.info("fusion: %d boxes, at most %.0f MB each, %.0f MB for the mesh, %.0f MB allowed", len(boxes), most,
+                 _surface_mb(plan, settings), allowed)
+        tasks = [BoxTask(views, depths, weights, settings, plan, box, Path(folder) / f"{k:06d}.npz")
+                 for k, box in enumerate(boxes)]
+        files = []
+        for done, file in enumerate((map if executor is None else executor.map)(fuse_box, tasks), start=1):
+            files.append(file)
+            if progress:
+                progress("fuse", done, len(tasks))
+        return join([file for file in files if file is not None], boxes, plan, settings)
+
+
+def cut(touched: Touched, settings: Fusion, allowed_mb: float, views) -> list[Box]:
+    """Boxes whose grids fit, by halving along the longest side at the middle block."""
+    pixels = max(view.camera.width * view.camera.height for view in views)
+    room = allowed_mb - _surface_mb(touched.plan, settings) - pixels * _PHOTO_BYTES / 1e6
+    least = _memory_mb(27, settings)
+    if room < least:
+        wanted = allowed_mb - room + 20 * least
+        raise InputError(f"fusion is allowed {allowed_mb:.0f} MB, and the mesh and one photo alone take "
+                         f"{allowed_mb - room:.0f} MB: allow {wanted:.0f} MB, or raise fusion.voxel (it is {settings.voxel:g})")
+    blocks = touched.blocks
+    far = 1 << 20
+    boxes, waiting = [], [(blocks, (-far,) * 3, (far,) * 3)]
+    while waiting:
+        inside, low, high = waiting.pop()
+        margin = _within(blocks, low, high, 1)
+        count = int(np.count_nonzero(margin))
+        sides = np.ptp(inside, axis=0) if len(inside) else np.zeros(3, int)
+        if len(inside) == 0:
+            continue
+        if _memory_mb(count, settings) <= room or sides.max() == 0:
+            boxes.append(Box(low, high, count))
+            continue
+        axis = int(np.argmax(sides))
+        at = max(int(np.median(inside[:, axis])), int(inside[:, axis].min()) + 1)
+        left = inside[:, axis] < at
+        waiting.append((inside[~left], tuple(at if k == axis else v for k, v in enumerate(low)), high))
+        waiting.append((inside[left], low, tuple(at if k == axis else v for k, v in enumerate(high))))
+    return boxes
+
+
+def fuse_box(task: BoxTask) -> Path | None:
+    """Fuse one box and write its piece of the mesh; None where it holds no triangle."""
+    plan, settings, box = task.plan, task.settings, task.box
+    grid = Grid(plan.voxel / plan.unit, settings.truncation, box.blocks, 2 * plan.depth_range[1] / plan.unit, True,
+                need("open3d", "mesh", "fusing depth maps to a mesh"))
+    for index, view in enumerate(task.views):
+        blocks = plan.blocks[index]
+        blocks = blocks[_within(blocks, box.low, box.high, 1)]
+        if len(blocks):
+            one = replace(plan, blocks={index: blocks})
+            whole._integrate(grid, one, index, view, task.depths[index], None if task.weights is None else task.weights[index])
+    vertices, faces, normals, colours = grid.extract(settings.min_views - 0.5)
+    del grid
+    edge = block_resolution(settings.truncation) * plan.voxel / plan.unit
+    if len(faces):
+        middle = np.floor(vertices[faces].mean(axis=1, dtype=np.float64) / edge).astype(np.int64)
+        faces = faces[_within(middle, box.low, box.high, 0)]
+    if len(faces) == 0:
+        return None
+    used, faces = np.unique(faces, return_inverse=True)
+    faces = faces.reshape(-1, 3)
+    first, faces = in_order(vertices[used], normals[used], faces)
+    keep = used[first]
+    with open(task.file, "wb") as file:
+        np.savez(file, vertices=vertices[keep], normals=normals[keep], colours=colours[keep], faces=faces.astype(np.int32))
+    return task.file
+
+
+def _within(blocks: np.ndarray, low, high, margin: int) -> np.ndarray:
+    """Which of `blocks` (N, 3) are in the box, or no more than `margin` blocks outside."""
+    return ((blocks >= np.subtract(low, margin)) & (blocks < np.add(high, margin))).all(axis=1)
+
+
+def _memory_mb(blocks: int, settings: Fusion) -> float:
+    """Host memory of fusing so many blocks in one grid."""
+    edge = block_resolution(settings.truncation)
+    vertices = blocks * edge**2 * whole._VERTICES
+    return max(blocks * edge**3 * whole._VOXEL_BYTES + vertices * whole._VERTEX_BYTES, vertices * whole._AFTER_BYTES) / 1e6
+
+
+def _surface_mb(plan: FusionPlan, settings: Fusion) -> float:
+    return plan.block_count * block_resolution(settings.truncation)**2 * whole._VERTICES * _SURFACE_BYTES / 1e6
