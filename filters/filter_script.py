@@ -49,8 +49,8 @@ def check_script(path, *, outside: bool = False) -> list[Step]:
     Raises
     ------
     InputError
-        No script, unknown filter (the nearest known one is named), unknown parameter, wrong type or value, a filter that
-        would abort Python, or one that names files.
+        No script, unknown filter (the nearest known one is named), unknown parameter, wrong type or value, a filter
+        that would abort Python, or one that names files.
     """
     root = read_xml(Path(path), "FilterScript")
     elements = list(root)
@@ -60,9 +60,11 @@ def check_script(path, *, outside: bool = False) -> list[Step]:
         raise InputError(f"{path} has {len(elements)} steps, expected at most {_MOST_STEPS}")
     for number, element in enumerate(elements, 1):
         if element.tag == "xmlfilter":
-            raise InputError(f"{path}: step {number} is an <xmlfilter>, which pymeshlab skips without a word; remove it")
+            raise InputError(f"{path}: step {number} is an <xmlfilter>, which pymeshlab skips without a word: "
+                             "remove it")
         if element.tag != "filter" or not element.get("name"):
-            raise InputError(f"{path}: step {number} is {short(element.tag)}, expected <filter name=...>; nothing was run")
+            raise InputError(f"{path}: step {number} is {short(element.tag)}, expected <filter name=...>; "
+                             "nothing was run")
     theirs = [e.get("name") for e in elements if e.get("name") != FILTER]
     for number, element in enumerate(elements, 1):
         python = native.python_name(element.get("name")) if theirs and not outside else None
@@ -90,8 +92,8 @@ def _check_native(known: native.Known, name: str, given: list[dict], where: str,
         near = _nearest(name)
         raise InputError(f"{where} is neither ours nor pymeshlab's; did you mean {near!r}? nothing was run")
     if known.crash == "SIGABRT":
-        raise InputError(f"{where} ends the whole Python process here ({known.crash}): MeshLab's filters that draw need "
-                         "OpenGL, which this Python has not; nothing was run")
+        raise InputError(f"{where} ends the whole Python process here ({known.crash}): MeshLab's filters that draw "
+                         "need OpenGL, which this Python has not; nothing was run")
     if known.crash:
         log.warning("%s: trying it on a small sphere ended with %s; a crash inside pymeshlab cannot be caught", where,
                     known.crash)
@@ -114,11 +116,12 @@ def _check_parameter(known: native.Known, name: str, attributes: dict, where: st
             raise InputError(f"{where}: unknown parameter {name!r}; " + (f"the nearest known one is {near[0]!r}" if near
                              else "it takes none") + "; nothing was run")
         if kind != known.types[name]:
-            raise InputError(f"{where}: parameter {name!r} has type {kind!r}, expected {known.types[name]!r}; nothing was run")
+            raise InputError(f"{where}: parameter {name!r} has type {kind!r}, expected {known.types[name]!r}; "
+                             "nothing was run")
     value = attributes.get("value")
     if (kind in _FILES or _FILE_NAMES.search(name) and re.search(r"[\\/]|\.\.", value or "")) and not outside:
-        raise InputError(f"{where}: parameter {name!r} names a file ({short(value)}); pass outside=True (--outside) if you "
-                         "trust the script; nothing was run")
+        raise InputError(f"{where}: parameter {name!r} names a file ({short(value)}); pass outside=True (--outside) if "
+                         "you trust the script; nothing was run")
     _check_value(kind, name, attributes, (known.enums or {}).get(name), where)
 
 
@@ -146,7 +149,8 @@ def _nearest(name: str) -> str:
     return max((FILTER, theirs), key=lambda near: SequenceMatcher(None, name.lower(), near.lower()).ratio())
 
 
-def run_script(meshes, path, scene=None, *, outside: bool = False, device: str | None = None, progress=None) -> list[Step]:
+def run_script(meshes, path, scene=None, *, outside: bool = False, device: str | None = None,
+               progress=None) -> list[Step]:
     """Check a script, then run it on `meshes`.
 
     Parameters

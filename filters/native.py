@@ -1,4 +1,4 @@
-"""What pymeshlab knows of the MeshLab filters that a script names: which exist, which parameters of which type they take.
+"""What pymeshlab knows of the MeshLab filters that a script names: which exist, which parameters they take.
 
 Nothing here is a list that ages: the installed pymeshlab is asked, in a child process that may crash.
 """

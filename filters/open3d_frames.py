@@ -29,7 +29,8 @@ class Frame:
     scale: float
 
 
-def read_frames(frames, intrinsics, extrinsics=None, *, depth_scale=None, depth_trunc=None, pixel_center=0.0) -> list[Frame]:
+def read_frames(frames, intrinsics, extrinsics=None, *, depth_scale=None, depth_trunc=None,
+                pixel_center=0.0) -> list[Frame]:
     """Frames with their cameras; parameters as in open3d_pipeline.refine_rgbd."""
     frames = list(frames)
     if not frames:
@@ -47,8 +48,8 @@ def _frame(given, camera: Camera, depth_scale, depth_trunc) -> Frame:
     form = _form(given)
     raw = _pixels(depth, f"depth of frame {camera.name}")
     if form == "legacy" and depth_scale not in (None, 1, 1.0):
-        raise InputError(f"frame {camera.name}: depth_scale is {depth_scale:g}, but an RGBDImage already holds scene units: "
-                         "create_from_color_and_depth has divided its depth; leave depth_scale out")
+        raise InputError(f"frame {camera.name}: depth_scale is {depth_scale:g}, but an RGBDImage already holds scene "
+                         "units: create_from_color_and_depth has divided its depth; leave depth_scale out")
     if depth_scale is None:
         depth_scale = 1000.0 if raw.dtype == np.uint16 else 1.0
     depth = clean_depth(raw.astype(np.float64) / depth_scale, f"depth of frame {camera.name}")
@@ -57,8 +58,8 @@ def _frame(given, camera: Camera, depth_scale, depth_trunc) -> Frame:
     who = f"color of frame {camera.name}"
     photo = read_photo(color) if isinstance(color, (str, Path)) else as_photo(_intensity(_pixels(color, who)), who)
     if photo.shape[:2] != depth.shape:
-        raise InputError(f"frame {camera.name}: color is {photo.shape[1]} x {photo.shape[0]} and depth {depth.shape[1]} x "
-                         f"{depth.shape[0]}; register the depth to the color first")
+        raise InputError(f"frame {camera.name}: color is {photo.shape[1]} x {photo.shape[0]} and depth "
+                         f"{depth.shape[1]} x {depth.shape[0]}; register the depth to the color first")
     return Frame(View(camera, photo, None, camera.name), depth, given, form, float(depth_scale))
 
 
@@ -79,8 +80,8 @@ def _parts(given) -> tuple:
             raise InputError(f"a frame has {len(given)} parts, expected a pair (color, depth) or an RGBDImage")
         return tuple(given)
     if not (hasattr(given, "color") and hasattr(given, "depth")):
-        raise InputError(f"a frame is a {type(given).__name__}, expected an Open3D RGBDImage (legacy or tensor) or a pair "
-                         "(color, depth)")
+        raise InputError(f"a frame is a {type(given).__name__}, expected an Open3D RGBDImage (legacy or tensor) or a "
+                         "pair (color, depth)")
     return given.color, given.depth
 
 
@@ -117,8 +118,8 @@ def read_cameras(intrinsics, extrinsics, sizes, *, pixel_center: float = 0.0) ->
     sizes : list of (width, height)
         Of the frames.
     pixel_center : float
-        Where the intrinsics put the centre of the top-left pixel: 0 (Open3D's legacy cameras and PrimeSense defaults), or
-        0.5 (COLMAP).
+        Where the intrinsics put the centre of the top-left pixel: 0 (Open3D's legacy cameras and PrimeSense defaults),
+        or 0.5 (COLMAP).
     """
     count = len(sizes)
     if hasattr(intrinsics, "parameters"):
@@ -132,15 +133,16 @@ def read_cameras(intrinsics, extrinsics, sizes, *, pixel_center: float = 0.0) ->
     for what, got in (("intrinsics", each), ("extrinsics", extrinsics)):
         if len(got) != count:
             raise InputError(f"{len(got)} {what} were given for {count} frames, expected one each, in the same order")
-    return [_camera(K, E, size, f"{k:05d}", pixel_center) for k, (K, E, size) in enumerate(zip(each, extrinsics, sizes))]
+    return [_camera(K, E, size, f"{k:05d}", pixel_center)
+            for k, (K, E, size) in enumerate(zip(each, extrinsics, sizes))]
 
 
 def _camera(intrinsic, extrinsic, size, name: str, pixel_center: float) -> Camera:
     if hasattr(intrinsic, "intrinsic_matrix"):
         said = (intrinsic.width, intrinsic.height)
         if said != tuple(size) and min(said) > 0:
-            raise InputError(f"frame {name} is {size[0]} x {size[1]}, its intrinsics say {said[0]} x {said[1]}: scale the "
-                             "intrinsics, or take those of this size")
+            raise InputError(f"frame {name} is {size[0]} x {size[1]}, its intrinsics say {said[0]} x {said[1]}: scale "
+                             "the intrinsics, or take those of this size")
         intrinsic = intrinsic.intrinsic_matrix
     K, E = (_array(value) for value in (intrinsic, extrinsic))
     return Camera.from_opencv_w2c(K, E, *size, pixel_center=pixel_center, name=name)
@@ -153,8 +155,8 @@ def _array(value) -> np.ndarray:
 def give_back(frame: Frame, depth: np.ndarray):
     """A frame of the form that came in with another depth, float32 in the numbers that came in (times its scale).
 
-    Colours stay as they are, but for tensors, which become float32 from 0 to 1: VoxelBlockGrid takes floating point depth
-    only together with floating point colours.
+    Colours stay as they are, but for tensors, which become float32 from 0 to 1: VoxelBlockGrid takes floating point
+    depth only together with floating point colours.
     """
     raw = np.ascontiguousarray(depth * np.float32(frame.scale), np.float32)
     if frame.form == "pair":

@@ -23,9 +23,9 @@ from pagas_cl.filters.open3d_frames import Frame, give_back, read_frames
 log = logging.getLogger("pagas_cl")
 
 
-def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | None = None, depth_trunc: float | None = None,
-                pixel_center: float = 0.0, preset: str = "balanced", config: Config | None = None, device=None,
-                progress=None) -> list:
+def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | None = None,
+                depth_trunc: float | None = None, pixel_center: float = 0.0, preset: str = "balanced",
+                config: Config | None = None, device=None, progress=None) -> list:
     """Refine the depth of RGB-D frames with each other's colours.
 
     Parameters
@@ -113,7 +113,8 @@ def _refined(read: list[Frame], config: Config, device, progress) -> list:
     depths = [frame.depth if (frame.depth > 0).any() else None for frame in read]
     if not any(depth is not None for depth in depths):
         raise InputError(f"none of the {len(read)} frames has a valid depth: are depth_scale and depth_trunc right?")
-    results = iter(refine_views([frame.view for frame in read], depths, config=config, device=device, progress=progress))
+    views = [frame.view for frame in read]
+    results = iter(refine_views(views, depths, config=config, device=device, progress=progress))
     return [(frame, next(results) if depth is not None else
              DepthResult.unrefined(frame.view.camera, frame.depth, "the frame has no depth"))
             for frame, depth in zip(read, depths)]

@@ -1,4 +1,4 @@
-"""Our step's parameters as a MeshLab script (.mlx) holds them. Lengths are relative: pixels and footprints, never units.
+"""Our step's parameters as a MeshLab script (.mlx) holds them. Lengths are relative: pixels and footprints.
 
 A MeshLab script would store a length as an absolute number and apply it to the next mesh, whatever its size.
 """
@@ -70,7 +70,8 @@ def read_parameters(given: list[dict], where: str) -> dict[str, str]:
         if name in values:
             raise InputError(f"{where}: parameter {name!r} is there twice")
         if attributes.get("type") != parameter.rich:
-            raise InputError(f"{where}: parameter {name!r} has type {attributes.get('type')!r}, expected {parameter.rich!r}")
+            raise InputError(f"{where}: parameter {name!r} has type {attributes.get('type')!r}, expected "
+                             f"{parameter.rich!r}")
         if attributes.get("value") is None:
             raise InputError(f"{where}: parameter {name!r} has no value")
         values[name] = attributes["value"]

@@ -75,8 +75,8 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
     from pagas_cl.filters.filter_script import restore_history, saved_history
 
     values = to_values(preset=preset, output=output, subdivide=subdivide, context_views=context_views, radius=radius,
-                       smoothness=smoothness, max_move=max_move, voxel=voxel, agree_views=agree_views, settings=settings,
-                       device=device)
+                       smoothness=smoothness, max_move=max_move, voxel=voxel, agree_views=agree_views,
+                       settings=settings, device=device)
     asked, history = request(values, FILTER), saved_history(self)
     try:
         counts = refine_layer(self, scene_views(scene), asked, progress=progress)
@@ -116,7 +116,7 @@ def scene_views(scene) -> list[View]:
 
 
 def refine_layer(meshes, views: list[View], asked: Request, *, device=None, progress=None) -> dict:
-    """Refine the current layer of a MeshSet; what the method and the script share. Does not touch the history's past."""
+    """Refine the current layer of a MeshSet; what the method and the script share."""
     from pagas_cl.refine import fuse_results, initial_depths, refine_views
     from pagas_cl.scene.mesh import to_surface
 
@@ -208,8 +208,8 @@ def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: 
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
     faces = float((1 + area / (0.1 * longest**2)).sum())
     if faces > _MOST_FACES:
-        raise InputError(f"subdividing to {footprint_edges:g} pixel footprints would make some {faces:.2g} faces, more than "
-                         f"{_MOST_FACES:.0e}; use a larger number")
+        raise InputError(f"subdividing to {footprint_edges:g} pixel footprints would make some {faces:.2g} faces, more "
+                         f"than {_MOST_FACES:.0e}; use a larger number")
     scale = np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
     meshes.meshing_surface_subdivision_midpoint(iterations=12, threshold=pymeshlab.PureValue(longest / scale))
     return _without_quality(to_surface(meshes.current_mesh()))

@@ -21,7 +21,8 @@ def check_subdivide(subdivide) -> None:
     if subdivide is None:
         return
     if isinstance(subdivide, bool) or not isinstance(subdivide, (int, float)) or not 0.25 <= subdivide <= 1e6:
-        raise InputError(f"subdivide is {subdivide!r}, expected None or the longest edge in pixel footprints, 0.25 or more")
+        raise InputError(f"subdivide is {subdivide!r}, expected None or the longest edge in pixel footprints, "
+                         "0.25 or more")
 
 
 def displaced_mesh(mesh, views: list[View], depths, results, config: Config, subdivide: float | None = None):

@@ -110,4 +110,5 @@ def test_real_photos_and_command(data_dir, capsys):
     from pagas_cl.scene.readers import read_scene
 
     sphere = read_scene(scene, "neus", frame="sphere")
-    assert "different coordinate frames" in check_cameras(mesh, sphere.cameras, [v.image for v in sphere.views]).sentence
+    report = check_cameras(mesh, sphere.cameras, [v.image for v in sphere.views])
+    assert "different coordinate frames" in report.sentence

@@ -152,7 +152,7 @@ def test_subdivision_is_bounded():
     assert len(same.faces) == 1 and not same.rounds
 
 
-# -- what sits on the mesh ----------------------------------------------------------------------------------------------
+# -- what sits on the mesh --------------------------------------------------------------------------------------------
 
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
 FACES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -237,7 +237,7 @@ def test_pair_surface_and_file(division, tmp_path):
         load_whole(tmp_path / "none.obj")
 
 
-# -- with the engine ----------------------------------------------------------------------------------------------------
+# -- with the engine --------------------------------------------------------------------------------------------------
 
 @pytest.mark.parametrize("subdivide", [None, 2.0])
 def test_refine_mesh_keeps_the_mesh(made, subdivide):

@@ -52,7 +52,7 @@ def full(rows):
     return np.vstack([np.asarray(rows, float).reshape(-1, 4)[:3], [0, 0, 0, 1]])
 
 
-# -- independent readings: bytes -> [(K, world_to_camera)], pixel centres at +0.5 ---------------------------------------
+# -- independent readings: bytes -> [(K, world_to_camera)], pixel centres at +0.5 ------------------------------------
 
 def oracle_nerfstudio(data):
     d = json.loads(data.decode("utf-8-sig"))
@@ -116,7 +116,7 @@ def same(cameras, expected):
             assert np.abs(got - K).max() <= 1e-9 * max(1, np.abs(K).max())
 
 
-# -- the files: written by their own library where there is one, else by ours -------------------------------------------
+# -- the files: written by their own library where there is one, else by ours ----------------------------------------
 
 def make_open3d(folder, views):
     """By Open3D itself."""
@@ -208,7 +208,8 @@ def test_damaged_bytes(target):
 
 
 json_values = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8) | st.sampled_from(["images/x.png", 1e300]),
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
+    | st.sampled_from(["images/x.png", 1e300]),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=4), max_leaves=12)
 
 
@@ -345,6 +346,7 @@ def test_hostile_sizes(tmp_path):
         read_scene(tmp_path, "meshlab")
     nerfstudio.write(tmp_path, views)
     text = (tmp_path / "transforms.json").read_text()
-    (tmp_path / "transforms.json").write_text(text.replace('"w": 64', '"w": 1000000').replace('"h": 48', '"h": 1000000'))
+    huge = text.replace('"w": 64', '"w": 1000000').replace('"h": 48', '"h": 1000000')
+    (tmp_path / "transforms.json").write_text(huge)
     with bounded(), pytest.raises(InputError, match="its camera says 1000000 x 1000000"):
         read_scene(tmp_path, "nerfstudio")

@@ -41,7 +41,8 @@ def legacy(color, depth, scale=1.0):
 
 
 def tensor(color, depth):
-    return o3d.t.geometry.RGBDImage(o3d.t.geometry.Image(o3c.Tensor(color)), o3d.t.geometry.Image(o3c.Tensor(depth[..., None])))
+    image = o3d.t.geometry.Image
+    return o3d.t.geometry.RGBDImage(image(o3c.Tensor(color)), image(o3c.Tensor(depth[..., None])))
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +148,7 @@ def test_bad_input(made, change, sentence):
         refine_rgbd(list(zip(colors, depths)), K, E, depth_trunc=0, config=FEW)
 
 
-# -- half pixels: these fail when Open3D changes what the pipeline relies on --------------------------------------------
+# -- half pixels: these fail when Open3D changes what the pipeline relies on -----------------------------------------
 
 NORMAL = np.array([0.3, 0.2, -0.93]) / np.linalg.norm([0.3, 0.2, -0.93])
 
@@ -187,11 +188,11 @@ def test_legacy_volume_counts_at_whole_numbers(plane):
     camera, depth, half = plane
     errors = {}
     for shift in (0.0, 0.5):
-        volume = o3d.pipelines.integration.UniformTSDFVolume(3.0, 150, 0.08, o3d.pipelines.integration.TSDFVolumeColorType.NoColor,
-                                                             np.full(3, -1.5))
+        tsdf = o3d.pipelines.integration
+        volume = tsdf.UniformTSDFVolume(3.0, 150, 0.08, tsdf.TSDFVolumeColorType.NoColor, np.full(3, -1.5))
         frame = legacy(np.zeros((*depth.shape, 3), np.uint8), depth)
-        K = o3d.camera.PinholeCameraIntrinsic(camera.width, camera.height, camera.fx, camera.fy, camera.cx - 0.5 + shift,
-                                              camera.cy - 0.5 + shift)
+        K = intrinsic(camera)
+        K.set_intrinsics(K.width, K.height, camera.fx, camera.fy, camera.cx - 0.5 + shift, camera.cy - 0.5 + shift)
         volume.integrate(frame, K, camera.world_to_camera)
         errors[shift] = float((np.asarray(volume.extract_point_cloud().points) @ NORMAL).mean())
     assert abs(errors[0.0]) < 0.1 * half < abs(errors[0.5])

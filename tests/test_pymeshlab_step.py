@@ -37,7 +37,8 @@ def layer(made, tmp_path=None):
     rng = np.random.default_rng(0)
     colors = np.column_stack([rng.integers(0, 256, (len(local), 3)) / 255, np.ones(len(local))])
     meshes = Meshes()
-    meshes.add_mesh(pymeshlab.Mesh(local, faces, v_color_matrix=colors, w_tex_coords_matrix=rng.random((3 * len(faces), 2)),
+    corners = rng.random((3 * len(faces), 2))
+    meshes.add_mesh(pymeshlab.Mesh(local, faces, v_color_matrix=colors, w_tex_coords_matrix=corners,
                                    f_scalar_array=np.arange(len(faces), dtype=float)), "wall")
     meshes.set_matrix(transformmatrix=MATRIX, freeze=False)
     meshes.current_mesh().add_vertex_custom_scalar_attribute(np.arange(len(local), dtype=float), "age")
@@ -125,7 +126,8 @@ def test_same_as_refine_mesh(made):
     meshes = Meshes()
     meshes.add_mesh(pymeshlab.Mesh(*made.initial_mesh(3.0)), "wall")
     config = request({"settings": FAST, "voxel": "2"}, "test").config
-    expected = pagas_cl.refine_mesh(meshes.current_mesh(), made.cameras[:3], [v.image for v in made.views], config=config)
+    photos = [v.image for v in made.views]
+    expected = pagas_cl.refine_mesh(meshes.current_mesh(), made.cameras[:3], photos, config=config)
     meshes.apply_pagas_depth_refinement(made.views, settings=FAST, voxel=2.0)
     assert np.array_equal(meshes.current_mesh().vertex_matrix(), expected.vertex_matrix())
     assert np.array_equal(meshes.current_mesh().face_matrix(), expected.face_matrix())
@@ -134,7 +136,8 @@ def test_same_as_refine_mesh(made):
 @pytest.mark.parametrize("arguments, sentence", [
     ({"preset": "best"}, "unknown preset"), ({"output": "both"}, "expected 'tsdf' or 'displace'"),
     ({"radius": "1"}, "radius is '1', expected a number"), ({"voxel": -1}, "fusion.voxel is -1"),
-    ({"context_views": 1.5}, "whole number"), ({"settings": "a.b=1"}, "unknown setting"), ({"preset": 3}, "expected text"),
+    ({"context_views": 1.5}, "whole number"), ({"settings": "a.b=1"}, "unknown setting"),
+    ({"preset": 3}, "expected text"),
     ({"subdivide": 0.1}, "at least 0.25"), ({"subdivide": float("nan")}, "expected a number"),
 ])
 def test_wrong_arguments_are_refused_before_anything_happens(made, arguments, sentence):
@@ -163,4 +166,5 @@ def test_a_failure_leaves_the_history(made):
     with pytest.raises(InputError, match="cameras see the mesh"):
         meshes.set_matrix(transformmatrix=np.diag([1.0, 1, 1, 1]) + np.eye(4, k=3) * 1e6, freeze=False)
         meshes.apply_pagas_depth_refinement(made.views)
-    assert [s.get("name") for s in saved_history(meshes)] == ["Re-Compute Face Normals", "Matrix: Set/Copy Transformation"]
+    names = [s.get("name") for s in saved_history(meshes)]
+    assert names == ["Re-Compute Face Normals", "Matrix: Set/Copy Transformation"]

@@ -1,4 +1,4 @@
-"""`pagas-cl script`: a MeshLab filter script (.mlx) with our step in it, without MeshLab's window and without OpenGL."""
+"""`pagas-cl script`: a MeshLab filter script (.mlx) with our step in it, without MeshLab's window or OpenGL."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def command(
     script: Path = typer.Argument(..., metavar="SCRIPT", help="The filter script (.mlx)."),
     scene: Path = typer.Argument(None, metavar="[SCENE]", help="Folder with photos and cameras, for our step."),
     mesh: Path = typer.Option(None, "--mesh", help="The mesh that the script starts from."),
-    project: Path = typer.Option(None, "--project", help="A MeshLab project (.mlp): its layers, and its photos as scene."),
-    output: Path = typer.Option(..., "--output", help="Where the current layer goes in the end (.ply, .obj ...), or a .mlp "
-                                                      "for all layers."),
+    project: Path = typer.Option(None, "--project", help="A MeshLab project (.mlp): layers, and photos as scene."),
+    output: Path = typer.Option(..., "--output", help="Where the current layer goes in the end (.ply, .obj ...), "
+                                                      "or a .mlp for all layers."),
     layer: str = typer.Option(None, "--layer", help="With --project: the layer to start from (default: the last one)."),
     save_script: Path = typer.Option(None, "--save-script", help="Write the history, our step included, as .mlx."),
     flavour: str = typer.Option(None, "--mlp-flavour", help="How the project counts CenterPx.y: meshlab or openmvs."),
@@ -119,7 +119,7 @@ def _save(meshes, output: Path, scene) -> None:
 
 
 def save_layer(meshes, path: Path) -> None:
-    """The current layer beside `path` first, then renamed; the file holds the layer's own coordinates, not its matrix."""
+    """The current layer beside `path` first, then renamed; the file holds the layer's own coordinates."""
     path = path.absolute()
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")

@@ -134,8 +134,8 @@ def _pymeshlab(mesh, vertices, subdivision, carry, quality):
     elif mesh.has_vertex_scalar():
         more["v_scalar_array"] = carry.vertices(mesh.vertex_scalar_array())
     if mesh.texture_number():
-        log.info("a new pymeshlab.Mesh cannot be given textures: its texture coordinates are kept, the %d texture images "
-                 "must be set again (set_texture_per_mesh); MeshSet's own step keeps them", mesh.texture_number())
+        log.info("a new pymeshlab.Mesh cannot be given textures: its texture coordinates are kept, the %d texture "
+                 "images must be set again (set_texture_per_mesh); the MeshSet step keeps them", mesh.texture_number())
     faces = mesh.face_matrix() if subdivision is None else subdivision.faces
     return pymeshlab.Mesh(vertices, faces, **more)
 

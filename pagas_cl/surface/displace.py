@@ -58,7 +58,8 @@ class Observed:
     confidence: np.ndarray = field(repr=False)
 
 
-def displace(surface: Surface, views: list[Observed], *, agree_views: int = 1, agree_pixels: float = 2.0) -> Displacement:
+def displace(surface: Surface, views: list[Observed], *, agree_views: int = 1,
+             agree_pixels: float = 2.0) -> Displacement:
     """Move the vertices of `surface`.
 
     Parameters

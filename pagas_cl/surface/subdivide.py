@@ -37,7 +37,7 @@ class Subdivision:
     weights: np.ndarray = field(repr=False)
 
     def vertices(self, values: np.ndarray) -> np.ndarray:
-        """Values of shape (V, ...) on the new vertices: the mean of the two ends; the first end's where whole numbers."""
+        """Values of shape (V, ...) on the new vertices: the mean of the two ends; of whole numbers, the first."""
         for pairs in self.rounds:
             a, b = values[pairs[:, 0]], values[pairs[:, 1]]
             middle = a + (b - a) / 2 if values.dtype.kind == "f" else a
@@ -53,7 +53,8 @@ class Subdivision:
         return values[self.parent]
 
 
-def subdivide(vertices: np.ndarray, faces: np.ndarray, longest: np.ndarray, *, most: int = _MOST_VERTICES) -> Subdivision:
+def subdivide(vertices: np.ndarray, faces: np.ndarray, longest: np.ndarray, *,
+              most: int = _MOST_VERTICES) -> Subdivision:
     """Split every edge that is longer than `longest` at a corner of one of its faces, until none is.
 
     Parameters
@@ -84,8 +85,8 @@ def subdivide(vertices: np.ndarray, faces: np.ndarray, longest: np.ndarray, *, m
         if not split.any():
             return Subdivision(faces.astype(np.int32), rounds, parent, weights)
         if len(vertices) + split.sum() > most:
-            raise InputError(f"subdividing to the pixel footprint needs more than {most} vertices; use a coarser target "
-                             "(--subdivide with more footprints), or none")
+            raise InputError(f"subdividing to the pixel footprint needs more than {most} vertices; use a coarser "
+                             "target (--subdivide with more footprints), or none")
         pairs = edges[split]
         number = np.full(len(edges), -1, np.int64)
         number[split] = len(vertices) + np.arange(len(pairs))

@@ -146,7 +146,8 @@ def _raster(element, path: Path, number: int, outside: bool) -> RasterLayer:
     if camera.get("BinaryData", "0") != "0":
         raise InputError(f"{where}: the camera is stored as binary; save the project as .mlp, not .mlb")
     if camera.get("CameraType", "0") != "0":
-        raise InputError(f"{where}: CameraType is {untrusted.short(camera.get('CameraType'))}, expected 0 (perspective)")
+        raise InputError(f"{where}: CameraType is {untrusted.short(camera.get('CameraType'))}, expected 0 "
+                         "(perspective)")
     get = {key: _numbers(camera.get(key), count, f"{where}: {key}") for key, count in
            (("FocalMm", 1), ("PixelSizeMm", 2), ("CenterPx", 2), ("ViewportPx", 2), ("RotationMatrix", 16),
             ("TranslationVector", 4))}

@@ -1,0 +1,8 @@
+import open3d as o3d
+import pagas_cl
+
+scene = pagas_cl.read_scene("SCENE")
+photos = [view.image for view in scene.views]
+coarse = o3d.io.read_triangle_mesh("SCENE/mesh_coarse.ply")
+fine = pagas_cl.refine_mesh(coarse, scene.cameras, photos, output="displace", subdivide=2.0)
+o3d.io.write_triangle_mesh("fine.ply", fine)   # the same mesh, edges of at most 2 pixels, vertices moved

@@ -1,0 +1,88 @@
+"""Every example in tests/examples (the README shows them) runs as it is, in a folder with scenes of each kind."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pagas_cl.made import relief_scene
+from pagas_cl.made.disk import write_ply, write_scene
+from pagas_cl.scene.view import View
+
+EXAMPLES = sorted((Path(__file__).parent / "examples").glob("*.py"))
+NEEDS = {"pymeshlab_method": ["pymeshlab", "open3d"], "filter_script": ["pymeshlab", "open3d"], "depth_maps": [],
+         "other_formats": []}
+MIXED = """<!DOCTYPE FilterScript>
+<FilterScript>
+ <filter name="Remove Duplicate Vertices"/>
+ <filter name="PAGaS Depth Refinement"/>
+ <filter name="Remove Unreferenced Vertices"/>
+</FilterScript>
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """SCENE, DEPTH, RGBD, NERFSTUDIO, MVSNET, NEUS, BUNDLER, a 2DGS output and a script."""
+    from pagas_cl.scene.depthmap import resize_depth, save_depth
+    from pagas_cl.scene.readers import bundler, mvsnet, nerfstudio, neus, open3d_trajectory
+
+    folder = tmp_path_factory.mktemp("examples")
+    made = relief_scene(64, 48, 2, held_out=0)
+    write_scene(made, folder / "SCENE")
+    (folder / "mixed.mlx").write_text(MIXED)
+    (folder / "train" / "ours_30000").mkdir(parents=True)
+    write_ply(folder / "train" / "ours_30000" / "fuse_post.ply", *made.initial_mesh())
+    for camera in made.cameras[:3]:
+        save_depth(folder / "DEPTH" / f"{camera.name}.npz", resize_depth(made.initial_depth(camera), 40, 30))
+    cameras = made.cameras[:3]
+    for kind, write, place in (("NERFSTUDIO", nerfstudio.write, "images"), ("MVSNET", mvsnet.write, "images"),
+                               ("NEUS", neus.write, "image"), ("BUNDLER", bundler.write, "images")):
+        write(folder / kind, _photos(folder / kind / place, made, cameras, centred=kind == "BUNDLER"))
+    _photos(folder / "RGBD" / "color", made, cameras, names=lambda k: f"{k}.png")
+    (folder / "RGBD" / "depth").mkdir()
+    for k, camera in enumerate(cameras):
+        depth = np.rint(made.initial_depth(camera) * 50).astype(np.uint16)
+        Image.fromarray(depth).save(folder / "RGBD" / "depth" / f"{k}.png")
+    open3d_trajectory.write_json(folder / "RGBD" / "trajectory.json", cameras)
+    return folder
+
+
+def _photos(place, made, cameras, names=lambda k: f"{k:08d}.png", centred=False):
+    from dataclasses import replace
+
+    place.mkdir(parents=True)
+    views = []
+    for k, camera in enumerate(cameras):
+        Image.fromarray(made.views[k].image).save(place / names(k))
+        if centred:
+            camera = replace(camera, cx=camera.width / 2, cy=camera.height / 2, fy=camera.fx)
+        views.append(View(camera, place / names(k), None, names(k)))
+    return views
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_example_runs(path, folder, monkeypatch):
+    for package in NEEDS.get(path.stem, ["open3d"]):
+        pytest.importorskip(package)
+    monkeypatch.chdir(folder)
+    text = path.read_text()
+    assert len(text.splitlines()) <= 12
+    (folder / "fine.ply").unlink(missing_ok=True)
+    names = {}
+    exec(compile(text, str(path), "exec"), names)
+    if '"fine.ply"' in text:
+        from pagas_cl.scene.mesh import read_mesh
+
+        assert len(read_mesh(folder / "fine.ply").faces) > 100
+    if path.stem == "check_cameras":
+        assert names["report"].ok
+    if path.stem == "meshlab_project":
+        assert len(names["again"].views) == 3
+    if path.stem == "pymeshlab_method":
+        from pagas_cl.filters.filter_script import check_script
+
+        assert len(check_script("all_three_steps.mlx")) == 3
+    if path.stem == "depth_maps":
+        assert len(list(Path("refined").glob("*.npz"))) == 3
