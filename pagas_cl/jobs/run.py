@@ -6,7 +6,7 @@ import logging
 from collections import deque
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, wait
 
-from pagas_cl.errors import DeviceError, OutputError
+from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError
 from pagas_cl.jobs.executors import Here
 from pagas_cl.jobs.finished import find_finished, work_folder
 from pagas_cl.jobs.task import Batch, Record
@@ -15,6 +15,7 @@ from pagas_cl.jobs.worker import STOP, attempts, run_batch
 log = logging.getLogger("pagas_cl")
 
 TRIES = 3
+HOPELESS = 8  # so many views given up before one is done: something is wrong that no other view will escape
 
 
 class Run:
@@ -34,6 +35,7 @@ class Run:
         self._queue: deque[Batch] = deque()
         self._waiting: dict = {}
         self._errors: dict[str, list[Record]] = {}
+        self._done, self._given_up, self._refused = 0, 0, 0
 
     def finish(self, batches: list[Batch]) -> None:
         """Work through `batches`."""
@@ -80,21 +82,26 @@ class Run:
 
     def _take(self, record: Record, batch: Batch) -> None:
         if not record.error:
+            self._done += 1
             self.on_record(record)
             return
         told = self._errors.setdefault(record.name, [])
         told.append(record)
         if len(told) >= TRIES:
-            log.error("view %s has failed %d times and is left out: %s", record.name, TRIES, record.error)
-            self.on_record(record)
+            self._give_up(record)
             return
         log.warning("view %s has failed, it is tried again: %s", record.name, record.error)
         self._queue.append(batch.only([task for task in batch.tasks if task.name == record.name]))
 
     def _lost(self, batch: Batch, error: Exception) -> None:
         """What a lost worker had finished is kept; the rest goes to others, a view at a time."""
-        if isinstance(error, DeviceError) and isinstance(self.executor, Here):
-            raise error
+        if isinstance(error, DeviceError):  # the worker's fault and not the views': to another one
+            self._refused += 1
+            if isinstance(self.executor, Here) or self._refused >= HOPELESS and not self._done:
+                raise error
+            log.warning("a worker cannot work: %s", error)
+            self._queue.append(batch)
+            return
         for task in batch.tasks:
             record = find_finished(batch.folder, task, batch.extras)
             self._take(record or Record(task.name, task.stem, task.key, error=f"{type(error).__name__}: {error}"), batch)
@@ -118,14 +125,22 @@ class Run:
         for task in batch.tasks:
             record = find_finished(batch.folder, task, batch.extras)
             if record is None and begun.get(task.name, 0) >= TRIES:
-                record = Record(task.name, task.stem, task.key, error="its worker process was lost each time")
-                log.error("view %s has failed %d times and is left out: %s", task.name, TRIES, record.error)
-            if record is not None:
+                self._give_up(Record(task.name, task.stem, task.key, error="its worker process was lost each time"))
+            elif record is not None:
+                self._done += 1
                 self.on_record(record)
             else:
                 left.append(task)
         for task in left:
             self._queue.append(batch.only([task]))
+
+    def _give_up(self, record: Record) -> None:
+        log.error("view %s has failed %d times and is left out: %s", record.name, TRIES, record.error)
+        self._given_up += 1
+        if self._given_up >= HOPELESS and not self._done:
+            kind = InputError if record.bad_input else PagasError
+            raise kind(f"the first {HOPELESS} views have all failed, the last one, {record.name}: {record.error}")
+        self.on_record(record)
 
     def _ask_to_stop(self, batch: Batch) -> None:
         """Let every worker end after its present view."""

@@ -18,7 +18,7 @@ from pagas_cl.jobs.plan import in_batches, make_tasks, on_disk
 from pagas_cl.jobs.run import Run
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch
-from pagas_cl.jobs.worker import STOP
+from pagas_cl.jobs.worker import STOP, close_benches
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.partners import for_planning
 
@@ -81,6 +81,7 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
     finally:
         if own:
             run.close()
+        close_benches()
     shutil.rmtree(store.folder, ignore_errors=True)
     return collect.results()
 

@@ -13,6 +13,7 @@ from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError
 from pagas_cl.jobs.disk import told_as_output_error
 from pagas_cl.jobs.finished import find_finished, work_folder, write_finished
 from pagas_cl.jobs.identity import code_version
+from pagas_cl.jobs.photos import PhotoMemory
 from pagas_cl.jobs.task import Batch, Record, ViewTask
 
 log = logging.getLogger("pagas_cl")
@@ -28,12 +29,15 @@ class Bench:
     def __init__(self, device):
         from pagas_cl.splat import PhotoStore
 
-        self.device, self.photos = device, PhotoStore(device)
+        self.device, self.photos, self._memory = device, PhotoStore(device), PhotoMemory()
         self._views: dict = {}
 
     def views(self, batch: Batch) -> dict:
         """The batch's views, those of earlier batches as the same objects, so that their photos are found again."""
-        return {k: self._views.setdefault(batch.digests[k], view) for k, view in batch.views.items()}
+        for k, view in batch.views.items():
+            if batch.digests[k] not in self._views:
+                self._views[batch.digests[k]] = self._memory.remembered(view, batch.digests[k])
+        return {k: self._views[batch.digests[k]] for k in batch.views}
 
 
 def run_batch(batch: Batch) -> list[Record]:
@@ -79,6 +83,15 @@ def _bench(device) -> Bench:
 
         _benches[device] = Bench(claim_device(device))
     return _benches[device]
+
+
+def close_benches() -> None:
+    """Let go of everything that this process keeps between tasks, its devices too."""
+    from pagas_cl.runtime.claim import give_back
+
+    with _one_at_a_time:
+        _benches.clear()
+        give_back()
 
 
 def worker_name() -> str:

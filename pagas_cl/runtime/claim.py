@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
+import time
 from pathlib import Path
 
 from pagas_cl.errors import DeviceError, InputError
@@ -16,6 +17,7 @@ from pagas_cl.runtime import device as devices
 from pagas_cl.runtime.device import Device
 
 SHARE = "PAGAS_CL_SHARE"  # how many processes may work on one device
+WAIT = 20.0               # seconds to wait for a device that is at work for another process
 _held: dict[str, object] = {}
 
 
@@ -44,7 +46,7 @@ def known_devices(names=None) -> list[tuple]:
 
 
 def claim_device(names=None) -> Device:
-    """Open the first of `names` that no other process works on.
+    """Open the first of `names` that no other process works on; wait a little for one to become free.
 
     Raises
     ------
@@ -53,14 +55,24 @@ def claim_device(names=None) -> Device:
     """
     if isinstance(names, Device):
         return names
-    share, known = shares(), known_devices(names)
-    for slot in range(share):
-        for place, (info, cl_device) in enumerate(known):
-            if _lock(f"{_identity(info, cl_device, place)}-{slot}"):
-                return devices.opened(info, cl_device)
+    share, known, until = shares(), known_devices(names), time.monotonic() + WAIT
+    while True:
+        for slot in range(share):
+            for place, (info, cl_device) in enumerate(known):
+                if _lock(f"{_identity(info, cl_device, place)}-{slot}"):
+                    return devices.opened(info, cl_device)
+        if time.monotonic() > until:
+            break
+        time.sleep(0.5)
     titles = ", ".join(info.title for info, _ in known)
     raise DeviceError(f"every device asked for ({titles}) is at work for another process; start one worker a device, or "
                       f"let several share one with {SHARE}={share + 1}")
+
+
+def give_back() -> None:
+    """Let other processes have what this one has claimed."""
+    while _held:
+        _held.popitem()[1].close()
 
 
 def shares() -> int:
