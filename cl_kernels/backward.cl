@@ -21,24 +21,20 @@ __kernel void gather_gradient(__global const float *depth, __global const uchar4
     const Footprint f = footprint(splat.mean, radius, context.width, context.height);
     const color_t color = exposed_color(target_photo[i], exposure, view);
     float sum = 0.0f;
-    for (int y = f.y0; y <= f.y1; ++y)
-        for (int x = f.x0; x <= f.x1; ++x) {
-            const int pixel = y * context.width + x;
-            const float2 delta = offset_from(splat, x, y);
-            if (!(dot(delta, delta) <= radius * radius))
-                continue;
+    for (int y = f.y0; y <= f.y1; y += 2)              // two by two, so that their loads overlap
+        for (int x = f.x0; x <= f.x1; x += 2)
+#pragma unroll
+            for (int k = 0; k < 4; ++k) {
+                const int u = min(x + k % 2, f.x1), v = min(y + k / 2, f.y1), pixel = v * context.width + u;
+                const float2 delta = offset_from(splat, u, v);
+                bool taken = dot(delta, delta) <= radius * radius && u == x + k % 2 && v == y + k / 2;
 #ifdef OCCLUSION
-            if (splat.z > depth_limit(as_float(z_first[pixel]), threshold, relative))
-                continue;
+                taken = taken && splat.z <= depth_limit(as_float(z_first[pixel]), threshold, relative);
 #endif
-#ifdef GREY
-            const float2 up = vload2(pixel, upstream);
-            const float v_alpha = up.x * color + up.y;
-#else
-            const float4 up = vload4(pixel, upstream);
-            const float v_alpha = dot(up.xyz, color) + up.w;
-#endif
-            sum += v_alpha * alpha_motion(splat, motion, delta, raw_alpha(splat, delta));
-        }
+                float v_weight;
+                const color_t v_color = load_upstream(upstream, pixel, &v_weight);
+                const float v_alpha = dot(v_color, color) + v_weight;
+                sum += taken ? v_alpha * alpha_motion(splat, motion, delta, raw_alpha(splat, delta)) : 0.0f;
+            }
     gradient[i] += sum;
 }
