@@ -25,7 +25,7 @@ log = logging.getLogger("pagas_cl")
 
 def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | None = None,
                 depth_trunc: float | None = None, pixel_center: float = 0.0, preset: str = "balanced",
-                config: Config | None = None, device=None, progress=None) -> list:
+                config: Config | None = None, device=None, progress=None, agree_within: float | None = None) -> list:
     """Refine the depth of RGB-D frames with each other's colours.
 
     Parameters
@@ -44,6 +44,10 @@ def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | Non
         Where the intrinsics put the centre of the top-left pixel: 0 (Open3D's legacy cameras) or 0.5 (COLMAP).
     preset, config, device, progress
         As in refine_mesh.
+    agree_within : float, optional
+        Take a refined depth only where the refined frames agree on it to this share of the depth, averaged over 9 x 9
+        pixels (0.01: a centimetre at a metre), and keep the sensor's elsewhere. For sensors that are surer than the
+        photos: at short baselines a pixel of parallax can be many times a sensor's error.
 
     Returns
     -------
@@ -54,7 +58,11 @@ def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | Non
     config = named_preset(preset) if config is None else config
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,
                        pixel_center=pixel_center)
-    return [give_back(frame, result.depth) for frame, result in _refined(read, config, device, progress)]
+    pairs = _refined(read, config, device, progress)
+    depths = [result.depth for _, result in pairs]
+    if agree_within is not None:
+        depths = _agreed(read, depths, agree_within)
+    return [give_back(frame, depth) for (frame, _), depth in zip(pairs, depths)]
 
 
 def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: float | None = None,
@@ -115,9 +123,34 @@ def _refined(read: list[Frame], config: Config, device, progress) -> list:
         raise InputError(f"none of the {len(read)} frames has a valid depth: are depth_scale and depth_trunc right?")
     views = [frame.view for frame in read]
     results = iter(refine_views(views, depths, config=config, device=device, progress=progress))
-    return [(frame, next(results) if depth is not None else
-             DepthResult.unrefined(frame.view.camera, frame.depth, "the frame has no depth"))
-            for frame, depth in zip(read, depths)]
+    pairs = []
+    for frame, depth in zip(read, depths):
+        result = None if depth is None else next(results)
+        reason = "the frame has no depth" if result is None else result.report.get("failed")
+        if reason:  # a pipeline expects every frame back: one that could not be refined stays as it came
+            result = DepthResult.unrefined(frame.view.camera, frame.depth, reason)
+        pairs.append((frame, result))
+    return pairs
+
+
+def _agreed(read: list[Frame], depths: list[np.ndarray], share: float) -> list[np.ndarray]:
+    """Refined depths where the refined frames agree on them, those that came in elsewhere."""
+    from pagas_cl.surface.disagreement import disagreement
+
+    if not (np.isfinite(share) and share > 0):
+        raise InputError(f"agree_within is {share!r}, expected a share of the depth above 0, such as 0.01")
+    cameras, chosen, taken = [frame.view.camera for frame in read], [], 0
+    for i, frame in enumerate(read):
+        others = [j for j in range(len(read)) if j != i]
+        error = disagreement(cameras[i], depths[i], [cameras[j] for j in others], [depths[j] for j in others])
+        with np.errstate(invalid="ignore"):
+            take = error <= share
+        taken += np.count_nonzero(take & (frame.depth > 0))
+        chosen.append(np.where(take, depths[i], frame.depth))
+    total = sum(np.count_nonzero(frame.depth) for frame in read)
+    log.info("frames agree within %g of the depth on %.0f %% of the refined depths; the rest is as it came", share,
+             100 * taken / max(1, total))
+    return chosen
 
 
 def _footprints(read: list[Frame], voxel_size: float) -> float:

@@ -148,6 +148,61 @@ def test_bad_input(made, change, sentence):
         refine_rgbd(list(zip(colors, depths)), K, E, depth_trunc=0, config=FEW)
 
 
+# -- Open3D's RGBD-integration tutorial on a real sequence ---------------------------------------------------------------
+
+def tutorial_loop(frames, K, poses):
+    """The loop of Open3D's tutorial, with the volume that Open3D 0.20 does not leave empty."""
+    tsdf = o3d.pipelines.integration
+    volume = tsdf.UniformTSDFVolume(8.0, 200, 0.12, tsdf.TSDFVolumeColorType.RGB8, [-6.0, -4.0, 0.0])
+    for frame, pose in zip(frames, poses):
+        volume.integrate(frame, K, np.linalg.inv(pose))
+    return volume.extract_triangle_mesh()
+
+
+def test_tutorial_loop_with_and_without_the_step(data_dir):
+    from PIL import Image
+
+    folder, chosen = data_dir / "hololens_rgbd", range(0, 8, 2)
+    files = sorted((folder / "images").iterdir())
+    poses = np.loadtxt(folder / "poses.txt").reshape(-1, 4, 4)
+    fx, fy, cx, cy = np.loadtxt(folder / "K.txt")[[0, 1, 0, 1], [0, 1, 2, 2]]
+    K = o3d.camera.PinholeCameraIntrinsic(135, 90, fx / 4, fy / 4, (cx + 0.5) / 4 - 0.5, (cy + 0.5) / 4 - 0.5)
+    frames = []
+    for k in chosen:
+        color = Image.open(files[k]).resize((135, 90), Image.BOX)
+        depth = Image.open(folder / "depth" / files[k].name).resize((135, 90), Image.NEAREST)
+        frames.append(o3d.geometry.RGBDImage.create_from_color_and_depth(
+            o3d.geometry.Image(np.ascontiguousarray(color)), o3d.geometry.Image(np.asarray(depth).astype(np.uint16)),
+            depth_scale=1000.0, depth_trunc=4.0, convert_rgb_to_intensity=False))
+    extrinsics = [np.linalg.inv(poses[k]) for k in chosen]
+    fine = refine_rgbd(frames, K, extrinsics, config=FEW)
+    for given, new in zip(frames, fine):
+        given, new = np.asarray(given.depth), np.asarray(new.depth)
+        assert np.array_equal(given > 0, new > 0) and (new != given).mean() > 0.2
+        assert np.median(np.abs(new - given)[given > 0]) < 0.3  # metres: a pixel of parallax at this size
+    sure = refine_rgbd(frames, K, extrinsics, config=FEW, agree_within=0.01)
+    for given, new, all_new in zip(frames, sure, fine):  # each depth is the refined one or the sensor's
+        given, new, all_new = (np.asarray(f.depth) for f in (given, new, all_new))
+        assert ((new == given) | (new == all_new)).all()
+    before, after, checked = (len(tutorial_loop(f, K, poses[list(chosen)]).vertices) for f in (frames, fine, sure))
+    # at this size a pixel of parallax is 70 times the sensor's error: unchecked, photos alone do not serve it
+    assert before > 1000 and after > 1000 and 0.7 < checked / before < 1.5
+    with pytest.raises(InputError, match="agree_within is -1"):
+        refine_rgbd(frames, K, extrinsics, config=FEW, agree_within=-1)
+
+
+def test_disagreement_of_depth_maps(ring):
+    """0 for exact depths of a plane; the error where one map is off; NaN where no other view looks."""
+    from pagas_cl.surface.disagreement import disagreement
+
+    depths = [plane_depth(camera, NORMAL, 0.0) for camera in ring[:3]]
+    exact = disagreement(ring[0], depths[0], ring[1:3], depths[1:])
+    assert np.nanmax(exact) < 1e-5 and np.isfinite(exact).mean() > 0.8
+    off = disagreement(ring[0], depths[0] * np.float32(1.01), ring[1:3], depths[1:])
+    assert 0.007 < np.nanmedian(off) < 0.013
+    assert np.isnan(disagreement(ring[0], depths[0], [], [])).all()
+
+
 # -- half pixels: these fail when Open3D changes what the pipeline relies on -----------------------------------------
 
 NORMAL = np.array([0.3, 0.2, -0.93]) / np.linalg.norm([0.3, 0.2, -0.93])
