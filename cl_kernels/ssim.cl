@@ -72,12 +72,21 @@ void blur_down(__local const float *xs, __local const shade_t *ys, __local float
 // SSIM of LANES windows, and its derivatives to three planes from `out` on.
 lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, __global float *out, int plane)
 {
-    const lanes_t a1 = 2.0f * mx * my + C1, a2 = 2.0f * (product - mx * my) + C2;
-    const lanes_t b1 = mx * mx + my * my + C1, b2 = fmax(squares - mx * mx - my * my, 0.0f) + C2;
+    const lanes_t a2 = 2.0f * (product - mx * my) + C2;
+#ifdef STRUCTURE
+    const lanes_t a1 = 1.0f, b1 = 1.0f;      // without the luminance term: a local offset of brightness is not seen
+#else
+    const lanes_t a1 = 2.0f * mx * my + C1, b1 = mx * mx + my * my + C1;
+#endif
+    const lanes_t b2 = fmax(squares - mx * mx - my * my, 0.0f) + C2;
     const lanes_t inverse = 1.0f / (b1 * b2), similar = a1 * a2 * inverse;
     const lanes_t by_squares = -similar * b1 * inverse, by_product = 2.0f * a1 * inverse;
+#ifdef STRUCTURE
+    const lanes_t by_mean = -my * by_product - 2.0f * mx * by_squares;
+#else
     const lanes_t by_mean = 2.0f * (my * a2 * inverse - mx * similar * b2 * inverse) - my * by_product
                             - 2.0f * mx * by_squares;
+#endif
 #ifdef ROBUST
     const JOIN(int, LANES) kept = similar >= 1.0f - ROBUST;
 #define KEPT(x) select((lanes_t)0.0f, x, kept)

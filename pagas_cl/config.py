@@ -51,6 +51,9 @@ class Splatting:
         Whether the depth threshold is tested at all.
     depth_slices : float
         The depth threshold delta is the range of the initial depth divided by this (paper: 20).
+    depth_footprints : float
+        delta is at least this many pixels of the context photo, in size on the surface; else a slope hides itself
+        where the photo is coarse.
     depth_relative : float
         Share of the local depth; delta is the smaller of both where this is above 0 (thin structures).
     low_pass : float
@@ -64,6 +67,7 @@ class Splatting:
     radius: float = 1.2
     occlusion: bool = True
     depth_slices: float = 40.0
+    depth_footprints: float = 6.0
     depth_relative: float = 0.0
     low_pass: float = 0.0
     normalize: bool = False
@@ -71,7 +75,8 @@ class Splatting:
     def __post_init__(self):
         _check("splatting", blend=_one_of(self.blend, "order_free", "alpha"), radius=_within(self.radius, 0, 8),
                occlusion=_flag(self.occlusion), depth_slices=_within(self.depth_slices, 1e-6, 1e9),
-               depth_relative=_within(self.depth_relative, 0, 1), low_pass=_within(self.low_pass, 0, 4),
+               depth_relative=_within(self.depth_relative, 0, 1),
+               depth_footprints=_within(self.depth_footprints, 0, 1e6), low_pass=_within(self.low_pass, 0, 4),
                normalize=_flag(self.normalize))
 
 
@@ -94,6 +99,8 @@ class Loss:
     exposure : bool
         Fit a gain and an offset of each channel between the target's photo and each context photo, in closed form
         under the initial depth, and compare after them.
+    structure : bool
+        SSIM without its luminance term: a local offset of brightness, as a highlight leaves it, is not seen.
     robust : float
         Windows with 1 - SSIM above this, and residuals above a quarter of it, count as a constant (shiny surfaces,
         moving things); 0 compiles it out.
@@ -107,13 +114,14 @@ class Loss:
     unseen_mask: bool = False
     grey: bool = False
     exposure: bool = False
+    structure: bool = False
     robust: float = 0.0
     target_view: bool = False
 
     def __post_init__(self):
         _check("loss", ssim=_within(self.ssim, 0, 1), robust=_within(self.robust, 0, 2),
                **{name: _flag(getattr(self, name)) for name in
-                  ("gradient_weight", "coverage_weight", "unseen_mask", "grey", "exposure", "target_view")})
+                  ("gradient_weight", "coverage_weight", "unseen_mask", "grey", "exposure", "structure", "target_view")})
 
 
 @dataclass(frozen=True)
@@ -354,7 +362,8 @@ def _nearest(key: str) -> str:
 
 # What the published DTU experiments use (arXiv 2604.22129): the yardstick, not a recommendation.
 PAPER = Config(
-    splatting=Splatting(blend="alpha", radius=1.42, depth_slices=20.0, low_pass=0.3),
+    splatting=Splatting(blend="alpha", radius=1.42, depth_slices=20.0, depth_footprints=0.0,
+                        low_pass=0.3),
     loss=Loss(ssim=0.2, gradient_weight=True, coverage_weight=True, unseen_mask=True, target_view=True),
     smoothness=Smoothness(kind="none", weight=0.0),
     solver=Solver(rate=1e-5, unit="distance", damping=1e-8, final_rate=1.0, patience=10, views_per_step=0, max_move=1e9,

@@ -11,6 +11,7 @@ from pagas_cl.scene import exposure as exposures
 from pagas_cl.scene.texture import noise_and_texture
 
 _TEXTURED = 1.5          # costs above this are of patches without texture: nothing is read from them
+LOW_PASS = 0.06          # px^2: about what a photo's own pixel blurs; more than that blurs what is to be compared
 _QUANTISATION = 0.0012   # noise that rounding to 8 bits alone leaves
 
 
@@ -27,7 +28,7 @@ class Measurements:
     unseen : float
         Share of a context photo, at least, that the target's surface does not reach.
     exposure_change : float
-        Largest root mean square change of colour that the exposure fits make, 0 to 1.
+        Largest median difference of colour between the target's photo and a context photo, 0 to 1.
     gloss : float
         95th percentile of the residual that stays after the exposure fit and after averaging over neighbouring
         samples: what neither texture nor a depth error explains.
@@ -59,6 +60,11 @@ class Measurements:
     gains: tuple
 
     @property
+    def unexplained(self) -> float:
+        """What the photos show that no depth explains, against what the default smoothness is made for."""
+        return max(self.noise / 0.004, min(self.gloss, 0.1) / 0.025)
+
+    @property
     def exposure(self) -> np.ndarray:
         """gains as an array of shape (contexts, 3, 2)."""
         return np.array(self.gains)
@@ -80,13 +86,13 @@ class Decision:
 
 # effect: (evidence, threshold, whether above it calls for the effect, what is measured)
 RULES = {
-    "occlusion": ("hidden", 0.0005, True, "share of Gaussians hidden by a nearer surface"),
+    "occlusion": ("hidden", 0.015, True, "share of Gaussians hidden by a nearer surface"),
     "unseen_mask": ("unseen", 0.02, True, "share of a context photo that the target does not reach"),
-    "exposure": ("exposure_change", 0.008, True, "change of colour by gain and offset (0 to 1)"),
+    "exposure": ("exposure_change", 0.012, True, "difference of colour between photos (0 to 1)"),
     "view_dependence": ("gloss", 0.035, True, "residual left after exposure (0 to 1)"),
     "antialiasing": ("smallest", 0.36, False, "smallest projected Gaussian, pixels"),
     "smoothness": ("plain", 0.01, True, "share of pixels with little texture"),
-    "noise": ("noise", 0.006, True, "noise of the photo (0 to 1)"),
+    "noise": ("unexplained", 1.4, True, "noise and residual, of what the default weight allows for"),
     "pyramid": ("far_off", 0.15, True, "share of samples that match two or more pixels away"),
 }
 
@@ -127,11 +133,13 @@ def _exposure(config, decision, _):
 
 
 def _view_dependence(config, decision, _):
-    return config.with_settings(loss__robust=0.5 if decision.on else 0.0)
+    if not decision.on:
+        return config.with_settings(loss__structure=False)
+    return config.with_settings(loss__structure=True, loss__ssim=1.0)
 
 
 def _antialiasing(config, decision, _):
-    return config.with_settings(splatting__low_pass=0.3 if decision.on else 0.0)
+    return config.with_settings(splatting__low_pass=LOW_PASS if decision.on else 0.0)
 
 
 def _smoothness(config, decision, _):
@@ -140,10 +148,10 @@ def _smoothness(config, decision, _):
 
 
 def _noise(config, decision, measured):
-    """Noise-adaptive: the noisier the photo, the more its neighbours must agree."""
+    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree."""
     if not decision.on or config.smoothness.kind == "none":
         return config
-    factor = float(np.clip(measured.noise / RULES["noise"][1], 1.5, 8.0))
+    factor = float(np.clip(measured.unexplained**2, 1.0, 40.0)) if measured else 4.0
     return config.with_settings(smoothness__weight=min(config.smoothness.weight * factor, 100.0))
 
 
@@ -175,7 +183,7 @@ def measure(target, contexts, depth, config: Config, device, photos=None) -> Mea
         overlap=float(np.any(seen, axis=0).sum() / max(1, _sampled(surface, shape).sum())),
         hidden=_share([(s.state == 2).sum() for s in samples], [(s.state > 0).sum() for s in samples]),
         unseen=_unseen(target, contexts, samples, shape),
-        exposure_change=max(_change(s, ok, fit) for s, ok, fit in zip(samples, seen, fits)),
+        exposure_change=max(_change(s, ok) for s, ok in zip(samples, seen)),
         gloss=float(np.median([_gloss(s, ok, fit, shape) for s, ok, fit in zip(samples, seen, fits)])),
         smallest=min((float(np.median(s.size[ok])) for s, ok in zip(samples, seen) if ok.any()), default=0.5),
         plain=plain, noise=max(noise, _QUANTISATION), far_off=_far_off(samples),
@@ -200,11 +208,9 @@ def _unseen(target, contexts, samples, shape) -> float:
     return float(np.mean([max(0.0, 1 - a / (v.camera.width * v.camera.height)) for a, v in zip(area, contexts)]))
 
 
-def _change(s, ok, fit) -> float:
-    if not ok.any():
-        return 0.0
-    change = s.own[ok] * (fit[:, 0] - 1) + fit[:, 1]
-    return float(np.sqrt(np.mean(change**2)))
+def _change(s, ok) -> float:
+    """Medians: neither a highlight on part of the surface nor a wrong depth moves them."""
+    return float(np.abs(np.median(s.other[ok] - s.own[ok], axis=0)).max()) if ok.any() else 0.0
 
 
 def _gloss(s, ok, fit, shape) -> float:

@@ -13,7 +13,7 @@ from pagas_cl.reference.level import depth_threshold, loss_and_gradient, prepare
 from pagas_cl.reference.project import is_valid, median_depth, project
 
 # Every case says what it changes from settings that no tuning of a preset moves.
-BASE = Config(splatting=Splatting(radius=1.0, depth_slices=20.0),
+BASE = Config(splatting=Splatting(radius=1.0, depth_slices=20.0, depth_footprints=0.0),
               loss=Loss(ssim=0.2, gradient_weight=True, coverage_weight=True),
               smoothness=Smoothness(kind="none", weight=0.0, texture=0.8, huber=0.1, cut=1e9),
               solver=Solver(rate=0.02, damping=1e-8, final_rate=1.0, views_per_step=0), pyramid=Pyramid(steps=(60,)))
@@ -34,6 +34,7 @@ CASES = {
     "no gradient weight": dict(loss__gradient_weight=False),
     "no coverage weight": dict(loss__coverage_weight=False),
     "no weights alpha": dict(splatting__blend="alpha", loss__gradient_weight=False, loss__coverage_weight=False),
+    "structure": dict(loss__structure=True, loss__ssim=1.0),
     "unseen mask": dict(loss__unseen_mask=True),
     "grey": dict(loss__grey=True),
     "grey alpha": dict(loss__grey=True, splatting__blend="alpha"),

@@ -12,6 +12,7 @@ from pagas_cl.reference import evidence as twin
 from pagas_cl.reference.composite import candidates, nearest_surface
 from pagas_cl.reference.project import project
 from pagas_cl.runtime.device import open_device
+from pagas_cl.scene.rig import footprint
 from pagas_cl.splat.evidence import Evidence
 
 CONFIG = BALANCED.with_settings(solver__views_per_step=0)
@@ -33,7 +34,8 @@ def twin_evidence(scene: Scene, depth):
         size = context.camera.width, context.camera.height
         pairs = candidates(p, *size, CONFIG.splatting.radius)
         z_first = nearest_surface(pairs, size[0] * size[1]).reshape(size[1], size[0])
-        value, slope, inside = twin.warped(depth, scene.target, context, z_first, scene.delta(CONFIG), scene.unit)
+        value, slope, inside = twin.warped(depth, scene.target, context, z_first, max(scene.delta(CONFIG), CONFIG.splatting.depth_footprints * footprint(
+                                                   scene.target.camera, context.camera, scene.unit)), scene.unit)
         cost, information, defined = twin.weigh(value, slope, inside, twin.luma(scene.target.image))
         total += np.where(defined[..., None], np.stack([cost, np.ones_like(cost), information], axis=-1), 0)
         edge = np.abs(p.m - np.round(p.m)).min(axis=1).reshape(depth.shape) < 1e-3   # which pixel's z_first is asked

@@ -26,6 +26,7 @@ CASES = {
     "order-free unseen": (PLAIN, dict(loss__unseen_mask=True, loss__coverage_weight=False)),
     "exposure": (PLAIN, dict(loss__exposure=True)),
     "exposure grey": (PLAIN, dict(loss__exposure=True, loss__grey=True)),
+    "structure": (PLAIN, dict(loss__structure=True)),
     "robust": (PLAIN, dict(loss__robust=0.6)),
     "planar cut": (PLAIN, dict(smoothness__kind="planar", smoothness__weight=0.1, smoothness__cut=0.3)),
     "L1 only": (PLAIN, dict(loss__ssim=0.0)),

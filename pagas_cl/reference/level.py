@@ -14,7 +14,7 @@ from pagas_cl.reference.project import is_valid, median_depth, project
 from pagas_cl.reference.smooth import smoothness
 from pagas_cl.reference.step import Adam, Plateau, late_share, parallax_unit
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.rig import distance_unit
+from pagas_cl.scene.rig import distance_unit, footprint
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +107,18 @@ def prepare(initial, target: Photo, contexts: list[Photo], config: Config, unit:
                  losses.w_grad(losses.comparable(target.image, config.loss)))
 
 
+def threshold_in(target: Photo, context: Photo, config: Config, state: State) -> float:
+    """delta in the view of `context`: at least `depth_footprints` of its pixels, or a slope would hide itself."""
+    floor = config.splatting.depth_footprints * footprint(target.camera, context.camera, state.unit)
+    return max(state.delta, floor)
+
+
 def render(depth, target: Photo, context: Photo, config: Config, state: State) -> Rendered:
     """The target's Gaussians in the view of `context` (method sections 3 and 4)."""
     projected = project(depth, target.camera, context.camera, config.splatting.low_pass, state.unit)
     photo = losses.comparable(context.image, config.loss)
     colors = losses.comparable(target.exposed_as(context), config.loss)
-    return composite(projected, colors.reshape(-1, colors.shape[-1]), photo, config.splatting, state.delta)
+    return composite(projected, colors.reshape(-1, colors.shape[-1]), photo, config.splatting, threshold_in(target, context, config, state))
 
 
 def view_loss(depth, target: Photo, context: Photo, config: Config, state: State, seen_mask=None):

@@ -91,22 +91,23 @@ def blur_vjp(v_mean: np.ndarray) -> np.ndarray:
     return image
 
 
-def ssim(x: np.ndarray, y: np.ndarray, robust: float = 0.0):
+def ssim(x: np.ndarray, y: np.ndarray, robust: float = 0.0, structure: bool = False):
     """Mean SSIM of (H, W, channels) images over channels and windows inside the image, and its gradient by x.
 
-    With `robust` above 0 a window's 1 - SSIM counts as at most that.
+    With `robust` above 0 a window's 1 - SSIM counts as at most that. `structure` leaves out the luminance term.
 
     Without any such window (a side below 11 pixels) the value is 1, so that 1 - SSIM is 0, and the gradient 0.
     """
     if min(x.shape[:2]) < WINDOW:
         return 1.0, np.zeros_like(x)
     mx, my, xx, yy, xy = blur(x), blur(y), blur(x * x), blur(y * y), blur(x * y)
-    a1, a2 = 2 * mx * my + C1, 2 * (xy - mx * my) + C2
-    b1, b2 = mx**2 + my**2 + C1, (xx - mx**2) + (yy - my**2) + C2
+    luminance = 0.0 if structure else 1.0
+    a1, a2 = luminance * (2 * mx * my + C1 - 1) + 1, 2 * (xy - mx * my) + C2
+    b1, b2 = luminance * (mx**2 + my**2 + C1 - 1) + 1, (xx - mx**2) + (yy - my**2) + C2
     value = a1 * a2 / (b1 * b2)
     v_xy = 2 * a1 / (b1 * b2)
     v_xx = -value / b2
-    v_mx = 2 * my * a2 / (b1 * b2) - my * v_xy - 2 * mx * value / b1 - 2 * mx * v_xx
+    v_mx = luminance * 2 * (my * a2 / (b1 * b2) - mx * value / b1) - my * v_xy - 2 * mx * v_xx
     if robust > 0:
         kept = value >= 1 - robust
         value, v_mx, v_xx, v_xy = np.maximum(value, 1 - robust), kept * v_mx, kept * v_xx, kept * v_xy
@@ -134,7 +135,7 @@ def photometric(color: np.ndarray, coverage: np.ndarray, photo: np.ndarray, loss
     value, v_color, v_coverage = (1 - loss.ssim) * value, (1 - loss.ssim) * v_color, (1 - loss.ssim) * v_coverage
     if loss.ssim > 0:
         inside = np.ones(photo.shape[:2], bool) if mask is None else np.asarray(mask, bool)
-        similarity, v_x = ssim(np.where(inside[..., None], color, photo), photo, loss.robust)
+        similarity, v_x = ssim(np.where(inside[..., None], color, photo), photo, loss.robust, loss.structure)
         value += loss.ssim * (1 - similarity)
         v_color = v_color - loss.ssim * np.where(inside[..., None], v_x, 0.0)
     return value, v_color, v_coverage

@@ -33,16 +33,16 @@ def fit(own: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _fit_channel(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Reweighted least squares: Huber weights at 1.5 robust standard deviations."""
+    """Gain from the ratio of the deviations, so that neither photo's noise nor a depth error draws it to zero, as it
+    would in a least squares fit; reweighted with Huber weights at 1.5 robust standard deviations."""
     weight = np.ones_like(x)
     gain, offset = 1.0, 0.0
     for _ in range(_ROUNDS):
         total = weight.sum()
         mx, my = (weight * x).sum() / total, (weight * y).sum() / total
         ratio = my / mx
-        variance = (weight * (x - mx) ** 2).sum() / total
-        covariance = (weight * (x - mx) * (y - my)).sum() / total
-        gain = (covariance + _PRIOR * ratio) / (variance + _PRIOR)
+        vx, vy = (weight * (x - mx) ** 2).sum() / total, (weight * (y - my) ** 2).sum() / total
+        gain = np.sqrt((vy + _PRIOR * ratio**2) / (vx + _PRIOR))
         offset = my - gain * mx
         residual = np.abs(y - gain * x - offset)
         scale = 1.5 * 1.4826 * np.median(residual) + 1e-4

@@ -25,3 +25,10 @@ def distance_unit(cameras: list[Camera]) -> float:
     if ((to_point * axes).sum(axis=1) > 0).mean() <= 0.5:
         return float("nan")
     return float(np.median(np.linalg.norm(to_point, axis=1)))
+
+
+def footprint(target: Camera, context: Camera, unit: float) -> float:
+    """Size of a pixel of `context` where it sees the middle of the target at the depth `unit`, in units; 0 behind it."""
+    rotation, tau = context.relative_to(target)
+    z = rotation[2, 2] + tau[2] / unit
+    return max(0.0, float(z)) / float(np.sqrt(context.fx * context.fy))

@@ -70,7 +70,7 @@ class Evidence:
         for view in self.views:
             launches += project.nearest(level, view)
             launches += [bind(self.program, "warp_photo", size.grid, None, level.arena["depth"], level.arena["cameras"], view,
-                              float(level.given.threshold), level.arena["z_first"] if "z_first" in level.arena else None,
+                              float(level.threshold(view)), level.arena["z_first"] if "z_first" in level.arena else None,
                               level.given.photos[view], self._warped),
                          bind(self.program, "weigh", size.grid, None, self._warped, level.given.photos[0], size.width,
                               size.height, evidence)]

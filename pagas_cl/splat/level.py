@@ -10,6 +10,7 @@ import pyopencl as cl
 from pagas_cl.config import Config
 from pagas_cl.runtime.arena import Arena
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.rig import footprint
 from pagas_cl.splat import backward, composite, loss, project, smooth, step
 from pagas_cl.splat.options import defines
 from pagas_cl.splat.state import Size, allocate, camera_table
@@ -49,6 +50,12 @@ class LevelInput:
     @property
     def sizes(self) -> list[Size]:
         return [Size(camera.width, camera.height) for camera in self.cameras]
+
+
+def threshold_in(given: LevelInput, config: Config, view: int) -> float:
+    """delta of context view `view`, device units."""
+    floor = config.splatting.depth_footprints * footprint(given.cameras[0], given.cameras[view], given.unit)
+    return max(given.threshold, floor)
 
 
 class Level:
@@ -98,6 +105,10 @@ class Level:
     def _target_view(self) -> list:
         """The target's own view has no gradient; it counts in the loss alone."""
         return [*composite.launches(self, 0), *loss.launches(self, 0)]
+
+    def threshold(self, view: int) -> float:
+        """Depth threshold in context view `view`: at least some of its footprints, or a slope would hide itself."""
+        return threshold_in(self.given, self.config, view)
 
     @property
     def views_per_step(self) -> int:

@@ -11,6 +11,7 @@ import pyopencl as cl
 from pagas_cl.runtime.arena import Arena, BufferSpec
 from pagas_cl.runtime.program import bind, build
 from pagas_cl.splat import project
+from pagas_cl.splat.level import threshold_in
 from pagas_cl.splat.options import defines
 from pagas_cl.splat.state import camera_table
 
@@ -63,12 +64,15 @@ class Probe:
         for launch in project.before_steps(self):
             launch.enqueue(device.queue)
 
+    def threshold(self, view: int) -> float:
+        return threshold_in(self.given, self.config, view)
+
     def samples(self, view: int) -> Samples:
         """Samples of context view `view` (from 1)."""
         a, s, given = self.arena, self.config.splatting, self.given
         launches = [*project.nearest(self, view),
                     bind(build(self.device, "measure.cl", self.defines), "sample_view", (self.across * self.down,), None,
-                         a["depth"], a["unit"], a["cameras"], view, float(s.low_pass), float(given.threshold), a["z_first"],
+                         a["depth"], a["unit"], a["cameras"], view, float(s.low_pass), float(self.threshold(view)), a["z_first"],
                          given.photos[0], given.photos[view], self.stride, self.across, self.down, a["records"])]
         for launch in launches:
             launch.enqueue(self.device.queue)
