@@ -9,6 +9,9 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from pagas_cl.errors import DeviceError, need
 
 
+PATIENCE = 20  # seconds to wait for a scheduler's answer
+
+
 class Here(Executor):
     """Runs each task at once, in this process."""
 
@@ -36,7 +39,7 @@ def dask_executor(address: str) -> Executor:
     """The executor of a running Dask cluster, such as "tcp://host:8786"."""
     distributed = need("distributed", "cluster", "running on a Dask cluster")
     try:
-        client = distributed.Client(address, timeout=20, set_as_default=False)
+        client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise DeviceError(f"no Dask scheduler answers at {address!r} ({str(error).splitlines()[0]}): start one with "
                           "'dask scheduler' and workers with 'dask worker --nthreads 1 ADDRESS'") from error
