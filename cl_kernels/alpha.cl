@@ -42,7 +42,7 @@ void composite_alpha(__global const uchar4 *target_photo, __global const float *
                      __global int *heads, __global const int2 *links, __global float *alphas, __global int *crowded,
                      int count, int width, int height, float threshold, float relative, __global float *rendered)
 {
-    __local uint4 tile[TILE_BINS];
+    __local uint4 tile[2 * TILE_BINS];
     const int column = get_global_id(0), row = get_global_id(1), pixel = row * width + column;
     load_bins(heads, links, target_photo, width, height, tile);
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -50,7 +50,7 @@ void composite_alpha(__global const uchar4 *target_photo, __global const float *
         return;
     __local const uint4 *bins = tile + get_local_id(1) * TILE_BINS_W + get_local_id(0);
     Few few;
-    if (!gather_few(bins, links, alphas, count, &few)) {
+    if (!gather_few(bins, alphas, count, &few)) {
         crowded[1 + atomic_inc(&heads[(width + SIDE) * (height + SIDE)])] = pixel;      // counts from -1
         return;
     }
@@ -60,7 +60,7 @@ void composite_alpha(__global const uchar4 *target_photo, __global const float *
     for (int k = 0; k < FEW; ++k) {
         const float alpha = few_alpha(&few, k, threshold, relative, &limit);
         if (alpha > 0.0f)
-            color += few_color(&few, few.key[k], bins, target_photo, exposure, view) * (alpha * transmittance);
+            color += few_color(few.key[k], bins, exposure, view) * (alpha * transmittance);
         transmittance *= 1.0f - alpha;
     }
     store_blend(color, 1.0f - transmittance, pixel, rendered);
@@ -71,7 +71,7 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
                          __global const int *heads, __global const int2 *links, __global float *alphas, int count,
                          int width, int height, float threshold, float relative, __global const float *upstream)
 {
-    __local uint4 tile[TILE_BINS];
+    __local uint4 tile[2 * TILE_BINS];
     const int column = get_global_id(0), row = get_global_id(1), pixel = row * width + column;
     load_bins(heads, links, target_photo, width, height, tile);
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -79,7 +79,7 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
         return;
     __local const uint4 *bins = tile + get_local_id(1) * TILE_BINS_W + get_local_id(0);
     Few few;
-    if (!gather_few(bins, links, alphas, count, &few))
+    if (!gather_few(bins, alphas, count, &few))
         return;
     float v_coverage, alpha[FEW], open[FEW], own[FEW], transmittance = 1.0f, limit = INFINITY;
     const color_t v_color = load_upstream(upstream, pixel, &v_coverage);
@@ -88,18 +88,16 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
         alpha[k] = few_alpha(&few, k, threshold, relative, &limit);
         own[k] = 0.0f;
         if (alpha[k] > 0.0f)
-            own[k] = dot(v_color, few_color(&few, few.key[k], bins, target_photo, exposure, view));
+            own[k] = dot(v_color, few_color(few.key[k], bins, exposure, view));
         open[k] = transmittance;
         transmittance *= 1.0f - alpha[k];
     }
     float behind_color = 0.0f, behind_open = 1.0f;
 #pragma unroll
     for (int k = FEW - 1; k >= 0; --k) {
-        if (few.key[k] != NO_KEY) {
-            const int slot = (int)((uint)few.key[k] & 15u), i = (int)((uint)few.key[k] >> 4);
-            *alpha_place(alphas, count, slot == BEYOND ? few.bin : slot, i) =
+        if (few.key[k] != NO_KEY)
+            *alpha_place(alphas, count, few_bin(few.key[k]), few_index(few.key[k])) =
                 alpha[k] > 0.0f ? open[k] * (own[k] - behind_color + v_coverage * behind_open) : 0.0f;
-        }
         behind_color = alpha[k] * own[k] + (1.0f - alpha[k]) * behind_color;
         behind_open *= 1.0f - alpha[k];
     }

@@ -135,7 +135,7 @@ void loss_backward(__global const stored_t *rendered, __global const uchar4 *pho
     __local float ys[CHANNELS * TILE_H * TILE_W] __attribute__((aligned(16)));
     __local float sums[3 * TILE_H * STRIDE] __attribute__((aligned(16)));
     load_colors(rendered, photo, left, top, width, height, xs, ys);
-    for (int c = 0; c < CHANNELS; ++c) {
+    for (int c = 0; c < CHANNELS && ssim_scale > 0.0f; ++c) {
         const int place = c * TILE_H * TILE_W;
         ssim_backward(partials + MARGIN + c * 3 * pitch * height, left, top, width, height, pitch, ssim_scale, sums,
                       xs + place, ys + place);
@@ -173,7 +173,8 @@ void loss_backward(__global const stored_t *rendered, __global const uchar4 *pho
 #endif
             by[c] = l1_scale * (1.0f / CHANNELS) * full_weight * slope;
 #ifdef SSIM
-            by[c] += LOAD_COLUMNS(xs + (c * TILE_H + row) * TILE_W + column);
+            if (ssim_scale > 0.0f)
+                by[c] += LOAD_COLUMNS(xs + (c * TILE_H + row) * TILE_W + column);
 #endif
             by[c] = select(ZERO, by[c], r.live);
         }

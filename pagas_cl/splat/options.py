@@ -8,7 +8,7 @@ from pagas_cl.config import Config
 
 SLOTS = 12                # candidates that a pixel sorts at a time where they are many (lists.clh)
 LIST_GROUP = 128          # work-items that do so side by side: 16 bytes a slot, 24 kB of local memory
-FEW_GROUP = (32, 8)       # work-items that share bins where candidates are few (few.clh)
+FEW_GROUP = (16, 8)       # work-items that share bins where candidates are few (few.clh)
 
 
 def reach(radius: float) -> int:
