@@ -17,7 +17,7 @@ from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError
 from pagas_cl.jobs import refine_all
 from pagas_cl.jobs import identity
 from pagas_cl.jobs.photos import PhotoMemory
-from pagas_cl.jobs.plan import along_curve, in_batches, make_tasks, on_disk
+from pagas_cl.jobs.plan import Planner, along_curve, groups, on_disk
 from pagas_cl.jobs.store import DepthFile, Store
 from pagas_cl.jobs.task import Batch
 from pagas_cl.refine import refine_one, refine_views
@@ -192,8 +192,8 @@ def test_keys_follow_every_input(scene, monkeypatch):
     def keys(views=views, depths=depths, config=QUICK):
         store = Store(scene.parent / "store")
         kept = [store.put(depth) for depth in depths]
-        tasks, _ = make_tasks(on_disk(views, store), kept, depths, list(range(8)), config, refine_one)
-        return [task.key for task in tasks]
+        planner = Planner(on_disk(views, store), kept, depths, config, refine_one)
+        return [planner.task(k).key for k in range(8)]
 
     first = keys()
     assert first == keys() and len(set(first)) == 8
@@ -258,22 +258,25 @@ def test_neighbours_follow_one_another():
     assert np.median(step) < 2 * np.pi * 4 / 256 * 1.01 and step.sum() < 6 * 2 * np.pi * 4
 
 
-def test_batches_hold_every_view_once_and_workers_have_stretches_of_their_own(scene):
+def test_groups_hold_every_view_once_and_workers_have_stretches_of_their_own():
     cameras = ring(400)
-    views = [View(camera, np.zeros((120, 160, 3), np.uint8), None, camera.name) for camera in cameras]
-    depths = [np.full((120, 160), 4, np.float32)] * 400
-    chooser = PartnerChooser(cameras, depths, QUICK.context)
-    from pagas_cl.jobs.task import ViewTask
+    views = [View(camera, "none.png", None, camera.name) for camera in cameras]
+    chooser = PartnerChooser(cameras, [np.full((120, 160), 4, np.float32)] * 400, QUICK.context)
+    parts = groups(list(range(400)), views, 4)
+    assert sorted(k for part in parts for k in part) == list(range(400)) and 4 * 8 <= len(parts) <= 4 * 10
+    photos = [{i for part in parts[k::4] for target in part for i in chooser.choose(target).all} for k in range(4)]
+    assert max(map(len, photos)) < 130  # given out in turn: 100 of its own, and some at the ends
+    assert groups([7], views, 64) == [[7]]
 
-    tasks = [ViewTask(v.name, v.stem, chooser.choose(k), None, "") for k, v in enumerate(views)]
-    template = Batch(None, {}, {}, (), QUICK, scene, None, "")
-    batches = in_batches(tasks, views, dict.fromkeys(range(400), ""), 4, template)
-    assert sorted(t.name for b in batches for t in b.tasks) == [v.name for v in views]
-    assert 4 * 8 <= len(batches) <= 4 * 10
-    own = [{t.name for b in batches[k::4] for t in b.tasks} for k in range(4)]  # given out in turn
-    photos = [len({i for b in batches[k::4] for i in b.views}) for k in range(4)]
-    assert sum(map(len, own)) == 400 and max(photos) < 130  # 100 of its own, and some at the ends
-    assert batches[0].only(batches[0].tasks[:1]).views.keys() == set(batches[0].tasks[0].partners.all)
+
+def test_a_batch_can_be_cut_down(scene, tmp_path):
+    views, depths = load_small_scene(scene)
+    store = Store(tmp_path)
+    planner = Planner(views, [store.put(depth) for depth in depths], depths, QUICK, refine_one)
+    template = Batch(refine_one, {}, {}, (), QUICK, tmp_path, None, "")
+    batch = planner.batch([planner.task(k) for k in range(3)], template)
+    one = batch.only(batch.tasks[:1])
+    assert one.views.keys() == one.digests.keys() == set(batch.tasks[0].partners.all) < batch.views.keys()
 
 
 CLAIM = """

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections import deque
+from collections.abc import Iterable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, wait
+from pathlib import Path
 
 from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError
 from pagas_cl.jobs.executors import Here
@@ -24,33 +27,43 @@ class Run:
     Parameters
     ----------
     executor : Executor
+    folder : Path
+        Where results go.
     renew : callable returning an Executor, or None
         Makes a new one when the present one has broken (a process of a pool was killed).
     on_record : callable(Record)
         Called for each view, done or given up.
     """
 
-    def __init__(self, executor: Executor, renew, on_record):
-        self.executor, self.renew, self.on_record = executor, renew, on_record
+    def __init__(self, executor: Executor, folder: Path, renew, on_record):
+        self.executor, self.folder, self.renew, self.on_record = executor, folder, renew, on_record
         self._queue: deque[Batch] = deque()
         self._waiting: dict = {}
         self._errors: dict[str, list[Record]] = {}
         self._done, self._given_up, self._refused = 0, 0, 0
 
-    def finish(self, batches: list[Batch]) -> None:
-        """Work through `batches`."""
-        self._queue.extend(batches)
-        most = 1 if isinstance(self.executor, Here) else None
+    def finish(self, batches: Iterable[Batch]) -> None:
+        """Work through `batches`, which may be planned while others are at work."""
+        source, most = iter(batches), 1 if isinstance(self.executor, Here) else math.inf
         try:
-            while self._queue or self._waiting:
-                while self._queue and (most is None or len(self._waiting) < most):
-                    self._send(self._queue.popleft())
-                for future in wait(self._waiting, return_when=FIRST_COMPLETED).done:
-                    if future in self._waiting:
-                        self._receive(future, self._waiting.pop(future))
+            while True:
+                while len(self._waiting) < most:
+                    batch = self._queue.popleft() if self._queue else next(source, None)
+                    if batch is None:
+                        break
+                    self._send(batch)
+                    self._receive_done(0)
+                if not self._waiting and not self._queue:
+                    break
+                self._receive_done(None)
         except BaseException:
-            self._ask_to_stop(batches[0])
+            self._ask_to_stop()
             raise
+
+    def _receive_done(self, timeout) -> None:
+        for future in wait(self._waiting, timeout, FIRST_COMPLETED).done:
+            if future in self._waiting:
+                self._receive(future, self._waiting.pop(future))
 
     def close(self) -> None:
         """End the executor, without the batches that have not begun."""
@@ -116,7 +129,7 @@ class Run:
         log.warning("a worker process was lost; its views are given to a new one")
         self.executor.shutdown(wait=True)
         self.executor = self.renew()
-        begun = attempts(unfinished[0].folder)
+        begun = attempts(self.folder)
         for batch in unfinished:
             self._again(batch, begun)
 
@@ -142,11 +155,11 @@ class Run:
             raise kind(f"the first {HOPELESS} views have all failed, the last one, {record.name}: {record.error}")
         self.on_record(record)
 
-    def _ask_to_stop(self, batch: Batch) -> None:
+    def _ask_to_stop(self) -> None:
         """Let every worker end after its present view."""
         for future in self._waiting:
             future.cancel()
         try:
-            (work_folder(batch.folder) / STOP).touch()
+            (work_folder(self.folder) / STOP).touch()
         except OSError as error:
             log.warning("workers cannot be asked to stop: %s", error)

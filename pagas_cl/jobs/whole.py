@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import shutil
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,10 @@ from pagas_cl.jobs.disk import clear_parts, told_as_output_error
 from pagas_cl.jobs.executors import Here, dask_executor, local_pool, worker_count
 from pagas_cl.jobs.finished import StoredResult, find_finished, work_folder
 from pagas_cl.jobs.identity import code_version
-from pagas_cl.jobs.plan import in_batches, make_tasks, on_disk
+from pagas_cl.jobs.plan import Planner, groups, on_disk
 from pagas_cl.jobs.run import Run
 from pagas_cl.jobs.store import Store
-from pagas_cl.jobs.task import Batch
+from pagas_cl.jobs.task import Batch, Record
 from pagas_cl.jobs.worker import STOP, close_benches
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.partners import for_planning
@@ -61,23 +62,20 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
             return [result if isinstance(result, DepthResult) else result.loaded() for result in results]
     folder = Path(folder).resolve()
     store = Store(work_folder(folder) / "inputs")
-    samples = [_sample(depth, len(views)) for depth in depths]
+    with ThreadPoolExecutor(8) as readers:
+        samples = list(readers.map(lambda depth: _sample(depth, len(views)), depths))
     asked = [k for k in asked if _has_surface(samples[k])]
     if not asked:
         raise InputError("no view has a depth map with a valid pixel: nothing to refine")
-    stored = on_disk(views, store)
     kept = [store.put(depth) if isinstance(depth, np.ndarray) else depth for depth in depths]
-    tasks, digests = make_tasks(stored, kept, samples, asked, config, work)
+    planner = Planner(on_disk(views, store), kept, samples, config, work)
     pipeline, renew, own = _executor(executor, device)
     template = Batch(work, {}, {}, (), config, folder, _sent_device(device, pipeline), code_version(), extras)
-    collect = _Collect(tasks, views, kept, folder, progress, on_view)
+    collect = _Collect(asked, views, folder, progress, on_view)
     _make_ready(folder)
-    run = Run(pipeline, renew, collect)
+    run = Run(pipeline, folder, renew, collect)
     try:
-        todo = [task for task in tasks if not collect.earlier(find_finished(folder, task, extras))]
-        collect.tell_earlier()
-        if todo:
-            run.finish(in_batches(todo, stored, digests, worker_count(pipeline), template))
+        run.finish(_unfinished(planner, groups(asked, views, worker_count(pipeline)), template, collect))
     finally:
         if own:
             run.close()
@@ -86,45 +84,64 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
     return collect.results()
 
 
+def _unfinished(planner: Planner, parts, template: Batch, collect: _Collect):
+    """Batches of what no earlier run has finished, each planned when it is asked for."""
+    kept = 0
+    for part in parts:
+        todo = []
+        for index in part:
+            try:
+                task = planner.task(index)
+            except InputError as error:  # a photo that has gone meanwhile
+                name = planner.views[index].name
+                log.error("view %s is left out: %s", name, error)
+                collect(Record(name, "", "", error=str(error), bad_input=True))
+                continue
+            record = find_finished(template.folder, task, template.extras)
+            collect.planned(task)
+            if record is None:
+                todo.append(task)
+            else:
+                kept += 1
+                collect(record)
+        if todo:
+            yield planner.batch(todo, template)
+    if kept:
+        log.info("%d of %d views were finished by an earlier run and are kept", kept, len(collect.asked))
+
+
 class _Collect:
-    """Takes the records as they come, tells of them in order."""
+    """Takes the records as they come, tells of them in the order of the views."""
 
-    def __init__(self, tasks, views, depths, folder, progress, on_view):
-        self.tasks, self.views, self.depths, self.folder = tasks, views, depths, folder
+    def __init__(self, asked, views, folder, progress, on_view):
+        self.asked, self.views, self.folder = asked, views, folder
         self.progress, self.on_view = progress or (lambda stage, done, total: None), on_view
-        self.records, self._told = {}, 0
+        self.tasks, self.records, self._told = {}, {}, 0
+        self.progress("refine", 0, len(asked))
 
-    def earlier(self, record) -> bool:
-        """Take the record of an earlier run; whether there is one."""
-        if record is not None:
-            self.records[record.name] = record
-        return record is not None
-
-    def tell_earlier(self) -> None:
-        if self.records:
-            log.info("%d of %d views were finished by an earlier run and are kept", len(self.records), len(self.tasks))
-        self._tell()
+    def planned(self, task) -> None:
+        self.tasks[task.partners.target] = task
 
     def __call__(self, record) -> None:
         self.records[record.name] = record
-        self._tell()
-
-    def _tell(self) -> None:
-        self.progress("refine", len(self.records), len(self.tasks))
-        while self.on_view and self._told < len(self.tasks) and self.tasks[self._told].name in self.records:
-            task = self.tasks[self._told]
+        self.progress("refine", len(self.records), len(self.asked))
+        while self.on_view and self._told < len(self.asked):
+            index = self.asked[self._told]
+            if self.views[index].name not in self.records:
+                break
             self._told += 1
-            self.on_view(self.views[task.partners.target], task.depth.load(), self._result(task))
+            if index in self.tasks:
+                self.on_view(self.views[index], self.tasks[index].depth.load(), self._result(index))
 
     def results(self) -> list:
         failed = [record for record in self.records.values() if record.error]
-        if failed and len(failed) == len(self.tasks):
+        if failed and len(failed) == len(self.asked):
             kind = InputError if all(record.bad_input for record in failed) else PagasError
             raise kind(f"every view has failed; {failed[0].name}: {failed[0].error}")
-        return [self._result(task) for task in self.tasks]
+        return [self._result(index) for index in self.asked]
 
-    def _result(self, task):
-        record, camera = self.records[task.name], self.views[task.partners.target].camera
+    def _result(self, index: int):
+        record, camera = self.records[self.views[index].name], self.views[index].camera
         return DepthResult.missing(camera, record.error) if record.error else StoredResult(camera, self.folder, record)
 
 
