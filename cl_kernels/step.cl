@@ -30,24 +30,34 @@ __kernel void adam(__global float *depth, __global float *gradient, __global flo
     depth[i] = fmax(d - change, NEAR);
 }
 
-#define ADD_GROUP 64                     // as in splat/loss.py
+#define ADD_GROUP 256                    // as in splat/loss.py
 
-// Sum the partial losses of one view; in whole numbers, so that the order does not matter.
-__kernel __attribute__((reqd_work_group_size(ADD_GROUP, 1, 1)))
-void add_loss(__global const long *partials, int count, float scale, __global float *state)
+// Sum of partial losses over the work-group, for its first work-item.
+long sum_partials(__global const long *partials, int count, __local long *scratch)
 {
-    __local long scratch[ADD_GROUP];
     const int lane = get_local_id(0);
     long sum = 0;
     for (int k = lane; k < count; k += ADD_GROUP)
         sum += partials[k];
-    scratch[lane] = sum;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (lane == 0) {
-        for (int k = 1; k < ADD_GROUP; ++k)
-            sum += scratch[k];
-        state[LOSS] += (float)sum * (1.0f / 4294967296.0f) * scale;
+    for (int apart = ADD_GROUP / 2; apart > 0; apart /= 2) {
+        scratch[lane] = sum;
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (lane < apart)
+            sum += scratch[lane + apart];
+        barrier(CLK_LOCAL_MEM_FENCE);
     }
+    return sum;
+}
+
+// Add the loss of one view, SSIM and L1; in whole numbers, so that the order does not matter.
+__kernel __attribute__((reqd_work_group_size(ADD_GROUP, 1, 1)))
+void add_loss(__global const long *ssim, int ssim_count, float ssim_scale, __global const long *l1, int l1_count,
+              float l1_scale, __global float *state)
+{
+    __local long scratch[ADD_GROUP];
+    const long ssim_sum = sum_partials(ssim, ssim_count, scratch), l1_sum = sum_partials(l1, l1_count, scratch);
+    if (get_local_id(0) == 0)
+        state[LOSS] += ((float)ssim_sum * ssim_scale + (float)l1_sum * l1_scale) * (1.0f / 4294967296.0f);
 }
 
 // The rate falls by 10 when the loss has not improved for `patience` steps; the level ends at `floor`.

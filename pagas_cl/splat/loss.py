@@ -8,7 +8,7 @@ from pagas_cl.runtime.program import bind, build
 from pagas_cl.splat import ssim
 from pagas_cl.splat.tile import pitch
 
-ADD_GROUP = 64            # as in step.cl
+ADD_GROUP = 256           # as in step.cl
 
 
 def launches(level, view: int) -> list:
@@ -21,22 +21,21 @@ def launches(level, view: int) -> list:
     l1_scale = (1 - share) * n / size.pixels / views
     ssim_scale = share * n / (prod(windows) * channels) / views if prod(windows) else 0.0
     seen = a[f"seen{view - 1}"] if level.config.loss.unseen_mask and view else None
-    out = []
-    if share > 0:
-        forward = ssim.launches(level, view)
-        out += forward + (_sum(level, level.ssim_tile.groups(*windows), ssim_scale / n) if forward else [])
     program = build(level.device, "loss.cl", (*level.defines, *tile.defines))
-    out.append(bind(program, "loss_backward", tile.grid(*size.grid), (tile.group, 1), a["rendered"], photo, size.width,
+    # the target's own view has no gradient: nothing of SSIM is passed back
+    backward = bind(program, "loss_backward", tile.grid(*size.grid), (tile.group, 1), a["rendered"], photo, size.width,
                     size.height, pitch(size.width), a["partials"] if share > 0 else None, seen, float(l1_scale),
-                    float(ssim_scale), a["upstream"], a["losses"] if "losses" in a else None))
-    return out + _sum(level, tile.groups(*size.grid), l1_scale / n)
+                    float(ssim_scale if view else 0.0), a["upstream"], a["losses"] if "losses" in a else None)
+    forward = ssim.launches(level, view) if share > 0 else []
+    return [*forward, backward, *_sum(level, size, ssim_scale / n if forward else 0.0, l1_scale / n)]
 
 
-def _sum(level, groups: tuple[int, int], scale: float) -> list:
+def _sum(level, size, ssim_scale: float, l1_scale: float) -> list:
     """Add the tiles' losses to the schedule's, where it follows the loss."""
     a = level.arena
     if "losses" not in a:
         return []
-    program = build(level.device, "step.cl", level.defines)
-    return [bind(program, "add_loss", (ADD_GROUP,), (ADD_GROUP,), a["losses"], prod(groups), float(scale),
+    windows = prod(level.ssim_tile.groups(*ssim.windows(size))) if ssim_scale else 0
+    return [bind(build(level.device, "step.cl", level.defines), "add_loss", (ADD_GROUP,), (ADD_GROUP,), a["ssim_losses"],
+                 windows, float(ssim_scale), a["losses"], prod(level.loss_tile.groups(*size.grid)), float(l1_scale),
                  a["state"])]

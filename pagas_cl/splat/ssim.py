@@ -17,6 +17,6 @@ def launches(level, view: int) -> list:
     if 0 in windows(size):
         return []
     program = build(level.device, "ssim.cl", (*level.defines, *tile.defines))
-    losses = a["losses"] if "losses" in a else None
+    losses = a["ssim_losses"] if "losses" in a else None
     return [bind(program, "ssim_forward", tile.grid(*windows(size)), (tile.group, 1), a["rendered"], photo, size.width,
                  size.height, pitch(size.width), a["partials"], losses)]

@@ -76,7 +76,8 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
         specs += [BufferSpec(f"seen{k}", (size.pixels // 32 + 2,), np.uint32) for k, size in enumerate(contexts[:masked])]
     if config.solver.patience > 0:
         groups = max(prod(tile.groups(*size.grid)) for size in (*contexts, target) for tile in used)
-        specs += [BufferSpec("losses", (groups,), np.int64), BufferSpec("history", (max(config.pyramid.steps) + 1,), np.float32)]
+        specs += [BufferSpec(name, (groups,), np.int64) for name in ("losses", "ssim_losses")]
+        specs += [BufferSpec("history", (max(config.pyramid.steps) + 1,), np.float32)]
     return specs
 
 
