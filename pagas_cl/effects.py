@@ -62,7 +62,17 @@ class Measurements:
     @property
     def unexplained(self) -> float:
         """What the photos show that no depth explains, against what the default smoothness is made for."""
-        return max(self.noise / 0.004, min(self.gloss, 0.1) / 0.025)
+        return max(self.noise / 0.004, min(self.residual, 0.1) / 0.033)
+
+    @property
+    def spread(self) -> float:
+        """By how much depth errors exceed what the sharpness of the match alone tells; calibrated on scenes with truth."""
+        return max(1.0, self.unexplained) ** 2
+
+    @property
+    def residual(self) -> float:
+        """gloss; 0 where the depth is too far off for the photos to be compared through it."""
+        return 0.0 if self.far_off > RULES["pyramid"][1] else self.gloss
 
     @property
     def exposure(self) -> np.ndarray:
@@ -86,10 +96,10 @@ class Decision:
 
 # effect: (evidence, threshold, whether above it calls for the effect, what is measured)
 RULES = {
-    "occlusion": ("hidden", 0.015, True, "share of Gaussians hidden by a nearer surface"),
+    "occlusion": ("hidden", 0.002, True, "share of Gaussians hidden by a nearer surface"),
     "unseen_mask": ("unseen", 0.02, True, "share of a context photo that the target does not reach"),
     "exposure": ("exposure_change", 0.012, True, "difference of colour between photos (0 to 1)"),
-    "view_dependence": ("gloss", 0.035, True, "residual left after exposure (0 to 1)"),
+    "view_dependence": ("residual", 0.035, True, "residual left after exposure (0 to 1)"),
     "antialiasing": ("smallest", 0.36, False, "smallest projected Gaussian, pixels"),
     "smoothness": ("plain", 0.01, True, "share of pixels with little texture"),
     "noise": ("unexplained", 1.4, True, "noise and residual, of what the default weight allows for"),

@@ -98,17 +98,19 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
     if not contexts:
         return DepthResult.unrefined(target.camera, depth, "no context views were given")
     start, photos = time.perf_counter(), photos or PhotoStore(device)
-    config, decisions, exposure = settle(target, contexts, depth, config, device, photos)
+    config, decisions, measured = settle(target, contexts, depth, config, device, photos)
     refined = refine_levels(target, contexts, depth, config, device, photos, _steps_of(progress, target), witness,
-                            exposure)
+                            measured.exposure if config.loss.exposure else None)
     report = {"contexts": [view.name for view in contexts], "witness": witness.name if witness else None,
-              "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost, "witness_cost": refined.witness,
-              "device_bytes": refined.device_bytes, "seconds": time.perf_counter() - start}
+              "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
+              "witness_cost": refined.witness, "device_bytes": refined.device_bytes,
+              "seconds": time.perf_counter() - start}
     harm = _harm(refined, witness)
     if harm:
         log.warning("view %s is kept as it came: %s", target.name, harm)
         return DepthResult.unrefined(target.camera, depth, harm, report)
-    return DepthResult(target.camera, refined.depth, refined.status, refined.deviation, refined.parallax, "", report)
+    deviation = refined.deviation * np.float32(measured.spread if measured else 1)
+    return DepthResult(target.camera, refined.depth, refined.status, deviation, refined.parallax, "", report)
 
 
 def refine_views(views: list[View], depths, *, names=None, config=None, preset="balanced", device=None, progress=None,
@@ -174,7 +176,7 @@ def refine_one(views, partners: Partners, depth, config: Config, device, photos)
 
 
 def settle(target: View, contexts: list[View], depth, config: Config, device, photos):
-    """Decide which effects this view calls for: the settings that follow, the decisions, the exposure of each view."""
+    """Decide which effects this view calls for: the settings that follow, the decisions, and what they rest on."""
     if all(choice in ("set", "off") for choice in vars(config.effects).values()) and not config.loss.exposure:
         return *decide(config, None), None
     measured = measure(target, contexts, depth, config, device, photos)
@@ -182,7 +184,7 @@ def settle(target: View, contexts: list[View], depth, config: Config, device, ph
     for decision in decisions:
         log.debug("view %s: %s %s (%.4g, threshold %.4g)", target.name, decision.effect, "on" if decision.on else "off",
                   decision.evidence, decision.threshold)
-    return config, decisions, measured.exposure if config.loss.exposure else None
+    return config, decisions, measured
 
 
 def initial_depths(surface, views: list[View], progress=None, keep=None) -> list:

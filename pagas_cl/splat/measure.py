@@ -17,7 +17,7 @@ from pagas_cl.splat.state import camera_table
 
 SHIFTS = np.array([-4, -2, -1, 0, 1, 2, 4], np.float32)      # pixels of parallax, as in measure.cl
 _RECORD = 8 + len(SHIFTS)
-_MOST_SAMPLES = 16384
+_MOST_SAMPLES = 4096
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
     python tests/bench/effects.py [--width 288] [--device NAME] [--out FILE.md]
 
-Errors are means over the target's pixels away from discontinuities, in pixels of parallax, and of normals in degrees;
+Errors are means over the target's pixels, in pixels of parallax, and of normals in degrees;
 times are those of the steps alone, the best of three runs.
 """
 
@@ -41,6 +41,8 @@ def without_mask(views):
 def run(made, views, config, device):
     """Depth, seconds of the steps, and the decisions, for the target of a made scene."""
     photos, depth = PhotoStore(device), made.initial_depth(made.cameras[0])
+    if made.relief.foreground:
+        depth = bloated(depth, 12)
     target, *contexts = views
     measured = measure(target, contexts, depth, config, device, photos)
     config, decisions = decide(config, measured)
@@ -52,10 +54,19 @@ def run(made, views, config, device):
     return refined.depth, best, {d.effect: d for d in decisions}
 
 
+def bloated(depth, pixels):
+    """The depth map grown beyond its outline, as the mesh of a reconstructor is that knows no mask."""
+    for _ in range(pixels):
+        padded = np.pad(depth, 1, mode="edge")
+        around = np.stack([padded[1:-1, :-2], padded[1:-1, 2:], padded[:-2, 1:-1], padded[2:, 1:-1]])
+        depth = np.where(depth > 0, depth, around.max(axis=0))
+    return depth
+
+
 def errors(made, depth):
     report = compare_depth(depth, made.true_depth(made.cameras[0]), made.cameras[0], parallax=made.relief.parallax,
                            true_normals=made.true_normals(made.cameras[0]))
-    return report.smooth.mean_parallax, report.smooth.normal_mean
+    return report.all.mean_parallax, report.all.normal_mean
 
 
 def row(name, width, contexts, device, config):
