@@ -37,6 +37,8 @@ class Study:
     device : str
     left_out : list of str
         Settings for which the budget did not suffice.
+    records : list of dict
+        Every run.
     """
 
     points: list[Point]
@@ -45,6 +47,7 @@ class Study:
     proxy: float
     device: str
     left_out: list[str] = field(default_factory=list)
+    records: list[dict] = field(default_factory=list, repr=False)
 
     @property
     def front(self) -> list[Point]:
@@ -96,7 +99,7 @@ def measure(benches: list[Bench], settings: list[Setting] | None = None, *, budg
     book = Book(None if report is None else Path(report), device.info.title)
     initial = {bench.name: score(bench, bench.initial) for bench in benches}
     left_out = _fill(book, benches, settings, device, budget, repeats, workers, progress)
-    study = _study(book.records, settings, initial, benches, device, left_out)
+    study = collect(book.records, settings, initial, str(device.info), left_out)
     if report is not None:
         from pagas_cl.tradeoffs.page import write_report
 
@@ -104,14 +107,15 @@ def measure(benches: list[Bench], settings: list[Setting] | None = None, *, budg
     return study
 
 
-def _study(records, settings, initial, benches, device, left_out) -> Study:
-    points = summarise(settings, records, initial, [bench.name for bench in benches])
+def collect(records, settings, initial: dict, device: str, left_out=()) -> Study:
+    """The study that `records` make of `settings` on the benches that `initial` names (a part of them, say)."""
+    points = summarise(settings, records, initial, list(initial))
     figure = "depth" if all("depth" in scores for scores in initial.values()) else "unpredicted"
     points = sorted(points, key=lambda p: p.seconds)
     marks = pareto([p.seconds for p in points], [p.error(figure) for p in points]) if points else []
     proxy = rank_correlation(*([p.error(which) for p in points] for which in ("depth", "unpredicted")))
     return Study([replace(p, on_front=bool(mark)) for p, mark in zip(points, marks)], figure, initial, proxy,
-                 str(device.info), left_out)
+                 device, list(left_out), list(records))
 
 
 def _fill(book, benches, settings, device, budget, repeats, workers, progress) -> list[str]:

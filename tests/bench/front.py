@@ -29,7 +29,7 @@ from pagas_cl.tradeoffs.front import fitted_exponent
 from pagas_cl.tradeoffs.page import markdown, notes
 from pagas_cl.tradeoffs.plan import fixed, front_plan
 from pagas_cl.tradeoffs.score import score
-from pagas_cl.tradeoffs.study import measure
+from pagas_cl.tradeoffs.study import collect, measure
 
 PARTS = ("front", "ablation", "scaling", "prediction", "sampling")
 
@@ -51,27 +51,29 @@ def _depth(folder, view):
 
 
 def front(benches, out, device, given):
-    """The plan on every scene: a table and a plot of each, and of all with truth together."""
-    with_truth = [bench for bench in benches if bench.truth is not None]
-    settings = [s for s in front_plan() if not given.only or s.group in given.only]
-    lines = []
-    for name, some in [*((b.name, [b]) for b in benches), ("all with truth", with_truth)]:
-        study = measure(some, settings, device=device, report=out / "front" / name.split("/")[0].replace(" ", "_"),
-                        repeats=given.repeats, workers=given.workers)
-        lines += [f"## {name}", "", *notes(study), "", markdown(study.points)]
+    """The plan on every scene: a table of each, and of all with truth together."""
+    settings, lines = [s for s in front_plan() if not given.only or s.group in given.only], []
+    for name, some in (("truth", [b for b in benches if b.truth is not None]), ("photos", [b for b in benches if b.truth is None])):
+        if not some:
+            continue
+        study = measure(some, settings, device=device, report=out / "front" / name, repeats=given.repeats, workers=given.workers)
+        parts = [study] + [collect(study.records, settings, {b.name: study.initial[b.name]}, study.device) for b in some]
+        for part in parts if len(some) > 1 else parts[:1]:
+            lines += [f"## {', '.join(part.initial)}", "", *notes(part), "", markdown(part.points)]
     return lines
 
 
 def ablation(benches, out, device, given):
-    """The paper's ablation of both bases, on every scene with truth."""
-    lines = []
-    for bench in (b for b in benches if b.truth is not None):
-        for base in ("paper", "balanced"):
-            study = measure([bench], ablation_plan(base), device=device, repeats=given.repeats, workers=given.workers,
-                            report=out / "ablation" / f"{bench.name.split('/')[0]}_{base}")
-            order = {s.name: k for k, s in enumerate(ablation_plan(base))}
-            rows = sorted(study.points, key=lambda p: order[p.name])
-            lines += [f"## {bench.name}, {base}", "", notes(study)[0], "", ablation_table(rows)]
+    """The paper's ablation of both bases, over the scenes with truth."""
+    lines, some = [], [b for b in benches if b.truth is not None]
+    for base in ("paper", "balanced"):
+        settings = ablation_plan(base)
+        study = measure(some, settings, device=device, repeats=given.repeats, report=out / "ablation" / base,
+                        workers=given.workers)
+        order = {s.name: k for k, s in enumerate(settings)}
+        for part in [study] + [collect(study.records, settings, {b.name: study.initial[b.name]}, study.device) for b in some]:
+            rows = sorted(part.points, key=lambda p: order[p.name])
+            lines += [f"## {base}: {', '.join(part.initial)}", "", notes(part)[0], "", ablation_table(rows)]
     return lines
 
 
@@ -86,11 +88,11 @@ def scaling(benches, out, device, given):
         times.append(_seconds(big, base.with_settings(pyramid__steps=(200,)), device))
     lines = [_line("pixels", sizes, times)]
     big = resized(bench, given.scale, 12)
-    big = replace(big, contexts=(big.contexts * 16)[:16])
-    for name, unit, values, change in (
-            ("steps", "steps", (100, 200, 400, 800, 1600), lambda n: base.with_settings(pyramid__steps=(n,))),
-            ("views", "context views, all in every step", (1, 2, 4, 8, 16),
-             lambda n: base.with_settings(context__number=n, solver__views_per_step=0, pyramid__steps=(100,)))):
+    big = replace(big, contexts=(big.contexts * 64)[:64])
+    for unit, values, change in (
+            ("steps", (100, 200, 400, 800, 1600), lambda n: base.with_settings(pyramid__steps=(n,))),
+            ("context views, all in every step", (4, 8, 16, 32, 64),
+             lambda n: base.with_settings(context__number=n, solver__views_per_step=0, pyramid__steps=(60,)))):
         times, rest = [], []
         for n in values:
             times.append(_seconds(big, change(n), device))
