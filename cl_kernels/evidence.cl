@@ -128,3 +128,33 @@ __kernel void decide(__global const float *initial, __global float *depth, __glo
     deviation[i] = verdict == NO_SURFACE ? 0.0f
                  : held.y > 0.0f && held.z > 0.0f ? sqrt(1.0f / held.z + pown(least_deviation * unit[i], 2)) : INFINITY;
 }
+
+#define SUM_GROUP 64
+#define SUM_ONE 1048576.0f           // 2^20: sums in whole numbers do not depend on their order
+
+// Sums of 1 - correlation before and after, and the number of pixels that are seen both times: three numbers a group.
+__kernel __attribute__((reqd_work_group_size(SUM_GROUP, 1, 1)))
+void sum_costs(__global const float *before, __global const float *after, int count, __global long *sums)
+{
+    __local long scratch[3][SUM_GROUP];
+    const int lane = get_local_id(0);
+    long was_sum = 0, is_sum = 0, pixels = 0;
+    for (int i = get_global_id(0); i < count; i += get_global_size(0)) {
+        const float3 was = vload3(i, before), is = vload3(i, after);
+        if (!(was.y > 0.0f && is.y > 0.0f))
+            continue;
+        was_sum += convert_long_rte(was.x / was.y * SUM_ONE);
+        is_sum += convert_long_rte(is.x / is.y * SUM_ONE);
+        ++pixels;
+    }
+    scratch[0][lane] = was_sum;
+    scratch[1][lane] = is_sum;
+    scratch[2][lane] = pixels;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (lane < 3) {
+        long sum = 0;
+        for (int k = 0; k < SUM_GROUP; ++k)
+            sum += scratch[lane][k];
+        sums[3 * get_group_id(0) + lane] = sum;
+    }
+}

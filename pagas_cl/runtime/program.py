@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections import defaultdict
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
@@ -73,9 +74,14 @@ class Launch:
     global_size: tuple[int, ...]
     local_size: tuple[int, ...] | None = None
     stage: str = ""
+    source: tuple = ()
 
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         return cl.enqueue_nd_range_kernel(queue, self.kernel, self.global_size, self.local_size)
+
+    def release(self):
+        """Give the kernel back for other arguments; what is enqueued keeps those that it was enqueued with."""
+        _idle[self.source].append(self.kernel)
 
 
 @dataclass(frozen=True)
@@ -90,15 +96,30 @@ class Fill:
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         return cl.enqueue_fill_buffer(queue, self.buffer, self.pattern, 0, self.size)
 
+    def release(self):
+        """Nothing is held."""
+
+
+def run_once(queue: cl.CommandQueue, launches):
+    """Enqueue `launches` in order and release them."""
+    for launch in launches:
+        launch.enqueue(queue)
+        launch.release()
+
+
+# Kernels that wait for arguments, by (program, name): making one takes ten times as long as setting its arguments.
+_idle: dict[tuple, list[cl.Kernel]] = defaultdict(list)
+
 
 def bind(program: cl.Program, name: str, global_size, local_size, *arguments) -> Launch:
     """A Launch of `name` with its own argument set: int -> int32, float -> float32, None -> a null buffer."""
-    kernel = cl.Kernel(program, name)
+    source = (program.int_ptr, name)
+    kernel = _idle[source].pop() if _idle[source] else cl.Kernel(program, name)
     kernel.set_args(*(_argument(a) for a in arguments))
     local_size = tuple(local_size) if local_size else None
     if local_size:
         global_size = tuple(-(-g // l) * l for g, l in zip(global_size, local_size))
-    return Launch(kernel, tuple(int(g) for g in global_size), local_size, name)
+    return Launch(kernel, tuple(int(g) for g in global_size), local_size, name, source)
 
 
 def _argument(value):

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.runtime.program import Fill, bind, build
+from pagas_cl.runtime.program import Fill, bind, build, run_once
 from pagas_cl.splat import project
 
 LEAST_DEVIATION = 0.02      # pixels of parallax: what no photo of this kind resolves
+_SUM_GROUP, _SUM_GROUPS, _ONE = 64, 256, 2**20      # as in evidence.cl
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +48,12 @@ class Evidence:
 
     def costs(self) -> tuple[float, float]:
         """Mean 1 - correlation before and after, over the pixels that are seen both times."""
-        before, after = self._read(self._before), self._read(self._after)
-        both = (before[:, 1] > 0) & (after[:, 1] > 0)
-        if not both.any():
-            return float("nan"), float("nan")
-        return tuple(float((e[both, 0] / e[both, 1]).mean(dtype=np.float64)) for e in (before, after))
+        sums = self._buffer(24 * _SUM_GROUPS)
+        run_once(self.level.device.queue, [
+            bind(self.program, "sum_costs", (_SUM_GROUPS * _SUM_GROUP,), (_SUM_GROUP,), self._before, self._after,
+                 self.level.target.pixels, sums)])
+        before, after, pixels = self._read(sums, np.int64).reshape(-1, 3).sum(axis=0).tolist()
+        return (before / pixels / _ONE, after / pixels / _ONE) if pixels else (float("nan"), float("nan"))
 
     def decide(self, shape) -> Verdict:
         """Send back what the photos do not confirm; arena["depth"] holds what is accepted."""
@@ -61,7 +63,7 @@ class Evidence:
         bind(self.program, "decide", (n,), None, self._initial, a["depth"], a["unit"], n, self._before, self._after,
              float(solver.max_move), float(solver.tolerance), LEAST_DEVIATION, status,
              deviation).enqueue(level.device.queue)
-        return Verdict(self._host(status, np.uint8).reshape(shape), self._host(deviation, np.float32).reshape(shape),
+        return Verdict(self._read(status, np.uint8).reshape(shape), self._read(deviation, np.float32).reshape(shape),
                        *self.costs())
 
     def _weigh(self, evidence: cl.Buffer):
@@ -74,16 +76,12 @@ class Evidence:
                               level.given.photos[view], self._warped),
                          bind(self.program, "weigh", size.grid, None, self._warped, level.given.photos[0], size.width,
                               size.height, evidence)]
-        for launch in launches:
-            launch.enqueue(level.device.queue)
+        run_once(level.device.queue, launches)
 
     def _buffer(self, nbytes: int) -> cl.Buffer:
         return cl.Buffer(self.level.device.context, cl.mem_flags.READ_WRITE, nbytes)
 
-    def _host(self, buffer: cl.Buffer, dtype) -> np.ndarray:
+    def _read(self, buffer: cl.Buffer, dtype=np.float32) -> np.ndarray:
         out = np.empty(buffer.size // np.dtype(dtype).itemsize, dtype)
         cl.enqueue_copy(self.level.device.queue, out, buffer)
         return out
-
-    def _read(self, buffer: cl.Buffer) -> np.ndarray:
-        return self._host(buffer, np.float32).reshape(-1, 3)

@@ -9,6 +9,7 @@ import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.runtime.arena import Arena
+from pagas_cl.runtime.program import run_once
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import footprint
 from pagas_cl.splat import backward, composite, loss, project, smooth, step
@@ -95,8 +96,7 @@ class Level:
 
     def _once(self, write, launches):
         write(self.arena["depth"])
-        for launch in launches(self):
-            launch.enqueue(self.device.queue)
+        run_once(self.device.queue, launches(self))
 
     def _view(self, view: int) -> list:
         """All launches of one context view in one step."""
@@ -147,4 +147,6 @@ class Level:
         return out
 
     def release(self):
+        for launch in (*self.target_view, *self.smooth, *(launch for view in self.views for launch in view)):
+            launch.release()
         self.arena.release()

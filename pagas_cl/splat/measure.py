@@ -9,7 +9,7 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.runtime.arena import Arena, BufferSpec
-from pagas_cl.runtime.program import bind, build
+from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.splat import project
 from pagas_cl.splat.level import threshold_in
 from pagas_cl.splat.options import defines
@@ -61,8 +61,7 @@ class Probe:
             BufferSpec("records", (self.across * self.down, _RECORD), np.float32)])
         cl.enqueue_copy(device.queue, self.arena["cameras"], camera_table(given.cameras[0], given.cameras[1:], given.unit))
         write(self.arena["depth"])
-        for launch in project.before_steps(self):
-            launch.enqueue(device.queue)
+        run_once(device.queue, project.before_steps(self))
 
     def threshold(self, view: int) -> float:
         return threshold_in(self.given, self.config, view)
@@ -74,8 +73,7 @@ class Probe:
                     bind(build(self.device, "measure.cl", self.defines), "sample_view", (self.across * self.down,), None,
                          a["depth"], a["unit"], a["cameras"], view, float(s.low_pass), float(self.threshold(view)), a["z_first"],
                          given.photos[0], given.photos[view], self.stride, self.across, self.down, a["records"])]
-        for launch in launches:
-            launch.enqueue(self.device.queue)
+        run_once(self.device.queue, launches)
         r = np.empty((self.across * self.down, _RECORD), np.float32)
         cl.enqueue_copy(self.device.queue, r, a["records"])
         return Samples(r[:, 0], r[:, 1], r[:, 2:5], r[:, 5:8], r[:, 8:])

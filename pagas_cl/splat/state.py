@@ -16,6 +16,7 @@ from pagas_cl.splat.options import reach
 
 NEAR = 1e-3               # as in constants.clh
 FAR = 1e6
+MEDIAN_SAMPLES = 65536
 PHOTO_MARGIN = 16         # pixels behind a photo that may be read
 
 
@@ -134,15 +135,21 @@ def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.nda
 
     Depths outside NEAR to FAR units, masked out or not finite have no Gaussian.
     """
-    valid = np.isfinite(depth) & (depth > 0)
+    depth = depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32)
+    valid = (depth > 0) & (depth < np.inf)
     if mask is not None:
         valid &= mask
-    if not valid.any():
-        return np.zeros(depth.shape, np.float32), 1.0
-    unit = float(np.median(depth[valid].astype(np.float64)))
-    scaled = np.where(valid, depth, 0).astype(np.float64) / unit
-    scaled[(scaled < NEAR) | (scaled > FAR)] = 0
-    return scaled.astype(np.float32), unit
+    unit = median_of(depth[valid])
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = (depth / np.asarray(unit, depth.dtype)).astype(np.float32, copy=False)
+        valid &= (scaled >= NEAR) & (scaled <= FAR)
+    return np.where(valid, scaled, np.float32(0)), unit
+
+
+def median_of(depths: np.ndarray) -> float:
+    """The unit of length: the median of `depths`, of a regular sample where they are many; 1 without any."""
+    sample = depths[::max(1, depths.size // MEDIAN_SAMPLES)]
+    return float(np.median(sample.astype(np.float64))) if sample.size else 1.0
 
 
 def allocate(device, config: Config, target: Size, contexts: list[Size], masked: int, used: tuple[tiles.Tile, ...]) -> Arena:

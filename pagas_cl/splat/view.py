@@ -166,6 +166,6 @@ class _Run:
 
     def _back(self, refined: np.ndarray, status: np.ndarray) -> np.ndarray:
         """Scene units again; a depth that was not refined comes back with the bits that it came with."""
-        scaled = (refined * np.float64(self.unit)).astype(np.float32)
-        given = np.where(np.isfinite(self.depth), self.depth, 0).astype(np.float32)
-        return np.where(status == 1, scaled, given)
+        given = self.depth.astype(np.float32, copy=False)
+        kept = np.where(np.isfinite(given), given, np.float32(0))
+        return np.multiply(refined, np.float32(self.unit), out=kept, where=status == 1)
