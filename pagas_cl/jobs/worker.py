@@ -63,7 +63,7 @@ def _attempt(batch: Batch, task: ViewTask, views: dict) -> Record:
     note_down(batch.folder, "began", task.name)
     try:
         result = batch.work(views, task.partners, task.depth.load(), batch.config, bench.device, bench.photos)
-        about = {"device": bench.device.info.title, "worker": worker_name(), "seconds": time.perf_counter() - start}
+        about = {"device": bench.device.info.title, "worker": worker_name(), "task_seconds": time.perf_counter() - start}
         record = write_finished(batch.folder, task, result, batch.extras, about)
     except OutputError:
         raise
