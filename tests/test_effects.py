@@ -1,0 +1,174 @@
+"""What a scene calls for: decisions on made-up measurements, the exposure fit, measurements of made scenes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pagas_cl.config import BALANCED, PAPER, Effects
+from pagas_cl.effects import LOW_PASS, RULES, Measurements, decide, measure
+from pagas_cl.errors import DeviceError, InputError
+from pagas_cl.scene import exposure
+
+CALM = Measurements(overlap=1.0, hidden=0.0, unseen=0.0, exposure_change=0.0, gloss=0.0, smallest=0.5, plain=0.0,
+                    noise=0.002, far_off=0.0, masked=False, gains=(((1.0, 0.0),) * 3,))
+ABOVE = {"occlusion": {"hidden": 0.1}, "unseen_mask": {"unseen": 0.3}, "exposure": {"exposure_change": 0.1},
+         "view_dependence": {"gloss": 0.2}, "antialiasing": {"smallest": 0.2}, "smoothness": {"plain": 0.5},
+         "noise": {"noise": 0.02}, "pyramid": {"far_off": 0.5}}
+ALPHA = BALANCED.with_settings(splatting__blend="alpha")      # the blend that has every effect
+
+
+def switched_on(config) -> dict[str, bool]:
+    """Which effects the settings simulate."""
+    return {"occlusion": config.splatting.occlusion, "unseen_mask": config.loss.unseen_mask,
+            "exposure": config.loss.exposure, "view_dependence": config.loss.structure,
+            "antialiasing": config.splatting.low_pass > 0, "smoothness": config.smoothness.kind != "none",
+            "noise": config.smoothness.weight > BALANCED.smoothness.weight, "pyramid": len(config.pyramid.scales) > 1}
+
+
+@pytest.mark.parametrize("effect", RULES)
+def test_auto_follows_the_evidence(effect):
+    assert not switched_on(decide(ALPHA, CALM)[0])[effect]
+    measured = replace(CALM, plain=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "plain"})
+    config, decisions = decide(ALPHA, measured)
+    assert switched_on(config)[effect]
+    decision = next(d for d in decisions if d.effect == effect)
+    assert decision.on and decision.threshold == RULES[effect][1]
+    assert decision.evidence == pytest.approx(getattr(measured, RULES[effect][0]))
+
+
+@pytest.mark.parametrize("effect", RULES)
+def test_one_effect_alone_is_switched_on(effect):
+    """Beside smoothness, without which noise has nothing to weigh; noise also follows the gloss that is measured."""
+    measured = replace(CALM, plain=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "plain"})
+    on = {name for name, value in switched_on(decide(ALPHA, measured)[0]).items() if value}
+    assert on - ({"noise"} if effect == "view_dependence" else set()) == {effect, "smoothness"}
+
+
+@pytest.mark.parametrize("effect", RULES)
+def test_off_and_on_hold_against_the_evidence(effect):
+    called_for = replace(CALM, plain=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "plain"})
+    off, told = decide(ALPHA.with_settings(**{f"effects__{effect}": "off"}), called_for)
+    assert not switched_on(off)[effect]
+    assert "asked for: off" in {d.reason for d in told}
+    on = decide(ALPHA.with_settings(**{f"effects__{effect}": "on"}), replace(CALM, plain=0.5))[0]
+    if effect != "noise":         # on, it follows the noise that was measured: here there is none
+        assert switched_on(on)[effect]
+
+
+@pytest.mark.parametrize("effect", RULES)
+def test_set_leaves_the_settings_alone(effect):
+    for base in (ALPHA, PAPER):
+        config, decisions = decide(base.with_settings(**{f"effects__{effect}": "set"}), replace(CALM, **ABOVE[effect]))
+        assert switched_on(config)[effect] == switched_on(base)[effect]
+        assert effect not in {d.effect for d in decisions}
+
+
+def test_all_set_needs_no_measurements_and_changes_nothing():
+    config, decisions = decide(PAPER, None)
+    assert config == PAPER and decisions == []
+
+
+def test_decisions_are_settled():
+    """What comes out says "set", so that nothing is decided twice."""
+    config, decisions = decide(BALANCED, CALM)
+    assert all(getattr(config.effects, name) == "set" for name in RULES)
+    assert decide(config, None) == (config, [])
+    assert all(set(d.as_dict()) == {"effect", "evidence", "threshold", "on", "reason"} for d in decisions)
+
+
+def test_noise_raises_the_weight_and_never_lowers_it():
+    weights = [decide(BALANCED, replace(CALM, plain=0.5, noise=n))[0].smoothness.weight for n in (0.001, 0.01, 0.02, 1.0)]
+    assert weights[0] == BALANCED.smoothness.weight
+    assert weights[0] < weights[1] < weights[2] <= weights[3] <= 100
+
+
+def test_gloss_is_not_judged_through_a_depth_that_is_far_off():
+    assert replace(CALM, gloss=0.5, far_off=0.5).residual == 0
+    assert decide(BALANCED, replace(CALM, smallest=0.2))[0].splatting.low_pass == LOW_PASS
+
+
+def test_unknown_choice_is_refused():
+    with pytest.raises(InputError, match="effects.exposure is 'maybe'"):
+        Effects(exposure="maybe")
+
+
+def colours(number=2000, seed=0):
+    return np.random.default_rng(seed).uniform(0.1, 0.6, (number, 3))
+
+
+def test_exposure_fit_finds_gain_and_offset():
+    own, rng = colours(), np.random.default_rng(1)
+    truth = np.array([[1.3, 0.02], [0.8, -0.03], [1.0, 0.05]])
+    other = own * truth[:, 0] + truth[:, 1] + rng.normal(0, 0.01, own.shape)
+    other[:300] = rng.uniform(0, 1, (300, 3))                 # hidden there, or moved
+    assert np.abs(exposure.fit(own, other) - truth).max() < 0.05
+
+
+def test_exposure_fit_leaves_clipped_samples_out():
+    own = colours()
+    raw = own * 2.0
+    assert (raw > 1).mean() > 0.1
+    assert np.abs(exposure.fit(own, np.clip(raw, 0, 1)) - [2.0, 0.0]).max() < 0.06
+
+
+@pytest.mark.parametrize("other", [np.zeros((2000, 3)), np.ones((2000, 3))], ids=["black", "saturated"])
+def test_exposure_fit_says_nothing_of_a_photo_without_content(other):
+    assert (exposure.fit(colours(), other) == [[1, 0]] * 3).all()
+
+
+def test_exposure_fit_says_nothing_of_too_few_samples():
+    own = colours(40)
+    assert (exposure.fit(own, own * 1.5) == [[1, 0]] * 3).all()
+    assert (exposure.fit(own[:0], own[:0]) == [[1, 0]] * 3).all()
+
+
+def test_exposure_fit_of_one_colour_is_the_ratio():
+    own = np.full((500, 3), 0.4)
+    a, b = exposure.fit(own, own * 1.2)[0]
+    assert a * 0.4 + b == pytest.approx(0.48, abs=1e-6)
+    assert 0.9 < a < 1.4
+
+
+@pytest.fixture(scope="module")
+def device():
+    from pagas_cl.runtime.device import open_device
+
+    try:
+        return open_device()
+    except DeviceError as error:
+        pytest.skip(str(error))
+
+
+def measured_of(device, **settings) -> Measurements:
+    from pagas_cl.made import relief_scene
+
+    made = relief_scene(120, 90, 3, held_out=0, **settings)
+    target, *contexts = made.views
+    return measure(target, contexts, made.initial_depth(made.cameras[0]), BALANCED, device)
+
+
+def test_measurements_tell_made_scenes_apart(device):
+    clean = measured_of(device, steps=0)
+    assert clean.overlap > 0.9 and clean.hidden <= RULES["occlusion"][1] and clean.far_off < 0.05
+    assert clean.exposure_change < 0.012 and not clean.masked
+    assert clean.smallest == pytest.approx(0.5, abs=0.1)
+    assert np.shape(clean.gains) == (3, 3, 2)
+    jitter = measured_of(device, steps=0, exposure=0.3)
+    assert jitter.exposure_change > 0.012
+    assert measured_of(device, bar=10.0).hidden > clean.hidden + RULES["occlusion"][1]
+    assert measured_of(device, steps=0, coarse_error=4.0).far_off > RULES["pyramid"][1]
+    assert measured_of(device, steps=0, distances=(2.5,)).smallest < 0.36
+    noisy = measured_of(device, steps=0, contrast=0.2, noise=6.0)
+    assert noisy.noise > 0.01 and noisy.unexplained > 1.4
+
+
+def test_without_surface_nothing_is_measured(device):
+    from pagas_cl.made import relief_scene
+
+    made = relief_scene(64, 48, 2, held_out=0)
+    measured = measure(made.views[0], made.views[1:], np.zeros((48, 64), np.float32), BALANCED, device)
+    assert measured.overlap == 0 and measured.hidden == 0 and measured.far_off == 0
+    assert (measured.exposure == [1, 0]).all()
