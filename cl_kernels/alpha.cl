@@ -7,10 +7,8 @@
 //   gather_alpha         per Gaussian: from the dL/dalpha in its places to dL/dd
 //
 // Each pair of a Gaussian and a pixel has a place of its own, so that no two work-items ever write to the same one.
-// Pixels with more candidates than few.clh holds are left to crowded.cl, which gives the same order.
-#include "few.clh"
-
-#define SIDE (2 * REACH + 1)
+// few.clh serves the pixels with few candidates, which are nearly all; lists.clh the others, in the same order.
+#include "lists.clh"
 
 __kernel void link_bins(__global const float *depth, __global const float *cameras, int view, float radius,
                         float low_pass, __global volatile int *heads, __global int2 *links, __global float *alphas)
@@ -39,31 +37,27 @@ __kernel void link_bins(__global const float *depth, __global const float *camer
 
 __kernel IN_TILES
 void composite_alpha(__global const uchar4 *target_photo, __global const float *exposure, int view,
-                     __global int *heads, __global const int2 *links, __global float *alphas, __global int *crowded,
-                     int count, int width, int height, float threshold, float relative, __global float *rendered)
+                     __global const int *heads, __global const int2 *links, __global float *alphas, int count, int width,
+                     int height, float threshold, float relative, __global float *rendered)
 {
-    __local uint4 tile[2 * TILE_BINS];
     const int column = get_global_id(0), row = get_global_id(1), pixel = row * width + column;
+#if REACH == 1
+    __local uint4 tile[2 * TILE_BINS];
     load_bins(heads, links, target_photo, width, height, tile);
     barrier(CLK_LOCAL_MEM_FENCE);
+#endif
     if (column >= width || row >= height)
         return;
+#if REACH == 1
     __local const uint4 *bins = tile + get_local_id(1) * TILE_BINS_W + get_local_id(0);
     Few few;
-    if (!gather_few(bins, alphas, count, &few)) {
-        crowded[1 + atomic_inc(&heads[(width + SIDE) * (height + SIDE)])] = pixel;      // counts from -1
+    if (gather_few(bins, alphas, count, &few)) {
+        blend_few(&few, bins, exposure, view, threshold, relative, pixel, rendered);
         return;
     }
-    color_t color = 0.0f;
-    float transmittance = 1.0f, limit = INFINITY;
-#pragma unroll
-    for (int k = 0; k < FEW; ++k) {
-        const float alpha = few_alpha(&few, k, threshold, relative, &limit);
-        if (alpha > 0.0f)
-            color += few_color(few.key[k], bins, exposure, view) * (alpha * transmittance);
-        transmittance *= 1.0f - alpha;
-    }
-    store_blend(color, 1.0f - transmittance, pixel, rendered);
+#endif
+    blend_many(look_around(heads, links, alphas, count, column, row, width), target_photo, exposure, view, threshold,
+               relative, pixel, rendered);
 }
 
 __kernel IN_TILES
@@ -71,36 +65,26 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
                          __global const int *heads, __global const int2 *links, __global float *alphas, int count,
                          int width, int height, float threshold, float relative, __global const float *upstream)
 {
-    __local uint4 tile[2 * TILE_BINS];
     const int column = get_global_id(0), row = get_global_id(1), pixel = row * width + column;
+#if REACH == 1
+    __local uint4 tile[2 * TILE_BINS];
     load_bins(heads, links, target_photo, width, height, tile);
     barrier(CLK_LOCAL_MEM_FENCE);
+#endif
     if (column >= width || row >= height)
         return;
+    float v_coverage;
+    const color_t v_color = load_upstream(upstream, pixel, &v_coverage);
+#if REACH == 1
     __local const uint4 *bins = tile + get_local_id(1) * TILE_BINS_W + get_local_id(0);
     Few few;
-    if (!gather_few(bins, alphas, count, &few))
+    if (gather_few(bins, alphas, count, &few)) {
+        pass_back_few(&few, bins, exposure, view, threshold, relative, v_color, v_coverage, alphas, count);
         return;
-    float v_coverage, alpha[FEW], open[FEW], own[FEW], transmittance = 1.0f, limit = INFINITY;
-    const color_t v_color = load_upstream(upstream, pixel, &v_coverage);
-#pragma unroll
-    for (int k = 0; k < FEW; ++k) {
-        alpha[k] = few_alpha(&few, k, threshold, relative, &limit);
-        own[k] = 0.0f;
-        if (alpha[k] > 0.0f)
-            own[k] = dot(v_color, few_color(few.key[k], bins, exposure, view));
-        open[k] = transmittance;
-        transmittance *= 1.0f - alpha[k];
     }
-    float behind_color = 0.0f, behind_open = 1.0f;
-#pragma unroll
-    for (int k = FEW - 1; k >= 0; --k) {
-        if (few.key[k] != NO_KEY)
-            *alpha_place(alphas, count, few_bin(few.key[k]), few_index(few.key[k])) =
-                alpha[k] > 0.0f ? open[k] * (own[k] - behind_color + v_coverage * behind_open) : 0.0f;
-        behind_color = alpha[k] * own[k] + (1.0f - alpha[k]) * behind_color;
-        behind_open *= 1.0f - alpha[k];
-    }
+#endif
+    pass_back_many(look_around(heads, links, alphas, count, column, row, width), target_photo, exposure, view, threshold,
+                   relative, v_color, v_coverage);
 }
 
 __kernel void gather_alpha(__global const float *depth, __global const float *cameras, int view, float radius,

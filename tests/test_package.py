@@ -27,7 +27,7 @@ ALLOWED = {
 WITHOUT_OPENCL = {"errors", "config", "scene", "reference", "report", "evaluate", "made", "result"}
 # Kernel files that belong to a stage of another name.
 STAGE = {"alpha": "composite", "crowded": "composite"}
-REFERENCE = {"alpha": "composite", "crowded": "composite", "backward": "composite", "ssim": "loss"}
+REFERENCE = {"alpha": "composite", "backward": "composite", "ssim": "loss"}
 
 
 def shipped_files():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pagas_cl.runtime.program import bind, build
-from pagas_cl.splat.composite import blend_launches, exposure_argument, threshold_arguments
+from pagas_cl.splat.composite import blend_launch, exposure_argument, threshold_arguments
 
 
 def launches(level, view: int) -> list:
@@ -15,6 +15,6 @@ def launches(level, view: int) -> list:
         return [bind(program, "gather_gradient", level.target.grid, None, a["depth"], photo, a["cameras"], view, radius,
                      low_pass, *threshold_arguments(level, view), a["z_first"], exposure_argument(level),
                      a["upstream"], a["gradient"])]
-    return [*blend_launches(level, view, "_vjp", a["upstream"]),
+    return [blend_launch(level, view, "composite_alpha_vjp", a["upstream"]),
             bind(build(level.device, "alpha.cl", level.defines), "gather_alpha", level.target.grid, None, a["depth"],
                  a["cameras"], view, radius, low_pass, a["alphas"], a["gradient"])]

@@ -6,9 +6,7 @@ import numpy as np
 
 from pagas_cl.runtime.program import Fill, bind, build
 from pagas_cl.splat import project
-from pagas_cl.splat.options import FEW_GROUP, LIST_GROUP, reach
-
-MOST_CROWDED = 65536      # work-items over the pixels of crowded.cl, each of which takes several in turn
+from pagas_cl.splat.options import FEW_GROUP, reach
 
 
 def launches(level, view: int) -> list:
@@ -42,21 +40,15 @@ def _alpha(level, view: int) -> list:
     size = level.given.sizes[view]
     border = 2 * reach(s.radius) + 1
     bins = (size.width + border) * (size.height + border)
-    clear = Fill(a["heads"], np.int32(-1), 4 * (bins + 1))
+    clear = Fill(a["heads"], np.int32(-1), 4 * bins)
     link = bind(program, "link_bins", level.target.grid, None, a["depth"], a["cameras"], view, float(s.radius),
                 float(s.low_pass), a["heads"], a["links"], a["alphas"])
-    return [clear, link, *blend_launches(level, view, "", a["rendered"])]
+    return [clear, link, blend_launch(level, view, "composite_alpha", a["rendered"])]
 
 
-def blend_launches(level, view: int, suffix: str, image) -> list:
-    """The kernels of alpha.cl and crowded.cl named composite_alpha`suffix` and composite_crowded`suffix` on `image`."""
-    a, size, reached = level.arena, level.given.sizes[view], reach(level.config.splatting.radius)
-    shared = (level.given.photos[0], exposure_argument(level), view, a["heads"], a["links"], a["alphas"])
-    rest = (level.target.pixels, size.width, size.height, *threshold_arguments(level, view), image)
-    crowded = bind(build(level.device, "crowded.cl", level.defines), f"composite_crowded{suffix}",
-                   (min(size.pixels, MOST_CROWDED),), (LIST_GROUP,), *shared, a["crowded"], *rest)
-    if reached != 1:
-        return [crowded]
-    found = () if suffix else (a["crowded"],)
-    return [bind(build(level.device, "alpha.cl", level.defines), f"composite_alpha{suffix}", size.grid, FEW_GROUP, *shared,
-                 *found, *rest), crowded]
+def blend_launch(level, view: int, name: str, image):
+    """The kernel `name` of alpha.cl, composite_alpha or composite_alpha_vjp, with its `image`."""
+    a, size = level.arena, level.given.sizes[view]
+    return bind(build(level.device, "alpha.cl", level.defines), name, size.grid, FEW_GROUP, level.given.photos[0],
+                exposure_argument(level), view, a["heads"], a["links"], a["alphas"], level.target.pixels, size.width,
+                size.height, *threshold_arguments(level, view), image)

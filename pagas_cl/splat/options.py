@@ -6,8 +6,7 @@ from math import ceil, floor, log2
 
 from pagas_cl.config import Config
 
-SLOTS = 12                # candidates that a pixel sorts at a time where they are many (lists.clh)
-LIST_GROUP = 128          # work-items that do so side by side: 16 bytes a slot, 24 kB of local memory
+SLOTS = 16                # candidates that a pixel sorts at a time where they are many (lists.clh)
 FEW_GROUP = (16, 8)       # work-items that share bins where candidates are few (few.clh)
 
 
@@ -46,7 +45,7 @@ def defines(config: Config, device, longest_side: int) -> tuple[str, ...]:
         "INT64_ATOMICS": device.has("cl_khr_int64_base_atomics"),
     }
     numbers = {"REACH": reach(splatting.radius), "SLOTS": SLOTS,
-               "LIST_GROUP": LIST_GROUP, "FEW_GROUP_W": FEW_GROUP[0], "FEW_GROUP_H": FEW_GROUP[1],
+               "FEW_GROUP_W": FEW_GROUP[0], "FEW_GROUP_H": FEW_GROUP[1],
                "FIXED_BITS": fixed_bits(longest_side)}
     if loss.robust > 0:
         numbers["ROBUST"] = f"{loss.robust:.9g}f" if "." in f"{loss.robust:.9g}" else f"{loss.robust:.9g}.0f"

@@ -84,9 +84,8 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
 
 def _list_buffers(config: Config, n: int, sizes) -> list[BufferSpec]:
     border = 2 * reach(config.splatting.radius) + 1
-    bins = 1 + max((s.width + border) * (s.height + border) for s in sizes)       # and a counter of crowded pixels
-    crowded = max(s.pixels for s in sizes) if border == 3 else 1
-    return [BufferSpec("heads", (bins,), np.int32), BufferSpec("links", (n, 2), np.int32), BufferSpec("crowded", (crowded,), np.int32),
+    bins = max((s.width + border) * (s.height + border) for s in sizes)
+    return [BufferSpec("heads", (bins,), np.int32), BufferSpec("links", (n, 2), np.int32),
             BufferSpec("alphas", (border**2, n), np.float32)]
 
 
