@@ -5,9 +5,11 @@ import time
 import pytest
 
 from pagas_cl import costs
+from pagas_cl.__main__ import run as run_command
 from pagas_cl.config import preset
 from pagas_cl.errors import InputError
 from pagas_cl.made import relief_scene
+from pagas_cl.made.disk import write_scene
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device
 
@@ -70,3 +72,19 @@ def test_the_richest_setting_that_fits_is_chosen(made, monkeypatch):
         expected.choose(0.5)
     with pytest.raises(InputError, match="expected seconds above 0"):
         expected.choose(0)
+
+
+def test_refine_takes_a_time_instead_of_a_preset(tmp_path, caplog, capsys):
+    made = relief_scene(64, 48, 2, held_out=0)
+    folder = write_scene(made, tmp_path / "scene")
+    common = ["refine", str(folder), "--depth-dir", str(folder / "depth_initial"), "--save-depth", str(tmp_path / "out"),
+              "--views", made.views[0].name, "--quiet"]
+    assert run_command([*common, "--time-per-view", "100", "--set", "pyramid.steps=5"]) == 0
+    assert "settings: accurate, about" in capsys.readouterr().err
+    assert (tmp_path / "out" / f"{made.views[0].name}.npz").is_file()
+    for wrong, told in ((["--time-per-view", "1", "--time-budget", "1"], "got both"),
+                        (["--time-budget", "1", "--preset", "paper"], "leave out --preset paper"),
+                        (["--time-per-view", "0"], "expected more than 0"),
+                        (["--time-per-view", "1e-9"], "a view takes at least")):
+        assert run_command([*common, *wrong]) == 2
+        assert told in capsys.readouterr().err

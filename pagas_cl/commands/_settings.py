@@ -10,7 +10,11 @@ _YES_NO = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0
 
 def build_config(preset_name: str, assignments, **more) -> Config:
     """The preset with `assignments` ("stage.field=value") and `more` ("stage__field"=value) applied."""
-    config = preset(preset_name)
+    return apply_settings(preset(preset_name), assignments, **more)
+
+
+def apply_settings(config: Config, assignments, **more) -> Config:
+    """`config` with the same applied."""
     settings = {}
     for text in assignments:
         key, equals, value = text.partition("=")

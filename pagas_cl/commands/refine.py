@@ -25,9 +25,13 @@ def command(
     save_depth: Path = typer.Option(None, "--save-depth", help="Folder for the refined depth maps, <image stem>.npz."),
     views: list[str] = typer.Option([], "--views", help="Refine these views only (several names may follow)."),
     context: int = typer.Option(None, "--context", help="Most context views of each view."),
-    preset: str = typer.Option("balanced", "--preset", help="Settings to start from: balanced or paper."),
+    preset: str = typer.Option("balanced", "--preset", help="Settings to start from: fast, balanced, accurate, paper."),
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
     report: Path = typer.Option(None, "--report", help="Folder for pictures of every view and a page to open."),
+    time_per_view: float = typer.Option(None, "--time-per-view", metavar="SECONDS",
+                                        help="Not --preset: the best settings that take no longer here."),
+    time_budget: float = typer.Option(None, "--time-budget", metavar="MINUTES",
+                                      help="The same, for the refining of all views together."),
     settings: list[str] = typer.Option([], "--set", metavar="STAGE.FIELD=VALUE", help="Change one setting."),
     format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
     depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
@@ -41,7 +45,8 @@ def command(
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
-    from pagas_cl.commands._settings import build_config
+    from pagas_cl.commands._settings import apply_settings, build_config
+    from pagas_cl.commands._time import check_times, config_in_time
     from pagas_cl.keep_mesh import displaced_mesh, write_whole
     from pagas_cl.refine import fuse_results, refine_views
     from pagas_cl.scene.mesh_file import write_mesh
@@ -49,7 +54,9 @@ def command(
 
     _check_request(mesh, depth_dir, output, save_depth, report)
     _check_keep(keep_mesh, subdivide, mesh)
-    config = build_config(preset, settings, **({} if context is None else {"context__number": context}))
+    check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
+    more = {} if context is None else {"context__number": context}
+    config = build_config(preset, settings, **more)
     found = read_scene(scene, format, **({"outside": True} if outside else {}))
     for view in found.views:
         view.check_files()
@@ -57,6 +64,9 @@ def command(
     names = [found.views[found.index(name)].name for name in views] or None
     with shown_progress(quiet) as progress, _report(report, found, preset, settings, place) as page:
         depths = _initial(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder)
+        if time_per_view is not None or time_budget is not None:
+            config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
+                                    lambda config: apply_settings(config, settings, **more))
         results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder, progress=progress,
                                on_view=page and _Pictures(page), extras=page is not None or keep_mesh)
         if output is not None and keep_mesh:
