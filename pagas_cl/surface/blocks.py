@@ -23,7 +23,7 @@ from pagas_cl.surface.fuse import FusionPlan, fuse
 from pagas_cl.surface.grid import Grid, block_resolution
 from pagas_cl.surface.memory import available_mb
 from pagas_cl.surface.pieces import in_order
-from pagas_cl.surface.seams import join
+from pagas_cl.surface.seams import join, write_piece
 from pagas_cl.surface.touched import Touched, touched_by_views
 
 log = logging.getLogger("pagas_cl")
@@ -146,8 +146,7 @@ def fuse_box(task: BoxTask) -> Path | None:
     faces = faces.reshape(-1, 3)
     first, faces = in_order(vertices[used], normals[used], faces)
     keep = used[first]
-    with open(task.file, "wb") as file:
-        np.savez(file, vertices=vertices[keep], normals=normals[keep], colours=colours[keep], faces=faces.astype(np.int32))
+    write_piece(task.file, vertices[keep], normals[keep], colours[keep], faces.astype(np.int32))
     return task.file
 
 

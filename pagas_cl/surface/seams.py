@@ -18,16 +18,37 @@ from pagas_cl.surface.pieces import pieces
 log = logging.getLogger("pagas_cl")
 
 
+_NEAR = 0.1  # voxels: a vertex that two boxes share lies on the side between them
+
+
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """What is remembered of a box's piece: its part of the seams and its connected parts."""
+    """What is remembered of a box's piece of the mesh.
+
+    Attributes
+    ----------
+    border : ndarray of shape (B,), int32
+        Indices of the vertices on the box's sides.
+    border_part : ndarray of shape (B,), int32
+        Their connected part: a place in `parts`.
+    parts : ndarray of shape (P,), int32
+        The least vertex index of each connected part.
+    sizes : ndarray of shape (P,), int64
+        Triangles of each.
+    """
 
     file: Path
-    vertices: int
-    border: np.ndarray   # indices of vertices near the box's sides
-    places: np.ndarray   # where these are
-    root: np.ndarray     # their connected part: the least index of its vertices
-    sizes: dict          # triangles of each connected part
+    border: np.ndarray
+    border_part: np.ndarray
+    parts: np.ndarray
+    sizes: np.ndarray
+
+
+def write_piece(file: Path, vertices, normals, colours, faces) -> None:
+    """Write a box's piece, with the connected part of each vertex: the least index of its vertices."""
+    root = pieces(faces, len(vertices)).astype(np.int32)
+    with open(file, "wb") as opened:
+        np.savez(opened, vertices=vertices, normals=normals, colours=colours, faces=faces, root=root)
 
 
 def join(files: list[Path], boxes, plan: FusionPlan, settings: Fusion) -> Surface:
@@ -38,10 +59,10 @@ def join(files: list[Path], boxes, plan: FusionPlan, settings: Fusion) -> Surfac
                          "fusion.voxel")
     cell = plan.voxel / plan.unit
     sides = _sides(boxes, block_resolution(settings.truncation) * cell)
-    remembered = [_remember(file, sides, 2 * cell) for file in files]
-    owner = _owners(remembered)
-    stays = _large_parts(remembered, owner, settings.min_component)
-    return _assembled(remembered, owner, stays, plan)
+    remembered, places = zip(*(_remember(file, sides, _NEAR * cell) for file in files))
+    first = _first_rows(np.concatenate(places))
+    large = _large_parts(remembered, first, settings.min_component)
+    return _assembled(remembered, first, large, plan)
 
 
 def _sides(boxes, edge: float) -> list[np.ndarray]:
@@ -50,86 +71,83 @@ def _sides(boxes, edge: float) -> list[np.ndarray]:
     return [values[np.abs(values) < (1 << 20)] * edge for values in ends]
 
 
-def _remember(file: Path, sides, near: float) -> _Piece:
+def _remember(file: Path, sides, near: float) -> tuple[_Piece, np.ndarray]:
+    """The piece, and where its border vertices are: float32 of shape (B, 3)."""
     with np.load(file) as archive:
-        vertices, faces = archive["vertices"], archive["faces"]
-    root = pieces(faces, len(vertices))
-    border = np.zeros(len(vertices), bool)
+        vertices, root, faces = archive["vertices"], archive["root"], archive["faces"]
+    on_side = np.zeros(len(vertices), bool)
     for axis in range(3):
-        for side in sides[axis]:
-            border |= np.abs(vertices[:, axis] - side) < near
-    border = np.flatnonzero(border)
-    parts, count = np.unique(root[faces[:, 0]], return_counts=True)
-    return _Piece(file, len(vertices), border, vertices[border], root[border], dict(zip(parts.tolist(), count.tolist())))
+        if len(sides[axis]):
+            at = np.searchsorted(sides[axis], vertices[:, axis])
+            for neighbour in (np.maximum(at - 1, 0), np.minimum(at, len(sides[axis]) - 1)):
+                on_side |= np.abs(vertices[:, axis] - sides[axis][neighbour]) < near
+    border = np.flatnonzero(on_side).astype(np.int32)
+    parts, sizes = np.unique(root[faces[:, 0]], return_counts=True)
+    return _Piece(file, border, np.searchsorted(parts, root[border]).astype(np.int32), parts, sizes), vertices[border]
 
 
-def _owners(remembered: list[_Piece]) -> list[np.ndarray]:
-    """For each piece's border: the (piece, vertex) that first has this place, int64 of shape (N, 2)."""
-    places = np.concatenate([piece.places for piece in remembered])
-    told = np.concatenate([np.column_stack([np.full(len(piece.border), k), piece.border])
-                           for k, piece in enumerate(remembered)]).astype(np.int64)
+def _first_rows(places: np.ndarray) -> np.ndarray:
+    """For each border vertex of all pieces, in order, the first one at the same place: int64 of shape (N,)."""
     whole = np.ascontiguousarray(places + np.float32(0))  # -0 is 0
     _, first, same = np.unique(whole.view(np.dtype((np.void, whole.itemsize * 3))).reshape(-1), return_index=True,
                                return_inverse=True)
-    owner = told[first[same.reshape(-1)]]
-    return np.split(owner, np.cumsum([len(piece.border) for piece in remembered])[:-1])
+    return first[same.reshape(-1)]
 
 
-def _large_parts(remembered, owner, share: float) -> list[set]:
-    """For each piece the roots of the connected parts that stay: not smaller than `share` of the largest one."""
-    number = {(k, root): n for n, (k, root) in enumerate((k, root) for k, piece in enumerate(remembered)
-                                                         for root in piece.sizes)}
-    root_at = [dict(zip(piece.border.tolist(), piece.root.tolist())) for piece in remembered]
-    links = []
-    for k, piece in enumerate(remembered):
-        for (other, vertex), root in zip(owner[k].tolist(), piece.root.tolist()):
-            if other != k:
-                links.append((number[k, root], number[other, root_at[other][vertex]]))
-    edges = np.array(sorted(set(links)), np.int64).reshape(-1, 2)
-    label = pieces(np.column_stack([edges, edges[:, :1]]), len(number))
-    size = np.zeros(len(number), np.int64)
-    counts = np.array([piece.sizes[root] for piece in remembered for root in piece.sizes], np.int64)
-    np.add.at(size, label, counts)
+def _large_parts(remembered, first: np.ndarray, share: float) -> list[np.ndarray]:
+    """For each piece which of its parts stay: not smaller, with what they touch, than `share` of the largest one."""
+    offsets = np.cumsum([0] + [len(piece.parts) for piece in remembered])
+    part = np.concatenate([piece.border_part + offset for piece, offset in zip(remembered, offsets)])
+    links = np.unique(np.column_stack([part, part[first]]), axis=0)
+    links = links[links[:, 0] != links[:, 1]].reshape(-1, 2)
+    label = pieces(np.column_stack([links, links[:, :1]]), int(offsets[-1]))
+    size = np.zeros(offsets[-1], np.int64)
+    np.add.at(size, label, np.concatenate([piece.sizes for piece in remembered]))
     large = size[label] >= share * size.max()
-    dropped = len(np.unique(label)) - len(np.unique(label[large]))
+    dropped = len(np.unique(label[~large]))
     if dropped:
         log.info("fusion: %d pieces with fewer than %g of the largest one's triangles are dropped", dropped, share)
-    return [{root for root in piece.sizes if large[number[k, root]]} for k, piece in enumerate(remembered)]
+    return np.split(large, offsets[1:-1])
 
 
-def _assembled(remembered, owner, stays, plan: FusionPlan) -> Surface:
+def _assembled(remembered, first: np.ndarray, large, plan: FusionPlan) -> Surface:
     """The mesh, its arrays made once at their full size."""
-    kept = [_kept(piece, owner[k], k, stays[k]) for k, piece in enumerate(remembered)]
-    starts = np.cumsum([0] + [int(own.sum()) for own, _ in kept])
-    total = sum(count for _, count in kept)
-    vertices, faces = np.empty((starts[-1], 3)), np.empty((total, 3), np.int32)
-    normals, colours = (np.empty((starts[-1], 3), np.float32) for _ in range(2))
-    new, at = [], 0
+    rows = np.cumsum([0] + [len(piece.border) for piece in remembered])
+    counted = [_own(piece, first[rows[k]:rows[k + 1]] < rows[k], large[k]) for k, piece in enumerate(remembered)]
+    starts = np.cumsum([0] + [count for count, _ in counted])
+    vertices, normals, colours = (np.empty((starts[-1], 3), kind) for kind in (np.float64, np.float32, np.float32))
+    faces, at = np.empty((sum(count for _, count in counted), 3), np.int32), 0
+    number_of_row = np.full(len(first), -1, np.int32)
     for k, piece in enumerate(remembered):
-        own = kept[k][0]
-        number = np.cumsum(own) - 1 + starts[k]
-        for_border = piece.border
-        new.append(dict(zip(for_border.tolist(), number[for_border].tolist())))
-        shared = owner[k][:, 0] != k
-        number[for_border[shared]] = [new[other].get(vertex, -1) for other, vertex in owner[k][shared].tolist()]
+        here, shared = slice(rows[k], rows[k + 1]), first[rows[k]:rows[k + 1]] < rows[k]
         with np.load(piece.file) as archive:
-            rows = slice(starts[k], starts[k + 1])
-            vertices[rows] = archive["vertices"][own].astype(np.float64) * plan.unit + plan.middle
+            own, stays = _kept(archive["root"], piece, shared, large[k])
+            number = (np.cumsum(own) - 1 + starts[k]).astype(np.int32)
+            number[piece.border[shared]] = number_of_row[first[here][shared]]
+            number_of_row[here] = number[piece.border]
+            place = slice(starts[k], starts[k + 1])
+            vertices[place] = archive["vertices"][own].astype(np.float64) * plan.unit + plan.middle
             normal = archive["normals"][own]
             length = np.linalg.norm(normal, axis=1, keepdims=True)
-            normals[rows] = normal / np.where(length > 0, length, 1)
-            colours[rows] = np.clip(archive["colours"][own], 0, 1)
+            normals[place] = normal / np.where(length > 0, length, 1)
+            colours[place] = np.clip(archive["colours"][own], 0, 1)
             part = archive["faces"]
-        part = part[np.isin(pieces(part, piece.vertices)[part[:, 0]], list(stays[k]))]
+        part = part[stays[part[:, 0]]]
         faces[at:at + len(part)] = number[part]
         at += len(part)
     return Surface(vertices, faces, normals, colours)
 
 
-def _kept(piece: _Piece, owner: np.ndarray, k: int, stays: set) -> tuple[np.ndarray, int]:
-    """Which vertices this piece gives to the mesh, and how many triangles."""
+def _own(piece: _Piece, shared: np.ndarray, large: np.ndarray) -> tuple[int, int]:
+    """How many vertices and triangles this piece gives to the mesh."""
     with np.load(piece.file) as archive:
-        root = pieces(archive["faces"], piece.vertices)
-    own = np.isin(root, list(stays))
-    own[piece.border[owner[:, 0] != k]] = False
-    return own, sum(piece.sizes[root] for root in stays)
+        own, _ = _kept(archive["root"], piece, shared, large)
+    return int(np.count_nonzero(own)), int(piece.sizes[large].sum())
+
+
+def _kept(root: np.ndarray, piece: _Piece, shared: np.ndarray, large: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which vertices are given by this piece and not by an earlier one, and which are in a part that stays."""
+    stays = large[np.searchsorted(piece.parts, root)]
+    own = stays.copy()
+    own[piece.border[shared]] = False
+    return own, stays
