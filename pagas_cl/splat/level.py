@@ -92,7 +92,7 @@ class Level:
         self._once(write, smooth.before_steps)
         self.views = [self._view(v) for v in range(1, 1 + len(self.contexts))]
         self.target_view = self._target_view() if self.config.loss.target_view and self.config.solver.patience else []
-        self.smooth = smooth.launches(self)
+        self.smooth, self.ending = smooth.launches(self), []
 
     def _once(self, write, launches):
         write(self.arena["depth"])
@@ -129,6 +129,7 @@ class Level:
     def run(self, steps: int, progress=None) -> int:
         """At most `steps` steps; returns how many were enqueued."""
         queue, solver = self.device.queue, step.Solver(self)
+        self.ending = solver.launches
         for number in range(steps):
             for launch in self.gradient_launches(number):
                 launch.enqueue(queue)
@@ -147,6 +148,6 @@ class Level:
         return out
 
     def release(self):
-        for launch in (*self.target_view, *self.smooth, *(launch for view in self.views for launch in view)):
+        for launch in (*self.ending, *self.target_view, *self.smooth, *(launch for view in self.views for launch in view)):
             launch.release()
         self.arena.release()

@@ -29,6 +29,11 @@ class Solver:
             floor = solver.rate * solver.rate_floor * 0.999      # a rate that reaches the floor still counts
             self._plateau = bind(program, "plateau", (1,), None, a["state"], a["history"], 1, self.patience, float(floor))
 
+    @property
+    def launches(self) -> list:
+        """Everything that ends a step."""
+        return [self._plateau, self._adam] if self.patience else [self._adam]
+
     def enqueue(self, number: int, steps: int):
         """Step `number` (from 0) of `steps`."""
         if self.patience:

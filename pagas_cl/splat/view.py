@@ -89,6 +89,15 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     return run.finish(level, evidence, tuple(done), losses, most)
 
 
+def full_level(target, contexts, depth: np.ndarray, config: Config, device) -> Level:
+    """The full-size level, ready for its first step from the initial depth."""
+    run = _Run(target, contexts, depth, config, device, PhotoStore(device), None, None)
+    level = Level(device, config, run.at(1.0))
+    level.enter(run.initial_writer(level))
+    level.start(run.start_writer(level, None))
+    return level
+
+
 def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None):
     """Samples of every context view under the initial depth, and their grid (stride, across, down); see measure.py."""
     run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), None, None)

@@ -1,0 +1,161 @@
+"""What a step costs, stage by stage, against what the device's memory allows: `pagas-cl bench`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from statistics import median
+
+import numpy as np
+
+from pagas_cl.config import Config
+
+_COPY_BYTES = 128 * 2**20      # of a copy that measures bandwidth; less where the device allows no such buffer
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One kernel over one step.
+
+    Attributes
+    ----------
+    name : str
+    launches : int
+    ms : float
+        All launches together.
+    megabytes : float
+        What it must move: every input read once, every output written once. 0 where that is not counted.
+    share : float
+        Of the copy bandwidth that moving this in this time amounts to.
+    """
+
+    name: str
+    launches: int
+    ms: float
+    megabytes: float
+    share: float
+
+
+@dataclass(frozen=True)
+class BenchResult:
+    """One preset on one device. Times of a frame are of all of it: upload of the depth, steps, judging, download."""
+
+    preset: str
+    device: str
+    driver: str
+    width: int
+    height: int
+    contexts: int
+    views_per_step: int
+    channels: int
+    copy_gb_per_s: float
+    stages: list[Stage]
+    step_ms: float
+    floor_ms: float
+    first_frame_s: float
+    frame_s: float
+    steps: tuple[int, ...]
+    device_mb: float
+
+    def as_dict(self) -> dict:
+        """Plain, ready for JSON."""
+        return asdict(self)
+
+    def table(self) -> str:
+        """The figures as text."""
+        lines = [f"{self.preset}: {self.width} x {self.height}, {self.contexts} context views, {self.views_per_step} a step, "
+                 f"{'colour' if self.channels == 3 else 'grey'}\n{self.device}, driver {self.driver}, "
+                 f"copies {self.copy_gb_per_s:.0f} GB/s\n",
+                 f"{'stage':<22}{'launches':>9}{'ms a step':>11}{'MB':>9}{'of copy bandwidth':>19}\n"]
+        for s in self.stages:
+            share = f"{s.megabytes:>9.1f}{100 * s.share:>18.0f}%" if s.megabytes else ""
+            lines.append(f"{s.name:<22}{s.launches:>9}{s.ms:>11.3f}{share}\n")
+        lines.append(f"{'a step':<22}{'':>9}{self.step_ms:>11.3f}; moving its data alone {self.floor_ms:.3f} ms\n")
+        lines.append(f"a frame {self.frame_s:.3f} s, the first one {self.first_frame_s:.3f} s; "
+                     f"{' + '.join(map(str, self.steps))} steps; {self.device_mb:.0f} MB on the device\n")
+        return "".join(lines)
+
+
+def bench(views, depth, preset: str, config: Config, device=None, repeats: int = 3) -> BenchResult:
+    """Measure one preset on one view.
+
+    Parameters
+    ----------
+    views : list of View
+        The target, then its context views.
+    depth : ndarray of shape (H, W)
+        Initial z-depth of the target, scene units, 0 = no surface.
+    """
+    from pagas_cl.runtime.device import open_device
+    from pagas_cl.splat import PhotoStore, refine_levels
+
+    opened, profiled = open_device(device), open_device(device, profiling=True)
+    target, contexts = views[0], views[1:]
+    copy = copy_bandwidth(profiled)
+    launches, stages, views_per_step = _step(profiled, target, contexts, depth, config, repeats, copy)
+    photos, times = PhotoStore(opened), []
+    for _ in range(1 + repeats):
+        start = time.perf_counter()
+        refined = refine_levels(target, contexts, depth, config, opened, photos)
+        times.append(time.perf_counter() - start)
+    info, camera = opened.info, target.camera
+    return BenchResult(preset, info.title, info.driver, camera.width, camera.height, len(contexts), views_per_step,
+                       1 if config.loss.grey else 3, copy / 1e9, stages, sum(s.ms for s in stages),
+                       sum(s.megabytes for s in stages) * 1e9 / copy, times[0], min(times[1:]), refined.steps,
+                       refined.device_bytes / 1e6)
+
+
+def copy_bandwidth(device) -> float:
+    """Bytes per second of a large copy on a profiling `device`, reads and writes counted."""
+    import pyopencl as cl
+
+    nbytes = min(_COPY_BYTES, device.info.max_alloc // 4, device.info.memory // 16)
+    source, target = (cl.Buffer(device.context, cl.mem_flags.READ_WRITE, nbytes) for _ in range(2))
+    cl.enqueue_fill_buffer(device.queue, source, np.uint32(0x3F9D70A4), 0, nbytes // 4 * 4)
+    times = []
+    for _ in range(7):
+        event = cl.enqueue_copy(device.queue, target, source, byte_count=nbytes)
+        event.wait()
+        times.append((event.profile.end - event.profile.start) * 1e-9)
+    return 2 * nbytes / median(times[2:])
+
+
+def _step(device, target, contexts, depth, config, repeats, copy):
+    """The launches of one step, their Stages, slowest first, and the context views in it."""
+    from pagas_cl.runtime.timing import stage_times
+    from pagas_cl.splat.step import Solver
+    from pagas_cl.splat.view import full_level
+
+    level = full_level(target, contexts, depth, config, device)
+    launches = [*level.gradient_launches(0), *Solver(level).launches]
+    moved = stage_bytes(config, level.target.pixels, max(size.pixels for size in level.contexts))
+    stages = []
+    for name, (ms, count) in stage_times(device.queue, launches, repeats).items():
+        fills = sum(launch.size for launch in launches if launch.stage == name and hasattr(launch, "size"))
+        megabytes = (fills or moved.get(name, 0) * count) / 1e6
+        stages.append(Stage(name, count, ms, megabytes, megabytes * 1e6 / copy / (ms * 1e-3) if ms else 0.0))
+    per_step = level.views_per_step
+    level.release()
+    return launches, sorted(stages, key=lambda stage: -stage.ms), per_step
+
+
+def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:
+    """Bytes that one launch of each stage must move, for a target of `n` and a context view of `m` pixels.
+
+    Photos 4 B a pixel; a rendered image and what is passed back to it 4 B a channel and 4 B coverage; SSIM partials 12 B
+    a channel; the alpha blend a weight for each of the places around a bin.
+    """
+    from pagas_cl.splat.options import reach
+
+    channels = 1 if config.loss.grey else 3
+    image, partials = 4 * (channels + 1), 12 * channels if config.loss.ssim else 0
+    first = 4 if config.splatting.occlusion else 0
+    places = 4 * (2 * reach(config.splatting.radius) + 1) ** 2
+    return {
+        "nearest": 4 * n + 8 * m, "splat_order_free": 8 * n + (first + 2 * image) * m,
+        "gather_gradient": 16 * n + (first + image) * m,
+        "link_bins": (12 + places) * n + 8 * m, "composite_alpha": (12 + places) * n + (4 + image) * m,
+        "composite_alpha_vjp": (12 + 2 * places) * n + (4 + image) * m, "gather_alpha": (12 + places) * n,
+        "ssim_forward": (image + 4 + partials) * m, "loss_backward": (2 * image + 4 + partials) * m,
+        "smoothness_planar": 20 * n, "adam": 36 * n,
+    }

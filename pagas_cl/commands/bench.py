@@ -1,0 +1,38 @@
+"""`pagas-cl bench`: what a step and a frame cost on this device, stage by stage."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import typer
+
+MANY = ("--preset", "--set")
+
+
+def command(
+    preset: list[str] = typer.Option(["fast", "balanced", "paper"], "--preset", help="Presets to measure."),
+    width: int = typer.Option(388, "--width", help="Width of the photos; the height is three quarters of it."),
+    contexts: int = typer.Option(5, "--context", help="Context views."),
+    repeats: int = typer.Option(3, "--repeat", min=1, help="Runs after the first one; a frame's time is the best of them."),
+    settings: list[str] = typer.Option([], "--set", help="stage.field=value, for all presets."),
+    device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name."),
+    output: Path = typer.Option(None, "--json", help="Write all figures to this file too."),
+):
+    """Measure presets on a made scene: time of each stage, bytes moved, share of the copy bandwidth, memory."""
+    from pagas_cl.bench import bench
+    from pagas_cl.commands._settings import build_config
+    from pagas_cl.made import relief_scene
+
+    made = relief_scene(width, round(width * 0.7477), contexts=contexts)
+    depth, results = made.initial_depth(made.cameras[0]), []
+    for name in preset:
+        result = bench(made.views, depth, name, build_config(name, settings), device, repeats)
+        sys.stdout.write(result.table() + "\n")
+        results.append(result.as_dict())
+    if output:
+        beside = output.with_name(output.name + ".part")
+        beside.write_text(json.dumps(results, indent=1) + "\n")
+        os.replace(beside, output)

@@ -1,0 +1,46 @@
+"""The bench runs at tiny size and its figures hang together; it never asserts a time."""
+
+import json
+
+import pytest
+
+from pagas_cl.__main__ import run
+from pagas_cl.bench import stage_bytes
+from pagas_cl.config import PRESETS
+from pagas_cl.errors import DeviceError
+from pagas_cl.runtime.device import open_device
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    try:
+        open_device()
+    except DeviceError as error:
+        pytest.skip(str(error))
+    path = tmp_path_factory.mktemp("bench") / "bench.json"
+    steps = ["--set", "pyramid.scales=1", "pyramid.steps=2"]
+    assert run(["bench", "--width", "96", "--context", "2", "--repeat", "1", "--preset", "balanced", "paper", *steps,
+                "--json", str(path)]) == 0
+    return json.loads(path.read_text())
+
+
+def test_every_stage_is_there(report):
+    balanced, paper = ({stage["name"]: stage for stage in result["stages"]} for result in report)
+    assert {"splat_order_free", "ssim_forward", "loss_backward", "gather_gradient", "adam"} <= set(balanced)
+    assert {"link_bins", "composite_alpha", "composite_alpha_vjp", "gather_alpha", "plateau"} <= set(paper)
+    assert paper["ssim_forward"]["launches"] == 3           # two context views and the target's own
+
+
+def test_figures_hang_together(report):
+    for result in report:
+        assert result["steps"] == [2] and result["width"] == 96 and result["device_mb"] > 0
+        assert result["step_ms"] == pytest.approx(sum(stage["ms"] for stage in result["stages"]))
+        for stage in result["stages"]:
+            if stage["megabytes"]:
+                moved = stage["share"] * result["copy_gb_per_s"] * 1e3 * stage["ms"] * 1e-3
+                assert moved == pytest.approx(stage["megabytes"], rel=1e-6)
+
+
+def test_bytes_are_linear_in_pixels():
+    for config in PRESETS.values():
+        assert stage_bytes(config, 2000, 1000) == {k: 2 * v for k, v in stage_bytes(config, 1000, 500).items()}
