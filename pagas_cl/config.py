@@ -270,7 +270,7 @@ class Fusion:
         Pieces with fewer triangles than this share of the largest one are dropped; 0 keeps all.
     """
 
-    voxel: float = 1.0
+    voxel: float = 1.5
     truncation: float = 6.0
     min_views: int = 1
     agree_views: int = 0
