@@ -3,6 +3,7 @@
 //
 //   warp_photo   a context photo seen from the target: grey value and its slope by the depth, per target pixel
 //   weigh        5x5 patches of it against the target: correlation, and how sharply it fixes the depth
+//   sum_window   1 - correlation and views of one line of pixels around each pixel, by rows and then by columns
 //   decide       which refined depths are kept, and the standard deviation of each depth
 #include "splat.clh"
 
@@ -93,26 +94,50 @@ __kernel void weigh(__global const float *warped, __global const uchar4 *target_
     const float var_w = fmax(ww - w * w * inverse, 0.0f) * inverse, var_t = fmax(tt - t * t * inverse, 0.0f) * inverse;
     const float cov = (wt - w * t * inverse) * inverse;
     const float correlation = (cov + noise) / sqrt((var_w + noise) * (var_t + noise));
-    const float unexplained = var_w * (1.0f - fmin(fmax(correlation, 0.0f), 1.0f) * fmax(correlation, 0.0f)) + noise;
+    const float share = fmin(fmax(cov, 0.0f) / sqrt(fmax(var_w * var_t, noise * noise)), 1.0f);
+    const float explained = share * share, unexplained = var_w * (1.0f - explained) + noise;
     const int i = row * width + column;
     float3 e = vload3(i, evidence);
     e.x += 1.0f - correlation;
     e.y += 1.0f;
-    e.z += fmax(ss - s * s * inverse, 0.0f) / unexplained;
+    e.z += explained * fmax(ss - s * s * inverse, 0.0f) / unexplained;
     vstore3(e, i, evidence);
 }
 
-// before, after: evidence under the initial and the refined depth. A depth goes back to the initial one where its
-// patches match worse than before, where it moved too far, and where no other view sees it.
+#define WINDOW 7                     // half the width of the surroundings in which patches must match
+
+// from: every `stride` floats a sum of 1 - correlation and a number of views; sums of them over WINDOW pixels to each
+// side, along rows (dx = 1) or columns (dy = 1). Twice gives the surroundings of each pixel.
+__kernel void sum_window(__global const float *from, int stride, int width, int height, int dx, int dy,
+                         __global float *sums)
+{
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= width || row >= height)
+        return;
+    float2 sum = 0.0f;
+    for (int k = -WINDOW; k <= WINDOW; ++k) {
+        const int x = column + k * dx, y = row + k * dy;
+        if (x >= 0 && y >= 0 && x < width && y < height) {
+            __global const float *e = from + stride * (y * width + x);
+            sum += (float2)(e[0], e[1]);
+        }
+    }
+    vstore2(sum, row * width + column, sums);
+}
+
+// before, after: evidence under the initial and the refined depth; around: that of the surroundings. A depth goes back
+// to the initial one where its patches match worse than before, where the photos do not show the same thing around it
+// (moving content, wrong poses, no texture), where it moved too far, and where no other view sees it.
 __kernel void decide(__global const float *initial, __global float *depth, __global const float *unit, int count,
-                     __global const float *before, __global const float *after, float max_move, float tolerance,
-                     float least_deviation, __global uchar *status, __global float *deviation)
+                     __global const float *before, __global const float *after, __global const float *around,
+                     float max_move, float tolerance, float mismatch, float least_deviation, __global uchar *status, __global float *deviation)
 {
     const int i = get_global_id(0);
     if (i >= count)
         return;
     const float d0 = initial[i], d = depth[i];
     const float3 was = vload3(i, before), is = vload3(i, after);
+    const float2 near = vload2(i, around);
     uchar verdict = REFINED;
     if (!(d0 > 0.0f))
         verdict = NO_SURFACE;
@@ -121,6 +146,8 @@ __kernel void decide(__global const float *initial, __global float *depth, __glo
     else if (!(fabs(d - d0) <= max_move * unit[i]))
         verdict = REJECTED;
     else if (was.y > 0.0f && is.x * was.y > was.x * is.y + tolerance * was.y * is.y)
+        verdict = REJECTED;
+    else if (near.x > mismatch * near.y)
         verdict = REJECTED;
     status[i] = verdict;
     depth[i] = verdict == REFINED ? d : d0;

@@ -12,13 +12,15 @@ from pagas_cl.config import preset as named_preset
 from pagas_cl.effects import decide, measure
 from pagas_cl.errors import InputError
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
-from pagas_cl.result import DepthResult
+from pagas_cl.result import REFINED, REJECTED, DepthResult
 from pagas_cl.scene.inputs import as_views, asked_views, checked_depth
 from pagas_cl.scene.mesh import from_surface, to_surface
 from pagas_cl.scene.partners import PartnerChooser, Partners
 from pagas_cl.scene.view import View
 
 log = logging.getLogger("pagas_cl")
+
+MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not to be trusted as a whole
 
 
 def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=None, device=None, progress=None,
@@ -228,6 +230,9 @@ def _config(preset: str, config) -> Config:
 
 def _harm(refined, witness) -> str:
     """Why a refinement is not to be trusted as a whole; empty where it is."""
+    refused, accepted = (int(np.count_nonzero(refined.status == status)) for status in (REJECTED, REFINED))
+    if refused > MOST_REFUSED * (refused + accepted):
+        return f"the photos do not confirm the refined depth of {refused / (refused + accepted):.0%} of the pixels"
     before, after = refined.witness or refined.cost
     judge = f"the photo of {witness.name}, which took no part," if refined.witness else "the context photos"
     if np.isfinite(after) and np.isfinite(before) and after > before:

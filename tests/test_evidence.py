@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyopencl as cl
 import pytest
 from kernel_cases import Scene, start_level
 
@@ -57,6 +58,25 @@ def test_evidence_equals_the_twin(device):
     assert np.abs(got - want)[same][:, 0].max() < 2e-3
     informed = same & (want[..., 2] > 0)
     assert np.median(np.abs(got / np.maximum(want, 1e-12) - 1)[informed][:, 2]) < 1e-3
+
+
+def test_verdicts_equal_the_twin(device):
+    rng = np.random.default_rng(5)
+    scene = Scene.make(17, width=45, height=37, contexts=3, masks=True)
+    config = CONFIG.with_settings(solver__max_move=0.5, solver__mismatch=0.8, solver__tolerance=0.1)
+    level = start_level(device, config, scene)
+    judge = Evidence(level, [1, 2, 3])
+    judge.weigh_before()
+    unit, initial = level.read("unit", scene.moved.shape), level.read("depth", scene.moved.shape)
+    refined = np.where(initial > 0, initial + rng.normal(0, 0.3, initial.shape) * unit, 0).astype(np.float32)
+    cl.enqueue_copy(device.queue, level.arena["depth"], refined)
+    judge.weigh_after()
+    before, after = (judge._read(e).reshape(*initial.shape, 3).astype(np.float64) for e in (judge._before, judge._after))
+    status = judge.decide(initial.shape).status
+    level.release()
+    want = twin.decide(initial, refined, unit, before, after, 0.5, 0.1, 0.8)
+    assert (np.bincount(want.ravel(), minlength=4) > 0).all()
+    assert (status == want).mean() > 0.999
 
 
 def _near(band):

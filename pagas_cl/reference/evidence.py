@@ -6,7 +6,7 @@ import numpy as np
 
 from pagas_cl.reference.project import project
 
-PATCH, LEAST_PIXELS, NOISE = 2, 6, 1 / 255
+PATCH, WINDOW, LEAST_PIXELS, NOISE = 2, 7, 6, 1 / 255
 NO_SURFACE, REFINED, KEPT, REJECTED = range(4)
 
 
@@ -60,14 +60,34 @@ def weigh(value, slope, inside, own):
     var_w, var_t = mean(value**2) - mw**2, mean(own**2) - mt**2
     noise = NOISE**2
     correlation = (mean(value * own) - mw * mt + noise) / np.sqrt((np.maximum(var_w, 0) + noise) * (np.maximum(var_t, 0) + noise))
-    positive = np.clip(correlation, 0, None)
-    unexplained = np.maximum(var_w, 0) * (1 - np.minimum(positive, 1) * positive) + noise
-    information = np.maximum(n * (mean(slope**2) - ms**2), 0) / unexplained
+    cov, product = mean(value * own) - mw * mt, np.maximum(var_w, 0) * np.maximum(var_t, 0)
+    explained = np.minimum(np.clip(cov, 0, None) ** 2 / np.maximum(product, noise**2), 1)
+    unexplained = np.maximum(var_w, 0) * (1 - explained) + noise
+    information = explained * np.maximum(n * (mean(slope**2) - ms**2), 0) / unexplained
     return 1 - correlation, information, inside & (n >= LEAST_PIXELS)
 
 
-def _patch_sum(image: np.ndarray) -> np.ndarray:
-    padded = np.pad(image, PATCH)
+def decide(initial, refined, unit, before, after, max_move, tolerance, mismatch):
+    """Status of each depth: 0 no surface, 1 refined, 2 kept, 3 rejected.
+
+    Parameters
+    ----------
+    initial, refined, unit : ndarray of shape (H, W)
+    before, after : ndarray of shape (H, W, 3)
+        Sum of 1 - correlation, views, information.
+    max_move, tolerance, mismatch : float
+        See config.Solver.
+    """
+    cost, views = (_patch_sum(after[..., k], WINDOW) for k in (0, 1))
+    seen_twice = before[..., 1] * after[..., 1]
+    worse = after[..., 0] * before[..., 1] > before[..., 0] * after[..., 1] + tolerance * seen_twice
+    refused = ~(np.abs(refined - initial) <= max_move * unit) | worse & (before[..., 1] > 0) | (cost > mismatch * views)
+    unseen = (unit == 0) | (after[..., 1] == 0)
+    return np.select([~(initial > 0), unseen, refused], [NO_SURFACE, KEPT, REJECTED], REFINED)
+
+
+def _patch_sum(image: np.ndarray, half: int = PATCH) -> np.ndarray:
+    padded = np.pad(image, half)
     height, width = image.shape
-    size = 2 * PATCH + 1
+    size = 2 * half + 1
     return sum(padded[y:y + height, x:x + width] for y in range(size) for x in range(size))

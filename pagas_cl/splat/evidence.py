@@ -60,11 +60,20 @@ class Evidence:
         level, n = self.level, self.level.target.pixels
         solver, a = level.config.solver, level.arena
         status, deviation = self._buffer(n), self._buffer(4 * n)
+        around = self._surroundings()
         bind(self.program, "decide", (n,), None, self._initial, a["depth"], a["unit"], n, self._before, self._after,
-             float(solver.max_move), float(solver.tolerance), LEAST_DEVIATION, status,
+             around, float(solver.max_move), float(solver.tolerance), float(solver.mismatch), LEAST_DEVIATION, status,
              deviation).enqueue(level.device.queue)
         return Verdict(self._read(status, np.uint8).reshape(shape), self._read(deviation, np.float32).reshape(shape),
                        *self.costs())
+
+    def _surroundings(self) -> cl.Buffer:
+        """1 - correlation and views under the refined depth, summed over the surroundings of each pixel."""
+        size, around = self.level.target, self._buffer(8 * self.level.target.pixels)
+        run_once(self.level.device.queue, [
+            bind(self.program, "sum_window", size.grid, None, source, stride, size.width, size.height, dx, dy, out)
+            for source, stride, dx, dy, out in ((self._after, 3, 1, 0, self._warped), (self._warped, 2, 0, 1, around))])
+        return around
 
     def _weigh(self, evidence: cl.Buffer):
         level, size = self.level, self.level.target

@@ -1,0 +1,58 @@
+"""Where photos speak for no depth, or for a wrong one, the depth map comes back no worse than it came."""
+
+from __future__ import annotations
+
+import pytest
+from harm_scenes import figures, moving, plain, wrong_poses
+
+from pagas_cl.errors import DeviceError
+from pagas_cl.refine import refine_depth, refine_views
+from pagas_cl.runtime.device import open_device
+
+HARMFUL = {"a plane without texture": plain, "without texture or noise": lambda: plain(0.0),
+           "wrong poses": wrong_poses, "wrong poses of eight views": lambda: wrong_poses(contexts=8),
+           "moving content": moving, "moving content, coarse depth": lambda: moving(coarse_error=0.5)}
+_MOST = 1.02
+
+
+@pytest.fixture(scope="module")
+def device():
+    try:
+        return open_device()
+    except DeviceError as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.parametrize("name", HARMFUL)
+@pytest.mark.parametrize("judged", [False, True], ids=["alone", "with a witness"])
+def test_no_error_figure_gets_worse(device, name, judged):
+    made, (target, *others) = HARMFUL[name]()
+    initial = made.initial_depth(made.cameras[0])
+    witness = others.pop() if judged else None
+    result = refine_depth(target, others, initial, device=device, witness=witness)
+    before, after = figures(made, initial), figures(made, result.depth)
+    assert not {k: (before[k], after[k]) for k in before if after[k] > _MOST * before[k]}
+
+
+def test_moving_content_costs_only_its_own_part(device):
+    made, (target, *others) = moving()
+    initial = made.initial_depth(made.cameras[0])
+    result = refine_depth(target, others, initial, device=device)
+    assert figures(made, result.depth)["mean"] < 0.55 * figures(made, initial)["mean"]
+    assert result.counts["rejected"] > 0.1 * initial.size
+
+
+def test_a_view_that_is_returned_says_why(device):
+    made, views = wrong_poses()
+    depths = [made.initial_depth(made.cameras[0]), *[None] * (len(views) - 1)]
+    result, = refine_views(views, depths, device=device)
+    assert result.reason and (result.depth == depths[0]).all() and result.counts["refined"] == 0
+
+
+def test_good_scenes_keep_their_gain(device):
+    made, (target, *others) = wrong_poses(1e-9)
+    initial = made.initial_depth(made.cameras[0])
+    result = refine_depth(target, others, initial, device=device)
+    before, after = figures(made, initial), figures(made, result.depth)
+    assert after["mean"] < 0.25 * before["mean"] and after["normal mean"] < 0.6 * before["normal mean"]
+    assert result.counts["refined"] > 0.98 * initial.size
