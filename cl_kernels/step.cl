@@ -8,26 +8,27 @@
 #define DONE 3
 #define LOSS 4
 
-__kernel void adam(__global float *depth, __global float *gradient, __global float *first, __global float *second,
-                   __global const float *unit, __global const float *state, int count, int pass, float damping,
+// Without branches, so that compilers for CPUs make vectors of it. first_scale and second_scale undo the bias of the
+// first steps: 1 / (1 - 0.9^pass) and 1 / (1 - 0.999^pass).
+__kernel void adam(__global float *restrict depth, __global float *restrict gradient, __global float *restrict first,
+                   __global float *restrict second, __global const float *restrict unit,
+                   __global const float *restrict state, int count, float first_scale, float second_scale, float damping,
                    float common_unit, float share)
 {
     const int i = get_global_id(0);
     if (i >= count)
         return;
-    const float d = depth[i];
-    const float u = unit[i] > 0.0f ? (common_unit > 0.0f ? common_unit : unit[i]) : 0.0f;
-    const float g = gradient[i] * u;
+    const float d = depth[i], own = unit[i], rate = state[RATE] * share;
+    const float u = own > 0.0f ? (common_unit > 0.0f ? common_unit : own) : 0.0f;
+    const bool moving = d > 0.0f && state[DONE] == 0.0f;
+    const float g = moving ? gradient[i] * u : 0.0f;
+    const float old_m = first[i], old_v = second[i];
+    const float m = moving ? 0.9f * old_m + 0.1f * g : old_m, v = moving ? 0.999f * old_v + 0.001f * g * g : old_v;
+    const float change = rate * u * m * first_scale / (sqrt(v * second_scale) + damping);
     gradient[i] = 0.0f;
-    if (!(d > 0.0f) || state[DONE] != 0.0f)
-        return;
-    const float m = 0.9f * first[i] + 0.1f * g;
-    const float v = 0.999f * second[i] + 0.001f * g * g;
     first[i] = m;
     second[i] = v;
-    const float m_hat = m / (1.0f - pown(0.9f, pass)), v_hat = v / (1.0f - pown(0.999f, pass));
-    const float change = v > 0.0f ? state[RATE] * share * u * m_hat / (sqrt(v_hat) + damping) : 0.0f;
-    depth[i] = fmax(d - change, NEAR);
+    depth[i] = moving && v > 0.0f ? fmax(d - change, NEAR) : d;
 }
 
 #define ADD_GROUP 256                    // as in splat/loss.py
