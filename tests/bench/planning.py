@@ -61,7 +61,7 @@ def plan_all(count: int, workers: int) -> dict:
     made, start = peak_mb(), time.perf_counter()
     planner = Planner(views, [Known(f"d{k}") for k in range(count)], samples, preset("balanced"), make_views)
     parts = groups(list(range(count)), views, workers)
-    first, contexts, sent = None, 0, []
+    first, contexts, sent, used = None, 0, [], time.process_time()
     template = Batch(make_views, {}, {}, (), preset("balanced"), Path("."), None, "")
     for part in parts:
         tasks = [planner.task(k) for k in part]
@@ -70,7 +70,8 @@ def plan_all(count: int, workers: int) -> dict:
         contexts += sum(len(task.partners.contexts) for task in tasks)
         sent.append((len(batch.views), len(tasks), len(pickle.dumps(batch))))
     needed, targets, size = np.sum(sent, axis=0)
-    return {"views": count, "workers": workers, "seconds": time.perf_counter() - start, "seconds to the first batch": first,
+    return {"views": count, "workers": workers, "seconds": time.perf_counter() - start,
+            "processor seconds": time.process_time() - used, "seconds to the first batch": first,
             "batches": len(parts), "contexts a view": contexts / count, "photos a view in its batch": needed / targets,
             "kB sent a view": size / count / 1000, "MB of samples and cameras": made - before,
             "MB of planning": peak_mb() - made}

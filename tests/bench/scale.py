@@ -1,0 +1,64 @@
+"""What a run of many views costs, from measured constants: `python tests/bench/scale.py` prints the table of SCALE.md."""
+
+import sys
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Where each figure comes from is told in SCALE.md.
+
+    Attributes
+    ----------
+    fixed, per_pixel : float
+        Seconds that one GPU's worker is busy with a view: fixed + per_pixel * pixels.
+    begin : float
+        Seconds until a new worker has compiled its kernels.
+    plan, take_back : float
+        Seconds of the one planning process for a view: choosing its partners; handing it out and taking it back.
+    photo_bytes : float
+        Bytes of a photo's file, a pixel.
+    photos_read : float
+        Photos that a worker reads for each view of a long run.
+    disk : float
+        Bytes a second that the shared storage gives to all workers together.
+    """
+
+    fixed: float = 0.01
+    per_pixel: float = 2.2e-7
+    begin: float = 6.0
+    plan: float = 4e-3
+    take_back: float = 5e-3
+    photo_bytes: float = 0.39
+    photos_read: float = 3.4
+    disk: float = 2e9
+
+
+def run_seconds(views: int, pixels: float, gpus: int, m: Measured = Measured()) -> dict[str, float]:
+    """Seconds that each part would take by itself; they overlap, so that the longest one decides."""
+    size = min(16, max(1, views // (8 * gpus)))
+    view = m.fixed + m.per_pixel * pixels
+    rounds = -(-views // (size * gpus)) * size   # the last batch of each worker may be one more than its share
+    traffic = views * pixels * (4 + 4 + m.photos_read * m.photo_bytes)  # depth in, depth out, photos in
+    return {"GPUs": m.begin + rounds * view, "planning": views * (m.plan + m.take_back), "storage": traffic / m.disk}
+
+
+def table() -> str:
+    lines = ["| views | pixels | GPUs | GPUs' time | planning | storage at 2 GB/s | decides | of ideal |", "|" + "---|" * 8]
+    for views, pixels in ((160, 12e6), (10_000, 1.8e6), (10_000, 12e6)):
+        alone = sum(run_seconds(views, pixels, 1)[name] for name in ("GPUs",))
+        for gpus in (1, 8, 64):
+            parts = run_seconds(views, pixels, gpus)
+            name = max(parts, key=parts.get)
+            cells = [f"{views}", f"{pixels / 1e6:g} M", f"{gpus}", *(_time(seconds) for seconds in parts.values()), name,
+                     f"{alone / gpus / parts[name]:.0%}"]
+            lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(table() + "\n")
