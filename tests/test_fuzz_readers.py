@@ -20,7 +20,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.readers import bundler, meshlab, mvsnet, nerfstudio, neus, open3d_trajectory, read_scene
+from pagas_cl.scene.readers import (bundler, camera_file, meshlab, mvsnet, nerfstudio, neus, open3d_trajectory,
+                                    read_scene)
 
 COUNT = int(os.environ.get("PAGAS_FUZZ", "80"))
 FLIP = np.diag([1.0, -1, -1, 1])
@@ -105,6 +106,42 @@ def oracle_meshlab(data):
     return result
 
 
+def _colmap(rows):
+    from scipy.spatial.transform import Rotation
+
+    return [(None, full(np.column_stack([Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), t])))
+            for name, q, t in sorted(rows, key=lambda row: row[0])]
+
+
+def oracle_colmap_txt(data):
+    lines = [line.strip() for line in data.decode().splitlines()]
+    heads, k = [], 0
+    while k < len(lines):
+        if lines[k] and not lines[k].startswith("#"):
+            heads.append(lines[k].split(maxsplit=9))
+            k += 1
+        k += 1
+    return _colmap([(h[9], np.array(h[1:5], float), np.array(h[5:8], float)) for h in heads])
+
+
+def oracle_colmap_bin(data):
+    import struct
+
+    rows, place = [], 8
+    for _ in range(int.from_bytes(data[:8], "little")):
+        numbers = np.frombuffer(data, "<f8", 7, place + 4)
+        end = data.index(b"\0", place + 64)
+        rows.append((data[place + 64:end].decode(), numbers[:4], numbers[4:]))
+        place = end + 9 + 24 * struct.unpack_from("<Q", data, end + 1)[0]
+    return _colmap(rows)
+
+
+def oracle_camera_file(data):
+    views = json.loads(data.decode("utf-8-sig"))["views"]
+    return [(np.array([[v["fx"], 0, v["cx"]], [0, v["fy"], v["cy"]], [0, 0, 1.0]]),
+             np.array(v["world_to_camera"], float)) for v in views]
+
+
 def same(cameras, expected):
     assert len(cameras) == len(expected)
     for camera, (K, pose) in zip(cameras, expected):
@@ -147,7 +184,19 @@ def make_meshlab(folder, views):
     (folder / "ours.mlp").unlink()
 
 
+def make_colmap(folder, views, binary=True):
+    """By pycolmap itself."""
+    pytest.importorskip("pycolmap")
+    from test_readers_colmap import write_model
+
+    write_model(folder, [v.camera for v in views], binary=binary, photos=False)
+
+
 READERS = {
+    "cameras": (camera_file.write, "cameras.json", oracle_camera_file, {}),
+    "colmap": (make_colmap, "sparse/0/images.bin", oracle_colmap_bin, {}),
+    "colmap_txt": (lambda folder, views: make_colmap(folder, views, False), "sparse/0/images.txt", oracle_colmap_txt,
+                   {}),
     "nerfstudio": (nerfstudio.write, "transforms.json", oracle_nerfstudio, {}),
     "mvsnet": (mvsnet.write, "cams/00000000_cam.txt", oracle_mvsnet, {}),
     "open3d": (make_open3d, "trajectory.json", oracle_open3d, {}),
@@ -164,7 +213,7 @@ def target(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
     views = rigs.with_photos(folder, rigs.random_cameras(
         1 if request.param == "mvsnet" else 3, centred=request.param == "bundler", square=request.param == "bundler",
-        same=request.param == "open3d_log"))
+        same=request.param in ("open3d_log", "colmap", "colmap_txt")))
     make(folder, views)
     return request.param.split("_")[0], folder, folder / name, oracle, options
 
@@ -221,7 +270,7 @@ def places(value, path=()):
         yield from places(inner, path + (key,))
 
 
-@pytest.mark.parametrize("name", ["nerfstudio", "open3d"])
+@pytest.mark.parametrize("name", ["nerfstudio", "open3d", "cameras"])
 def test_any_json_value_anywhere(name, tmp_path):
     make, file, oracle, options = READERS[name]
     make(tmp_path, rigs.with_photos(tmp_path, rigs.random_cameras(2)))
@@ -350,3 +399,66 @@ def test_hostile_sizes(tmp_path):
     (tmp_path / "transforms.json").write_text(huge)
     with bounded(), pytest.raises(InputError, match="its camera says 1000000 x 1000000"):
         read_scene(tmp_path, "nerfstudio")
+
+
+def write_depth(path, depth):
+    """The kinds of depth maps, as their own programs write them."""
+    from PIL import Image
+
+    name = path.name
+    if name.endswith(".npz"):
+        np.savez_compressed(path, depth=depth)
+    elif name.endswith(".npy"):
+        np.save(path, depth)
+    elif name.endswith(".pfm"):
+        path.write_bytes(b"Pf\n%d %d\n-1.0\n" % depth.shape[::-1] + np.ascontiguousarray(depth[::-1]).tobytes())
+    elif name.endswith(".png"):
+        Image.fromarray((depth * 50).astype(np.uint16)).save(path)
+    else:
+        path.write_bytes(b"%d&%d&1&" % depth.shape[::-1] + depth.tobytes())
+
+
+@pytest.mark.parametrize("name", ["a.npz", "a.npy", "a.pfm", "a.png", "a.jpg.geometric.bin"])
+def test_damaged_depth_maps(tmp_path, name):
+    """A depth map is refused, or clean: float32, finite, nowhere below 0, of the size asked for."""
+    from pagas_cl.scene.depthmap import load_depth
+
+    rng = np.random.default_rng(2)
+    path, scale = tmp_path / name, 50.0 if name.endswith(".png") else None
+    write_depth(path, rng.uniform(1, 9, (12, 16)).astype(np.float32))
+    original, read = path.read_bytes(), 0
+    for _ in range(COUNT):
+        path.write_bytes(mutations.mutate(original, rng))
+        try:
+            with bounded():
+                depth = load_depth(path, (24, 18), scale=scale)
+        except InputError as error:
+            assert 10 < len(str(error)) < 1200
+            continue
+        read += 1
+        assert depth.shape == (18, 24) and depth.dtype == np.float32 and np.isfinite(depth).all() and depth.min() >= 0
+    assert 0 < read < COUNT
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_all_files_of_a_colmap_model_damaged(tmp_path, binary):
+    """Cameras and points too: refused, or read as the undamaged images with other intrinsics."""
+    views = rigs.with_photos(tmp_path, rigs.random_cameras(3, same=True))
+    make_colmap(tmp_path, views, binary)
+    place = tmp_path / "sparse/0"
+    before, rng, read = read_scene(tmp_path, "colmap"), np.random.default_rng(5), 0
+    for part in ("cameras", "points3D"):
+        path = place / (part + (".bin" if binary else ".txt"))
+        original = path.read_bytes()
+        for _ in range(COUNT // 2):
+            path.write_bytes(mutations.mutate(original, rng))
+            try:
+                with bounded():
+                    scene = read_scene(tmp_path, "colmap")
+            except InputError:
+                continue
+            read += 1
+            for a, b in zip(before.cameras, scene.cameras, strict=True):
+                assert np.array_equal(a.world_to_camera, b.world_to_camera) and (b.width, b.height) == (64, 48)
+        path.write_bytes(original)
+    assert read

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
+import struct
+import tokenize
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +16,10 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene.pyramid import depth_down, depth_up
 
 log = logging.getLogger("pagas_cl")
+
+# what numpy, zipfile and Pillow raise on damaged files, as fuzzing found it
+_DAMAGE = (OSError, ValueError, EOFError, KeyError, IndexError, SyntaxError, MemoryError, RuntimeError, OverflowError,
+           zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
 
 SUFFIXES = (".npz", ".npy", ".pfm", ".png", ".geometric.bin", ".photometric.bin")
 
@@ -59,7 +66,7 @@ def load_depth(path, size: tuple[int, int] | None = None, *, scale: float | None
         raise InputError(f"depth scale is {scale}, expected a number above 0")
     try:
         values = read(path)
-    except (OSError, ValueError, EOFError, KeyError, SyntaxError, MemoryError, zipfile.BadZipFile) as error:
+    except _DAMAGE as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"depth map {str(path)!r} cannot be read: "

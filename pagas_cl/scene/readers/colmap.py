@@ -1,7 +1,7 @@
-"""COLMAP: `images/` and a model in `sparse/0` or `sparse`, binary or text, read by pycolmap.
+"""COLMAP: `images/` and a model in `sparse/0` or `sparse`, binary or text.
 
 Convention: world-to-camera, OpenCV axes, pixel centres at +0.5. PINHOLE and SIMPLE_PINHOLE are used as they are;
-photos of other models are undistorted as they are loaded.
+photos of other models are undistorted as they are loaded, by pycolmap's lens models.
 """
 
 from __future__ import annotations
@@ -9,11 +9,10 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-import numpy as np
-
-from pagas_cl.errors import InputError, need
-from pagas_cl.scene.camera import Camera
+from pagas_cl.errors import InputError
 from pagas_cl.scene.lens import Lens, ThroughLens
+from pagas_cl.scene.readers import untrusted
+from pagas_cl.scene.readers.colmap_model import Model, ModelImage, read_model
 from pagas_cl.scene.readers.photos import find_mask, inside
 from pagas_cl.scene.view import Scene, View
 
@@ -42,25 +41,21 @@ def read(folder, *, outside: bool = False) -> Scene:
     Raises
     ------
     InputError
-        No model, a model that pycolmap cannot read, no registered image, photos that are missing or of another size.
+        No model, a model that cannot be read, no registered image, photos that are missing or of another size.
     """
     folder = Path(folder)
     place = model_folder(folder)
     if place is None:
         raise InputError(f"{str(folder)!r} has no COLMAP model: looked for cameras and images (.bin or .txt) in "
                          f"{', '.join(_PLACES[:2])}")
-    model = _reconstruction(place)
-    views = views_of(model, folder / "images", folder, outside=outside)
-    points = np.array([p.xyz for p in model.points3D.values()], np.float64).reshape(-1, 3)
-    return Scene(views, f"COLMAP model {str(place)!r}", points if len(points) else None)
+    model = read_model(place)
+    views = _views_of(model, folder / "images", folder, outside)
+    return Scene(views, f"COLMAP model {str(place)!r}", model.points if len(model.points) else None)
 
 
-def views_of(model, photos: Path, folder: Path | None = None, *, outside: bool = False) -> list[View]:
-    """Views of the registered images of a pycolmap Reconstruction whose photos lie in `photos`.
-
-    Masks are looked for in `folder`/masks. Headers of all photos are checked against their cameras.
-    """
-    images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: image.name)
+def _views_of(model: Model, photos: Path, folder: Path, outside: bool) -> list[View]:
+    """Views of the model's images; headers of all photos are checked against their cameras."""
+    images = sorted(model.images, key=lambda image: image.name)
     if not images:
         raise InputError(f"the COLMAP model of {str(photos.parent)!r} has no registered image")
     paths = {image.name: inside(photos, image.name, f"image name in the COLMAP model of {str(photos.parent)!r}",
@@ -70,34 +65,22 @@ def views_of(model, photos: Path, folder: Path | None = None, *, outside: bool =
     views = [_view(model, image, paths[image.name], folder, lenses) for image in images]
     for view in views:
         view.check_files()
-    if folder is not None and (folder / "masks").is_dir():
+    if (folder / "masks").is_dir():
         _tell_masks(views, folder / "masks")
     return views
 
 
-def _reconstruction(place: Path):
-    pycolmap = need("pycolmap", "colmap", "reading a COLMAP model")
-    try:
-        return pycolmap.Reconstruction(str(place))
-    except (RuntimeError, ValueError, IndexError, OverflowError, MemoryError) as error:
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise InputError(f"the COLMAP model in {str(place)!r} cannot be read ({reason[:200]}); is a file cut off or "
-                         "of another model?") from error
-
-
-def _view(model, image, path: Path, folder: Path | None, lenses: dict) -> View:
-    camera = model.cameras[image.camera_id]
-    mask = None if folder is None else _mask(folder, image.name, path)
-    if camera.model.name in ("PINHOLE", "SIMPLE_PINHOLE"):
-        return View(Camera.from_colmap(camera, image), path, mask, image.name)
+def _view(model: Model, image: ModelImage, path: Path, folder: Path, lenses: dict) -> View:
+    camera, mask = model.cameras[image.camera_id], _mask(folder, image.name, path)
+    if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
+        pinhole = untrusted.pinhole(camera.K, image.world_to_camera, camera.width, camera.height, image.name)
+        return View(pinhole, path, mask, image.name)
     if image.camera_id not in lenses:
-        lens = lenses[image.camera_id] = Lens.from_colmap(camera, image.name)
+        lens = lenses[image.camera_id] = Lens.from_colmap(camera.to_pycolmap(), image.name)
         log.info("camera %d is %s: its photos are undistorted to a pinhole of %d x %d pixels, as colmap "
                  "image_undistorter does; depth maps have that size", image.camera_id, lens.model, *lens.pinhole[:2])
     lens = lenses[image.camera_id]
-    pose = image.cam_from_world
-    pose = (pose() if callable(pose) else pose).matrix()
-    return View(lens.camera(pose, image.name), ThroughLens(path, lens),
+    return View(lens.camera(image.world_to_camera, image.name), ThroughLens(path, lens),
                 None if mask is None else ThroughLens(mask, lens, "mask"), image.name)
 
 

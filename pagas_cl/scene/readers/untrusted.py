@@ -83,6 +83,11 @@ def number(value, what: str) -> float:
     return value
 
 
+def is_number(token: str) -> bool:
+    """Whether a word is a number in plain decimal spelling."""
+    return _NUMBER.fullmatch(token) is not None
+
+
 def word(token: str, what: str) -> float:
     """A finite number out of a word of a text file, in plain decimal spelling."""
     if not _NUMBER.fullmatch(token):
