@@ -10,8 +10,8 @@
 // few.clh serves the pixels with few candidates, which are nearly all; lists.clh the others, in the same order.
 #include "lists.clh"
 
-__kernel void link_bins(__global const float *depth, __global const float *cameras, int view, float radius,
-                        float low_pass, __global volatile int *heads, __global int2 *links, __global float *alphas)
+__kernel void link_bins(__global const float *depth, __global const float *cameras, int view, float low_pass,
+                        __global volatile int *heads, __global int2 *links, __global float *alphas)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     const int column = get_global_id(0), row = get_global_id(1);
@@ -21,15 +21,15 @@ __kernel void link_bins(__global const float *depth, __global const float *camer
     const float d = depth[i];
     Splat s;
     Motion motion;
-    if (!(d > 0.0f) || !project_gaussian(target, context, column, row, d, radius, low_pass, &s, &motion))
+    if (!project_gaussian(target, context, column, row, d, RADIUS, low_pass, &s, &motion))
         return;
-    const int x = (int)floor(s.mean.x), y = (int)floor(s.mean.y);
+    const int x = (int)floor(s.x), y = (int)floor(s.y);
     for (int v = -REACH; v <= REACH; ++v)
         for (int u = -REACH; u <= REACH; ++u) {
-            const float2 delta = offset_from(s, x + u, y + v);
-            const bool reached = dot(delta, delta) <= radius * radius && x + u >= 0 && x + u < context.width
+            const float dx = x + u + 0.5f - s.x, dy = y + v + 0.5f - s.y;
+            const bool reached = dx * dx + dy * dy <= RADIUS * RADIUS && x + u >= 0 && x + u < context.width
                                  && y + v >= 0 && y + v < context.height;
-            alphas[((v + REACH) * SIDE + u + REACH) * count + i] = reached ? fmin(raw_alpha(s, delta), ALPHA_MAX) : 0.0f;
+            alphas[((v + REACH) * SIDE + u + REACH) * count + i] = reached ? fmin(raw_alpha(s, dx, dy), ALPHA_MAX) : 0.0f;
         }
     const int bin = (y + REACH) * (context.width + SIDE) + x + REACH;
     links[i] = (int2)(atomic_xchg(&heads[bin], i), as_int(depth_key(s.z)));
@@ -87,8 +87,8 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
                    relative, v_color, v_coverage);
 }
 
-__kernel void gather_alpha(__global const float *depth, __global const float *cameras, int view, float radius,
-                           float low_pass, __global const float *alphas, __global float *gradient)
+__kernel void gather_alpha(__global const float *depth, __global const float *cameras, int view, float low_pass,
+                           __global const float *alphas, __global float *gradient)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     const int column = get_global_id(0), row = get_global_id(1);
@@ -98,15 +98,15 @@ __kernel void gather_alpha(__global const float *depth, __global const float *ca
     const float d = depth[i];
     Splat s;
     Motion motion;
-    if (!(d > 0.0f) || !project_gaussian(target, context, column, row, d, radius, low_pass, &s, &motion))
+    if (!project_gaussian(target, context, column, row, d, RADIUS, low_pass, &s, &motion))
         return;
-    const int x = (int)floor(s.mean.x), y = (int)floor(s.mean.y);
+    const int x = (int)floor(s.x), y = (int)floor(s.y);
     float sum = 0.0f;
     for (int v = -REACH; v <= REACH; ++v)
         for (int u = -REACH; u <= REACH; ++u) {
             const float v_alpha = alphas[((v + REACH) * SIDE + u + REACH) * count + i];
-            const float2 delta = offset_from(s, x + u, y + v);
-            sum += v_alpha * alpha_motion(s, motion, delta, raw_alpha(s, delta));
+            const float dx = x + u + 0.5f - s.x, dy = y + v + 0.5f - s.y;
+            sum += v_alpha * alpha_motion(s, motion, dx, dy, raw_alpha(s, dx, dy));
         }
     gradient[i] += sum;
 }

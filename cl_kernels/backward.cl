@@ -2,39 +2,58 @@
 // same affine function of colour for all that take part in it: dL/dalpha_i = G . c_i + h.
 #include "splat.clh"
 
+// G . c + h of the pixels that are taken, 0 for the others.
+columns_t slope_by_alpha(__global const float *upstream, mask_t pixels, mask_t taking, const columns_t color[CHANNELS])
+{
+    int pixel[COLUMNS], taken[COLUMNS];
+    float up[CHANNELS + 1][COLUMNS];
+    STORE_COLUMNS(pixels, pixel);
+    STORE_COLUMNS(taking, taken);
+    for (int k = 0; k < COLUMNS; ++k)
+        for (int c = 0; c <= CHANNELS; ++c)
+            up[c][k] = taken[k] ? upstream[pixel[k] * (CHANNELS + 1) + c] : 0.0f;
+    columns_t sum = LOAD_COLUMNS(up[CHANNELS]);
+    for (int c = 0; c < CHANNELS; ++c)
+        sum += LOAD_COLUMNS(up[c]) * color[c];
+    return sum;
+}
+
+// Add to the lanes from `first` on: those before belong to another work-item.
+void add_columns(__global float *places, columns_t values, int first)
+{
+    if (first == 0) {
+        STORE_COLUMNS(LOAD_COLUMNS(places) + values, places);
+        return;
+    }
+    float lanes[COLUMNS];
+    STORE_COLUMNS(values, lanes);
+    for (int k = first; k < COLUMNS; ++k)
+        places[k] += lanes[k];
+}
+
 __kernel void gather_gradient(__global const float *depth, __global const uchar4 *target_photo,
-                              __global const float *cameras, int view, float radius, float low_pass,
-                              float threshold, float relative, __global const uint *z_first,
-                              __global const float *exposure, __global const float *upstream,
-                              __global float *gradient)
+                              __global const float *cameras, int view, float low_pass, float threshold, float relative,
+                              __global const uint *z_first, __global const float *exposure,
+                              __global const float *upstream, __global float *gradient)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= target.width || row >= target.height)
+    int column;
+    const int row = get_global_id(1);
+    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, low_pass, &column);
+    if (!ANY(g.own))
         return;
     const int i = row * target.width + column;
-    const float d = depth[i];
-    Splat splat;
-    Motion motion;
-    if (!(d > 0.0f) || !project_gaussian(target, context, column, row, d, radius, low_pass, &splat, &motion))
-        return;
-    const Footprint f = footprint(splat.mean, radius, context.width, context.height);
-    const color_t color = exposed_color(target_photo[i], exposure, view);
-    float sum = 0.0f;
-    for (int y = f.y0; y <= f.y1; y += 2)              // two by two, so that their loads overlap
-        for (int x = f.x0; x <= f.x1; x += 2)
-#pragma unroll
-            for (int k = 0; k < 4; ++k) {
-                const int u = min(x + k % 2, f.x1), v = min(y + k / 2, f.y1), pixel = v * context.width + u;
-                const float2 delta = offset_from(splat, u, v);
-                bool taken = dot(delta, delta) <= radius * radius && u == x + k % 2 && v == y + k / 2;
-#ifdef OCCLUSION
-                taken = taken && splat.z <= depth_limit(as_float(z_first[pixel]), threshold, relative);
-#endif
-                float v_weight;
-                const color_t v_color = load_upstream(upstream, pixel, &v_weight);
-                const float v_alpha = dot(v_color, color) + v_weight;
-                sum += taken ? v_alpha * alpha_motion(splat, motion, delta, raw_alpha(splat, delta)) : 0.0f;
-            }
-    gradient[i] += sum;
+    columns_t color[CHANNELS], sum = ZERO;
+    load_exposed(target_photo, i, exposure, view, color);
+    for (int v = 0; v < SPAN; ++v)
+        for (int u = 0; u < SPAN; ++u) {
+            const Reach r = reach_pixel(&g, context, u, v);
+            if (!ANY(r.reached))
+                continue;
+            const mask_t taken = taking_part(&g, r, z_first, threshold, relative);
+            const columns_t v_alpha = slope_by_alpha(upstream, r.pixel, taken, color);
+            const columns_t moved = alpha_motion(g.splat, g.motion, r.dx, r.dy, raw_alpha(g.splat, r.dx, r.dy));
+            sum += select(ZERO, v_alpha * moved, taken);
+        }
+    add_columns(gradient + i, sum, get_global_id(0) * COLUMNS - column);
 }

@@ -19,39 +19,37 @@ void add_pair(__global volatile uint *pair, uint low, uint high)
 #endif
 
 __kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                               __global const float *cameras, int view, float radius, float low_pass,
-                               float threshold, float relative, __global const uint *z_first,
-                               __global const float *exposure, __global volatile uint *sums)
+                               __global const float *cameras, int view, float low_pass, float threshold, float relative,
+                               __global const uint *z_first, __global const float *exposure, __global volatile uint *sums)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= target.width || row >= target.height)
+    int column;
+    const int row = get_global_id(1);
+    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, low_pass, &column);
+    if (!ANY(g.own))
         return;
-    const int i = row * target.width + column;
-    const float d = depth[i];
-    Splat splat;
-    Motion motion;
-    if (!(d > 0.0f) || !project_gaussian(target, context, column, row, d, radius, low_pass, &splat, &motion))
-        return;
-    const Footprint f = footprint(splat.mean, radius, context.width, context.height);
-    const color_t color = exposed_color(target_photo[i], exposure, view) * FIXED_ONE;
-    for (int y = f.y0; y <= f.y1; ++y)
-        for (int x = f.x0; x <= f.x1; ++x) {
-            const int pixel = y * context.width + x;
-            const float2 delta = offset_from(splat, x, y);
-            if (!(dot(delta, delta) <= radius * radius))
+    columns_t color[CHANNELS];
+    load_exposed(target_photo, row * target.width + column, exposure, view, color);
+    for (int v = 0; v < SPAN; ++v)
+        for (int u = 0; u < SPAN; ++u) {
+            const Reach r = reach_pixel(&g, context, u, v);
+            if (!ANY(r.reached))
                 continue;
-#ifdef OCCLUSION
-            if (splat.z > depth_limit(as_float(z_first[pixel]), threshold, relative))
-                continue;
+            int pixel[COLUMNS], taken[COLUMNS], parts[CHANNELS + 1][COLUMNS];
+            STORE_COLUMNS(r.pixel, pixel);
+            STORE_COLUMNS(taking_part(&g, r, z_first, threshold, relative), taken);
+            const columns_t weight = fmin(raw_alpha(g.splat, r.dx, r.dy), ALPHA_MAX) * FIXED_ONE;
+            STORE_COLUMNS(TO_WHOLE(weight + 0.5f), parts[0]);
+            for (int c = 0; c < CHANNELS; ++c)
+                STORE_COLUMNS(TO_WHOLE(weight * color[c] + 0.5f), parts[c + 1]);
+            for (int k = 0; k < COLUMNS; ++k) {
+                if (!taken[k])
+                    continue;
+                __global volatile uint *sum = sums + pixel[k] * (CHANNELS + 1);
+                add_pair(sum, parts[0][k], parts[1][k]);
+#ifndef GREY
+                add_pair(sum + 2, parts[2][k], parts[3][k]);
 #endif
-            const float alpha = fmin(raw_alpha(splat, delta), ALPHA_MAX);
-            __global volatile uint *sum = sums + pixel * (CHANNELS + 1);
-#ifdef GREY
-            add_pair(sum, (uint)(alpha * FIXED_ONE + 0.5f), (uint)(alpha * color + 0.5f));
-#else
-            add_pair(sum, (uint)(alpha * FIXED_ONE + 0.5f), (uint)(alpha * color.x + 0.5f));
-            add_pair(sum + 2, (uint)(alpha * color.y + 0.5f), (uint)(alpha * color.z + 0.5f));
-#endif
+            }
         }
 }

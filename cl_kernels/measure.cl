@@ -89,9 +89,9 @@ __kernel void sample_view(__global const float *depth, __global const float *uni
     Motion motion;
     float3 color;
     if (!(d > 0.0f) || !project_gaussian(target, context, column, row, d, 0.5f, low_pass, &splat, &motion)
-        || !look_up(photo, context, splat.mean, &color))
+        || !look_up(photo, context, (float2)(splat.x, splat.y), &color))
         return;
-    const int pixel = (int)splat.mean.y * context.width + (int)splat.mean.x;
+    const int pixel = (int)splat.y * context.width + (int)splat.x;
     const bool hidden = splat.z > as_float(z_first[pixel]) + threshold;
     const float3 own = rgb_of(target_photo[i]);
     record[0] = hidden ? 2.0f : 1.0f;

@@ -4,25 +4,37 @@
 //   parallax_unit  depth that moves a Gaussian by one pixel
 #include "splat.clh"
 
-__kernel void nearest(__global const float *depth, __global const float *cameras, int view, float radius,
-                      float low_pass, __global volatile uint *z_first)
+// With many lanes a look before the atomic saves most of them; on a GPU it is one more trip to memory.
+void lower(__global volatile uint *place, uint key)
+{
+#if COLUMNS > 1
+    if (*place <= key)
+        return;
+#endif
+    atomic_min(place, key);
+}
+
+__kernel void nearest(__global const float *depth, __global const float *cameras, int view, float low_pass,
+                      __global volatile uint *z_first)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= target.width || row >= target.height)
+    int column;
+    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), get_global_id(1), low_pass, &column);
+    if (!ANY(g.own))
         return;
-    const float d = depth[row * target.width + column];
-    Splat splat;
-    Motion motion;
-    if (!(d > 0.0f) || !project_gaussian(target, context, column, row, d, radius, low_pass, &splat, &motion))
-        return;
-    const Footprint f = footprint(splat.mean, radius, context.width, context.height);
-    const uint key = depth_key(splat.z);
-    for (int y = f.y0; y <= f.y1; ++y)
-        for (int x = f.x0; x <= f.x1; ++x) {
-            const float2 delta = offset_from(splat, x, y);
-            if (dot(delta, delta) <= radius * radius && raw_alpha(splat, delta) > ALPHA_SEEN)
-                atomic_min(&z_first[y * context.width + x], key);
+    float z[COLUMNS];
+    STORE_COLUMNS(g.splat.z, z);
+    for (int v = 0; v < SPAN; ++v)
+        for (int u = 0; u < SPAN; ++u) {
+            const Reach r = reach_pixel(&g, context, u, v);
+            if (!ANY(r.reached))
+                continue;
+            int pixel[COLUMNS], seen[COLUMNS];
+            STORE_COLUMNS(r.pixel, pixel);
+            STORE_COLUMNS(r.reached & (raw_alpha(g.splat, r.dx, r.dy) > ALPHA_SEEN), seen);
+            for (int k = 0; k < COLUMNS; ++k)
+                if (seen[k])
+                    lower(&z_first[pixel[k]], depth_key(z[k]));
         }
 }
 

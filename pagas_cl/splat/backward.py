@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from pagas_cl.runtime.program import bind, build
+from pagas_cl.splat.tile import columns_of, row_grid
 from pagas_cl.splat.composite import blend_launch, exposure_argument, threshold_arguments
 
 
 def launches(level, view: int) -> list:
     """Add what context view `view` says of each depth to arena["gradient"]."""
     a, s, photo = level.arena, level.config.splatting, level.given.photos[0]
-    radius, low_pass = float(s.radius), float(s.low_pass)
     if s.blend == "order_free":
-        program = build(level.device, "backward.cl", level.defines)
-        return [bind(program, "gather_gradient", level.target.grid, None, a["depth"], photo, a["cameras"], view, radius,
-                     low_pass, *threshold_arguments(level, view), a["z_first"], exposure_argument(level),
+        columns = columns_of(level.device, level.target.width)
+        program = build(level.device, "backward.cl", (*level.defines, f"COLUMNS={columns}"))
+        return [bind(program, "gather_gradient", row_grid(level.target, columns), None, a["depth"], photo, a["cameras"],
+                     view, float(s.low_pass), *threshold_arguments(level, view), a["z_first"], exposure_argument(level),
                      a["upstream"], a["gradient"])]
     return [blend_launch(level, view, "composite_alpha_vjp", a["upstream"]),
             bind(build(level.device, "alpha.cl", level.defines), "gather_alpha", level.target.grid, None, a["depth"],
-                 a["cameras"], view, radius, low_pass, a["alphas"], a["gradient"])]
+                 a["cameras"], view, float(s.low_pass), a["alphas"], a["gradient"])]

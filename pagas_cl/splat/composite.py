@@ -7,6 +7,7 @@ import numpy as np
 from pagas_cl.runtime.program import Fill, bind, build
 from pagas_cl.splat import project
 from pagas_cl.splat.options import FEW_GROUP, reach
+from pagas_cl.splat.tile import columns_of, row_grid
 
 
 def launches(level, view: int) -> list:
@@ -25,13 +26,14 @@ def exposure_argument(level):
 
 
 def _order_free(level, view: int) -> list:
-    program, a, s = build(level.device, "composite.cl", level.defines), level.arena, level.config.splatting
+    a, s, columns = level.arena, level.config.splatting, columns_of(level.device, level.target.width)
+    program = build(level.device, "composite.cl", (*level.defines, f"COLUMNS={columns}"))
     pixels = level.given.sizes[view].pixels
     channels = 1 if level.config.loss.grey else 3
     return [*project.nearest(level, view),
             Fill(a["rendered"], np.uint32(0), pixels * (channels + 1) * 4),
-            bind(program, "splat_order_free", level.target.grid, None, a["depth"], level.given.photos[0], a["cameras"],
-                 view, float(s.radius), float(s.low_pass), *threshold_arguments(level, view), a["z_first"],
+            bind(program, "splat_order_free", row_grid(level.target, columns), None, a["depth"], level.given.photos[0],
+                 a["cameras"], view, float(s.low_pass), *threshold_arguments(level, view), a["z_first"],
                  exposure_argument(level), a["rendered"])]
 
 
@@ -41,7 +43,7 @@ def _alpha(level, view: int) -> list:
     border = 2 * reach(s.radius) + 1
     bins = (size.width + border) * (size.height + border)
     clear = Fill(a["heads"], np.int32(-1), 4 * bins)
-    link = bind(program, "link_bins", level.target.grid, None, a["depth"], a["cameras"], view, float(s.radius),
+    link = bind(program, "link_bins", level.target.grid, None, a["depth"], a["cameras"], view,
                 float(s.low_pass), a["heads"], a["links"], a["alphas"])
     return [clear, link, blend_launch(level, view, "composite_alpha", a["rendered"])]
 

@@ -47,6 +47,7 @@ def defines(config: Config, device, longest_side: int) -> tuple[str, ...]:
     numbers = {"REACH": reach(splatting.radius), "SLOTS": SLOTS,
                "FEW_GROUP_W": FEW_GROUP[0], "FEW_GROUP_H": FEW_GROUP[1],
                "FIXED_BITS": fixed_bits(longest_side)}
+    numbers["RADIUS"] = f"{float(splatting.radius)!r}f"
     if loss.robust > 0:
         numbers["ROBUST"] = f"{float(loss.robust)!r}f"       # 2.0f, 1e-06f: always a floating constant of C
     return tuple(name for name, on in switches.items() if on) + tuple(f"{k}={v}" for k, v in numbers.items())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pagas_cl.runtime.program import Fill, bind, build
+from pagas_cl.splat.tile import columns_of, row_grid
 
 _INFINITY = np.uint32(0x7F800000)
 
@@ -25,7 +26,8 @@ def nearest(level, view: int) -> list:
     """z_first of every pixel of a context view; nothing where occlusion is off."""
     if not level.config.splatting.occlusion:
         return []
-    program, a, s = build(level.device, "project.cl", level.defines), level.arena, level.config.splatting
+    a, columns = level.arena, columns_of(level.device, level.target.width)
+    program = build(level.device, "project.cl", (*level.defines, f"COLUMNS={columns}"))
     return [Fill(a["z_first"], _INFINITY, 4 * level.given.sizes[view].pixels),
-            bind(program, "nearest", level.target.grid, None, a["depth"], a["cameras"], view, float(s.radius),
-                 float(s.low_pass), a["z_first"])]
+            bind(program, "nearest", row_grid(level.target, columns), None, a["depth"], a["cameras"], view,
+                 float(level.config.splatting.low_pass), a["z_first"])]

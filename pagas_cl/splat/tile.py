@@ -50,10 +50,21 @@ class Tile:
 SCALAR = Tile(52, 8, 128, 1, 4), Tile(52, 16, 256, 1, 4)
 
 
+def columns_of(device, width: int) -> int:
+    """Pixels of a row of `width` that one work-item handles side by side: a native vector, 1 on a GPU."""
+    lanes = min(16, device.cl_device.native_vector_width_float)
+    return lanes if 4 <= lanes <= width else 1
+
+
+def row_grid(size, columns: int) -> tuple[int, int]:
+    """Work-items over an image, `columns` pixels of a row each."""
+    return -(-size.width // columns), size.height
+
+
 def choose_tiles(device, sizes) -> tuple[Tile, Tile]:
     """The tiles of ssim.cl and of loss.cl for images of `sizes`, (width, height) pairs, on `device`."""
-    lanes = min(16, device.cl_device.native_vector_width_float)
-    if lanes < 4:
+    lanes = columns_of(device, min(width for width, _ in sizes))
+    if device.cl_device.native_vector_width_float < 4:
         return SCALAR
     tile = Tile(64, 16, 1, lanes, lanes)
     if all(w >= tile.width + HALO and h >= tile.height + HALO for w, h in sizes):
