@@ -25,7 +25,7 @@ def kib(name: str) -> int:
 def main():
     folder, allowed = Path(sys.argv[1]), float(sys.argv[2]) if len(sys.argv) > 2 else None
     views, depths = pickle.loads((folder / "views.pickle").read_bytes())
-    settings = Fusion(min_component=0.01)
+    settings = Fusion(voxel=1.0, truncation=6.0, min_component=0.01)
     grid_shift()  # loads Open3D
     before = kib("VmRSS")
     Path("/proc/self/clear_refs").write_text("5")

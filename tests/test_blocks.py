@@ -23,7 +23,7 @@ from pagas_cl.surface.fuse import fuse, fusion_plan  # noqa: E402
 from pagas_cl.surface.touched import touched_by_views  # noqa: E402
 
 NORMAL = np.array([0.3, 0.2, -0.93]) / np.linalg.norm([0.3, 0.2, -0.93])
-SETTINGS = Fusion(min_component=0.01)
+SETTINGS = Fusion(voxel=1.0, truncation=6.0, min_component=0.01)
 
 
 def rough_views(cameras, seed=0, rough=0.003):
@@ -72,8 +72,8 @@ def test_boxes_give_the_mesh_of_one_grid_bit_for_bit(scene, share, caplog):
     assert " boxes, at most " in caplog.text
 
 
-@pytest.mark.parametrize("settings", [Fusion(min_views=2, min_component=0.0), Fusion(truncation=12.0, voxel=1.5),
-                                      Fusion(min_component=1.0)])
+@pytest.mark.parametrize("settings", [Fusion(voxel=1.0, min_views=2, min_component=0.0), Fusion(truncation=12.0, voxel=1.5),
+                                      Fusion(voxel=1.0, min_component=1.0)])
 def test_under_every_rule_of_fusion(scene, settings):
     views, depths = scene
     memory = 0.4 * fusion_plan(views, depths, settings).memory_mb
@@ -136,7 +136,7 @@ def test_too_little_for_the_mesh_itself_is_refused_before_the_work(scene):
 
 def test_an_empty_mesh_is_told(scene):
     views, depths = scene
-    settings = Fusion(min_views=4)
+    settings = Fusion(voxel=1.0, min_views=4)
     with pytest.raises(InputError, match="fused mesh is empty"):
         fuse_within(views, depths, settings, 0.4 * fusion_plan(views, depths, settings).memory_mb)
 
