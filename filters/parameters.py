@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from difflib import get_close_matches
 
-from pagas_cl.commands._settings import build_config
+from pagas_cl.commands._settings import build_config, effect_settings
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError
 
@@ -42,6 +42,8 @@ PARAMETERS = (
     Parameter("voxel", "voxel", "RichFloat", None, "fusion.voxel", "Edge of a voxel, pixel footprints"),
     Parameter("agreeViews", "agree_views", "RichInt", None, "fusion.agree_views",
               "Keep only depths that this many other views confirm (0: all)"),
+    Parameter("effects", "effects", "RichString", "", None,
+              "Effects to simulate or not: exposure=off; occlusion=on (auto, on, off or set), separated by semicolons"),
     Parameter("settings", "settings", "RichString", "", None,
               "Any other settings: stage.field=value, separated by semicolons"),
 )
@@ -86,6 +88,7 @@ def request(values: dict[str, str], where: str) -> Request:
         _check_number(_BY_NAME[name], value, where)
         if _BY_NAME[name].setting:
             assignments.append(f"{_BY_NAME[name].setting}={value}")
+    assignments += effect_settings([part for part in values["effects"].split(";") if part.strip()])
     assignments += [part for part in values["settings"].split(";") if part.strip()]
     if values["output"] not in ("tsdf", "displace"):
         raise InputError(f"{where}: output is {values['output']!r}, expected 'tsdf' or 'displace'")

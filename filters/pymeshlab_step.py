@@ -43,8 +43,8 @@ def register(meshes=None):
 def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", output: str = "tsdf", subdivide: float = 0.0,
                                  context_views: int | None = None, radius: float | None = None,
                                  smoothness: float | None = None, max_move: float | None = None,
-                                 voxel: float | None = None, agree_views: int | None = None, settings: str = "",
-                                 device: str = "", progress=None) -> dict:
+                                 voxel: float | None = None, agree_views: int | None = None, effects: str = "",
+                                 settings: str = "", device: str = "", progress=None) -> dict:
     """Refine the current layer with photos (PAGaS, arXiv 2604.22129).
 
     Parameters
@@ -61,6 +61,8 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
     context_views, radius, smoothness, max_move, voxel, agree_views
         Most context views; radius threshold (pixels); smoothness weight; largest move (pixels of parallax); voxel edge
         (pixel footprints); how many other views must confirm a depth.
+    effects : str
+        Effects to simulate or not, "exposure=off; occlusion=on".
     settings : str
         Any other settings, "stage.field=value; stage.field=value".
     device : str
@@ -76,7 +78,7 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
 
     values = to_values(preset=preset, output=output, subdivide=subdivide, context_views=context_views, radius=radius,
                        smoothness=smoothness, max_move=max_move, voxel=voxel, agree_views=agree_views,
-                       settings=settings, device=device)
+                       effects=effects, settings=settings, device=device)
     asked, history = request(values, FILTER), saved_history(self)
     try:
         counts = refine_layer(self, scene_views(scene), asked, progress=progress)

@@ -93,6 +93,10 @@ class Decision:
     def as_dict(self) -> dict:
         return asdict(self)
 
+    def __str__(self) -> str:
+        figures = f": {self.evidence:.3g}, threshold {self.threshold:g}" if self.evidence == self.evidence else ""
+        return f"{self.effect} {'on' if self.on else 'off'} ({self.reason}{figures})"
+
 
 # effect: (evidence, threshold, whether above it calls for the effect, what is measured)
 RULES = {

@@ -206,17 +206,26 @@ def initial_depths(surface, views: list[View], progress=None, keep=None) -> list
     return depths
 
 
-def fuse_results(views: list[View], results: list[DepthResult], config: Config, progress=None, memory_mb=None):
-    """Keep what other views confirm, then TSDF: a Surface. In `memory_mb` of host memory, or what is free."""
+def fuse_results(views: list[View], results: list[DepthResult], config: Config, progress=None, memory_mb=None, tell=None):
+    """Keep what other views confirm, then TSDF: a Surface. In `memory_mb` of host memory, or what is free.
+
+    `tell(text)` is told whether other views were asked, and why.
+    """
+    from pagas_cl.consistency import Later, decide_consistency
     from pagas_cl.surface.agree import confirmed
     from pagas_cl.surface.blocks import fuse_within
 
     by_camera = {id(result.camera): result for result in results}
     used = [view for view in views if id(view.camera) in by_camera]
-    results = [by_camera[id(view.camera)] for view in used]
+    results, cameras = [by_camera[id(view.camera)] for view in used], [view.camera for view in used]
+    config, decision = decide_consistency(cameras, [Later(result) for result in results], config)
+    if decision is not None:
+        log.info("%s", decision)
+        if tell:
+            tell(str(decision))
     on_disk = config.fusion.agree_views == 0  # read one at a time, then
     depths = [result.file if on_disk and hasattr(result, "file") else result.depth for result in results]
-    agreed = confirmed([view.camera for view in used], depths, config.fusion)
+    agreed = confirmed(cameras, depths, config.fusion)
     return fuse_within(used, agreed, config.fusion, memory_mb, progress=progress)
 
 

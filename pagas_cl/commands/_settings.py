@@ -25,6 +25,14 @@ def apply_settings(config: Config, assignments, **more) -> Config:
     return config.with_settings(**settings, **more)
 
 
+def effect_settings(effects) -> list[str]:
+    """`--effect exposure=off` as the setting that it is short for."""
+    for text in effects:
+        if "=" not in text:
+            raise InputError(f"--effect {text!r} has no '=', expected NAME=auto, on, off or set, such as exposure=off")
+    return [f"effects.{text.strip()}" for text in effects]
+
+
 def _value(config: Config, key: str, text: str):
     """`text` as the type of the setting `key`; an unknown key is left for Config.with_settings to name."""
     if key not in setting_names():

@@ -12,7 +12,7 @@ import typer
 from pagas_cl.commands._console import shown_progress
 from pagas_cl.errors import InputError, PagasError, need
 
-MANY = ("--views", "--set")  # options that take several words: `--views a b c`
+MANY = ("--views", "--set", "--effect")  # options that take several words: `--views a b c`
 
 log = logging.getLogger("pagas_cl")
 
@@ -33,6 +33,8 @@ def command(
     time_budget: float = typer.Option(None, "--time-budget", metavar="MINUTES",
                                       help="The same, for the refining of all views together."),
     settings: list[str] = typer.Option([], "--set", metavar="STAGE.FIELD=VALUE", help="Change one setting."),
+    effects: list[str] = typer.Option([], "--effect", metavar="NAME=auto|on|off|set",
+                                      help="Simulate an effect or not, such as exposure=off; see 'pagas-cl analyze'."),
     format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
     depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
@@ -45,7 +47,7 @@ def command(
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
-    from pagas_cl.commands._settings import apply_settings, build_config
+    from pagas_cl.commands._settings import apply_settings, build_config, effect_settings
     from pagas_cl.commands._time import check_times, config_in_time
     from pagas_cl.keep_mesh import displaced_mesh, write_whole
     from pagas_cl.refine import fuse_results, refine_views
@@ -55,6 +57,7 @@ def command(
     _check_request(mesh, depth_dir, output, save_depth, report)
     _check_keep(keep_mesh, subdivide, mesh)
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
+    settings = [*settings, *effect_settings(effects)]
     more = {} if context is None else {"context__number": context}
     config = build_config(preset, settings, **more)
     found = read_scene(scene, format, **({"outside": True} if outside else {}))
@@ -72,7 +75,7 @@ def command(
         if output is not None and keep_mesh:
             write_whole(output, displaced_mesh(mesh, found.views, depths, results, config, subdivide))
         elif output is not None:
-            write_mesh(output, fuse_results(found.views, results, config, progress, memory))
+            write_mesh(output, fuse_results(found.views, results, config, progress, memory, page and page.note))
         if output is not None:
             log.info("mesh: %s", output)
     _tell(results, save_depth, report)
@@ -168,9 +171,16 @@ class _Pictures:
         remarks = [f"kept as it came: {result.reason}"] if result.reason else []
         if told.get("contexts"):
             remarks.append("context views: " + ", ".join(told["contexts"]))
+        remarks += ["effects: " + "; ".join(_decision(effect) for effect in told["effects"])] if told.get("effects") else []
         figures = {"seconds": round(told["seconds"], 2)} if "seconds" in told else {}
         self.page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
                       counts={**result.counts, **figures}, remarks=remarks)
+
+
+def _decision(told: dict) -> str:
+    from pagas_cl.effects import Decision
+
+    return str(Decision(**told))
 
 
 def _report(folder, found, preset, settings, place):

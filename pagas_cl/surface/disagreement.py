@@ -53,3 +53,22 @@ def _box(values: np.ndarray) -> np.ndarray:
         values = np.take(sums, np.arange(span, sums.shape[axis]), axis) - np.take(
             sums, np.arange(sums.shape[axis] - span), axis)
     return values
+
+
+def expected(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: list[np.ndarray]) -> np.ndarray:
+    """How many other views should see each depth: those with a surface there that does not hide it, uint16 (H, W)."""
+    count = np.zeros(depth.size, np.uint16)
+    pixel = np.flatnonzero(depth.reshape(-1) > 0)
+    rows, columns = np.divmod(pixel, target.width)
+    d = depth.reshape(-1)[pixel].astype(np.float64)
+    rho = np.stack([(columns + 0.5 - target.cx) / target.fx, (rows + 0.5 - target.cy) / target.fy, np.ones(len(d))])
+    for camera, other in zip(cameras, depths):
+        rotation, tau = camera.relative_to(target)
+        x, y, z = rotation @ (rho * d) + tau[:, None]
+        front = z > 1e-6 * d
+        z = np.where(front, z, 1)
+        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        inside = np.flatnonzero(front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height))
+        found = other[v[inside].astype(np.intp), u[inside].astype(np.intp)]
+        count[pixel[inside[(found > 0) & (z[inside] < found * (1 + _OCCLUDED))]]] += 1
+    return count.reshape(depth.shape)

@@ -1,0 +1,134 @@
+"""What a scene calls for, view by view, before anything is refined, and what each effect costs on this device."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pagas_cl.config import Config, preset
+from pagas_cl.effects import RULES, Decision, Measurements, decide, measure
+from pagas_cl.scene.inputs import asked_views, checked_depth
+from pagas_cl.scene.partners import PartnerChooser
+
+log = logging.getLogger("pagas_cl")
+
+
+@dataclass(frozen=True)
+class EffectCost:
+    """Seconds of all steps of one view with the effect and without it, and the bytes that it takes on the device."""
+
+    on: float
+    off: float
+    device_bytes: int
+
+    def as_dict(self) -> dict:
+        return {"seconds_on": self.on, "seconds_off": self.off, "device_bytes": self.device_bytes}
+
+
+@dataclass(frozen=True)
+class ViewAnalysis:
+    """One view: its context views, the decisions, and what they rest on. `reason`: why there are none."""
+
+    view: str
+    contexts: tuple[str, ...]
+    decisions: tuple[Decision, ...]
+    measured: Measurements | None
+    reason: str = ""
+
+    def as_dict(self) -> dict:
+        told = {} if self.measured is None else {
+            name: value for name, value in vars(self.measured).items() if name != "gains"}
+        return {"view": self.view, "contexts": list(self.contexts), "reason": self.reason, "measured": told,
+                "effects": [decision.as_dict() for decision in self.decisions]}
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """`views`: one entry each; `costs`: by effect, measured on `timed`; `device`: what they were measured on."""
+
+    views: tuple[ViewAnalysis, ...]
+    costs: dict[str, EffectCost]
+    timed: str
+    device: str
+    consistency: Decision | None = None
+
+    def as_dict(self) -> dict:
+        """Plain nested dictionary, ready for JSON."""
+        return {"device": self.device, "timed": self.timed,
+                "costs": {name: cost.as_dict() for name, cost in self.costs.items()},
+                "consistency": None if self.consistency is None else self.consistency.as_dict(),
+                "views": [view.as_dict() for view in self.views]}
+
+
+def analyze(views, depths, *, names=None, config: Config | None = None, device=None, costs: bool = True,
+            progress=None) -> Analysis:
+    """Measure what each view calls for; nothing is refined.
+
+    Parameters
+    ----------
+    views, depths, names, device, progress
+        As in refine_views.
+    config : Config, optional
+        Settings that would be refined with; "balanced" by default.
+    costs : bool
+        Whether to time some steps with each effect on and off, on the first view that has context views.
+    """
+    from pagas_cl.consistency import decide_consistency
+    from pagas_cl.runtime.device import open_device
+    from pagas_cl.splat import PhotoStore
+
+    config, device = config or preset("balanced"), open_device(device)
+    asked, photos = asked_views(views, depths, names), PhotoStore(device)
+    chooser = PartnerChooser([view.camera for view in views], depths, config.context)
+    found, timed, measured_costs = [], "", {}
+    for done, index in enumerate(asked):
+        if progress:
+            progress("analyze", done, len(asked))
+        target, partners = views[index], chooser.choose(index)
+        if not partners.contexts:
+            found.append(ViewAnalysis(target.name, (), (), None, partners.reason))
+            continue
+        contexts, depth = [views[k] for k in partners.contexts], checked_depth(_array(depths[index]), target)
+        measured = measure(target, contexts, depth, config, device, photos)
+        decisions = decide(config, measured)[1]
+        found.append(ViewAnalysis(target.name, tuple(v.name for v in contexts), tuple(decisions), measured))
+        if costs and not timed:
+            timed, measured_costs = target.name, effect_costs(target, contexts, depth, config, measured, device, photos)
+    if progress:
+        progress("analyze", len(asked), len(asked))
+    agreement = decide_consistency([view.camera for view in views], depths, config)[1]
+    return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement)
+
+
+def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device, photos) -> dict[str, EffectCost]:
+    """Steps of one view with each effect on and off, the others as decided."""
+    from pagas_cl.splat.step_time import time_step
+
+    known, costs = {}, {}
+
+    def cost(settled):
+        if settled not in known:
+            exposure = measured.exposure if settled.loss.exposure else None
+            known[settled] = time_step(target, contexts, depth, _one_level(settled), device, photos, exposure)
+        return known[settled].view_seconds(settled), known[settled].device_bytes
+
+    for name in RULES:
+        if getattr(config.effects, name) == "set":
+            continue
+        on, off = (cost(decide(_with(config, name, choice), measured)[0]) for choice in ("on", "off"))
+        costs[name] = EffectCost(on[0], off[0], on[1] - off[1])
+    return costs
+
+
+def _with(config: Config, name: str, choice: str) -> Config:
+    return replace(config, effects=replace(config.effects, **{name: choice}))
+
+
+def _one_level(config: Config) -> Config:
+    return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps[-1:])
+
+
+def _array(depth) -> np.ndarray:
+    return depth.load() if hasattr(depth, "load") else depth

@@ -1,0 +1,46 @@
+"""How long a step takes on this device, and what it needs: what an effect costs is the difference of two of these."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from pagas_cl.config import Config
+from pagas_cl.splat.level import Level
+from pagas_cl.splat.state import PhotoStore
+from pagas_cl.splat.view import _Run
+
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class StepTime:
+    """`seconds` of one step at full size, the best of some rounds; `device_bytes` of the level, photos not counted."""
+
+    seconds: float
+    device_bytes: int
+
+    def view_seconds(self, config: Config) -> float:
+        """Of all steps of a view: work is proportional to the pixels of a level."""
+        return self.seconds * sum(scale**2 * steps for scale, steps in zip(config.pyramid.scales, config.pyramid.steps))
+
+
+def time_step(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
+              exposure=None, steps: int = 5) -> StepTime:
+    """Time some steps of the full-size level; parameters as in refine_levels, every effect settled."""
+    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), None, exposure)
+    level = Level(device, config, run.at(1.0))
+    level.enter(run.initial_writer(level))
+    level.start(run.start_writer(level, None))
+    best = np.inf
+    for _ in range(1 + _ROUNDS):          # the first one compiles
+        device.queue.finish()
+        start = time.perf_counter()
+        level.run(steps)
+        device.queue.finish()
+        best = min(best, time.perf_counter() - start)
+    needed = level.arena.nbytes
+    level.release()
+    return StepTime(best / steps, needed)

@@ -1,0 +1,143 @@
+"""`pagas-cl analyze`, effects by name everywhere, and whether views that contradict each other are found."""
+
+from __future__ import annotations
+
+import json
+import logging
+
+import numpy as np
+import pytest
+
+from pagas_cl.__main__ import run
+from pagas_cl.commands._settings import build_config, effect_settings
+from pagas_cl.config import BALANCED, Effects
+from pagas_cl.consistency import THRESHOLD, contradicted, decide_consistency
+from pagas_cl.effects import RULES
+from pagas_cl.errors import DeviceError, InputError
+from pagas_cl.made import relief_scene
+from pagas_cl.made.disk import write_scene
+
+
+@pytest.fixture(scope="module")
+def made():
+    return relief_scene(96, 72, 3, held_out=0, exposure=0.3)
+
+
+@pytest.fixture(autouse=True)
+def same_logging():
+    """The command line sends messages to a standard error that is gone afterwards."""
+    logger = logging.getLogger("pagas_cl")
+    before = list(logger.handlers), logger.propagate, logger.level
+    yield
+    logger.handlers, logger.propagate = before[:2]
+    logger.setLevel(before[2])
+
+
+@pytest.fixture(scope="module")
+def scene(made, tmp_path_factory):
+    from pagas_cl.runtime.device import open_device
+
+    try:
+        open_device()
+    except DeviceError as error:
+        pytest.skip(str(error))
+    return write_scene(made, tmp_path_factory.mktemp("scene"))
+
+
+def test_the_command_writes_table_json_and_page(made, scene, tmp_path, capsys):
+    assert run(["analyze", str(scene), "--depth-dir", str(scene / "depth_initial"), "--views", "target", "--json",
+                str(tmp_path / "all.json"), "--report", str(tmp_path / "page"), "--quiet"]) == 0
+    printed = capsys.readouterr().out
+    told = json.loads((tmp_path / "all.json").read_text())
+    view, = told["views"]
+    assert [effect["effect"] for effect in view["effects"]] == list(RULES)
+    exposure = next(effect for effect in view["effects"] if effect["effect"] == "exposure")
+    assert exposure["on"] and exposure["evidence"] > exposure["threshold"] == RULES["exposure"][1]
+    assert all(name in printed and told["costs"][name]["seconds_on"] > 0 for name in RULES)
+    assert told["costs"]["exposure"]["device_bytes"] > 0 and told["costs"]["noise"]["device_bytes"] == 0
+    page = (tmp_path / "page" / "index.html").read_text()
+    assert all(name in page for name in RULES) and (tmp_path / "page" / "analysis.json").exists()
+
+
+def test_the_command_follows_what_is_asked_for(scene, capsys):
+    assert run(["analyze", str(scene), "--depth-dir", str(scene / "depth_initial"), "--views", "target", "--no-costs",
+                "--effect", "exposure=off", "--quiet"]) == 0
+    assert "asked for: off" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words, sentence", [
+    (["--depth-dir", "nowhere", "--mesh", "m.ply"], "got both"), (["--effect", "exposure"], "has no '='"),
+    (["--effect", "exposure=maybe"], "effects.exposure is 'maybe'"), (["--effect", "glow=on"], "unknown setting 'effects.glow'")])
+def test_bad_requests_are_one_sentence(scene, capsys, words, sentence):
+    more = [] if "--depth-dir" in words else ["--depth-dir", str(scene / "depth_initial")]
+    assert run(["analyze", str(scene), *more, *words]) == 2
+    assert sentence in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("name", [f for f in vars(Effects())])
+def test_every_effect_has_one_name_everywhere(name):
+    """The same word in the API, on the command line and in .mlx."""
+    parameters = pytest.importorskip("pagas_cl.filters.parameters")
+    want = BALANCED.with_settings(**{f"effects__{name}": "off"})
+    assert build_config("balanced", effect_settings([f"{name}=off"])) == want
+    assert build_config("balanced", [f"effects.{name}=off"]) == want
+    assert parameters.request({"effects": f"{name}=off"}, "here").config == want
+
+
+def test_effects_need_a_choice():
+    with pytest.raises(InputError, match="such as exposure=off"):
+        effect_settings(["exposure"])
+
+
+@pytest.fixture(scope="module")
+def maps(made):
+    cameras = made.cameras[:4]
+    return cameras, [made.true_depth(camera) for camera in cameras]
+
+
+def test_true_depths_do_not_contradict_each_other(maps):
+    config, decision = decide_consistency(*maps, BALANCED)
+    assert decision.evidence < THRESHOLD / 2 and not decision.on and config.fusion.agree_views == 0
+
+
+def test_a_view_that_is_off_is_found(maps, made):
+    cameras, depths = maps
+    wrong = [depths[0] - np.float32(6 * made.relief.parallax), *depths[1:]]
+    config, decision = decide_consistency(cameras, wrong, BALANCED)
+    assert decision.evidence > THRESHOLD and decision.on and config.fusion.agree_views == 1
+    assert contradicted(cameras, wrong, 2.0) == decision.evidence
+    assert decide_consistency(cameras, wrong, config) == (config, None)       # settled
+
+
+@pytest.mark.parametrize("choice, agree", [("on", 1), ("off", 0)])
+def test_consistency_as_asked_for(maps, choice, agree):
+    config, decision = decide_consistency(*maps, BALANCED.with_settings(effects__consistency=choice))
+    assert config.fusion.agree_views == agree and decision.on == bool(agree)
+
+
+def test_consistency_leaves_alone_what_is_set(maps):
+    config = BALANCED.with_settings(fusion__agree_views=2)
+    assert decide_consistency(*maps, config) == (config, None)
+    two = decide_consistency(maps[0][:2], maps[1][:2], BALANCED)[1]
+    assert not two.on and "three views" in two.reason
+
+
+def test_fusion_drops_what_others_contradict(maps, made):
+    pytest.importorskip("open3d")
+    from pagas_cl.refine import fuse_results
+    from pagas_cl.result import DepthResult
+
+    cameras, depths = maps
+    floating = depths[0].copy()
+    floating[15:60, 20:75] -= np.float32(8 * made.relief.parallax)
+    results = [DepthResult.unrefined(camera, depth, "") for camera, depth in zip(cameras, [floating, *depths[1:]])]
+    told = []
+    near = {}
+    for choice in ("off", "auto"):
+        surface = fuse_results(made.views, results, BALANCED.with_settings(effects__consistency=choice), tell=told.append)
+        uv, z = cameras[0].project(surface.vertices)
+        inside = (uv >= 0).all(axis=1) & (uv < (96, 72)).all(axis=1)
+        true = depths[0][uv[inside].astype(int)[:, 1], uv[inside].astype(int)[:, 0]]
+        near[choice] = float((z[inside] < true - 4 * made.relief.parallax).mean())
+    assert "consistency off" in told[0] and "consistency on" in told[1]
+    assert near["auto"] < 0.5 * near["off"]
