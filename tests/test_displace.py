@@ -247,8 +247,8 @@ def test_refine_mesh_keeps_the_mesh(made, subdivide):
     vertices, faces = made.initial_mesh(4.0)
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(faces))
     mesh.triangle_uvs = o3d.utility.Vector2dVector(np.tile([[0, 0], [1, 0], [0, 1.0]], (len(faces), 1)))
-    result = pagas_cl.refine_mesh(mesh, made.cameras[:5], [v.image for v in made.views], output="displace",
-                                  subdivide=subdivide)
+    result = pagas_cl.refine_mesh(mesh, made.cameras[:5], [v.image for v in made.views], preset="fast",
+                                  output="displace", subdivide=subdivide)
     new, split = np.asarray(result.vertices), np.asarray(result.triangles)
     assert len(result.triangle_uvs) == 3 * len(split)
     assert np.array_equal(split, faces) if subdivide is None else len(split) > 2 * len(faces)
