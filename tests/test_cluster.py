@@ -119,5 +119,6 @@ def test_temporary_results_come_back_whole(scene, cluster):
     views, depths = load_small_scene(scene)
     cluster.add("127.0.0.2")
     cluster.ready(1)
-    results = refine_views(views, depths, names=["target"], config=QUICK, executor=cluster.client.get_executor(pure=False))
+    executor = cluster.client.get_executor(pure=False)
+    results = refine_views(views, depths, names=["target"], config=QUICK, executor=executor)
     assert results[0].confidence.shape == (48, 64) and results[0].report["worker"]

@@ -208,7 +208,8 @@ def test_keys_follow_every_input(scene, monkeypatch):
     assert keys(views=[View(views[0].camera, photo, None, views[0].name), *views[1:]])[0] != first[0]
     deeper = depths[3].copy()
     deeper[20, 20] = np.nextafter(deeper[20, 20], np.float32(np.inf))
-    assert [a == b for a, b in zip(first, keys(depths=[*depths[:3], deeper, *depths[4:]]))] == [k != 3 for k in range(8)]
+    later = keys(depths=[*depths[:3], deeper, *depths[4:]])
+    assert [a == b for a, b in zip(first, later)] == [k != 3 for k in range(8)]
     monkeypatch.setattr(identity, "code_version", lambda: "other")
     assert not set(first) & set(keys())
 

@@ -36,14 +36,14 @@ def written(path: Path):
 
 @contextmanager
 def told_as_output_error(path: Path):
-    """What goes wrong while writing to `path`, as an OutputError of one sentence."""
+    """Context: what goes wrong while writing to `path`, as an OutputError of one sentence."""
     try:
         yield
     except OSError as error:
         if isinstance(error, OutputError):
             raise
-        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; finished views are kept, make room or "
-                          "choose another folder and start the same command again") from error
+        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; finished views are kept, make room "
+                          "or choose another folder, and start the same command again") from error
 
 
 def clear_parts(folder: Path) -> None:

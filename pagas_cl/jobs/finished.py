@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import logging
 from dataclasses import asdict, dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +37,8 @@ def stems(views) -> list[str]:
     short = [view.stem for view in views]
     for view in views:
         if Path(view.name).is_absolute() or ".." in Path(view.name).parts:
-            raise InputError(f"view {view.name!r} cannot name files in the output folder: expected a relative name without '..'")
+            raise InputError(f"view {view.name!r} cannot name files in the output folder: expected a relative name "
+                             "without '..'")
     alone = {stem for stem in short if short.count(stem) == 1} if len(set(short)) < len(short) else set(short)
     return [stem if stem in alone else str(Path(view.name).with_suffix("")) for stem, view in zip(short, views)]
 
@@ -105,7 +105,8 @@ class StoredResult:
 
     def loaded(self) -> DepthResult:
         """Everything in memory."""
-        return DepthResult(self.camera, self.depth, self.status, self.deviation, self.parallax, self.reason, self.report)
+        return DepthResult(self.camera, self.depth, self.status, self.deviation, self.parallax, self.reason,
+                           self.report)
 
     def _extra(self, name: str) -> np.ndarray:
         path = work_folder(self.folder) / f"{self.record.stem}.npz"
@@ -113,4 +114,5 @@ class StoredResult:
             with np.load(path, allow_pickle=False) as archive:
                 return archive[name]
         except (OSError, ValueError, KeyError, EOFError) as error:
-            raise InputError(f"{str(path)!r} cannot be read ({error}): delete it and start the same command again") from error
+            raise InputError(f"{str(path)!r} cannot be read ({error}): delete it and start the same command "
+                             "again") from error

@@ -117,13 +117,14 @@ class Run:
             return
         for task in batch.tasks:
             record = find_finished(batch.folder, task, batch.extras)
-            self._take(record or Record(task.name, task.stem, task.key, error=f"{type(error).__name__}: {error}"), batch)
+            told = f"{type(error).__name__}: {error}"
+            self._take(record or Record(task.name, task.stem, task.key, error=told), batch)
 
     def _broken(self, error: BrokenExecutor) -> None:
         """A process of a pool was killed, which ends the whole pool: views that were begun three times are given up."""
         if self.renew is None:
-            raise DeviceError(f"the executor has lost a worker and takes no more tasks ({error}); finished views are kept: "
-                              "start the same command again") from error
+            raise DeviceError(f"the executor has lost a worker and takes no more tasks ({error}); finished views are "
+                              "kept: start the same command again") from error
         unfinished = [*self._queue, *self._waiting.values()]
         self._queue.clear(), self._waiting.clear()
         log.warning("a worker process was lost; its views are given to a new one")

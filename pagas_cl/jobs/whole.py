@@ -62,11 +62,7 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
             return [result if isinstance(result, DepthResult) else result.loaded() for result in results]
     folder = Path(folder).resolve()
     store = Store(work_folder(folder) / "inputs")
-    with ThreadPoolExecutor(8) as readers:
-        samples = list(readers.map(lambda depth: _sample(depth, len(views)), depths))
-    asked = [k for k in asked if _has_surface(samples[k])]
-    if not asked:
-        raise InputError("no view has a depth map with a valid pixel: nothing to refine")
+    samples, asked = _sampled(depths, asked)
     kept = [store.put(depth) if isinstance(depth, np.ndarray) else depth for depth in depths]
     planner = Planner(on_disk(views, store), kept, samples, config, work)
     pipeline, renew, own = _executor(executor, device)
@@ -145,13 +141,19 @@ class _Collect:
         return DepthResult.missing(camera, record.error) if record.error else StoredResult(camera, self.folder, record)
 
 
-def _sample(depth, views: int):
-    """What planning needs of a depth map; one is loaded at a time."""
-    return for_planning(depth.load() if hasattr(depth, "load") else depth, views)
+def _sampled(depths, asked) -> tuple[list, list[int]]:
+    """What planning needs of each depth map, and which of the views `asked` have a valid depth."""
+    def sample(depth):
+        return for_planning(depth.load() if hasattr(depth, "load") else depth, len(depths))
 
-
-def _has_surface(sample) -> bool:
-    return sample is not None and bool((getattr(sample, "depth", sample) > 0).any())
+    with ThreadPoolExecutor(8) as readers:  # no more than these are in memory at a time
+        samples = list(readers.map(sample, depths))
+    valid = [k for k in asked if samples[k] is not None and (getattr(samples[k], "depth", samples[k]) > 0).any()]
+    if not valid:
+        raise InputError("no view has a depth map with a valid pixel: nothing to refine")
+    if len(valid) < len(asked):
+        log.warning("%d views have a depth map without a valid pixel and are left out", len(asked) - len(valid))
+    return samples, valid
 
 
 def _executor(executor, device):

@@ -47,8 +47,8 @@ def run_batch(batch: Batch) -> list[Record]:
     work with) are raised: they are not the view's fault.
     """
     if batch.code != code_version():
-        raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that planned "
-                          "the run: install the same version everywhere")
+        raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "
+                          "planned the run: install the same version everywhere")
     with _one_at_a_time:
         records, views = [], _bench(batch.device).views(batch)
         for task in batch.tasks:
@@ -63,7 +63,8 @@ def _attempt(batch: Batch, task: ViewTask, views: dict) -> Record:
     note_down(batch.folder, "began", task.name)
     try:
         result = batch.work(views, task.partners, task.depth.load(), batch.config, bench.device, bench.photos)
-        about = {"device": bench.device.info.title, "worker": worker_name(), "task_seconds": time.perf_counter() - start}
+        about = {"device": bench.device.info.title, "worker": worker_name(),
+                 "task_seconds": time.perf_counter() - start}
         record = write_finished(batch.folder, task, result, batch.extras, about)
     except OutputError:
         raise

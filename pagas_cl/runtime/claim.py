@@ -65,8 +65,8 @@ def claim_device(names=None) -> Device:
             break
         time.sleep(0.5)
     titles = ", ".join(info.title for info, _ in known)
-    raise DeviceError(f"every device asked for ({titles}) is at work for another process; start one worker a device, or "
-                      f"let several share one with {SHARE}={share + 1}")
+    raise DeviceError(f"every device asked for ({titles}) is at work for another process; start one worker a device, "
+                      f"or let several share one with {SHARE}={share + 1}")
 
 
 def give_back() -> None:

@@ -1,15 +1,17 @@
 """TSDF fusion in less memory than the whole grid takes: space is cut into boxes, one grid after another.
 
-Each box is fused with a margin of one block of the grid around it, where the same depths make the same voxels as in one
-grid, and keeps the triangles of its own cells. A cell belongs to exactly one box, so that the pieces fit without a seam:
-the same triangles, bit for bit, as from one grid, in another order.
+Each box is fused with a margin of one block of the grid around it, where the same depths make the same voxels as in
+one grid, and keeps the triangles of its own cells. A cell belongs to exactly one box, so that the pieces fit without a
+seam: the same triangles, bit for bit, as from one grid, in another order.
 """
 
 from __future__ import annotations
 
 import logging
+import pickle
 import tempfile
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +36,7 @@ _PHOTO_BYTES = 40     # a pixel of the view at hand: depth, colours, and what Op
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """Blocks from `low` up to, not including, `high` (three whole numbers each), and how many are in use with the margin."""
+    """Blocks from `low` up to, not including, `high` (three whole numbers each); how many there are with the margin."""
 
     low: tuple[int, int, int]
     high: tuple[int, int, int]
@@ -42,20 +44,27 @@ class Box:
 
 
 @dataclass(frozen=True, eq=False)
-class BoxTask:
-    """One box to fuse: arrays or paths in, a file out. May be sent to any executor."""
+class Inputs:
+    """What all boxes share."""
 
     views: list
     depths: list
     weights: list | None
     settings: Fusion
     plan: FusionPlan
+
+
+@dataclass(frozen=True, eq=False)
+class BoxTask:
+    """One box to fuse, and the file that gets its piece. `inputs`: the path of a pickle where the task is sent away."""
+
+    inputs: Inputs | Path
     box: Box
     file: Path
 
 
 def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_mb: float | None = None, *, weights=None,
-                progress=None, executor=None) -> Surface:
+                progress=None, executor=None, folder=None) -> Surface:
     """Fuse depth maps to a mesh in no more than `memory_mb` of host memory (what is free by default).
 
     One grid where it fits, else boxes.
@@ -65,7 +74,9 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
     views, depths, settings, weights, progress
         As in surface.fuse.fuse. Depths that are paths, and photos that are, are read when they are needed.
     executor : concurrent.futures.Executor, optional
-        Fuses boxes elsewhere, `memory_mb` for each; views and depths must then be on disk, and Open3D where it runs.
+        Fuses boxes elsewhere, `memory_mb` for each; photos and depths must then be on disk, and Open3D where it runs.
+    folder : path, optional
+        For what is put aside meanwhile; with an executor on several machines one that all of them see.
 
     Raises
     ------
@@ -73,8 +84,9 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
         As fuse; and where the mesh alone would not fit.
     """
     allowed = available_mb() if memory_mb is None else memory_mb
-    with tempfile.TemporaryDirectory(prefix="pagas_cl-") as folder:
-        touched = touched_by_views(views, depths, settings, Path(folder))
+    with tempfile.TemporaryDirectory(prefix=".fusion-", dir=folder) as aside:
+        aside = Path(aside)
+        touched = touched_by_views(views, depths, settings, aside)
         plan = touched.plan
         log.info("%s", plan)
         if plan.memory_mb <= allowed:
@@ -83,9 +95,11 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
         most = max(_memory_mb(box.blocks, settings) for box in boxes)
         log.info("fusion: %d boxes, at most %.0f MB each, %.0f MB for the mesh, %.0f MB allowed", len(boxes), most,
                  _surface_mb(plan, settings), allowed)
-        tasks = [BoxTask(views, depths, weights, settings, plan, box, Path(folder) / f"{k:06d}.npz")
-                 for k, box in enumerate(boxes)]
-        files = []
+        inputs, files = Inputs(views, depths, weights, settings, plan), []
+        if executor is not None:
+            (aside / "inputs.pickle").write_bytes(pickle.dumps(inputs))
+            inputs = aside / "inputs.pickle"
+        tasks = [BoxTask(inputs, box, aside / f"{k:06d}.npz") for k, box in enumerate(boxes)]
         for done, file in enumerate((map if executor is None else executor.map)(fuse_box, tasks), start=1):
             files.append(file)
             if progress:
@@ -101,7 +115,8 @@ def cut(touched: Touched, settings: Fusion, allowed_mb: float, views) -> list[Bo
     if room < least:
         wanted = allowed_mb - room + 20 * least
         raise InputError(f"fusion is allowed {allowed_mb:.0f} MB, and the mesh and one photo alone take "
-                         f"{allowed_mb - room:.0f} MB: allow {wanted:.0f} MB, or raise fusion.voxel (it is {settings.voxel:g})")
+                         f"{allowed_mb - room:.0f} MB: allow {wanted:.0f} MB, or raise fusion.voxel (it is "
+                         f"{settings.voxel:g})")
     blocks = touched.blocks
     far = 1 << 20
     boxes, waiting = [], [(blocks, (-far,) * 3, (far,) * 3)]
@@ -125,15 +140,17 @@ def cut(touched: Touched, settings: Fusion, allowed_mb: float, views) -> list[Bo
 
 def fuse_box(task: BoxTask) -> Path | None:
     """Fuse one box and write its piece of the mesh; None where it holds no triangle."""
-    plan, settings, box = task.plan, task.settings, task.box
+    given, box = task.inputs if isinstance(task.inputs, Inputs) else _unpickled(task.inputs), task.box
+    plan, settings = given.plan, given.settings
     grid = Grid(plan.voxel / plan.unit, settings.truncation, box.blocks, 2 * plan.depth_range[1] / plan.unit, True,
                 need("open3d", "mesh", "fusing depth maps to a mesh"))
-    for index, view in enumerate(task.views):
+    for index, view in enumerate(given.views):
         blocks = plan.blocks[index]
         blocks = blocks[_within(blocks, box.low, box.high, 1)]
         if len(blocks):
             one = replace(plan, blocks={index: blocks})
-            whole._integrate(grid, one, index, view, task.depths[index], None if task.weights is None else task.weights[index])
+            weight = None if given.weights is None else given.weights[index]
+            whole._integrate(grid, one, index, view, given.depths[index], weight)
     vertices, faces, normals, colours = grid.extract(settings.min_views - 0.5)
     del grid
     edge = block_resolution(settings.truncation) * plan.voxel / plan.unit
@@ -150,6 +167,12 @@ def fuse_box(task: BoxTask) -> Path | None:
     return task.file
 
 
+@lru_cache(maxsize=1)
+def _unpickled(path: Path) -> Inputs:
+    """What this run itself has written."""
+    return pickle.loads(path.read_bytes())
+
+
 def _within(blocks: np.ndarray, low, high, margin: int) -> np.ndarray:
     """Which of `blocks` (N, 3) are in the box, or no more than `margin` blocks outside."""
     return ((blocks >= np.subtract(low, margin)) & (blocks < np.add(high, margin))).all(axis=1)
@@ -159,7 +182,8 @@ def _memory_mb(blocks: int, settings: Fusion) -> float:
     """Host memory of fusing so many blocks in one grid."""
     edge = block_resolution(settings.truncation)
     vertices = blocks * edge**2 * whole._VERTICES
-    return max(blocks * edge**3 * whole._VOXEL_BYTES + vertices * whole._VERTEX_BYTES, vertices * whole._AFTER_BYTES) / 1e6
+    grid = blocks * edge**3 * whole._VOXEL_BYTES + vertices * whole._VERTEX_BYTES
+    return max(grid, vertices * whole._AFTER_BYTES) / 1e6
 
 
 def _surface_mb(plan: FusionPlan, settings: Fusion) -> float:

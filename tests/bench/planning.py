@@ -35,7 +35,8 @@ def make_views(count: int):
     rng, views, samples = np.random.default_rng(0), [], []
     side, height, focal = int(np.ceil(np.sqrt(count))), 100.0, 1400.0
     step = 0.2 * height * 1554 / focal
-    columns, rows = np.meshgrid((np.arange(0, 1554, 8) + 0.5 - 777) / focal, (np.arange(0, 1162, 8) + 0.5 - 581) / focal)
+    columns, rows = np.meshgrid((np.arange(0, 1554, 8) + 0.5 - 777) / focal,
+                                (np.arange(0, 1162, 8) + 0.5 - 581) / focal)
     for number in range(count):
         x, y = step * (number % side), step * (number // side)
         ground = 5 * np.sin((x + columns * height) / 60) * np.cos((y + rows * height) / 45)

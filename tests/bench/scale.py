@@ -1,4 +1,7 @@
-"""What a run of many views costs, from measured constants: `python tests/bench/scale.py` prints the table of SCALE.md."""
+"""What a run of many views costs, from measured constants.
+
+    python tests/bench/scale.py      # prints the table of SCALE.md
+"""
 
 import sys
 from dataclasses import dataclass
@@ -38,26 +41,29 @@ def run_seconds(views: int, pixels: float, gpus: int, m: Measured = Measured()) 
     """Seconds that each part would take by itself; they overlap, so that the longest one decides."""
     size = min(16, max(1, views // (8 * gpus)))
     view = m.fixed + m.per_pixel * pixels
-    rounds = -(-views // (size * gpus)) * size   # the last batch of each worker may be one more than its share
-    traffic = views * pixels * (4 + 4 + m.photos_read * m.photo_bytes)  # depth in, depth out, photos in
+    rounds = -(-views // (size * gpus)) * size  # some do a batch more
+    traffic = views * pixels * (4 + 4 + m.photos_read * m.photo_bytes)  # depth in and out, photos in
     return {"GPUs": m.begin + rounds * view, "planning": views * (m.plan + m.take_back), "storage": traffic / m.disk}
 
 
 def table() -> str:
-    lines = ["| views | pixels | GPUs | GPUs' time | planning | storage at 2 GB/s | decides | of ideal |", "|" + "---|" * 8]
+    lines = ["| views | pixels | GPUs | GPUs' time | planning | storage at 2 GB/s | decides | of ideal |",
+             "|" + "---|" * 8]
     for views, pixels in ((160, 12e6), (10_000, 1.8e6), (10_000, 12e6)):
-        alone = sum(run_seconds(views, pixels, 1)[name] for name in ("GPUs",))
+        alone = run_seconds(views, pixels, 1)["GPUs"]
         for gpus in (1, 8, 64):
             parts = run_seconds(views, pixels, gpus)
             name = max(parts, key=parts.get)
-            cells = [f"{views}", f"{pixels / 1e6:g} M", f"{gpus}", *(_time(seconds) for seconds in parts.values()), name,
+            cells = [f"{views}", f"{pixels / 1e6:g} M", f"{gpus}", *map(_time, parts.values()), name,
                      f"{alone / gpus / parts[name]:.0%}"]
             lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
 def _time(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 if __name__ == "__main__":

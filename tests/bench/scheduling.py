@@ -30,7 +30,8 @@ def ring(folder: Path, count: int):
     for k, angle in enumerate(np.linspace(0, 2 * np.pi, count, endpoint=False)):
         path = folder / f"{k:06d}.png"
         Image.fromarray(rng.integers(0, 255, (24, 32, 3), np.uint8)).save(path)
-        camera = look_at((4 * np.sin(angle), 0.5, -4 * np.cos(angle)), (0, 0, 0), 32, 24, 30.0, 16.0, 12.0, name=path.name)
+        place = 4 * np.sin(angle), 0.5, -4 * np.cos(angle)
+        camera = look_at(place, (0, 0, 0), 32, 24, 30.0, 16.0, 12.0, name=path.name)
         views.append(View(camera, path, None, path.name))
     return views, [np.full((24, 32), 4, np.float32)] * count
 
@@ -42,12 +43,12 @@ def main():
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         views, depths = ring(Path(folder), chosen.views)
-        with LocalCluster(n_workers=chosen.workers, threads_per_worker=1, processes=False, dashboard_address=None) as cluster, \
-                Client(cluster, set_as_default=False) as client:
+        with LocalCluster(n_workers=chosen.workers, threads_per_worker=1, processes=False,
+                          dashboard_address=None) as cluster, Client(cluster, set_as_default=False) as client:
             for name in ("first run", "again, all finished"):
                 start = time.perf_counter()
-                refine_all(copy_depth, views, depths, range(len(views)), QUICK, folder=Path(folder) / "out", extras=False,
-                           executor=client.get_executor(pure=False))
+                refine_all(copy_depth, views, depths, range(len(views)), QUICK, folder=Path(folder) / "out",
+                           extras=False, executor=client.get_executor(pure=False))
                 taken = time.perf_counter() - start
                 sys.stdout.write(f"{name}: {taken:.2f} s, {1000 * taken / len(views):.2f} ms a view\n")
 
