@@ -122,5 +122,6 @@ def to_values(**given) -> dict[str, str]:
                 kind = "text" if parameter.rich == "RichString" else "a number"
                 raise InputError(f"{parameter.python} is {value!r}, expected {kind}")
             values[parameter.name] = value if isinstance(value, str) else repr(value)
-    assert not given, given
+    if given:
+        raise InputError(f"unknown parameter {next(iter(given))!r}, expected {', '.join(p.python for p in PARAMETERS)}")
     return values
