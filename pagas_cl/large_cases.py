@@ -1,0 +1,89 @@
+"""Hard cases of size: 12 megapixels, and more than 2^24. The twin runs on a window cut out of the far corner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pagas_cl.hard_scenes import HardScene, base, camera, turn, waves
+from pagas_cl.scene.view import View
+from pagas_cl.selftest import BLENDS, Case, Outcome, device_gradient, difference, twin_gradient
+
+WINDOW, BORDER = 128, 40       # pixels: of the window in the far corner, and of its border that is not compared
+WHY = "whole-number weights have 18 bits there: a barely covered pixel carries 1e-3"
+SHIFT = 0.004                  # baseline: so short that the window sees all that reaches it
+SIZES = {"12 megapixels": (4000, 3000), "more than 2^24 pixels": (4128, 4120)}
+
+
+@dataclass(frozen=True)
+class Large:
+    """A large scene and the same pixels of its far corner as a small one; both of depth about 1."""
+
+    whole: HardScene
+    corner: HardScene
+
+
+def make_large(size, contexts: int = 2) -> Large:
+    """Photos repeat a small texture; the depth repeats a small wavy map."""
+    width, height = size
+    small, rng = base(7, (256, 256)), np.random.default_rng(9)
+    times = height // 256 + 1, width // 256 + 1
+    depth = np.tile(waves(rng, (256, 256), 0.97), times)[:height, :width].astype(np.float32)
+    tile = lambda v: np.tile(v.image, (*times, 1))[:height, :width]  # noqa: E731
+    focal = (1.2 * width, 1.21 * width)
+    places = [(SHIFT * np.cos(k), SHIFT * np.sin(k), 0.0) for k in range(contexts)]
+    views = [View(camera(size, focal, name="target"), tile(small.target))]
+    views += [View(camera(size, focal, place, turn(), name=f"context {k}"), tile(small.contexts[k % 2]))
+              for k, place in enumerate(places)]
+    cut = [_cut(view) for view in views]
+    return Large(HardScene(views[0], views[1:], depth), HardScene(cut[0], cut[1:], depth[-WINDOW:, -WINDOW:]))
+
+
+def _cut(view: View) -> View:
+    c = view.camera
+    cut = replace(c, width=WINDOW, height=WINDOW, cx=c.cx - (c.width - WINDOW), cy=c.cy - (c.height - WINDOW))
+    return View(cut, view.image[-WINDOW:, -WINDOW:])
+
+
+def corner_gradient(large: Large, config, at, unit) -> np.ndarray:
+    """What the twin gives for the window, with the pixel and window counts of the whole."""
+    share, (height, width) = config.loss.ssim, large.whole.depth.shape
+    given = large.corner, at, at, unit
+    parts = []
+    for ssim in (0.0, 1.0):
+        only = config.with_settings(loss__ssim=ssim)
+        parts.append(twin_gradient(given[0], only, *given[1:])[0])
+    windows = lambda w, h: (w - 10) * (h - 10) / (w * h)  # noqa: E731
+    return (1 - share) * parts[0] + share * parts[1] * windows(WINDOW, WINDOW) / windows(width, height)
+
+
+def run_one(name: str, blend: str, device) -> Outcome:
+    """One large case: finite, the same bits twice, and the far corner as the twin has it."""
+    tolerance = 2e-2 if blend == "order-free" else 1e-3
+    large, case, faults = make_large(SIZES[name]), Case(name, base, tolerance, why=WHY), []
+    config = BLENDS[blend].with_settings(splatting__depth_slices=1e-3)      # the range of depth differs in the window
+    at = large.whole.depth
+    got, loss, length = device_gradient(large.whole, config, device, at, at, 1.0)
+    again = device_gradient(large.whole, config, device, at, at, 1.0)[0]
+    if got.tobytes() != again.tobytes():
+        faults.append("a second run gives other bits")
+    if not (np.isfinite(got).all() and np.isfinite(loss)):
+        faults.append("the gradient is not finite")
+    inside = (slice(-WINDOW + BORDER, -BORDER),) * 2
+    want = corner_gradient(large, config, large.corner.depth, 1.0)
+    worst = difference(got[inside], want[inside], length[inside])
+    if not worst <= case.tolerance:
+        faults.append(f"gradient differs from the twin by {worst:.3g}")
+    return Outcome(case, blend, worst, tuple(faults))
+
+
+def run_large(device, progress=None) -> list[Outcome]:
+    """Every large case with each blend."""
+    outcomes = []
+    for name in SIZES:
+        for blend in BLENDS:
+            outcomes.append(run_one(name, blend, device))
+            if progress:
+                progress(outcomes[-1])
+    return outcomes

@@ -1,0 +1,194 @@
+"""Named hard cases as data, and what each must hold on a device: `pagas-cl selftest` and tests/hard_cases run them.
+
+For each case and blend: the gradient of one step against the float64 twin in pagas_cl.reference, everything finite, the
+same bits twice; then a few steps: finite, inputs without a surface stay so, fixed pixels keep their bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pagas_cl import hard_scenes as make
+from pagas_cl.config import BALANCED, PAPER, Config
+from pagas_cl.hard_scenes import HardScene
+
+PLAIN = dict(smoothness__kind="none", smoothness__weight=0.0, solver__views_per_step=0, solver__patience=5)
+BLENDS = {
+    "order-free": BALANCED.with_settings(**PLAIN),
+    "alpha": PAPER.with_settings(solver__patience=5),
+}
+STEPS = dict(smoothness__kind="planar", smoothness__weight=0.12, pyramid__scales=(1.0,), pyramid__steps=(3,))
+BOTH = tuple(BLENDS)
+ONE = ("order-free",)
+DAMPED = 1e-3             # gradient per pixel of parallax below which the solver hardly moves: a floor
+
+
+@dataclass(frozen=True)
+class Case:
+    """One named case.
+
+    Attributes
+    ----------
+    name : str
+    scene : callable
+        Makes the HardScene.
+    tolerance : float
+        Most |device - twin| / |twin| of the gradient (L2 norms; the twin's is at least DAMPED per pixel of parallax).
+    settings : dict
+        On top of the blend's.
+    blends : tuple of str
+    still : bool
+        No pixel may move: no view sees parallax.
+    noise : float
+        By how much the depth differs from the initial one when the gradient is compared, share of the median.
+    why : str
+        What makes the tolerance wider than usual.
+    """
+
+    name: str
+    scene: Callable[[], HardScene]
+    tolerance: float = 1e-3
+    settings: dict = field(default_factory=dict)
+    blends: tuple[str, ...] = BOTH
+    still: bool = False
+    noise: float = 1e-3
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a case came to: the worst figure against its tolerance, and what is wrong (empty where nothing is)."""
+
+    case: Case
+    blend: str
+    worst: float
+    faults: tuple[str, ...]
+
+    @property
+    def ok(self) -> bool:
+        return not self.faults
+
+
+def config_of(case: Case, blend: str) -> Config:
+    return BLENDS[blend].with_settings(**case.settings)
+
+
+def run_case(case: Case, blend: str, device) -> Outcome:
+    """Run one case on an open device."""
+    scene, config, faults = case.scene(), config_of(case, blend), []
+    initial, unit = _normalized(scene)
+    rng = np.random.default_rng(3)
+    at = np.where(initial > 0, initial * (1 + case.noise * rng.standard_normal(initial.shape)), 0).astype(np.float32)
+    got, loss, length = device_gradient(scene, config, device, initial, at, unit)
+    again, loss_again, _ = device_gradient(scene, config, device, initial, at, unit)
+    if got.tobytes() != again.tobytes() or loss != loss_again:
+        faults.append("a second run gives other bits")
+    if not (np.isfinite(got).all() and np.isfinite(loss)):
+        faults.append(f"{np.count_nonzero(~np.isfinite(got))} gradients are not finite")
+    if not case.still and not (length > 0).any():
+        faults.append("no pixel is seen with parallax: the case shows nothing")
+    worst = 0.0
+    if (initial > 0).any():
+        want, _ = twin_gradient(scene, config, initial, at, unit)
+        worst = difference(got, want, length)
+        if not worst <= case.tolerance:
+            faults.append(f"gradient differs from the twin by {worst:.3g}")
+    if (got[initial == 0] != 0).any():
+        faults.append("a gradient where there is no surface")
+    return Outcome(case, blend, worst, tuple(faults + _refinement_faults(case, config, scene, device)))
+
+
+def difference(got, want, length) -> float:
+    """|got - want| / |want|, the latter at least DAMPED per pixel of parallax; fixed pixels count in neither."""
+    free = length > 0
+    if not free.any():
+        return 0.0
+    got, want, length = got[free].astype(np.float64), want[free], length[free]
+    return float(np.linalg.norm(got - want) / max(np.linalg.norm(want), np.linalg.norm(DAMPED / length)))
+
+
+def _normalized(scene: HardScene):
+    from pagas_cl.splat.state import normalized_depth
+
+    return normalized_depth(scene.depth, scene.target.load_mask())
+
+
+def _threshold(initial, config: Config) -> float:
+    d = initial[initial > 0].astype(np.float64)
+    return float(d.max() - d.min()) / config.splatting.depth_slices if d.size else 0.0
+
+
+def device_gradient(scene: HardScene, config: Config, device, initial, at, unit):
+    """N dL/dd (H, W) and L of the depth `at` on the device, and the parallax unit (H, W), all in units."""
+    import pyopencl as cl
+
+    from pagas_cl.splat.level import Level, LevelInput
+    from pagas_cl.splat.state import PhotoStore
+
+    photos, views = PhotoStore(device), [scene.target, *scene.contexts]
+    level = Level(device, config, LevelInput([v.camera for v in views], [photos.photo(v) for v in views], unit,
+                                             _threshold(initial, config), 1.0, len(scene.contexts)))
+    level.enter(lambda out: cl.enqueue_copy(device.queue, out, initial))
+    level.start(lambda out: None)
+    cl.enqueue_copy(device.queue, level.arena["depth"], at)
+    for launch in level.gradient_launches(0):
+        launch.enqueue(device.queue)
+    found = level.read("gradient", at.shape), float(level.read("state", 8)[4]), level.read("unit", at.shape)
+    level.release()
+    return found
+
+
+def twin_gradient(scene: HardScene, config: Config, initial, at, unit):
+    """The same gradient and loss by the float64 twin."""
+    from pagas_cl.reference.level import Photo, loss_and_gradient, prepare
+
+    target, contexts = Photo.from_view(scene.target), [Photo.from_view(v) for v in scene.contexts]
+    state = prepare(initial.astype(np.float64), target, contexts, config, unit, _threshold(initial, config))
+    value, gradient = loss_and_gradient(at.astype(np.float64), target, contexts, config, state)
+    return gradient, value
+
+
+def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> list[str]:
+    """A few steps of a whole refinement, twice."""
+    from pagas_cl.splat import refine_levels
+
+    steps = {key: value for key, value in STEPS.items() if key not in case.settings}
+    config = config.with_settings(**steps)
+    first, second = (refine_levels(scene.target, scene.contexts, scene.depth, config, device) for _ in range(2))
+    valid, faults = _normalized(scene)[0] > 0, []
+    for name in ("depth", "status", "deviation", "parallax"):
+        if getattr(first, name).tobytes() != getattr(second, name).tobytes():
+            faults.append(f"a second refinement gives another {name}")
+    if not np.isfinite(first.depth).all() or np.isnan(first.deviation).any() or np.isnan(first.parallax).any():
+        faults.append("the refined depth is not finite")
+    if ((first.status > 0) != valid).any():
+        faults.append("the refinement made or lost a surface")
+    if (first.depth[valid] <= 0).any():
+        faults.append("a refined depth is not above 0")
+    kept = valid & (first.status != 1)
+    if (first.depth[kept] != scene.depth[kept].astype(np.float32)).any():
+        faults.append("a pixel that was not refined did not keep its bits")
+    if case.still and (first.status == 1).any():
+        faults.append("a pixel without parallax moved")
+    return faults
+
+
+def _cases() -> list[Case]:
+    from pagas_cl.hard_cases import CAMERAS, DEPTHS, IMAGES, SETTINGS
+
+    return [*CAMERAS, *DEPTHS, *IMAGES, *SETTINGS]
+
+
+def run_all(device, progress=None, blends=BOTH) -> list[Outcome]:
+    """Every small case with each of its blends, in order; `progress(outcome)` as each one is done."""
+    outcomes = []
+    for case in _cases():
+        for blend in case.blends:
+            if blend in blends:
+                outcomes.append(run_case(case, blend, device))
+                if progress:
+                    progress(outcomes[-1])
+    return outcomes

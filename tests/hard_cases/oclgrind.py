@@ -1,0 +1,80 @@
+"""Every kernel under Oclgrind, on a small scene: invalid accesses and data races are errors.
+
+    python tests/hard_cases/oclgrind.py          # runs itself under oclgrind, prints the kernels and the errors
+
+Oclgrind's own --uninitialized is not used: it reports the unused fourth component of every float3, three-line kernels
+included. What it looks for is found in test_safety.py instead, where buffers start with other bits.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+
+SETTINGS = {
+    "order-free": {},
+    "order-free, all switches": dict(splatting__low_pass=0.3, splatting__depth_relative=0.5, loss__exposure=True,
+                                     loss__unseen_mask=True, loss__gradient_weight=True, loss__coverage_weight=True,
+                                     loss__structure=True, loss__robust=0.6, loss__target_view=True),
+    "order-free, grey, L1": dict(loss__grey=True, loss__ssim=0.0, splatting__radius=2.6),
+    "alpha": {},
+    "alpha, wide": dict(splatting__radius=2.6, splatting__occlusion=False),
+    "alpha, grey, normalised": dict(loss__grey=True, splatting__normalize=True, splatting__low_pass=0.0),
+    "alpha, crowded": dict(splatting__radius=1.4),
+}
+
+
+def command() -> list[str] | None:
+    """What runs this file under Oclgrind; None where it is not installed."""
+    found = shutil.which("oclgrind")
+    return found and [found, "--data-races", "--max-errors", "20", sys.executable,
+                      os.path.abspath(__file__), "--inside"]
+
+
+def inside() -> None:
+    """Run every kernel once or more, two steps of each setting; print the names of the kernels."""
+    from pagas_cl import hard_scenes as make
+    from pagas_cl.refine import refine_depth
+    from pagas_cl.runtime import program
+    from pagas_cl.runtime.device import open_device
+    from pagas_cl.selftest import BLENDS
+    from pagas_cl.splat import refine_levels
+
+    device, launched, enqueue = open_device("oclgrind"), set(), program.Launch.enqueue
+
+    def noted(launch, queue):
+        launched.add(launch.kernel.function_name)
+        return enqueue(launch, queue)
+
+    program.Launch.enqueue = noted
+    for name, settings in SETTINGS.items():
+        scene = make.crowded(16, 14) if "crowded" in name else make.base(size=(18, 16))
+        smoothness = "normal" if "switches" in name else "planar"
+        config = BLENDS[name.split(",")[0]].with_settings(**settings, smoothness__kind=smoothness,
+                                                         smoothness__weight=0.1, pyramid__scales=(0.5, 1.0),
+                                                         pyramid__steps=(1, 1))
+        witness = scene.contexts[1] if name == "order-free" else None
+        if name == "order-free":
+            refine_depth(scene.target, scene.contexts[:1], scene.depth, config=config, device="oclgrind",
+                         witness=witness)
+        else:
+            refine_levels(scene.target, scene.contexts, scene.depth, config, device)
+    sys.stdout.write(f"kernels: {' '.join(sorted(launched))}\n")
+
+
+def main() -> int:
+    if "--inside" in sys.argv:
+        inside()
+        return 0
+    run = command()
+    if not run:
+        sys.stderr.write("oclgrind is not installed (Debian and Ubuntu: apt-get install oclgrind)\n")
+        return 2
+    done = subprocess.run(run, env={**os.environ, "PYOPENCL_NO_CACHE": "1"}, check=False)
+    return done.returncode
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,89 @@
+"""Random cameras, depths, sizes and settings: what holds for every one of them. PAGAS_CL_EXAMPLES=1000 for many."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("hypothesis", reason="hypothesis is not installed: pip install 'pagas-cl[test]'")
+
+from hypothesis import HealthCheck, given, settings  # noqa: E402
+from hypothesis import strategies as st  # noqa: E402
+
+from pagas_cl import hard_scenes as make  # noqa: E402
+from pagas_cl.scene.view import View  # noqa: E402
+from pagas_cl.selftest import BLENDS, _normalized, device_gradient, difference, twin_gradient  # noqa: E402
+from pagas_cl.splat import refine_levels  # noqa: E402
+
+MANY = settings(max_examples=int(os.environ.get("PAGAS_CL_EXAMPLES", 5)), deadline=None, derandomize=True,
+                suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+TOLERANCE = 0.3            # wide: a Gaussian on a threshold may carry a good part of a tiny image's gradient
+small = lambda most: st.floats(-most, most, allow_nan=False, allow_subnormal=False)  # noqa: E731
+RADII, LOW_PASS = (0.5, 1.2, 2.6), (0.0, 0.3)     # a few values: each one is a program of its own
+
+
+@st.composite
+def scenes(draw):
+    """A scene of up to 48 x 40 pixels with one to three context views anywhere around, any depths."""
+    size = draw(st.integers(1, 48)), draw(st.integers(1, 40))
+    focal = 10.0 ** draw(st.floats(1, 4)), 10.0 ** draw(st.floats(1, 4))
+    centers, turns = [], []
+    for _ in range(draw(st.integers(1, 3))):
+        centers.append([draw(small(1.5)) for _ in range(3)])
+        turns.append(make.turn(draw(small(0.6)), draw(small(0.6)), draw(small(3.2))))
+    scene = make.base(draw(st.integers(0, 2**20)), size, focal, centers, turns)
+    kind = draw(st.sampled_from(["waves", "spread", "damaged"]))
+    if kind == "spread":
+        scene = make.with_depth(scene, lambda d, rng: np.exp(draw(st.floats(0, 4)) * rng.standard_normal(d.shape)))
+    if kind == "damaged":
+        bad = draw(st.lists(st.sampled_from([0, -1, np.nan, np.inf, 1e-40, 1e30, 1e-20]), min_size=1, max_size=4))
+        scene = make.with_depth(scene, lambda d, rng: np.where(rng.random(d.shape) < 0.3, rng.choice(bad, d.shape), d))
+    return _scaled(scene, 10.0 ** draw(st.integers(-6, 6)))
+
+
+def _scaled(scene, scale):
+    def view(v):
+        pose = v.camera.world_to_camera.copy()
+        pose[:3, 3] *= scale
+        return View(replace(v.camera, world_to_camera=pose), v.image)
+
+    return make.HardScene(view(scene.target), [view(v) for v in scene.contexts], scene.depth * scale)
+
+
+def config_of(blend, radius, low_pass):
+    return BLENDS[blend].with_settings(splatting__radius=radius, splatting__low_pass=low_pass)
+
+
+@pytest.mark.parametrize("blend", BLENDS)
+@MANY
+@given(scene=scenes(), radius=st.sampled_from(RADII), low_pass=st.sampled_from(LOW_PASS))
+def test_gradient_is_finite_repeatable_and_near_the_twin(device, blend, scene, radius, low_pass):
+    config = config_of(blend, radius, low_pass)
+    initial, unit = _normalized(scene)
+    got, loss, length = device_gradient(scene, config, device, initial, initial, unit)
+    again, _, _ = device_gradient(scene, config, device, initial, initial, unit)
+    assert np.isfinite(got).all() and np.isfinite(loss)
+    assert got.tobytes() == again.tobytes()
+    assert (got[initial == 0] == 0).all()
+    if not (length > 0).any():
+        return
+    want, _ = twin_gradient(scene, config, initial, initial, unit)
+    assert difference(got, want, length) < TOLERANCE
+
+
+@pytest.mark.parametrize("blend", BLENDS)
+@MANY
+@given(scene=scenes())
+def test_a_refinement_keeps_its_promises(device, blend, scene):
+    config = BLENDS[blend].with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=(1, 3))
+    result = refine_levels(scene.target, scene.contexts, scene.depth, config, device)
+    valid = _normalized(scene)[0] > 0
+    assert np.isfinite(result.depth).all()
+    assert not np.isnan(result.deviation).any() and not np.isnan(result.parallax).any()
+    assert ((result.status > 0) == valid).all()
+    assert (result.depth[valid] > 0).all()
+    kept = valid & (result.status != 1)
+    assert (result.depth[kept] == scene.depth[kept].astype(np.float32)).all()

@@ -1,0 +1,106 @@
+"""Kernels stay within what every OpenCL 1.2 device has, read nothing that was not written, and do not depend on how
+work is grouped."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from oclgrind import command
+
+from pagas_cl import hard_scenes as make
+from pagas_cl.runtime import arena, program
+from pagas_cl.selftest import BLENDS, _normalized, device_gradient
+from pagas_cl.splat import level, options, tile
+
+KERNELS = Path(program.files("pagas_cl.cl_kernels").joinpath("loss.cl")).parent
+FILES = sorted(path.name for path in KERNELS.glob("*.cl"))
+VARIANTS = {
+    "order-free": {}, "alpha": {}, "alpha wide": dict(splatting__radius=5.0),
+    "grey": dict(loss__grey=True, loss__robust=0.5, loss__structure=True, loss__exposure=True),
+}
+TILE_OF = {"ssim.cl": tile.SCALAR[0], "loss.cl": tile.SCALAR[1]}
+NEWER = r"\bdouble|\bhalf\b|atomic_fetch|work_group_(?:all|any|reduce|scan|broadcast|barrier)|generic\b"
+NO_DOUBLE = "#pragma OPENCL EXTENSION cl_khr_fp64 : disable\n"
+
+
+def variant(name: str):
+    return BLENDS["alpha" if name.startswith("alpha") else "order-free"].with_settings(**VARIANTS[name])
+
+
+@pytest.mark.parametrize("file, name", itertools.product(FILES, VARIANTS))
+def test_kernels_fit_any_device_of_opencl_1_2(device, file, name):
+    """Without double precision, within 32 kB of local memory and 256 work-items."""
+    given = options.defines(variant(name), device, 64)
+    for part in tile.SCALAR:
+        built = cl.Program(device.context, NO_DOUBLE + program.source(file)).build(
+            [*program.OPTIONS, *(f"-D{define}" for define in (*given, *part.defines))])
+        for kernel in built.all_kernels():
+            local, group = (kernel.get_work_group_info(getattr(cl.kernel_work_group_info, what), device.cl_device)
+                            for what in ("LOCAL_MEM_SIZE", "COMPILE_WORK_GROUP_SIZE"))
+            if TILE_OF.get(file, part) is part:
+                assert local <= 32 << 10, f"{kernel.function_name}: {local} bytes of local memory"
+            assert np.prod(group) <= 256, f"{kernel.function_name}: a work-group of {group}"
+
+
+def test_no_double_and_no_newer_language():
+    assert "-cl-std=CL1.2" in program.OPTIONS
+    for path in KERNELS.glob("*.cl*"):
+        code = re.sub(r"//.*", "", path.read_text())
+        assert not re.search(NEWER, code), path.name
+
+
+def gradients(device, config, size=(97, 51)):
+    scene = make.base(3, size=size)
+    initial, unit = _normalized(scene)
+    got, loss, _ = device_gradient(scene, config, device, initial, initial, unit)
+    return got.tobytes(), loss
+
+
+@pytest.mark.parametrize("blend", BLENDS)
+def test_work_group_sizes_agree(device, blend, monkeypatch):
+    """Tiles of 1, 32, 64 and 256 work-items, bit for bit."""
+    found = set()
+    for group in (1, 32, 64, 256):
+        tiles = tuple(replace(part, group=group) for part in tile.SCALAR)
+        monkeypatch.setattr(level, "choose_tiles", lambda *_, tiles=tiles: tiles)
+        found.add(gradients(device, BLENDS[blend]))
+    assert len(found) == 1
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_nothing_is_read_before_it_is_written(device, name, monkeypatch):
+    """Buffers that start as NaN, as ones, and as zeros give the same bits."""
+    config, found, plain = variant(name).with_settings(loss__exposure=False), set(), arena.Arena.__init__
+
+    for pattern in (0, 0xFFFFFFFF, 0x3F800000):
+        def poisoned(self, on, specs, pattern=pattern):
+            plain(self, on, specs)
+            for spec in specs:
+                cl.enqueue_fill_buffer(on.queue, self[spec.name], np.uint32(pattern), 0, spec.nbytes // 4 * 4)
+
+        monkeypatch.setattr(arena.Arena, "__init__", poisoned)
+        found.add(gradients(device, config, (45, 37)))
+    assert len(found) == 1
+
+
+def test_under_oclgrind():
+    """No invalid access and no data race in any kernel."""
+    run = command()
+    if not run:
+        pytest.skip("oclgrind is not installed (Debian and Ubuntu: apt-get install oclgrind)")
+    done = subprocess.run(run, capture_output=True, text=True, timeout=400)
+    told = done.stdout + done.stderr
+    assert done.returncode == 0, told[-2000:]
+    errors = re.findall(r"^(?:Invalid|Unaligned|Uninitialized|.*data race).*$|.*errors generated.*", told, re.M)
+    assert not errors, told[:3000]
+    run_there = set(re.search(r"^kernels: (.*)$", told, re.M)[1].split())
+    every = {name for file in FILES for name in re.findall(r"\b(\w+)\(__global", (KERNELS / file).read_text())
+             if re.search(rf"__kernel[^;{{]*?\b{name}\(__global", (KERNELS / file).read_text())}
+    assert every <= run_there, f"not run: {every - run_there}"

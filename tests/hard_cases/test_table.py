@@ -1,0 +1,73 @@
+"""Every hard case of the table, with each of its blends; the large ones with PAGAS_CL_LARGE=1."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+from pagas_cl import hard_scenes as make
+from pagas_cl.hard_cases import CAMERAS, DEPTHS, IMAGES, SETTINGS
+from pagas_cl.large_cases import SIZES, run_one
+from pagas_cl.refine import refine_depth
+from pagas_cl.selftest import BLENDS, run_case
+from pagas_cl.splat import refine_levels
+
+CASES = [*CAMERAS, *DEPTHS, *IMAGES, *SETTINGS]
+RUNS = [pytest.param(case, blend, id=f"{case.name}-{blend}") for case in CASES for blend in case.blends]
+
+
+@pytest.mark.parametrize("case, blend", RUNS)
+def test_case(device, case, blend):
+    outcome = run_case(case, blend, device)
+    assert outcome.ok, f"worst {outcome.worst:.2g} of {case.tolerance:g}: {'; '.join(outcome.faults)}"
+
+
+@pytest.mark.skipif(not os.environ.get("PAGAS_CL_LARGE"), reason="12 and 17 megapixels: PAGAS_CL_LARGE=1, on a GPU")
+@pytest.mark.parametrize("blend", BLENDS)
+@pytest.mark.parametrize("size", SIZES)
+def test_large_case(device, size, blend):
+    outcome = run_one(size, blend, device)
+    assert outcome.ok, f"worst {outcome.worst:.2g}: {'; '.join(outcome.faults)}"
+
+
+def test_names_are_unique():
+    names = [case.name for case in CASES]
+    assert len(set(names)) == len(names)
+
+
+def test_readme_lists_every_case():
+    from pathlib import Path
+
+    page = (Path(__file__).parent / "README.md").read_text()
+    missing = [name for name in (*(case.name for case in CASES), *SIZES) if f"| {name} |" not in page]
+    assert not missing, missing
+
+
+@pytest.mark.parametrize("blend", BLENDS)
+def test_bad_depths_do_not_touch_their_neighbours(device, blend):
+    """What is no depth leaves everything around it as if nothing had been there: bit for bit."""
+    bad = make.sprinkled([0, -1, np.nan, np.inf, -np.inf, -1e20])
+    clean = np.where(np.isfinite(bad.depth) & (bad.depth > 0), bad.depth, 0)
+    config = BLENDS[blend].with_settings(pyramid__scales=(1.0,), pyramid__steps=(4,))
+    with_bad, without = (refine_levels(bad.target, bad.contexts, depth, config, device) for depth in (bad.depth, clean))
+    for name in ("depth", "status", "deviation", "parallax"):
+        assert getattr(with_bad, name)[clean > 0].tobytes() == getattr(without, name)[clean > 0].tobytes()
+    assert (with_bad.status[clean == 0] == 0).all()
+
+
+@pytest.mark.parametrize("case", [*CAMERAS, *DEPTHS, *IMAGES][::2], ids=lambda case: case.name)
+def test_default_settings_with_every_effect_on_auto(device, case):
+    """refine_depth measures the scene first; that, too, must stand every case."""
+    from pagas_cl.errors import InputError
+
+    scene = case.scene()
+    try:
+        result = refine_depth(scene.target, scene.contexts, scene.depth, device=device.info.name,
+                              config=BLENDS["order-free"].with_settings(pyramid__steps=(2,)))
+    except InputError as error:
+        assert "no valid" in str(error)
+        return
+    assert np.isfinite(result.depth).all() and not np.isnan(result.deviation).any()
+    assert all(not np.isnan(effect["evidence"]) for effect in result.report["effects"]) if result.report else True
