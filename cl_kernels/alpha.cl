@@ -7,7 +7,6 @@
 //   gather_alpha         per Gaussian: from the dL/dalpha in its places to dL/dd
 //
 // Each pair of a Gaussian and a pixel has a place of its own, so that no two work-items ever write to the same one.
-// few.clh serves the pixels with few candidates, which are nearly all; lists.clh the others, in the same order.
 #include "lists.clh"
 
 __kernel void link_bins(__global const float *depth, __global const float *cameras, int view, float low_pass,
@@ -35,56 +34,34 @@ __kernel void link_bins(__global const float *depth, __global const float *camer
     links[i] = (int2)(atomic_xchg(&heads[bin], i), as_int(depth_key(s.z)));
 }
 
-__kernel IN_TILES
+__kernel IN_GROUPS
 void composite_alpha(__global const uchar4 *target_photo, __global const float *exposure, int view,
                      __global const int *heads, __global const int2 *links, __global float *alphas, int count, int width,
                      int height, float threshold, float relative, __global float *rendered)
 {
-    const int column = get_global_id(0), row = get_global_id(1), pixel = row * width + column;
-#if REACH == 1
-    __local uint4 tile[2 * TILE_BINS];
-    load_bins(heads, links, target_photo, width, height, tile);
-    barrier(CLK_LOCAL_MEM_FENCE);
-#endif
+    __local uint4 lists[SLOTS * GROUP];
+    const int column = get_global_id(0), row = get_global_id(1);
     if (column >= width || row >= height)
         return;
-#if REACH == 1
-    __local const uint4 *bins = tile + get_local_id(1) * TILE_BINS_W + get_local_id(0);
-    Few few;
-    if (gather_few(bins, alphas, count, &few)) {
-        blend_few(&few, bins, exposure, view, threshold, relative, pixel, rendered);
-        return;
-    }
-#endif
-    blend_many(look_around(heads, links, alphas, count, column, row, width), target_photo, exposure, view, threshold,
-               relative, pixel, rendered);
+    blend(look_around(heads, links, alphas, count, column, row, width),
+          lists + get_local_id(1) * LIST_GROUP_W + get_local_id(0), target_photo, exposure, view, threshold, relative,
+          row * width + column, rendered);
 }
 
-__kernel IN_TILES
+__kernel IN_GROUPS
 void composite_alpha_vjp(__global const uchar4 *target_photo, __global const float *exposure, int view,
                          __global const int *heads, __global const int2 *links, __global float *alphas, int count,
                          int width, int height, float threshold, float relative, __global const float *upstream)
 {
-    const int column = get_global_id(0), row = get_global_id(1), pixel = row * width + column;
-#if REACH == 1
-    __local uint4 tile[2 * TILE_BINS];
-    load_bins(heads, links, target_photo, width, height, tile);
-    barrier(CLK_LOCAL_MEM_FENCE);
-#endif
+    __local uint4 lists[SLOTS * GROUP];
+    const int column = get_global_id(0), row = get_global_id(1);
     if (column >= width || row >= height)
         return;
     float v_coverage;
-    const color_t v_color = load_upstream(upstream, pixel, &v_coverage);
-#if REACH == 1
-    __local const uint4 *bins = tile + get_local_id(1) * TILE_BINS_W + get_local_id(0);
-    Few few;
-    if (gather_few(bins, alphas, count, &few)) {
-        pass_back_few(&few, bins, exposure, view, threshold, relative, v_color, v_coverage, alphas, count);
-        return;
-    }
-#endif
-    pass_back_many(look_around(heads, links, alphas, count, column, row, width), target_photo, exposure, view, threshold,
-                   relative, v_color, v_coverage);
+    const color_t v_color = load_upstream(upstream, row * width + column, &v_coverage);
+    blend_vjp(look_around(heads, links, alphas, count, column, row, width),
+              lists + get_local_id(1) * LIST_GROUP_W + get_local_id(0), target_photo, exposure, view, threshold, relative,
+              v_color, v_coverage);
 }
 
 __kernel void gather_alpha(__global const float *depth, __global const float *cameras, int view, float low_pass,

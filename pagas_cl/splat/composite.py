@@ -6,7 +6,7 @@ import numpy as np
 
 from pagas_cl.runtime.program import Fill, bind, build
 from pagas_cl.splat import project
-from pagas_cl.splat.options import FEW_GROUP, reach
+from pagas_cl.splat.options import LIST_GROUP, reach
 from pagas_cl.splat.tile import columns_of, row_grid
 
 
@@ -51,6 +51,6 @@ def _alpha(level, view: int) -> list:
 def blend_launch(level, view: int, name: str, image):
     """The kernel `name` of alpha.cl, composite_alpha or composite_alpha_vjp, with its `image`."""
     a, size = level.arena, level.given.sizes[view]
-    return bind(build(level.device, "alpha.cl", level.defines), name, size.grid, FEW_GROUP, level.given.photos[0],
+    return bind(build(level.device, "alpha.cl", level.defines), name, size.grid, LIST_GROUP, level.given.photos[0],
                 exposure_argument(level), view, a["heads"], a["links"], a["alphas"], level.target.pixels, size.width,
                 size.height, *threshold_arguments(level, view), image)

@@ -6,8 +6,8 @@ from math import ceil, floor, log2
 
 from pagas_cl.config import Config
 
-SLOTS = 16                # candidates that a pixel sorts at a time where they are many (lists.clh)
-FEW_GROUP = (16, 8)       # work-items that share bins where candidates are few (few.clh)
+SLOTS = 12                # candidates that a pixel sorts at a time (lists.clh)
+LIST_GROUP = (32, 4)      # work-items that do so side by side: 16 bytes a slot, 24 kB of local memory
 
 
 def reach(radius: float) -> int:
@@ -45,7 +45,7 @@ def defines(config: Config, device, longest_side: int) -> tuple[str, ...]:
         "INT64_ATOMICS": device.has("cl_khr_int64_base_atomics"),
     }
     numbers = {"REACH": reach(splatting.radius), "SLOTS": SLOTS,
-               "FEW_GROUP_W": FEW_GROUP[0], "FEW_GROUP_H": FEW_GROUP[1],
+               "LIST_GROUP_W": LIST_GROUP[0], "LIST_GROUP_H": LIST_GROUP[1],
                "FIXED_BITS": fixed_bits(longest_side)}
     numbers["RADIUS"] = f"{float(splatting.radius)!r}f"
     if loss.robust > 0:
