@@ -28,7 +28,8 @@ __kernel void link_bins(__global const float *depth, __global const float *camer
             const float dx = x + u + 0.5f - s.x, dy = y + v + 0.5f - s.y;
             const bool reached = dx * dx + dy * dy <= RADIUS * RADIUS && x + u >= 0 && x + u < context.width
                                  && y + v >= 0 && y + v < context.height;
-            alphas[((v + REACH) * SIDE + u + REACH) * count + i] = reached ? fmin(raw_alpha(s, dx, dy), ALPHA_MAX) : 0.0f;
+            alphas[((v + REACH) * SIDE + u + REACH) * count + i] =
+                reached ? fmin(raw_alpha(s, dx, dy), ALPHA_MAX) : 0.0f;
         }
     const int bin = (y + REACH) * (context.width + SIDE) + x + REACH;
     links[i] = (int2)(atomic_xchg(&heads[bin], i), as_int(depth_key(s.z)));
@@ -36,16 +37,16 @@ __kernel void link_bins(__global const float *depth, __global const float *camer
 
 __kernel IN_GROUPS
 void composite_alpha(__global const uchar4 *target_photo, __global const float *exposure, int view,
-                     __global const int *heads, __global const int2 *links, __global float *alphas, int count, int width,
-                     int height, float threshold, float relative, __global float *rendered)
+                     __global const int *heads, __global const int2 *links, __global float *alphas, int count,
+                     int width, int height, float threshold, float relative, __global float *rendered)
 {
     __local uint4 lists[SLOTS * GROUP];
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= width || row >= height)
         return;
     blend(look_around(heads, links, alphas, count, column, row, width),
-          lists + get_local_id(1) * LIST_GROUP_W + get_local_id(0), target_photo, exposure, view, threshold, relative,
-          row * width + column, rendered);
+          lists + get_local_id(1) * LIST_GROUP_W + get_local_id(0), target_photo, exposure, view, threshold,
+          relative, row * width + column, rendered);
 }
 
 __kernel IN_GROUPS
@@ -60,8 +61,8 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
     float v_coverage;
     const color_t v_color = load_upstream(upstream, row * width + column, &v_coverage);
     blend_vjp(look_around(heads, links, alphas, count, column, row, width),
-              lists + get_local_id(1) * LIST_GROUP_W + get_local_id(0), target_photo, exposure, view, threshold, relative,
-              v_color, v_coverage);
+              lists + get_local_id(1) * LIST_GROUP_W + get_local_id(0), target_photo, exposure, view, threshold,
+              relative, v_color, v_coverage);
 }
 
 __kernel void gather_alpha(__global const float *depth, __global const float *cameras, int view, float low_pass,

@@ -19,8 +19,9 @@ void add_pair(__global volatile uint *pair, uint low, uint high)
 #endif
 
 __kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                               __global const float *cameras, int view, float low_pass, float threshold, float relative,
-                               __global const uint *z_first, __global const float *exposure, __global volatile uint *sums)
+                               __global const float *cameras, int view, float low_pass, float threshold,
+                               float relative, __global const uint *z_first, __global const float *exposure,
+                               __global volatile uint *sums)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;

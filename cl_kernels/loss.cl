@@ -62,7 +62,8 @@ void load_colors(__global const stored_t *rendered, __global const uchar4 *photo
 {
     for (int t = get_local_id(0); t < TILE_H * TILE_ACROSS; t += LOSS_GROUP) {
         const int y = t / TILE_ACROSS, x = t % TILE_ACROSS * COLUMNS;
-        const Rendered r = load_rendered(rendered, photo, min(top + y, height - 1) * width + min(left + x, width - COLUMNS));
+        const int pixel = min(top + y, height - 1) * width + min(left + x, width - COLUMNS);
+        const Rendered r = load_rendered(rendered, photo, pixel);
         for (int c = 0; c < CHANNELS; ++c) {
             STORE_COLUMNS(r.color[c], xs + (c * TILE_H + y) * TILE_W + x);
             STORE_COLUMNS(r.photo[c], ys + (c * TILE_H + y) * TILE_W + x);
@@ -72,8 +73,8 @@ void load_colors(__global const stored_t *rendered, __global const uchar4 *photo
 #endif
 
 // w of L1 without coverage: texture and unseen mask.
-columns_t pixel_weight(__global const uchar4 *photo, const Rendered r, __global const uint *seen, int x, int y, int width,
-                       int height)
+columns_t pixel_weight(__global const uchar4 *photo, const Rendered r, __global const uint *seen, int x, int y,
+                       int width, int height)
 {
     const int pixel = y * width + x;
     columns_t weight = 1.0f;

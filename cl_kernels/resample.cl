@@ -15,7 +15,8 @@ __kernel void shrink_photo(__global const uchar4 *source, int source_width, int 
     bool valid = true;
     for (int v = (int)top; v < min((int)ceil(bottom), source_height); ++v)
         for (int u = (int)left; u < min((int)ceil(right), source_width); ++u) {
-            const float w = (fmin(right, u + 1.0f) - fmax(left, (float)u)) * (fmin(bottom, v + 1.0f) - fmax(top, (float)v));
+            const float across = fmin(right, u + 1.0f) - fmax(left, (float)u);
+            const float w = across * (fmin(bottom, v + 1.0f) - fmax(top, (float)v));
             const uchar4 p = source[v * source_width + u];
             if (!(w > 1e-6f))
                 continue;
@@ -39,7 +40,8 @@ __kernel void shrink_depth(__global const float *source, int source_width, int s
     float sum = 0.0f, area = 0.0f;
     for (int v = (int)top; v < min((int)ceil(bottom), source_height); ++v)
         for (int u = (int)left; u < min((int)ceil(right), source_width); ++u) {
-            const float w = (fmin(right, u + 1.0f) - fmax(left, (float)u)) * (fmin(bottom, v + 1.0f) - fmax(top, (float)v));
+            const float across = fmin(right, u + 1.0f) - fmax(left, (float)u);
+            const float w = across * (fmin(bottom, v + 1.0f) - fmax(top, (float)v));
             const float d = source[v * source_width + u];
             if (!(w > 1e-6f) || !(d > 0.0f))
                 continue;

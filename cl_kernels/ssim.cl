@@ -138,9 +138,10 @@ void ssim_forward(__global const stored_t *rendered, __global const uchar4 *phot
             if (row >= rows || left + x >= columns)
                 continue;
             __local const float *at = sums + y * STRIDE + x;
+            __global float *out = partials + MARGIN + c * 3 * plane + row * pitch + left + x;
             const lanes_t similar = similarity(
                 blur_across(at), blur_across(at + TILE_H * STRIDE), blur_across(at + 2 * TILE_H * STRIDE),
-                blur_across(at + 3 * TILE_H * STRIDE), partials + MARGIN + c * 3 * plane + row * pitch + left + x, plane);
+                blur_across(at + 3 * TILE_H * STRIDE), out, plane);
 #ifdef TRACK_LOSS
             const int from = max((int)get_group_id(0) * TILE_W, left + t % CHUNKS * LANES);
             if (row >= (int)get_group_id(1) * TILE_H)

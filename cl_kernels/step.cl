@@ -12,8 +12,8 @@
 // first steps: 1 / (1 - 0.9^pass) and 1 / (1 - 0.999^pass).
 __kernel void adam(__global float *restrict depth, __global float *restrict gradient, __global float *restrict first,
                    __global float *restrict second, __global const float *restrict unit,
-                   __global const float *restrict state, int count, float first_scale, float second_scale, float damping,
-                   float common_unit, float share)
+                   __global const float *restrict state, int count, float first_scale, float second_scale,
+                   float damping, float common_unit, float share)
 {
     const int i = get_global_id(0);
     if (i >= count)

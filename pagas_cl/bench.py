@@ -63,8 +63,8 @@ class BenchResult:
 
     def table(self) -> str:
         """The figures as text."""
-        lines = [f"{self.preset}: {self.width} x {self.height}, {self.contexts} context views, {self.views_per_step} a step, "
-                 f"{'colour' if self.channels == 3 else 'grey'}\n{self.device}, driver {self.driver}, "
+        lines = [f"{self.preset}: {self.width} x {self.height}, {self.contexts} context views, {self.views_per_step} a "
+                 f"step, {'colour' if self.channels == 3 else 'grey'}\n{self.device}, driver {self.driver}, "
                  f"copies {self.copy_gb_per_s:.0f} GB/s\n",
                  f"{'stage':<22}{'launches':>9}{'ms a step':>11}{'MB':>9}{'of copy bandwidth':>19}\n"]
         for s in self.stages:
@@ -142,8 +142,8 @@ def _step(device, target, contexts, depth, config, repeats, copy):
 def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:
     """Bytes that one launch of each stage must move, for a target of `n` and a context view of `m` pixels.
 
-    Photos 4 B a pixel; a rendered image and what is passed back to it 4 B a channel and 4 B coverage; SSIM partials 12 B
-    a channel; the alpha blend a weight for each of the places around a bin.
+    Photos 4 B a pixel; a rendered image and what is passed back to it 4 B a channel and 4 B coverage; SSIM partials
+    12 B a channel; the alpha blend a weight for each of the places around a bin.
     """
     from pagas_cl.splat.options import reach
 

@@ -49,8 +49,8 @@ def start_level(device, config, scene: Scene) -> Level:
     """The level under the scene's initial depth; its buffer then holds the moved one."""
     photos, views = PhotoStore(device), [view_of(p) for p in (scene.target, *scene.contexts)]
     exposure = gains(len(scene.contexts)) if config.loss.exposure else None
-    given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.unit, scene.delta(config), 1.0,
-                       len(scene.contexts), exposure)
+    given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.unit, scene.delta(config),
+                       1.0, len(scene.contexts), exposure)
     level = Level(device, config, given)
     level.enter(lambda out: cl.enqueue_copy(device.queue, out, scene.initial))
     level.start(lambda out: None)

@@ -57,7 +57,7 @@ def device():
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    """Odd sizes, all different, masks, holes, a step in depth; no two depths so close that float32 swaps their order."""
+    """Odd sizes, masks, holes, a step in depth; no two depths so close that float32 swaps their order."""
     return Scene.make(17, width=45, height=37, contexts=3, masks=True)
 
 

@@ -16,7 +16,7 @@ def command(
     preset: list[str] = typer.Option(["fast", "balanced", "paper"], "--preset", help="Presets to measure."),
     width: int = typer.Option(388, "--width", help="Width of the photos; the height is three quarters of it."),
     contexts: int = typer.Option(5, "--context", help="Context views."),
-    repeats: int = typer.Option(3, "--repeat", min=1, help="Runs after the first one; a frame's time is the best of them."),
+    repeats: int = typer.Option(3, "--repeat", min=1, help="Runs after the first; a frame's time is the best of them."),
     settings: list[str] = typer.Option([], "--set", help="stage.field=value, for all presets."),
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name."),
     output: Path = typer.Option(None, "--json", help="Write all figures to this file too."),

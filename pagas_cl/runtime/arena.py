@@ -43,8 +43,8 @@ class Arena:
         largest = max(specs, key=lambda spec: spec.nbytes)
         limit = device.info.max_alloc
         if largest.nbytes > limit:
-            raise DeviceError(f"buffer {largest.name!r} needs {largest.nbytes / 2**20:.0f} MiB, {device.info.title} allocates at most "
-                              f"{limit / 2**20:.0f} MiB at once; refine smaller images")
+            raise DeviceError(f"buffer {largest.name!r} needs {largest.nbytes / 2**20:.0f} MiB, {device.info.title} "
+                              f"allocates at most {limit / 2**20:.0f} MiB at once; refine smaller images")
         if total_bytes(specs) > device.info.memory:
             raise DeviceError(f"the buffers need {total_bytes(specs) / 2**20:.0f} MiB, {device.info.title} has "
                               f"{device.info.memory / 2**20:.0f} MiB; refine smaller images or use fewer context views")
@@ -54,8 +54,8 @@ class Arena:
                 self._buffers[spec.name] = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, spec.nbytes)
         except cl.MemoryError as error:
             self.release()
-            raise DeviceError(f"{device.info.title} refused {total_bytes(specs) / 2**20:.0f} MiB ({error}); close other programs on "
-                              "it, refine smaller images or use fewer context views") from error
+            raise DeviceError(f"{device.info.title} refused {total_bytes(specs) / 2**20:.0f} MiB ({error}); close other "
+                              "programs on it, refine smaller images or use fewer context views") from error
 
     @property
     def nbytes(self) -> int:

@@ -1,4 +1,4 @@
-"""Kernels from package data: includes pasted, compiled once per device and set of defines, launched with bound arguments."""
+"""Kernels from package data: includes pasted, compiled once per device and defines, launched with bound arguments."""
 
 from __future__ import annotations
 

@@ -148,6 +148,7 @@ class Level:
         return out
 
     def release(self):
-        for launch in (*self.ending, *self.target_view, *self.smooth, *(launch for view in self.views for launch in view)):
-            launch.release()
+        for launches in (self.ending, self.target_view, self.smooth, *self.views):
+            for launch in launches:
+                launch.release()
         self.arena.release()

@@ -54,13 +54,14 @@ def camera_table(target: Camera, contexts: list[Camera], unit: float) -> np.ndar
     return np.array(rows, np.float32)
 
 
-def level_buffers(config: Config, target: Size, contexts: list[Size], masked: int, used: tuple[tiles.Tile, ...]) -> list[BufferSpec]:
+def level_buffers(config: Config, target: Size, contexts: list[Size], masked: int,
+                  used: tuple[tiles.Tile, ...]) -> list[BufferSpec]:
     """Every buffer of a level except photos: per target pixel, one view's scratch, `masked` unseen masks."""
     n, m = target.pixels, max(size.pixels for size in (*contexts, target))
     channels = 1 if config.loss.grey else 3
     specs = [BufferSpec(name, (n,), np.float32) for name in ("depth", "unit", "gradient", "first", "second")]
     specs += [BufferSpec("cameras", (1 + len(contexts), 20), np.float32), BufferSpec("state", (8,), np.float32)]
-    specs += [BufferSpec("rendered", (m, channels + 1), np.float32), BufferSpec("upstream", (m, channels + 1), np.float32)]
+    specs += [BufferSpec(name, (m, channels + 1), np.float32) for name in ("rendered", "upstream")]
     if config.loss.ssim > 0:
         rows = max(tiles.pitch(size.width) * size.height for size in (*contexts, target))
         specs.append(BufferSpec("partials", (3 * channels * rows + 2 * tiles.MARGIN,), np.float32))
@@ -74,7 +75,8 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
     if config.loss.exposure:
         specs.append(BufferSpec("exposure", (1 + len(contexts), 2, 3), np.float32))
     if config.loss.unseen_mask:
-        specs += [BufferSpec(f"seen{k}", (size.pixels // 32 + 2,), np.uint32) for k, size in enumerate(contexts[:masked])]
+        specs += [BufferSpec(f"seen{k}", (size.pixels // 32 + 2,), np.uint32)
+                  for k, size in enumerate(contexts[:masked])]
     if config.solver.patience > 0:
         groups = max(prod(tile.groups(*size.grid)) for size in (*contexts, target) for tile in used)
         specs += [BufferSpec(name, (groups,), np.int64) for name in ("losses", "ssim_losses")]
@@ -151,7 +153,8 @@ def median_of(depths: np.ndarray) -> float:
     return float(np.median(sample.astype(np.float64))) if sample.size else 1.0
 
 
-def allocate(device, config: Config, target: Size, contexts: list[Size], masked: int, used: tuple[tiles.Tile, ...]) -> Arena:
+def allocate(device, config: Config, target: Size, contexts: list[Size], masked: int,
+             used: tuple[tiles.Tile, ...]) -> Arena:
     """The level's arena, every buffer zeroed where the kernels add to it."""
     arena = Arena(device, level_buffers(config, target, contexts, masked, used))
     for name in ("gradient", "first", "second", "state"):

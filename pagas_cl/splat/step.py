@@ -27,7 +27,8 @@ class Solver:
                           a["state"], n, 1.0, 1.0, float(solver.damping), float(common), 1.0)
         if self.patience:
             floor = solver.rate * solver.rate_floor * 0.999      # a rate that reaches the floor still counts
-            self._plateau = bind(program, "plateau", (1,), None, a["state"], a["history"], 1, self.patience, float(floor))
+            self._plateau = bind(program, "plateau", (1,), None, a["state"], a["history"], 1, self.patience,
+                                 float(floor))
 
     @property
     def launches(self) -> list:
