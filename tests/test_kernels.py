@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyopencl as cl
 import pytest
 from close import assert_kernel_close
 from kernel_cases import SEES_LOSS, Scene, device_gradient, start_level, twin_gradient
@@ -11,6 +12,7 @@ from pagas_cl.config import BALANCED, PAPER
 from pagas_cl.errors import DeviceError
 from pagas_cl.reference.level import prepare, run_level
 from pagas_cl.runtime.device import open_device
+from pagas_cl.splat.tile import SCALAR, Tile
 
 PLAIN = BALANCED.with_settings(smoothness__kind="none", smoothness__weight=0.0, splatting__radius=1.0,
                                solver__views_per_step=0, **SEES_LOSS)
@@ -106,3 +108,32 @@ def test_level_follows_the_twin(device, scene, base):
     way, error = np.abs(want - scene.moved), np.abs(got - want)
     assert np.median(way[initial > 0]) > 0
     assert error.mean() < 0.03 * way.mean()
+
+
+def level_launches(device, config, scene):
+    """Every kernel of a step that was bound with its tile."""
+    level = start_level(device, config, scene)
+    return [launch for launch in level.views[0] if hasattr(launch, "kernel")]
+
+
+@pytest.mark.parametrize("tiles", [SCALAR, (Tile(16, 8, 32, 1, 4), Tile(24, 4, 64, 1, 4))], ids=["gpu", "small"])
+@pytest.mark.parametrize("base", [PLAIN, PAPER], ids=["order-free", "alpha"])
+def test_tiles_make_no_difference(device, monkeypatch, base, tiles):
+    """Whatever the tile and the number of work-items that share it; this is what runs on a GPU."""
+    scene = Scene.make(6, width=97, height=51, contexts=2)
+    want, value = device_gradient(device, base, scene)
+    monkeypatch.setattr("pagas_cl.splat.level.choose_tiles", lambda device, sizes: tiles)
+    got, loss = device_gradient(device, base, scene)
+    assert_kernel_close(got, want)
+    assert np.abs(got - want).max() <= 2e-5 * np.abs(want).max()
+    assert loss == pytest.approx(value, rel=1e-6)
+
+
+@pytest.mark.parametrize("base", [PLAIN, PAPER], ids=["order-free", "alpha"])
+def test_a_gpu_can_hold_it(device, monkeypatch, scene, base):
+    """At most 32 kB of local memory and 256 work-items: PoCL would allow far more."""
+    monkeypatch.setattr("pagas_cl.splat.level.choose_tiles", lambda device, sizes: SCALAR)
+    info = cl.kernel_work_group_info
+    for launch in level_launches(device, base, scene):
+        assert launch.kernel.get_work_group_info(info.LOCAL_MEM_SIZE, device.cl_device) <= 32 * 1024, launch.stage
+        assert np.prod(launch.local_size or 1) <= 256, launch.stage
