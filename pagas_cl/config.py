@@ -64,7 +64,7 @@ class Splatting:
     """
 
     blend: str = "order_free"
-    radius: float = 1.2
+    radius: float = 1.42
     occlusion: bool = True
     depth_slices: float = 40.0
     depth_footprints: float = 6.0
@@ -190,7 +190,7 @@ class Solver:
     damping: float = 1e-3
     patience: int = 0
     rate_floor: float = 0.01
-    final_rate: float = 0.1
+    final_rate: float = 0.3
     views_per_step: int = 1
     max_move: float = 8.0
     tolerance: float = 0.03
@@ -217,7 +217,7 @@ class Pyramid:
     """
 
     scales: tuple[float, ...] = (1.0,)
-    steps: tuple[int, ...] = (150,)
+    steps: tuple[int, ...] = (200,)
 
     def __post_init__(self):
         object.__setattr__(self, "scales", tuple(float(s) for s in self.scales))
@@ -375,13 +375,15 @@ PAPER = Config(
     pyramid=Pyramid(scales=(0.5, 1.0), steps=(100, 100)),
     effects=Effects.every("set"),
 )
-# The knee of the front of error against time, measured on made scenes with exact truth, on Middlebury pairs and by
-# prediction of held-out photos on DTU: one context view a step, in turn, is as good per step as all of them.
+# The knee of the front of error against time (`pagas-cl tradeoff`; the tables are in tests/bench/FRONT.md): one context
+# view a step, in turn, is as good per step as all of them, and ten times the work gains 2 to 4 percent.
 BALANCED = Config()
-# Gives up colour and two thirds of the steps: about 2.5 times the error of "balanced".
-FAST = BALANCED.with_settings(loss__grey=True, solver__rate=0.06, pyramid__steps=(40,))
-# Past the knee: a few percent better for four times the work.
-ACCURATE = BALANCED.with_settings(splatting__radius=1.42, solver__views_per_step=2, solver__rate=0.03, pyramid__steps=(300,))
+# Gives up colour, most steps and the measuring of effects (photos of one exposure, a depth within a pixel or two of
+# parallax): two to three times the error of "balanced" at a quarter of its time or less.
+FAST = BALANCED.with_settings(loss__grey=True, solver__rate=0.08, solver__final_rate=0.1, pyramid__steps=(40,),
+                              **{f"effects__{f.name}": "set" for f in fields(Effects)})
+# Past the knee: one or two percent better for twice the steps, and worse beside discontinuities.
+ACCURATE = BALANCED.with_settings(loss__ssim=0.4, pyramid__steps=(400,))
 PRESETS: dict[str, Config] = {"fast": FAST, "balanced": BALANCED, "accurate": ACCURATE, "paper": PAPER}
 
 

@@ -1,23 +1,27 @@
 """What a refinement will cost on this device: a model with four numbers, measured by a short probe.
 
-One view takes  photo + pixels (1 + contexts) setup + sum over levels of scale^2 pixels (steps per_step + view-steps
-per_view_step)  seconds: work is linear in pixels, in steps and in the context views of a step.
+One view takes  photos photo + pixels (1 + contexts) setup + sum over levels of scale^2 pixels (steps per_step + view-steps
+per_view_step)  seconds: work is linear in pixels, in steps and in the context views of a step; `photos` is how many are
+read per view, 1 where many views share theirs.
 """
 
 from __future__ import annotations
 
 import logging
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from pagas_cl.config import Config, preset
+from pagas_cl.config import Config, Context, preset
 from pagas_cl.errors import InputError
+from pagas_cl.scene.choice import ContextChooser
+from pagas_cl.scene.sampling import sample_depth
 
 log = logging.getLogger("pagas_cl")
 
 _SHORT, _MOST = 1, 4000   # steps of the short run, and most of the long one
+_FEW = 64                 # views that are looked at one by one
 _LEAST = 0.25             # seconds that the long run must take longer than the short one
 
 
@@ -31,12 +35,12 @@ class Cost:
     per_step: float
     per_view_step: float
 
-    def seconds(self, config: Config, pixels: float, contexts: int) -> float:
+    def seconds(self, config: Config, pixels: float, contexts: int, photos: float = 1.0) -> float:
         """Expected time of a view of `pixels` with `contexts` context views; an early stop may shorten it."""
         contexts = min(contexts, config.context.number)
         each = min(config.solver.views_per_step or contexts, contexts)
         work = sum(scale**2 * steps for scale, steps in zip(config.pyramid.scales, config.pyramid.steps))
-        return self.photo + pixels * ((1 + contexts) * self.setup + work * (self.per_step + each * self.per_view_step))
+        return photos * self.photo + pixels * ((1 + contexts) * self.setup + work * (self.per_step + each * self.per_view_step))
 
 
 @dataclass(frozen=True)
@@ -53,12 +57,11 @@ def rungs() -> list[tuple[str, Config]]:
     """Settings along the measured front of error against time, cheapest first: about half as much error every time or
     two, until the knee at "balanced"."""
     fast, balanced, accurate = (preset(name) for name in ("fast", "balanced", "accurate"))
-    quick = [(f"fast, {n} steps", fast.with_settings(pyramid__steps=(n,), solver__rate=rate))
-             for n, rate in ((10, 0.1), (20, 0.1))]
+    quick = [(f"fast, {n} steps", fast.with_settings(pyramid__steps=(n,), solver__rate=0.1)) for n in (10, 20)]
     middle = [(f"balanced, {n} steps", balanced.with_settings(pyramid__steps=(n,), solver__rate=0.06 if n < 75 else 0.04))
-              for n in (50, 75, 100)]
-    return [*quick, ("fast", fast), *middle, ("balanced", balanced),
-            ("balanced, 300 steps", balanced.with_settings(pyramid__steps=(300,))), ("accurate", accurate)]
+              for n in (50, 75, 100, 150)]
+    more = [("balanced, 300 steps", balanced.with_settings(pyramid__steps=(300,)))]
+    return [*quick, ("fast", fast), *middle, ("balanced", balanced), *more, ("accurate", accurate)]
 
 
 def probe(target, contexts, depth, config: Config, device, *, witness=None) -> Cost:
@@ -76,15 +79,16 @@ def probe(target, contexts, depth, config: Config, device, *, witness=None) -> C
     from pagas_cl.refine import settle
     from pagas_cl.splat import PhotoStore, refine_levels
 
-    photos, depth = PhotoStore(device), np.asarray(depth, np.float64)
+    photos = PhotoStore(device)
     contexts = contexts[:config.context.number]
 
     def measure(steps: int, each: int) -> float:
         start = time.perf_counter()
-        settled, _, exposure = settle(target, contexts, depth, config, device, photos)
+        settled, _, measured = settle(target, contexts, depth, config, device, photos)
         short = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__patience=0,
                                       solver__views_per_step=each)
-        refine_levels(target, contexts, depth, short, device, photos, witness=witness, exposure=exposure)
+        refine_levels(target, contexts, depth, short, device, photos, witness=witness,
+                      exposure=measured.exposure if short.loss.exposure else None)
         return time.perf_counter() - start
 
     for each in (1, min(3, len(contexts))):
@@ -128,44 +132,50 @@ class Costs:
     Parameters
     ----------
     views : list of View
-    depths : list of (ndarray of shape (H, W) or None)
+    depths : list of (ndarray of shape (H, W), object with `load()`, or None)
     device : Device
     names : list of str, optional
         Views to be refined; by default all with a depth.
     """
 
     def __init__(self, views, depths, device, names=None):
-        from pagas_cl.scene.choice import ContextChooser
-
-        asked = [k for k, depth in enumerate(depths) if depth is not None and np.any(np.asarray(depth) > 0)
+        samples = [None if depth is None else sample_depth(_loaded(depth)) for depth in depths]
+        asked = [k for k, sample in enumerate(samples) if sample is not None and len(sample.rows)
                  and (names is None or views[k].name in names or views[k].stem in names)]
         if not asked:
             raise InputError("no view to be refined has a depth map with a valid pixel: nothing to estimate the time of")
-        self.views, self.depths, self.device = views, depths, device
-        self._known, self._measured = {}, None
+        self.device, self._known, self._measured = device, {}, None
         self.pixels = [views[k].camera.width * views[k].camera.height for k in asked]
-        settings = replace(preset("balanced").context, number=preset("accurate").context.number + 1)
-        chooser = ContextChooser([view.camera for view in views], depths, settings)
+        most = max(config.context.number for _, config in rungs()) + 1
+        chooser = ContextChooser([view.camera for view in views], samples, Context(number=most))
+        self._read = [(k, *chooser.choose(k).indices) for k in asked] if len(asked) <= _FEW else []
         by_size = [asked[k] for k in np.argsort(self.pixels, kind="stable")]
         middle = len(by_size) // 2
         for k in by_size[middle:] + by_size[:middle]:
-            self.target, self.chosen = k, chooser.choose(k).indices
+            self.target, self.chosen = views[k], [views[j] for j in chooser.choose(k).indices]
             if self.chosen:
+                self.depth = np.asarray(_loaded(depths[k]))
                 return
         raise InputError("no view has a usable context view: nothing would be refined")
 
     def seconds(self, config: Config) -> float:
         """Expected mean time per view, with the effects that the probed view calls for."""
-        contexts = [self.views[k] for k in self.chosen[:config.context.number]]
+        contexts = self.chosen[:config.context.number]
         settled = self._settled(config, contexts)
         kind = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(1,), solver__views_per_step=1,
                                     solver__rate=1.0, solver__final_rate=1.0, solver__patience=0)
         if kind not in self._known:
             spare = self.chosen[config.context.number:]
-            self._known[kind] = probe(self.views[self.target], contexts, self.depths[self.target], kind, self.device,
-                                      witness=self.views[spare[0]] if spare else None)
+            self._known[kind] = probe(self.target, contexts, self.depth, kind, self.device,
+                                      witness=spare[0] if spare else None)
         cost = self._known[kind]
-        return float(np.mean([cost.seconds(settled, pixels, len(contexts)) for pixels in self.pixels]))
+        photos = self._photos(config.context.number)
+        return float(np.mean([cost.seconds(settled, pixels, len(contexts), photos) for pixels in self.pixels]))
+
+    def _photos(self, contexts: int) -> float:
+        """Photos read per view: of the view, its context views and its witness, each read once."""
+        read = {k for group in self._read for k in group[:contexts + 2]}
+        return len(read) / len(self._read) if read else 1.0
 
     def _settled(self, config: Config, contexts) -> Config:
         from pagas_cl.effects import decide, measure
@@ -173,8 +183,7 @@ class Costs:
         if set(vars(config.effects).values()) <= {"set", "off"} and not config.loss.exposure:
             return decide(config, None)[0]
         if self._measured is None:
-            self._measured = measure(self.views[self.target], contexts, np.asarray(self.depths[self.target], np.float64),
-                                     config, self.device)
+            self._measured = measure(self.target, contexts, self.depth, config, self.device)
         return decide(config, self._measured)[0]
 
     def choose(self, seconds: float, change=None) -> Choice:
@@ -196,3 +205,7 @@ class Costs:
             raise InputError(f"a view takes at least {cheapest:.3g} s on {self.device.info.title} with the cheapest "
                              f"settings, {seconds:.3g} s were allowed; give more time or refine smaller photos")
         return found
+
+
+def _loaded(depth):
+    return depth.load() if hasattr(depth, "load") else depth

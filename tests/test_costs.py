@@ -29,8 +29,9 @@ def test_linear_times_are_found_again():
     assert cost.setup * pixels * (1 + contexts) == pytest.approx(setup)
     assert cost.per_step * pixels == pytest.approx(step)
     assert cost.per_view_step * pixels == pytest.approx(view)
-    config = preset("accurate")
+    config = preset("balanced").with_settings(pyramid__steps=(300,), solver__views_per_step=2)
     assert cost.seconds(config, pixels, contexts) == pytest.approx(0.1 + setup + 300 * (step + 2 * view))
+    assert cost.seconds(config, pixels, contexts, photos=5) == pytest.approx(0.5 + setup + 300 * (step + 2 * view))
 
 
 def test_levels_count_by_their_share_of_the_pixels():

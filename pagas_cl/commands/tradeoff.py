@@ -50,7 +50,7 @@ def command(
         view.check_files()
     opened = open_device(device)
     with shown_progress(quiet) as progress:
-        depths = _initial(found, mesh, depth_dir, depth_scale, progress)
+        depths = _initial(found, mesh, depth_dir, depth_scale, progress, None)
         true = None if truth is None else _truth(found, truth, depth_scale, progress)
         study = tradeoff(found.views, depths, truth=true, names=views or None, held_out=held_out or None, sample=sample,
                          budget=budget, settings=ablation_plan(ablation) if ablation else None, device=opened,
@@ -67,4 +67,5 @@ def _truth(found, truth: Path, depth_scale, progress) -> list:
 
     if not truth.exists():
         raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
-    return _initial(found, None if truth.is_dir() else truth, truth if truth.is_dir() else None, depth_scale, progress)
+    mesh, folder = (None, truth) if truth.is_dir() else (truth, None)
+    return _initial(found, mesh, folder, depth_scale, progress, None)

@@ -109,15 +109,15 @@ def _effects() -> list[Setting]:
 
 def _steps(base) -> list[Setting]:
     grey = [changed(f"grey, {n} steps", "steps", base, loss__grey=True, pyramid__steps=(n,),
-                    solver__rate=0.1 if n < 20 else 0.06 if n < 75 else 0.04) for n in (10, 20, 30, 60, 150)]
+                    solver__rate=0.1 if n < 20 else 0.06 if n < 75 else 0.04) for n in (10, 20, 30, 60, 200)]
     color = [changed(f"{n} steps", "steps", base, pyramid__steps=(n,), solver__rate=0.06 if n < 75 else 0.04)
-             for n in (20, 40, 75, 100, 300, 600)]
-    return color[1:4] + grey[1:] + color[4:] + color[:1] + grey[:1]
+             for n in (20, 40, 75, 100, 150, 300, 600)]
+    return color[1:5] + grey[1:] + color[5:] + color[:1] + grey[:1]
 
 
 def _views(base) -> list[Setting]:
     return [changed(f"{k or 'all'} views a step, {n} steps", "views a step", base, solver__views_per_step=k,
-                    pyramid__steps=(n,)) for k, n in ((2, 75), (2, 150), (3, 50), (3, 150), (0, 60), (0, 150))]
+                    pyramid__steps=(n,)) for k, n in ((2, 100), (2, 200), (3, 67), (3, 200), (5, 600), (0, 60), (0, 200))]
 
 
 def _contexts(base) -> list[Setting]:
@@ -127,7 +127,7 @@ def _contexts(base) -> list[Setting]:
 
 def _model(base) -> list[Setting]:
     changes = {
-        "radius 1.0": dict(splatting__radius=1.0), "radius 1.42": dict(splatting__radius=1.42),
+        "radius 1.0": dict(splatting__radius=1.0), "radius 1.2": dict(splatting__radius=1.2),
         "radius 2": dict(splatting__radius=2.0), "no occlusion": dict(splatting__occlusion=False),
         "low-pass 0.3": dict(splatting__low_pass=0.3), "unseen mask": dict(loss__unseen_mask=True),
         "alpha, C/A": dict(splatting__blend="alpha", splatting__normalize=True),
@@ -141,8 +141,8 @@ def _model(base) -> list[Setting]:
 
 
 def _levels(base) -> list[Setting]:
-    levels = (("half size only, 60 steps", (0.5, 1), (60, 0)), ("half size only, 150 steps", (0.5, 1), (150, 0)),
-              ("half and full size, 60 + 60", (0.5, 1), (60, 60)), ("half and full size, 60 + 150", (0.5, 1), (60, 150)),
+    levels = (("half size only, 60 steps", (0.5, 1), (60, 0)), ("half size only, 200 steps", (0.5, 1), (200, 0)),
+              ("half and full size, 60 + 60", (0.5, 1), (60, 60)), ("half and full size, 60 + 200", (0.5, 1), (60, 200)),
               ("three levels, 60 + 60 + 60", (0.25, 0.5, 1), (60, 60, 60)))
     return [changed(name, "levels", base, pyramid__scales=scales, pyramid__steps=steps)
             for name, scales, steps in levels]
@@ -152,7 +152,7 @@ def _solver(base) -> list[Setting]:
     return [changed("half the rate", "solver", base, solver__rate=0.02),
             changed("twice the rate", "solver", base, solver__rate=0.08),
             changed("rate kept to the end", "solver", base, solver__final_rate=1.0),
-            changed("early stop on the loss", "solver", base, solver__patience=20, pyramid__steps=(300,))]
+            changed("early stop on the loss", "solver", base, solver__patience=20, pyramid__steps=(400,))]
 
 
 def _staged(base) -> list[Setting]:
