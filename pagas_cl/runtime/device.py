@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import threading
 from dataclasses import dataclass
 from typing import Any
 
@@ -137,7 +138,7 @@ def open_device(name=None, *, profiling: bool = False) -> Device:
     faults = []
     for info, cl_device in candidates(find_devices(cl), name):
         try:
-            device = opened(info, cl_device, profiling)
+            device = _still_open(cl, cl_device, profiling) or _keep(opened(info, cl_device, profiling))
         except cl.Error as error:
             faults.append(f"{info}: {_cause(error)}")
             log.warning("OpenCL device %s does not work and is passed over: %s", info, _cause(error))
@@ -147,6 +148,29 @@ def open_device(name=None, *, profiling: bool = False) -> Device:
     raise DeviceError(f"no OpenCL device that matches works: {'; '.join(faults)}. Is it in use by another process, or "
                       f"its driver older than the hardware? Choose another with device= or {ENVIRONMENT}. "
                       f"{icd.CPU_ADVICE}")
+
+
+# Devices that this thread has open: a context of its own for every call would keep its programs, 20 MB, for ever.
+_kept = threading.local()
+
+
+def _keep(device: Device) -> Device:
+    if hasattr(device.cl_device, "int_ptr"):
+        vars(_kept)[f"{os.getpid()} {device.cl_device.int_ptr} {device.profiling}"] = device
+    return device
+
+
+def _still_open(cl, cl_device, profiling: bool) -> Device | None:
+    """The device as this thread has opened it before, if it still answers."""
+    key = f"{os.getpid()} {getattr(cl_device, 'int_ptr', None)} {profiling}"
+    device = vars(_kept).get(key)
+    if device is not None:
+        try:
+            cl.enqueue_marker(device.queue).wait()
+        except cl.Error:       # lost, or reset: another context may do
+            del vars(_kept)[key]
+            return None
+    return device
 
 
 def opened(info: DeviceInfo, cl_device, profiling: bool = False) -> Device:
