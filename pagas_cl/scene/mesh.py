@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, need
+from pagas_cl.scene.mesh_header import check_claims
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +101,12 @@ def read_mesh(path) -> Surface:
     if not path.is_file():
         raise InputError(f"mesh {str(path)!r} does not exist")
     o3d = need("open3d", "mesh", "reading a mesh file")
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        mesh = o3d.io.read_triangle_mesh(str(path))
+    check_claims(path)
+    try:
+        with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+            mesh = o3d.io.read_triangle_mesh(str(path))
+    except MemoryError as error:
+        raise InputError(f"mesh {str(path)!r} does not fit into memory, or claims more than it holds") from error
     if len(mesh.vertices) == 0:
         raise InputError(f"mesh {str(path)!r} has no vertices, or is no mesh file that Open3D reads (.ply, .obj, .stl, "
                          ".off, .gltf)")

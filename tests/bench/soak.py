@@ -1,0 +1,65 @@
+"""Many small views one after the other on one device: memory, open files and time per view must stay flat.
+
+    python tests/bench/soak.py [views]            # 200 by default; one line every tenth of them, then the verdict
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+
+
+def resident_mb() -> float:
+    """Memory of this process, MB; with a CPU device it holds the device's buffers too."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def soak(views: int = 200) -> list[tuple[float, float, int, int]]:
+    """Seconds, resident MB, open files and live device buffers after each tenth of the views."""
+    import pyopencl as cl
+
+    from pagas_cl import hard_scenes as make
+    from pagas_cl.config import BALANCED
+    from pagas_cl.refine import refine_depth
+    from pagas_cl.scene.view import View
+    from pagas_cl.splat import PhotoStore
+
+    from pagas_cl.runtime.device import open_device
+
+    device = open_device()
+    photos, config = PhotoStore(device, limit_bytes=2 << 20), BALANCED.with_settings(pyramid__steps=(5,))
+    base, found, start = make.base(1, (64, 48)), [], time.perf_counter()
+    for number in range(1, views + 1):
+        target = View(replace(base.target.camera, name=f"view {number}"), base.target.image)
+        contexts = [View(v.camera, np.roll(v.image, number, axis=1)) for v in base.contexts]
+        refine_depth(target, contexts, base.depth, config=config, device=device.info.name, photos=photos)
+        if number % max(1, views // 10) == 0:
+            gc.collect()
+            buffers = sum(isinstance(thing, cl.Buffer) for thing in gc.get_objects())
+            found.append((time.perf_counter() - start, resident_mb(), len(os.listdir("/proc/self/fd")), buffers))
+            start = time.perf_counter()
+    return found
+
+
+def main() -> int:
+    views = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    found = soak(views)
+    for k, (seconds, resident, files, buffers) in enumerate(found, 1):
+        print(f"{k * views // len(found):>6} views {seconds:8.2f} s {resident:9.1f} MB {files:5d} files "
+              f"{buffers:5d} buffers")
+    warm = found[len(found) // 5:]                # compiling and caches belong to the first views
+    grown, files = warm[-1][1] - warm[0][1], warm[-1][2] - warm[0][2]
+    slower = np.median([w[0] for w in warm[-3:]]) / np.median([w[0] for w in warm[:3]])
+    ok = grown < 8 and files <= 0 and slower < 1.5
+    print(f"{'flat' if ok else 'NOT FLAT'}: {grown:+.1f} MB, {files:+d} files, time per view x {slower:.2f}")
+    return 0 if ok else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
