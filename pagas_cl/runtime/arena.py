@@ -10,6 +10,8 @@ import pyopencl as cl
 
 from pagas_cl.errors import DeviceError
 
+MOST_ELEMENTS = 2**31 - 1         # kernels count in 32 bits
+
 
 @dataclass(frozen=True)
 class BufferSpec:
@@ -42,6 +44,9 @@ class Arena:
         self.specs = {spec.name: spec for spec in specs}
         largest = max(specs, key=lambda spec: spec.nbytes)
         limit = device.info.max_alloc
+        if max(prod(spec.shape) for spec in specs) > MOST_ELEMENTS:
+            raise DeviceError("a buffer needs more than 2^31 elements, which the kernels cannot count: refine smaller "
+                              "images, or with a smaller splatting.radius")
         if largest.nbytes > limit:
             raise DeviceError(f"buffer {largest.name!r} needs {largest.nbytes / 2**20:.0f} MiB, {device.info.title} "
                               f"allocates at most {limit / 2**20:.0f} MiB at once; refine smaller images")
