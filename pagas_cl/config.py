@@ -47,6 +47,8 @@ class Splatting:
         "order_free": colours averaged by weight (Zwicker et al. 2001); "alpha": the paper's front-to-back compositing.
     radius : float
         Radius threshold r, pixels.
+    final_radius : float
+        r of the second half of a level's steps, at most `radius`; 0 keeps it.
     occlusion : bool
         Whether the depth threshold is tested at all.
     depth_slices : float
@@ -65,6 +67,7 @@ class Splatting:
 
     blend: str = "order_free"
     radius: float = 1.42
+    final_radius: float = 0.0
     occlusion: bool = True
     depth_slices: float = 40.0
     depth_footprints: float = 6.0
@@ -74,6 +77,7 @@ class Splatting:
 
     def __post_init__(self):
         _check("splatting", blend=_one_of(self.blend, "order_free", "alpha"), radius=_within(self.radius, 0, 8),
+               final_radius=_within(self.final_radius, 0, self.radius if isinstance(self.radius, (int, float)) else 8),
                occlusion=_flag(self.occlusion), depth_slices=_within(self.depth_slices, 1e-6, 1e9),
                depth_relative=_within(self.depth_relative, 0, 1),
                depth_footprints=_within(self.depth_footprints, 0, 1e6), low_pass=_within(self.low_pass, 0, 4),

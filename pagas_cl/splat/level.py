@@ -90,9 +90,22 @@ class Level:
     def start(self, write):
         """The depth that the steps start from."""
         self._once(write, smooth.before_steps)
+        self._bind_views()
+        self.smooth, self.ending = smooth.launches(self), []
+
+    def _bind_views(self):
         self.views = [self._view(v) for v in range(1, 1 + len(self.contexts))]
         self.target_view = self._target_view() if self.config.loss.target_view and self.config.solver.patience else []
-        self.smooth, self.ending = smooth.launches(self), []
+
+    def _narrow(self):
+        """Go on with the radius of the last steps: other programs, the same buffers."""
+        self.config = self.config.with_settings(splatting__radius=self.config.splatting.final_radius,
+                                                splatting__final_radius=0.0)
+        self.defines = defines(self.config, self.device, max(self.target.grid))
+        for launches in (self.target_view, *self.views):
+            for launch in launches:
+                launch.release()
+        self._bind_views()
 
     def _once(self, write, launches):
         write(self.arena["depth"])
@@ -131,6 +144,8 @@ class Level:
         queue, solver = self.device.queue, step.Solver(self)
         self.ending = solver.launches
         for number in range(steps):
+            if self.config.splatting.final_radius and number == steps // 2:
+                self._narrow()
             for launch in self.gradient_launches(number):
                 launch.enqueue(queue)
             solver.enqueue(number, steps)
