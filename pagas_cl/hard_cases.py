@@ -93,8 +93,8 @@ SETTINGS = [
     *(Case(f"{key.replace('__', '.')} = {value}", make.base, 2e-3 if "robust" in key else 1e-3, {key: value})
       for key, value in _LIMITS),
     Case("radius 8", make.base, 2e-3, dict(splatting__radius=8.0)),
-    Case("depth threshold 0", make.base, 5e-2, dict(splatting__depth_slices=1e9, splatting__depth_footprints=0.0),
-         why=THRESHOLD),
+    Case("depth threshold 0", make.base, 0.2, dict(splatting__depth_slices=1e9, splatting__depth_footprints=0.0),
+         why=WHOLE),
     *(Case(f"{key.replace('__', '.')} = {value}", make.base, 1e-3, {key: value}, ONE) for key, value in _STEP_LIMITS),
     Case("pyramid down to one pixel", make.base, 1e-3, dict(pyramid__scales=(0.01, 1.0), pyramid__steps=(2, 2)), ONE),
     Case("no steps", make.base, 1e-3, dict(pyramid__steps=(0,), pyramid__scales=(1.0,))),
