@@ -172,3 +172,17 @@ def test_without_surface_nothing_is_measured(device):
     measured = measure(made.views[0], made.views[1:], np.zeros((48, 64), np.float32), BALANCED, device)
     assert measured.overlap == 0 and measured.hidden == 0 and measured.far_off == 0
     assert (measured.exposure == [1, 0]).all()
+
+
+def test_an_effect_that_is_off_is_in_no_program():
+    pytest.importorskip("pyopencl")
+    from types import SimpleNamespace
+
+    from pagas_cl.splat.options import defines
+
+    config = decide(ALPHA.with_settings(**{f"effects__{name}": "off" for name in RULES}), CALM)[0]
+    words = set(defines(config, SimpleNamespace(has=lambda extension: True), 200))
+    assert not words & {"OCCLUSION", "UNSEEN_MASK", "EXPOSURE", "STRUCTURE", "LOW_PASS"}
+    on = decide(ALPHA.with_settings(**{f"effects__{name}": "on" for name in RULES}), CALM)[0]
+    assert {"OCCLUSION", "UNSEEN_MASK", "EXPOSURE", "STRUCTURE", "LOW_PASS"} <= set(
+        defines(on, SimpleNamespace(has=lambda extension: True), 200))
