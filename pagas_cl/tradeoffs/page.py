@@ -62,7 +62,7 @@ def write_report(folder: Path, study, told: dict) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / FILE, json.dumps(told, indent=1) + "\n")
     picture = ""
-    if study.points:
+    if any(point.on_front for point in study.points):
         try:
             from pagas_cl.tradeoffs.plot import plot_front
 
