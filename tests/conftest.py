@@ -44,3 +44,15 @@ def ring() -> list[Camera]:
     angles = np.radians(np.linspace(-18, 18, 7))
     return [look_at((4 * np.sin(a), 0.3 * np.cos(5 * a), -4 * np.cos(a)), (0, 0, 0), name=f"view{i}.png")
             for i, a in enumerate(angles)]
+
+
+@pytest.fixture(scope="session")
+def device():
+    """The OpenCL device of the tests; PAGAS_CL_DEVICE chooses another."""
+    from pagas_cl.errors import DeviceError
+    from pagas_cl.runtime.device import open_device
+
+    try:
+        return open_device()
+    except DeviceError as error:
+        pytest.skip(str(error))
