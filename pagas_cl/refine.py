@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -71,7 +72,8 @@ def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=Non
                            folder=folder)
     if output == "displace":
         return displaced_mesh(mesh, views, depths, results, config, subdivide)
-    return from_surface(fuse_results(views, results, config, progress), like=mesh)
+    fused = fuse_results(views, results, config, progress, executor=executor, folder=folder)
+    return from_surface(fused, like=mesh)
 
 
 def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced", config=None, device=None,
@@ -206,10 +208,12 @@ def initial_depths(surface, views: list[View], progress=None, keep=None) -> list
     return depths
 
 
-def fuse_results(views: list[View], results: list[DepthResult], config: Config, progress=None, memory_mb=None, tell=None):
+def fuse_results(views: list[View], results: list[DepthResult], config: Config, progress=None, memory_mb=None, tell=None, *,
+                 executor=None, folder=None):
     """Keep what other views confirm, then TSDF: a Surface. In `memory_mb` of host memory, or what is free.
 
-    `tell(text)` is told whether other views were asked, and why.
+    `tell(text)` is told whether other views were asked, and why. Where one grid does not fit, its boxes go to
+    `executor`, if that is a concurrent.futures.Executor and photos and depth maps are files that it can read.
     """
     from pagas_cl.consistency import Later, decide_consistency
     from pagas_cl.surface.agree import confirmed
@@ -226,7 +230,9 @@ def fuse_results(views: list[View], results: list[DepthResult], config: Config, 
     on_disk = config.fusion.agree_views == 0  # read one at a time, then
     depths = [result.file if on_disk and hasattr(result, "file") else result.depth for result in results]
     agreed = confirmed(cameras, depths, config.fusion)
-    return fuse_within(used, agreed, config.fusion, memory_mb, progress=progress)
+    files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
+    elsewhere = executor if files and hasattr(executor, "map") else None
+    return fuse_within(used, agreed, config.fusion, memory_mb, progress=progress, executor=elsewhere, folder=folder)
 
 
 def _config(preset: str, config) -> Config:

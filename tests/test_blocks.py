@@ -175,3 +175,29 @@ def test_a_quarter_of_the_memory_is_enough(tmp_path):
             meshes.append(Surface(archive["vertices"], archive["faces"], archive["normals"], archive["colors"]))
     assert_same(*meshes)
     sys.stdout.write(f"allowed {allowed:.0f} MB: boxes {boxes}, one grid {whole}\n")
+
+
+@pytest.mark.parametrize("photos, wanted", [("files", True), ("arrays", False)])
+def test_a_mesh_run_hands_its_executor_on_to_the_boxes(photos, wanted, tmp_path, monkeypatch):
+    """Only where photos and depth maps are files that another process can read."""
+    from concurrent.futures import ThreadPoolExecutor
+    from types import SimpleNamespace
+
+    from PIL import Image
+
+    from pagas_cl import refine
+    from pagas_cl.config import Config
+    from pagas_cl.scene.depthmap import save_depth
+    from pagas_cl.scene.view import View
+    from pagas_cl.surface import blocks
+
+    camera = look_at((0, 0, -5), (0, 0, 0), 16, 12, 14.0)
+    Image.fromarray(np.zeros((12, 16, 3), np.uint8)).save(tmp_path / "a.png")
+    save_depth(tmp_path / "a.npz", np.ones((12, 16), np.float32))
+    view = View(camera, tmp_path / "a.png" if photos == "files" else np.zeros((12, 16, 3), np.uint8), None, "a.png")
+    given = {}
+    monkeypatch.setattr(blocks, "fuse_within", lambda *_, **more: given.update(more))
+    with ThreadPoolExecutor(1) as pool:
+        refine.fuse_results([view], [SimpleNamespace(camera=camera, file=tmp_path / "a.npz")],
+                            Config().with_settings(effects__consistency="off"), executor=pool, folder=tmp_path)
+        assert (given["executor"] is pool) == wanted and given["folder"] == tmp_path
