@@ -14,6 +14,13 @@ from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device
 
 
+@pytest.fixture(autouse=True)
+def brief(monkeypatch):
+    """Probes that end early: these tests ask for the way, not for three digits."""
+    monkeypatch.setattr(costs, "_LEAST", 0.03)
+    monkeypatch.setattr(costs, "_REPEATS", 2)
+
+
 @pytest.fixture(scope="module")
 def made():
     return relief_scene(96, 72, 4, held_out=0)
@@ -75,13 +82,14 @@ def test_the_richest_setting_that_fits_is_chosen(made, monkeypatch):
         expected.choose(0)
 
 
-def test_refine_takes_a_time_instead_of_a_preset(tmp_path, caplog, capsys):
+def test_refine_takes_a_time_instead_of_a_preset(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(costs, "rungs", lambda: [("quick", preset("fast")), ("slow", preset("balanced"))])
     made = relief_scene(64, 48, 2, held_out=0)
     folder = write_scene(made, tmp_path / "scene")
     common = ["refine", str(folder), "--depth-dir", str(folder / "depth_initial"), "--save-depth", str(tmp_path / "out"),
               "--views", made.views[0].name, "--quiet"]
     assert run_command([*common, "--time-per-view", "100", "--set", "pyramid.steps=5"]) == 0
-    assert "settings: accurate, about" in capsys.readouterr().err
+    assert "settings: slow, about" in capsys.readouterr().err
     assert (tmp_path / "out" / f"{made.views[0].name}.npz").is_file()
     for wrong, told in ((["--time-per-view", "1", "--time-budget", "1"], "got both"),
                         (["--time-budget", "1", "--preset", "paper"], "leave out --preset paper"),
