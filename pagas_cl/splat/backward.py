@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pagas_cl.runtime.program import bind, build
-from pagas_cl.splat.tile import columns_of, row_grid
+from pagas_cl.splat.tile import columns_of, row_grid, row_group
 from pagas_cl.splat.composite import blend_launch, exposure_argument, threshold_arguments
 
 
@@ -13,7 +13,7 @@ def launches(level, view: int) -> list:
     if s.blend == "order_free":
         columns = columns_of(level.device, level.target.width)
         program = build(level.device, "backward.cl", (*level.defines, f"COLUMNS={columns}"))
-        return [bind(program, "gather_gradient", row_grid(level.target, columns), None, a["depth"], photo, a["cameras"],
+        return [bind(program, "gather_gradient", row_grid(level.target, columns), row_group(columns), a["depth"], photo, a["cameras"],
                      view, float(s.low_pass), *threshold_arguments(level, view), a["z_first"], exposure_argument(level),
                      a["upstream"], a["gradient"])]
     return [blend_launch(level, view, "composite_alpha_vjp", a["upstream"]),

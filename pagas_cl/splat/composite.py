@@ -7,7 +7,7 @@ import numpy as np
 from pagas_cl.runtime.program import Fill, bind, build
 from pagas_cl.splat import project
 from pagas_cl.splat.options import LIST_GROUP, reach
-from pagas_cl.splat.tile import columns_of, row_grid
+from pagas_cl.splat.tile import columns_of, row_grid, row_group
 
 
 def launches(level, view: int) -> list:
@@ -32,7 +32,7 @@ def _order_free(level, view: int) -> list:
     channels = 1 if level.config.loss.grey else 3
     return [*project.nearest(level, view),
             Fill(a["rendered"], np.uint32(0), pixels * (channels + 1) * 4),
-            bind(program, "splat_order_free", row_grid(level.target, columns), None, a["depth"], level.given.photos[0],
+            bind(program, "splat_order_free", row_grid(level.target, columns), row_group(columns), a["depth"], level.given.photos[0],
                  a["cameras"], view, float(s.low_pass), *threshold_arguments(level, view), a["z_first"],
                  exposure_argument(level), a["rendered"])]
 

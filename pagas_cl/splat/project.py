@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pagas_cl.runtime.program import Fill, bind, build
-from pagas_cl.splat.tile import columns_of, row_grid
+from pagas_cl.splat.tile import columns_of, row_grid, row_group
 
 _INFINITY = np.uint32(0x7F800000)
 
@@ -29,5 +29,5 @@ def nearest(level, view: int) -> list:
     a, columns = level.arena, columns_of(level.device, level.target.width)
     program = build(level.device, "project.cl", (*level.defines, f"COLUMNS={columns}"))
     return [Fill(a["z_first"], _INFINITY, 4 * level.given.sizes[view].pixels),
-            bind(program, "nearest", row_grid(level.target, columns), None, a["depth"], a["cameras"], view,
+            bind(program, "nearest", row_grid(level.target, columns), row_group(columns), a["depth"], a["cameras"], view,
                  float(level.config.splatting.low_pass), a["z_first"])]

@@ -61,6 +61,12 @@ def row_grid(size, columns: int) -> tuple[int, int]:
     return -(-size.width // columns), size.height
 
 
+def row_group(columns: int) -> tuple[int, int] | None:
+    """Work-items of a group of row_grid: one where each holds a vector (PoCL's loop over several such items crashes at
+    some image sizes), else as the device likes."""
+    return (1, 1) if columns > 1 else None
+
+
 def choose_tiles(device, sizes) -> tuple[Tile, Tile]:
     """The tiles of ssim.cl and of loss.cl for images of `sizes`, (width, height) pairs, on `device`."""
     lanes = columns_of(device, min(width for width, _ in sizes))
