@@ -1,8 +1,12 @@
 """What a refinement will cost on this device: a model with four numbers, measured by a short probe.
 
-One view takes  photos photo + pixels (1 + contexts) setup + sum over levels of scale^2 pixels (steps per_step + view-steps
-per_view_step)  seconds: work is linear in pixels, in steps and in the context views of a step; `photos` is how many are
-read per view, 1 where many views share theirs.
+One view takes
+
+    photos photo + pixels (1 + contexts) setup + sum over levels of scale^2 pixels
+    (steps per_step + view-steps per_view_step)
+
+seconds: work is linear in pixels, in steps and in the context views of a step; `photos` is how many are read per view,
+1 where many views share theirs.
 """
 
 from __future__ import annotations
@@ -41,7 +45,8 @@ class Cost:
         contexts = min(contexts, config.context.number)
         each = min(config.solver.views_per_step or contexts, contexts)
         work = sum(scale**2 * steps for scale, steps in zip(config.pyramid.scales, config.pyramid.steps))
-        return photos * self.photo + pixels * ((1 + contexts) * self.setup + work * (self.per_step + each * self.per_view_step))
+        step = self.per_step + each * self.per_view_step
+        return photos * self.photo + pixels * ((1 + contexts) * self.setup + work * step)
 
 
 @dataclass(frozen=True)
@@ -59,8 +64,8 @@ def rungs() -> list[tuple[str, Config]]:
     two, until the knee at "balanced"."""
     fast, balanced, accurate = (preset(name) for name in ("fast", "balanced", "accurate"))
     quick = [(f"fast, {n} steps", fast.with_settings(pyramid__steps=(n,), solver__rate=0.1)) for n in (10, 20)]
-    middle = [(f"balanced, {n} steps", balanced.with_settings(pyramid__steps=(n,), solver__rate=0.06 if n < 75 else 0.04))
-              for n in (50, 75, 100, 150)]
+    middle = [(f"balanced, {n} steps", balanced.with_settings(pyramid__steps=(n,), solver__rate=rate))
+              for n, rate in ((50, 0.06), (75, 0.04), (100, 0.04), (150, 0.04))]
     more = [("balanced, 300 steps", balanced.with_settings(pyramid__steps=(300,)))]
     return [*quick, ("fast", fast), *middle, ("balanced", balanced), *more, ("accurate", accurate)]
 
@@ -147,7 +152,7 @@ class Costs:
         asked = [k for k, sample in enumerate(samples) if sample is not None and len(sample.rows)
                  and (names is None or views[k].name in names or views[k].stem in names)]
         if not asked:
-            raise InputError("no view to be refined has a depth map with a valid pixel: nothing to estimate the time of")
+            raise InputError("no view to be refined has a depth map with a valid pixel: nothing to time")
         self.device, self._known, self._measured = device, {}, None
         self.pixels = [views[k].camera.width * views[k].camera.height for k in asked]
         most = max(config.context.number for _, config in rungs()) + 1

@@ -43,7 +43,8 @@ def test_linear_times_are_found_again():
 
 def test_levels_count_by_their_share_of_the_pixels():
     cost = costs.Cost(0.0, 0.0, 0.0, 1.0)
-    config = preset("balanced").with_settings(pyramid__scales=(0.5, 1), pyramid__steps=(40, 10), solver__views_per_step=0)
+    config = preset("balanced").with_settings(pyramid__scales=(0.5, 1), pyramid__steps=(40, 10),
+                                              solver__views_per_step=0)
     assert cost.seconds(config, 1, 3) == pytest.approx(3 * (10 + 10))
     assert cost.seconds(config.with_settings(context__number=2), 1, 3) == pytest.approx(2 * 20)
 
@@ -86,8 +87,8 @@ def test_refine_takes_a_time_instead_of_a_preset(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(costs, "rungs", lambda: [("quick", preset("fast")), ("slow", preset("balanced"))])
     made = relief_scene(64, 48, 2, held_out=0)
     folder = write_scene(made, tmp_path / "scene")
-    common = ["refine", str(folder), "--depth-dir", str(folder / "depth_initial"), "--save-depth", str(tmp_path / "out"),
-              "--views", made.views[0].name, "--quiet"]
+    common = ["refine", str(folder), "--depth-dir", str(folder / "depth_initial"), "--save-depth",
+              str(tmp_path / "out"), "--views", made.views[0].name, "--quiet"]
     assert run_command([*common, "--time-per-view", "100", "--set", "pyramid.steps=5"]) == 0
     assert "settings: slow, about" in capsys.readouterr().err
     assert (tmp_path / "out" / f"{made.views[0].name}.npz").is_file()

@@ -65,7 +65,8 @@ def test_plans_have_no_setting_twice(settings):
 
 def test_plan_covers_what_was_asked_for():
     groups = {s.group for s in plan.front_plan()}
-    assert groups == {"preset", "effects", "steps", "views a step", "context views", "model", "levels", "solver", "staged"}
+    assert groups == {"preset", "effects", "steps", "views a step", "context views", "model", "levels", "solver",
+                      "staged"}
     rows = " ".join(s.name for s in ablation_plan("paper"))
     for row in ("initial depth per view", "random initial depth", "1 context view", "9 context views", "scales 4, 2, 1",
                 "steps 200, 100", "steps 100, 200", "rate 1e-4", "radius 3", "4 slices", "no occlusion", "SSIM 0.8",
@@ -80,7 +81,8 @@ def test_settings_that_few_views_make_equal_are_measured_once():
 
 
 def test_work_counts_levels_by_their_pixels():
-    config = preset("balanced").with_settings(pyramid__scales=(0.5, 1), pyramid__steps=(40, 10), solver__views_per_step=2)
+    config = preset("balanced").with_settings(pyramid__scales=(0.5, 1), pyramid__steps=(40, 10),
+                                              solver__views_per_step=2)
     assert plan.config_view_steps(config, 10) == pytest.approx(2 * (10 + 10))
     assert plan.config_view_steps(config, 1) == pytest.approx(10 + 10)
 
@@ -118,8 +120,9 @@ def test_stages_go_on_from_one_another(bench):
 
 def test_consistency_leaves_out_what_views_do_not_confirm(bench):
     device = open_device(None)
-    depth = run(short("agreed", 15, fusion__agree_pixels=0.2), bench, device, PhotoStore(device)).depth
-    agreed = run(plan.replace(short("agreed", 15, fusion__agree_pixels=0.2), agree=1), bench, device, PhotoStore(device))
+    setting = short("agreed", 15, fusion__agree_pixels=0.2)
+    depth = run(setting, bench, device, PhotoStore(device)).depth
+    agreed = run(plan.replace(setting, agree=1), bench, device, PhotoStore(device))
     kept = agreed.depth > 0
     assert 0 < kept.sum() < (depth > 0).sum()
     assert np.array_equal(agreed.depth[kept], depth[kept])
@@ -163,7 +166,8 @@ def test_command_refuses_what_it_cannot_do(tmp_path, capsys):
     folder = write_scene(relief_scene(64, 48, 2, held_out=0), tmp_path / "scene")
     assert run_command(["tradeoff", str(folder)]) == 2
     assert "either --mesh or --depth-dir" in capsys.readouterr().err
-    assert run_command(["tradeoff", str(folder), "--depth-dir", str(folder / "depth_initial"), "--truth", "nowhere"]) == 2
+    depths = str(folder / "depth_initial")
+    assert run_command(["tradeoff", str(folder), "--depth-dir", depths, "--truth", "nowhere"]) == 2
     assert "nowhere" in capsys.readouterr().err
 
 

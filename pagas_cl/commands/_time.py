@@ -15,14 +15,15 @@ def check_times(per_view: float | None, budget: float | None, preset: str, sever
     if per_view is not None and budget is not None:
         raise InputError("expected --time-per-view or --time-budget, got both")
     if several and (per_view is not None or budget is not None):
-        raise InputError("--time-per-view and --time-budget measure one device: leave out --devices and --scheduler, or "
-                         "choose the settings with --preset")
+        raise InputError("--time-per-view and --time-budget measure one device: leave out --devices and --scheduler, "
+                         "or choose the settings with --preset")
     given = {"--time-per-view": per_view, "--time-budget": budget}
     for name, value in given.items():
         if value is not None and not value > 0:
             raise InputError(f"{name} is {value:g}, expected more than 0")
         if value is not None and preset != "balanced":
-            raise InputError(f"{name} chooses the settings itself: leave out --preset {preset} (--set and --context hold)")
+            raise InputError(f"{name} chooses the settings itself: leave out --preset {preset} (--set and --context "
+                             "hold)")
 
 
 def config_in_time(views, depths, names, device, per_view: float | None, budget: float | None, change) -> Config:

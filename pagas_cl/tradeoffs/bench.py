@@ -1,4 +1,4 @@
-"""A bench: one view to measure settings on, with its context views, photos kept out of it, and the truth where known."""
+"""A bench: one view to measure settings on, with its context views, photos kept out of it, and the truth if known."""
 
 from __future__ import annotations
 

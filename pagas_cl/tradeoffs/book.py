@@ -42,8 +42,8 @@ class Book:
             log.info("%s: %d runs are there already", self.path, len(self.records))
 
     def has(self, setting: Setting, bench: Bench) -> bool:
-        return any(r["key"] == setting.key and r["bench"] == bench.name and r.get("pixels", bench.pixels) == bench.pixels
-                   for r in self.records)
+        return any(r["key"] == setting.key and r["bench"] == bench.name
+                   and r.get("pixels", bench.pixels) == bench.pixels for r in self.records)
 
     def add(self, record: dict):
         self.records.append(record)

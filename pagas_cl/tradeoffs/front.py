@@ -45,7 +45,8 @@ def summarise(settings, records, initial: dict, benches) -> list[Point]:
     """Points of the settings that ran on all of `benches` (names)."""
     points = []
     for setting in settings:
-        rows = {r["bench"]: r for r in records if r["key"] == setting.key and r["bench"] in benches and "error" not in r}
+        rows = {r["bench"]: r for r in records
+                if r["key"] == setting.key and r["bench"] in benches and "error" not in r}
         if len(rows) < len(benches):
             continue
         points.append(Point(setting.name, setting.group, setting.paper, _mean(rows, "seconds"),

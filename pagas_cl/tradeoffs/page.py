@@ -47,8 +47,8 @@ def notes(study) -> list[str]:
     told = [f"Device: {study.device}. Views: {', '.join(study.initial)}.",
             "Errors are shares of the initial depth's, means over the views; settings of the Pareto front are marked."]
     if study.figure == "unpredicted":
-        told.append("There is no truth here: the front is of 1 - median correlation of 7x7 patches with photos that took "
-                    "no part, a proxy.")
+        told.append("There is no truth here: the front is of 1 - median correlation of 7x7 patches with photos that "
+                    "took no part, a proxy.")
     elif study.proxy == study.proxy:
         told.append(f"Held-out photos rank these settings like the true depth error does with a rank correlation of "
                     f"{study.proxy:.2f}.")
@@ -82,5 +82,6 @@ def _html(study, picture: str) -> str:
                    for mark, row in zip(marks, rows))
     head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
     lines = "".join(f"<p>{escape(line)}</p>" for line in notes(study))
-    return (f'<!doctype html><html lang="en"><meta charset="utf-8"><title>error against time</title><style>{_STYLE}</style>'
-            f"<h1>Error against time</h1>{lines}{picture}<table><tr>{head}</tr>{body}</table></html>\n")
+    return (f'<!doctype html><html lang="en"><meta charset="utf-8"><title>error against time</title>'
+            f"<style>{_STYLE}</style><h1>Error against time</h1>{lines}{picture}"
+            f"<table><tr>{head}</tr>{body}</table></html>\n")

@@ -86,8 +86,8 @@ def front_plan() -> list[Setting]:
     """The plan of `pagas-cl tradeoff`, most telling first, so that a short budget still gives a front."""
     base = fixed("balanced")  # so that a variant changes what it says and nothing else
     settings = [Setting(name, (preset(name),), "preset") for name in ("balanced", "fast", "accurate", "paper")]
-    settings += _effects() + _steps(base) + _views(base) + _contexts(base) + _model(base) + _levels(base) + _solver(base)
-    settings += _staged(base)
+    settings += _effects() + _steps(base) + _views(base) + _contexts(base) + _model(base)
+    settings += _levels(base) + _solver(base) + _staged(base)
     return distinct(settings, 10**4)
 
 
@@ -117,7 +117,8 @@ def _steps(base) -> list[Setting]:
 
 def _views(base) -> list[Setting]:
     return [changed(f"{k or 'all'} views a step, {n} steps", "views a step", base, solver__views_per_step=k,
-                    pyramid__steps=(n,)) for k, n in ((2, 100), (2, 200), (3, 67), (3, 200), (5, 600), (0, 60), (0, 200))]
+                    pyramid__steps=(n,))
+            for k, n in ((2, 100), (2, 200), (3, 67), (3, 200), (5, 600), (0, 60), (0, 200))]
 
 
 def _contexts(base) -> list[Setting]:
@@ -142,7 +143,8 @@ def _model(base) -> list[Setting]:
 
 def _levels(base) -> list[Setting]:
     levels = (("half size only, 60 steps", (0.5, 1), (60, 0)), ("half size only, 200 steps", (0.5, 1), (200, 0)),
-              ("half and full size, 60 + 60", (0.5, 1), (60, 60)), ("half and full size, 60 + 200", (0.5, 1), (60, 200)),
+              ("half and full size, 60 + 60", (0.5, 1), (60, 60)),
+              ("half and full size, 60 + 200", (0.5, 1), (60, 200)),
               ("three levels, 60 + 60 + 60", (0.25, 0.5, 1), (60, 60, 60)))
     return [changed(name, "levels", base, pyramid__scales=scales, pyramid__steps=steps)
             for name, scales, steps in levels]

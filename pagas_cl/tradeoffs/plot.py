@@ -9,8 +9,10 @@ import numpy as np
 
 from pagas_cl.errors import need
 
-_GROUPS = ("preset", "effects", "steps", "views a step", "context views", "model", "levels", "solver", "staged", "ablation")
-_NAMES = {"depth": "mean depth error", "normal": "mean normal error", "unpredicted": "1 - correlation of held-out photos"}
+_GROUPS = ("preset", "effects", "steps", "views a step", "context views", "model", "levels", "solver",
+           "staged", "ablation")
+_NAMES = {"depth": "mean depth error", "normal": "mean normal error",
+          "unpredicted": "1 - correlation of held-out photos"}
 
 
 def plot_front(path, points, figure: str, title: str = "", at_most: float = 1.3) -> Path:

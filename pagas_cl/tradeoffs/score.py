@@ -26,8 +26,9 @@ def score(bench: Bench, depth: np.ndarray) -> dict:
 def _errors(bench, depth) -> dict:
     if bench.truth is None:
         return {}
-    found = compare_depth(depth, bench.truth, bench.target.camera, parallax=bench.parallax, mask=bench.target.load_mask(),
-                          true_normals=bench.true_normals, discontinuities=bench.discontinuities)
+    found = compare_depth(depth, bench.truth, bench.target.camera, parallax=bench.parallax,
+                          mask=bench.target.load_mask(), true_normals=bench.true_normals,
+                          discontinuities=bench.discontinuities)
     smooth, whole = found.smooth, found.all
     return {"depth": smooth.mean, "depth_median": smooth.median, "parallax": smooth.mean_parallax,
             "normal": smooth.normal_mean, "edges": found.edges.mean,

@@ -81,7 +81,8 @@ def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: in
         device.
     """
     most = max(setting.contexts for setting in settings or front_plan())
-    benches = make_benches(views, depths, truth=truth, names=names, held_out=held_out, sample=sample, most_contexts=most)
+    benches = make_benches(views, depths, truth=truth, names=names, held_out=held_out, sample=sample,
+                           most_contexts=most)
     return measure(benches, settings, budget=budget, device=device, report=report, repeats=repeats, workers=workers,
                    progress=progress)
 
@@ -126,8 +127,8 @@ def _fill(book, benches, settings, device, budget, repeats, workers, progress) -
     todo = [(setting, k) for setting in settings for k, bench in enumerate(benches) if not book.has(setting, bench)]
     guess = _Guess(benches[0], device, repeats) if todo else None
     if todo:
-        log.info("%d settings on %d views, %d runs still to do: about %.1f minutes%s", len(settings), len(benches), len(todo),
-                 sum(guess.seconds(setting, benches[k]) for setting, k in todo) / 60,
+        log.info("%d settings on %d views, %d runs still to do: about %.1f minutes%s", len(settings), len(benches),
+                 len(todo), sum(guess.seconds(setting, benches[k]) for setting, k in todo) / 60,
                  f", at most {budget:g}" if budget else "")
     with Judges(benches, workers) as judges:
         for done, (setting, k) in enumerate(todo):
@@ -141,7 +142,8 @@ def _fill(book, benches, settings, device, budget, repeats, workers, progress) -
     if progress:
         progress("measure", len(todo), len(todo))
     if left_out:
-        log.warning("left out, since the budget of %g minutes would not do: %s", budget, ", ".join(dict.fromkeys(left_out)))
+        log.warning("left out, since the budget of %g minutes would not do: %s", budget,
+                    ", ".join(dict.fromkeys(left_out)))
     return list(dict.fromkeys(left_out))
 
 
@@ -176,7 +178,8 @@ class _Guess:
         total = 0.0
         for stage in setting.stages:
             size = 1 + 2 * round(stage.splatting.radius)
-            factor = size**2 / 9 * (4.0 if stage.splatting.blend == "alpha" else 1.0) * (0.7 if stage.loss.grey else 1.0)
+            factor = size**2 / 9 * (4.0 if stage.splatting.blend == "alpha" else 1.0)
+            factor *= 0.7 if stage.loss.grey else 1.0
             total += factor * self.cost.seconds(stage, bench.pixels, len(bench.contexts))
         judging = 1e-6 * bench.pixels * (1 + len(bench.held_out))
         return total * self.repeats * (1 + 2 * setting.agree) + judging + 0.5

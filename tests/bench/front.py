@@ -3,7 +3,7 @@
     python tests/bench/scenes.py SCENES --data DATA
     python tests/bench/front.py SCENES OUT [front] [ablation] [scaling] [prediction] [sampling]
 
-Every part writes OUT/<part>.json and OUT/<part>.md (scaling, prediction and sampling only the latter); `front` its plots.
+Every part writes OUT/<part>.json and OUT/<part>.md (scaling, prediction, sampling: only the latter).
 """
 
 from __future__ import annotations
@@ -53,14 +53,22 @@ def _depth(folder, view):
 def front(benches, out, device, given):
     """The plan on every scene: a table of each, and of all with truth together."""
     settings, lines = [s for s in front_plan() if not given.only or s.group in given.only], []
-    for name, some in (("truth", [b for b in benches if b.truth is not None]), ("photos", [b for b in benches if b.truth is None])):
+    judged = {"truth": [b for b in benches if b.truth is not None], "photos": [b for b in benches if b.truth is None]}
+    for name, some in judged.items():
         if not some:
             continue
-        study = measure(some, settings, device=device, report=out / "front" / name, repeats=given.repeats, workers=given.workers)
-        parts = [study] + [collect(study.records, settings, {b.name: study.initial[b.name]}, study.device) for b in some]
+        study = measure(some, settings, device=device, report=out / "front" / name, repeats=given.repeats,
+                        workers=given.workers)
+        parts = parts_of(study, settings)
         for part in parts if len(some) > 1 else parts[:1]:
             lines += [f"## {', '.join(part.initial)}", "", *notes(part), "", markdown(part.points)]
     return lines
+
+
+def parts_of(study, settings):
+    """The study, and the same of each of its views alone."""
+    alone = ({name: scores} for name, scores in study.initial.items())
+    return [study, *(collect(study.records, settings, initial, study.device) for initial in alone)]
 
 
 def ablation(benches, out, device, given):
@@ -71,7 +79,7 @@ def ablation(benches, out, device, given):
         study = measure(some, settings, device=device, repeats=given.repeats, report=out / "ablation" / base,
                         workers=given.workers)
         order = {s.name: k for k, s in enumerate(settings)}
-        for part in [study] + [collect(study.records, settings, {b.name: study.initial[b.name]}, study.device) for b in some]:
+        for part in parts_of(study, settings):
             rows = sorted(part.points, key=lambda p: order[p.name])
             lines += [f"## {base}: {', '.join(part.initial)}", "", notes(part)[0], "", ablation_table(rows)]
     return lines
@@ -110,18 +118,20 @@ def resized(bench: Bench, share: float, contexts: int) -> Bench:
     """The bench at another size, photos by bicubic interpolation: for times, not for errors."""
     def view(old):
         width, height = round(old.camera.width * share), round(old.camera.height * share)
-        return View(old.camera.resized(width, height), np.asarray(Image.fromarray(old.load_image()).resize((width, height))))
+        photo = Image.fromarray(old.load_image()).resize((width, height))
+        return View(old.camera.resized(width, height), np.asarray(photo))
 
     target = view(bench.target)
     depth = resize_depth(bench.initial, target.camera.width, target.camera.height)
-    return replace(bench, target=target, contexts=[view(v) for v in bench.contexts[:contexts]], initial=depth, held_out=[])
+    others = [view(v) for v in bench.contexts[:contexts]]
+    return replace(bench, target=target, contexts=others, initial=depth, held_out=[])
 
 
 def _seconds(bench, config, device, repeats=3):
     photos, times = PhotoStore(device), []
     for _ in range(repeats + 1):
         start = time.perf_counter()
-        refine_levels(bench.target, bench.contexts[:config.context.number], bench.initial.astype(float), config, device, photos)
+        refine_levels(bench.target, bench.contexts[:config.context.number], bench.initial, config, device, photos)
         times.append(time.perf_counter() - start)
     return min(times[1:])
 
@@ -130,7 +140,8 @@ def prediction(benches, out, device, given):
     """Expected time per view beside the time of refine_views, photos read from files."""
     from pagas_cl.refine import refine_views
 
-    lines = [str(device.info), "", "| scene | settings | views | expected s per view | taken | ratio |", "|---|---|---|---|---|---|"]
+    lines = [str(device.info), "", "| scene | settings | views | expected s per view | taken | ratio |",
+             "|---|---|---|---|---|---|"]
     for folder in given.folders:
         scene = read_scene(folder)
         depths = [_depth(folder / "depth_initial", view) for view in scene.views]
@@ -143,7 +154,8 @@ def prediction(benches, out, device, given):
                 refine_views(scene.views, depths, names=names, config=config, device=device)
                 times.append((time.perf_counter() - start) / len(names))
             taken = min(times)
-            lines.append(f"| {folder.name} | {name} | {len(names)} | {expected:.4g} | {taken:.4g} | {expected / taken:.3f} |")
+            cells = folder.name, name, f"{len(names)}", f"{expected:.4g}", f"{taken:.4g}", f"{expected / taken:.3f}"
+            lines.append("| " + " | ".join(cells) + " |")
     return [*lines, ""]
 
 
@@ -154,14 +166,15 @@ def sampling(benches, out, device, given):
     no overhead, beside a run of all tiles with fewer steps for the same cost. The guesses: how far the short run moved
     the tile (its change from the initial depth), its texture, and the truth itself (the best that any guess can be).
     """
-    lines = [str(device.info), "", "| scene | steps, view-steps a pixel | uniform | by change | by texture | by truth |",
+    lines = [str(device.info), "",
+             "| scene | view-steps a pixel | uniform | by change | by texture | by truth |",
              "|---|---|---|---|---|---|"]
     base, photos = fixed("balanced"), PhotoStore(device)
     for bench in (b for b in benches if b.truth is not None):
         def depth_after(steps):
             rate = 0.06 if steps < 75 else 0.04
             config = base.with_settings(pyramid__steps=(steps,), solver__rate=rate)
-            return refine_levels(bench.target, bench.contexts, bench.initial.astype(float), config, device, photos).depth
+            return refine_levels(bench.target, bench.contexts, bench.initial, config, device, photos).depth
 
         before = score(replace(bench, held_out=[]), bench.initial)["depth"]
         short, long = depth_after(40), depth_after(150)

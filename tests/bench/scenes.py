@@ -1,8 +1,8 @@
-"""Write the scenes that accuracy against time is measured on: `python tests/bench/scenes.py OUT [--data DIR] [--scale S]`.
+"""Write the scenes that accuracy against time is measured on: `python tests/bench/scenes.py OUT [--data DIR]`.
 
 OUT/relief, OUT/bar: made scenes with exact truth. With --data (the folder of real scenes): OUT/motorcycle, Middlebury
-2014 with dense truth and one context view, the initial depth smoothed inside surfaces (sigma 8 px) plus a smooth error of
-half a pixel; OUT/dtu, 16 views of DTU scan 24 at half size, the initial depth from its coarse mesh, no truth.
+2014 with dense truth and one context view, the initial depth smoothed inside surfaces (sigma 8 px) plus a smooth error
+of half a pixel; OUT/dtu, 16 views of DTU scan 24 at half size, the initial depth from its coarse mesh, no truth.
 Each has images/, cameras.json, depth_initial/ and, where there is truth, depth_true/.
 """
 
