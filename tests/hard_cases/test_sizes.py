@@ -1,0 +1,41 @@
+"""Image sizes that crashed a driver: each runs in a process of its own, so that a crash is a failed test, not a dead one.
+
+PoCL's loop over several work-items that each hold vectors of 16 pixels crashed in gather_gradient at 288 x 216 and 287 x
+215 (segmentation fault); groups of one item do not have such a loop.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SIZES = [(288, 216), (287, 215), (161, 23), (31, 97)]
+RUN = """
+import sys
+import numpy as np
+from pagas_cl.config import BALANCED
+from pagas_cl.made import relief_scene
+from pagas_cl.runtime.device import open_device
+from pagas_cl.splat import refine_levels
+
+made = relief_scene(int(sys.argv[1]), int(sys.argv[2]), 1)
+target, *contexts = made.views
+depth = made.true_depth(target.camera) * 1.001
+for grey in (False, True):
+    config = BALANCED.with_settings(pyramid__steps=(2,), loss__grey=grey)
+    result = refine_levels(target, contexts, depth, config, open_device())
+    assert np.isfinite(result.depth).all() and (result.depth[depth > 0] > 0).all()
+print("refined", (result.status == 1).sum())
+"""
+
+
+@pytest.mark.parametrize("width, height", SIZES)
+def test_a_size_ends_well(device, width, height):
+    done = subprocess.run([sys.executable, "-c", RUN, str(width), str(height)], cwd=ROOT, capture_output=True, text=True,
+                          timeout=300)
+    assert done.returncode == 0, f"ended with {done.returncode}: {done.stderr[-2000:]}"
+    assert "refined" in done.stdout
