@@ -1,6 +1,7 @@
 // What holds a depth map together where photos say little (method section 5): per target pixel, added to the gradient.
 //   smoothness_scale, smoothness_planar    Huber on second differences of inverse depth, in pixels of parallax
 //   normal_map, normal_slope, normal_vjp   the paper's angle between neighbouring normals
+//   planar_loss, normal_loss               their penalties, summed for the schedule
 #include "splat.clh"
 
 // kappa: pixels of parallax per unit of inverse depth; weights: less where the photo has texture
@@ -21,20 +22,31 @@ float huber_slope(float e, float h, float cut)
     return fabs(e) > cut ? 0.0f : clamp(e / h, -1.0f, 1.0f);
 }
 
-// Slope of the penalty of the second difference centred at i along `stride`, by w of its ends; twice that, negated,
-// is the slope by w_i. Zero where a neighbour is missing.
-float bend(__global const float *depth, __global const float *kappa, __global const float *weights, int i, int stride,
-           int along, int length, float h, float cut)
+float huber(float e, float h, float cut)
+{
+    const float size = fmin(fabs(e), cut);
+    return size <= h ? size * size / (2.0f * h) : size - 0.5f * h;
+}
+
+// Second difference of inverse depth centred at i along `stride`, pixels of parallax. Zero where a neighbour is missing.
+float second_difference(__global const float *depth, __global const float *kappa, int i, int stride, int along,
+                        int length)
 {
     if (along < 1 || along >= length - 1)
         return 0.0f;
     const float d = depth[i], before = depth[i - stride], after = depth[i + stride];
     if (!(d > 0.0f && before > 0.0f && after > 0.0f))
         return 0.0f;
-    const float k = kappa[i];
     // differences first: three close numbers are never subtracted from their double
-    const float e = k * ((d - before) / (d * before) + (d - after) / (d * after));
-    return weights[i] * k * huber_slope(e, h, cut);
+    return kappa[i] * ((d - before) / (d * before) + (d - after) / (d * after));
+}
+
+// Slope of its penalty by w of its ends; twice that, negated, is the slope by w_i.
+float bend(__global const float *depth, __global const float *kappa, __global const float *weights, int i, int stride,
+           int along, int length, float h, float cut)
+{
+    const float e = second_difference(depth, kappa, i, stride, along, length);
+    return e == 0.0f ? 0.0f : weights[i] * kappa[i] * huber_slope(e, h, cut);
 }
 
 __kernel void smoothness_planar(__global const float *depth, __global const float *kappa,
@@ -135,3 +147,57 @@ __kernel void normal_vjp(__global const float *depth, __global const float *came
     if (depth[i] > 0.0f)
         gradient[i] += dot(v, pixel_ray(camera, x, y));
 }
+
+#ifdef TRACK_LOSS
+#define SUM_GROUP 256                    // as in splat/smooth.py
+
+// Sum over the work-group to its place in `partials`: always in the same order, so that runs agree bit for bit.
+void leave_sum(__local float *scratch, float sum, __global float *partials)
+{
+    const int lane = get_local_id(0);
+    for (int apart = SUM_GROUP / 2; apart > 0; apart /= 2) {
+        scratch[lane] = sum;
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (lane < apart)
+            sum += scratch[lane + apart];
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
+    if (lane == 0)
+        partials[get_group_id(0)] = sum;
+}
+
+__kernel __attribute__((reqd_work_group_size(SUM_GROUP, 1, 1)))
+void planar_loss(__global const float *depth, __global const float *kappa, __global const float *weights, int width,
+                 int height, float h, float cut, __global float *partials)
+{
+    __local float scratch[SUM_GROUP];
+    float sum = 0.0f;
+    for (int i = get_global_id(0); i < width * height; i += get_global_size(0)) {
+        const float across = second_difference(depth, kappa, i, 1, i % width, width);
+        const float down = second_difference(depth, kappa, i, width, i / width, height);
+        sum += weights[i] * (huber(across, h, cut) + huber(down, h, cut));
+    }
+    leave_sum(scratch, sum, partials);
+}
+
+// half of 1 - n . n' of each pixel and its neighbours to the right and below
+__kernel __attribute__((reqd_work_group_size(SUM_GROUP, 1, 1)))
+void normal_loss(__global const float *normals, __global const float *weights, int width, int height,
+                 __global float *partials)
+{
+    __local float scratch[SUM_GROUP];
+    float sum = 0.0f;
+    for (int i = get_global_id(0); i < width * height; i += get_global_size(0)) {
+        const float4 n = vload4(i, normals);
+        for (int side = 0; side < 2; ++side) {
+            const int next = side ? i + width : i + 1;
+            if (!(n.w > 0.0f) || (side ? next >= width * height : next % width == 0))
+                continue;
+            const float4 other = vload4(next, normals);
+            if (other.w > 0.0f)
+                sum += 0.5f * weights[i] * (1.0f - dot(n.xyz, other.xyz));
+        }
+    }
+    leave_sum(scratch, sum, partials);
+}
+#endif

@@ -61,6 +61,15 @@ void add_loss(__global const long *ssim, int ssim_count, float ssim_scale, __glo
         state[LOSS] += ((float)ssim_sum * ssim_scale + (float)l1_sum * l1_scale) * (1.0f / 4294967296.0f);
 }
 
+// Add the smoothness, the sum of `count` partial sums.
+__kernel void add_smoothness(__global const float *partials, int count, float scale, __global float *state)
+{
+    float sum = 0.0f;
+    for (int k = 0; k < count; ++k)
+        sum += partials[k];
+    state[LOSS] += scale * sum;
+}
+
 // The rate falls by 10 when the loss has not improved for `patience` steps; the level ends at `floor`.
 __kernel void plateau(__global float *state, __global float *history, int pass, int patience, float floor_rate)
 {

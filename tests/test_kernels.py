@@ -70,8 +70,7 @@ def test_gradient_equals_the_twin(device, scene, name):
     got, loss = device_gradient(device, config, scene)
     want, value = twin_gradient(config, scene)
     assert_kernel_close(got, want)
-    if config.smoothness.kind == "none":                     # what the schedule follows is the photometric part
-        assert loss == pytest.approx(value, rel=1e-5)
+    assert loss == pytest.approx(value, rel=1e-5)            # what the schedule follows, smoothness included
 
 
 @pytest.mark.parametrize("size", [(10, 30), (33, 11), (52, 8), (53, 17), (97, 51)])
@@ -108,6 +107,23 @@ def test_level_follows_the_twin(device, scene, base):
     way, error = np.abs(want - scene.moved), np.abs(got - want)
     assert np.median(way[initial > 0]) > 0
     assert error.mean() < 0.03 * way.mean()
+
+
+@pytest.mark.parametrize("kind", ["planar", "normal"])
+def test_the_schedule_follows_the_whole_loss(device, scene, kind):
+    """L = L_c + L_s, step by step (method section 5)."""
+    config = PAPER.with_settings(smoothness__kind=kind, smoothness__weight=100.0, solver__rate=1e-3, solver__damping=1e-3)
+    level = start_level(device, config, scene)
+    assert level.run(4) == 4
+    got = level.read("history", level.arena.specs["history"].shape)[:4]
+    level.release()
+    state = prepare(scene.initial.astype(np.float64), scene.target, scene.contexts, config, scene.unit, scene.delta(config))
+    object.__setattr__(state, "distance", 1.0)              # what the level was given
+    start = scene.moved.astype(np.float64)
+    _, want = run_level(start, scene.target, scene.contexts, config, state, 4)
+    _, photos = run_level(start, scene.target, scene.contexts, config.with_settings(smoothness__weight=0.0), state, 1)
+    assert want[0] > 1.5 * photos[0], "the smoothness is a good part of the loss here"
+    assert got == pytest.approx(np.array(want), rel=1e-3)
 
 
 def level_launches(device, config, scene):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pagas_cl.runtime.program import bind, build
 
+SUM_GROUP, SUM_GROUPS = 256, 64      # work-items of a group, as in smooth.cl, and groups that share the pixels
+
 
 def before_steps(level) -> list:
     """Once a level: pixels of parallax per inverse depth, and the weight of each pixel by its texture."""
@@ -17,15 +19,30 @@ def before_steps(level) -> list:
 
 
 def launches(level) -> list:
-    """Add N dL_s/dd to arena["gradient"]; once a step."""
+    """Add N dL_s/dd to arena["gradient"], and L_s to the loss where the schedule follows it; once a step."""
     s, a, size = level.config.smoothness, level.arena, level.target
     if s.kind == "none" or s.weight == 0:
         return []
     program = build(level.device, "smooth.cl", level.defines)
     if s.kind == "planar":
         return [bind(program, "smoothness_planar", size.grid, None, a["depth"], a["kappa"], a["weights"], size.width,
-                     size.height, float(s.weight), float(s.huber), float(s.cut), a["gradient"])]
+                     size.height, float(s.weight), float(s.huber), float(s.cut), a["gradient"]), *_loss(level)]
     return [bind(program, "normal_map", size.grid, None, a["depth"], a["cameras"], a["normals"]),
             bind(program, "normal_slope", size.grid, None, a["normals"], a["weights"], size.width, size.height,
                  float(s.weight), a["slopes"]),
-            bind(program, "normal_vjp", size.grid, None, a["depth"], a["cameras"], a["slopes"], a["gradient"])]
+            bind(program, "normal_vjp", size.grid, None, a["depth"], a["cameras"], a["slopes"], a["gradient"]),
+            *_loss(level)]
+
+
+def _loss(level) -> list:
+    """L_s to the schedule's loss."""
+    s, a, size = level.config.smoothness, level.arena, level.target
+    if "smooth_losses" not in a:
+        return []
+    program, grid = build(level.device, "smooth.cl", level.defines), (SUM_GROUPS * SUM_GROUP,)
+    shared = a["weights"], size.width, size.height
+    summed = (bind(program, "planar_loss", grid, (SUM_GROUP,), a["depth"], a["kappa"], *shared, float(s.huber),
+                   float(s.cut), a["smooth_losses"]) if s.kind == "planar" else
+              bind(program, "normal_loss", grid, (SUM_GROUP,), a["normals"], *shared, a["smooth_losses"]))
+    return [summed, bind(build(level.device, "step.cl", level.defines), "add_smoothness", (1,), None,
+                         a["smooth_losses"], SUM_GROUPS, float(s.weight) / size.pixels, a["state"])]

@@ -13,6 +13,7 @@ from pagas_cl.runtime.arena import Arena, BufferSpec
 from pagas_cl.scene.camera import Camera
 from pagas_cl.splat import tile as tiles
 from pagas_cl.splat.options import reach
+from pagas_cl.splat.smooth import SUM_GROUPS
 
 NEAR = 1e-3               # as in constants.clh
 FAR = 1e6
@@ -80,6 +81,8 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
     if config.solver.patience > 0:
         groups = max(prod(tile.groups(*size.grid)) for size in (*contexts, target) for tile in used)
         specs += [BufferSpec(name, (groups,), np.int64) for name in ("losses", "ssim_losses")]
+        if config.smoothness.kind != "none":
+            specs.append(BufferSpec("smooth_losses", (SUM_GROUPS,), np.float32))
         specs += [BufferSpec("history", (max(config.pyramid.steps) + 1,), np.float32)]
     return specs
 
