@@ -13,6 +13,14 @@ class DeviceError(PagasError, RuntimeError):
     """No OpenCL device can do the work: none found, too little memory, lost during the run."""
 
 
+class DeviceMemoryError(DeviceError):
+    """The device cannot hold what the work needs; a plan with fewer buffers may do."""
+
+
+class DeviceLostError(DeviceError):
+    """The device has failed in the middle of work: lost, reset, or stopped by its driver."""
+
+
 class KernelBuildError(DeviceError):
     """The device's compiler refused a kernel.
 

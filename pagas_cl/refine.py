@@ -97,18 +97,25 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
     """
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import PhotoStore, refine_levels
+    from pagas_cl.splat.fit import fit_memory
 
     config, depth, device = _config(preset, config), checked_depth(depth, target), open_device(device)
     if not contexts:
         return DepthResult.unrefined(target.camera, depth, "no context views were given")
-    start, photos = time.perf_counter(), photos or PhotoStore(device)
-    config, decisions, measured = settle(target, contexts, depth, config, device, photos)
-    refined = refine_levels(target, contexts, depth, config, device, photos, _steps_of(progress, target), witness,
-                            measured.exposure if config.loss.exposure else None)
+    start, steps_done = time.perf_counter(), _steps_of(progress, target)
+
+    def attempt(photos):
+        settled, decisions, measured = settle(target, contexts, depth, config, device, photos)
+        refined = refine_levels(target, contexts, depth, settled, device, photos, steps_done, witness,
+                                measured.exposure if settled.loss.exposure else None)
+        return refined, decisions, measured
+
+    refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, witness,
+                                              photos or PhotoStore(device))
     report = {"contexts": [view.name for view in contexts], "witness": witness.name if witness else None,
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "witness_cost": refined.witness, "device_bytes": refined.device_bytes,
-              "seconds": time.perf_counter() - start}
+              "planned_bytes": refined.planned_bytes, "seconds": time.perf_counter() - start}
     harm = _harm(refined, witness)
     if harm:
         log.warning("view %s is kept as it came: %s", target.name, harm)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import time
 from collections import deque
 from collections.abc import Iterable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, wait
@@ -18,6 +19,7 @@ from pagas_cl.jobs.worker import STOP, attempts, run_batch
 log = logging.getLogger("pagas_cl")
 
 TRIES = 3
+STALLED = 1800.0  # seconds without a view done, while workers tell that they have no device, until the run ends
 HOPELESS = 8  # so many views given up before one is done: something is wrong that no other view will escape
 
 
@@ -40,7 +42,8 @@ class Run:
         self._queue: deque[Batch] = deque()
         self._waiting: dict = {}
         self._errors: dict[str, list[Record]] = {}
-        self._done, self._given_up, self._refused = 0, 0, 0
+        self._done, self._given_up = 0, 0
+        self._refused, self._last = 0, time.monotonic()       # workers without a device, since a view was last done
 
     def finish(self, batches: Iterable[Batch]) -> None:
         """Work through `batches`, which may be planned while others are at work."""
@@ -96,6 +99,7 @@ class Run:
     def _take(self, record: Record, batch: Batch) -> None:
         if not record.error:
             self._done += 1
+            self._refused, self._last = 0, time.monotonic()
             self.on_record(record)
             return
         told = self._errors.setdefault(record.name, [])
@@ -110,7 +114,8 @@ class Run:
         """What a lost worker had finished is kept; the rest goes to others, a view at a time."""
         if isinstance(error, DeviceError):  # the worker's fault and not the views': to another one
             self._refused += 1
-            if isinstance(self.executor, Here) or self._refused >= HOPELESS and not self._done:
+            stalled = not self._done or time.monotonic() - self._last > STALLED
+            if isinstance(self.executor, Here) or self._refused >= HOPELESS and stalled:
                 raise error
             log.warning("a worker cannot work: %s", error)
             self._queue.append(batch)

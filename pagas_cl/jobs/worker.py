@@ -9,7 +9,7 @@ import threading
 import time
 from datetime import datetime
 
-from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError
+from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputError, PagasError
 from pagas_cl.jobs.disk import told_as_output_error
 from pagas_cl.jobs.finished import find_finished, work_folder, write_finished
 from pagas_cl.jobs.identity import code_version
@@ -21,6 +21,7 @@ log = logging.getLogger("pagas_cl")
 STOP = "stop"          # a file of this name in the work folder asks every worker to end after its present view
 _one_at_a_time = threading.Lock()  # tasks of one process share a device's queue
 _benches: dict = {}
+_lost: list[str] = []              # the view at which the device failed, until one is refined
 
 
 class Bench:
@@ -68,6 +69,8 @@ def _attempt(batch: Batch, task: ViewTask, views: dict) -> Record:
         record = write_finished(batch.folder, task, result, batch.extras, about)
     except OutputError:
         raise
+    except DeviceLostError as error:
+        return _without_device(batch, task, error)
     except Exception as error:  # whatever it is, the other views must not suffer
         if not isinstance(error, InputError):
             _benches.pop(batch.device, None)  # the device may be in any state: opened anew for the next view
@@ -75,7 +78,19 @@ def _attempt(batch: Batch, task: ViewTask, views: dict) -> Record:
         note_down(batch.folder, "failed", task.name)
         return Record(task.name, task.stem, task.key, error=told, bad_input=isinstance(error, InputError))
     note_down(batch.folder, "ended", task.name)
+    _lost.clear()
     return record
+
+
+def _without_device(batch: Batch, task: ViewTask, error: DeviceLostError) -> Record:
+    """The device failed: opened anew for the next view; where it then fails again, this worker has none."""
+    note_down(batch.folder, "failed", task.name)
+    _benches.pop(batch.device, None)
+    if _lost:
+        _lost.clear()
+        raise error
+    _lost.append(task.name)
+    return Record(task.name, task.stem, task.key, error=str(error))
 
 
 def _bench(device) -> Bench:
@@ -92,6 +107,7 @@ def close_benches() -> None:
 
     with _one_at_a_time:
         _benches.clear()
+        _lost.clear()
         give_back()
 
 

@@ -8,7 +8,7 @@ from math import prod
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.errors import DeviceError
+from pagas_cl.errors import DeviceError, DeviceMemoryError
 
 MOST_ELEMENTS = 2**31 - 1         # kernels count in 32 bits
 
@@ -37,7 +37,9 @@ class Arena:
     Raises
     ------
     DeviceError
-        Before anything is allocated, where the device cannot hold the buffers, or when it refuses one after all.
+        Before anything is allocated, where a buffer is larger than the device or the kernels can handle.
+    DeviceMemoryError
+        They are more than may be held, or the device refuses one; none is kept then.
     """
 
     def __init__(self, device, specs: list[BufferSpec]):
@@ -50,17 +52,13 @@ class Arena:
         if largest.nbytes > limit:
             raise DeviceError(f"buffer {largest.name!r} needs {largest.nbytes / 2**20:.0f} MiB, {device.info.title} "
                               f"allocates at most {limit / 2**20:.0f} MiB at once; refine smaller images")
-        if total_bytes(specs) > device.info.memory:
-            raise DeviceError(f"the buffers need {total_bytes(specs) / 2**20:.0f} MiB, {device.info.title} has "
-                              f"{device.info.memory / 2**20:.0f} MiB; refine smaller images or use fewer context views")
         self._buffers: dict[str, cl.Buffer] = {}
         try:
             for spec in specs:
-                self._buffers[spec.name] = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, spec.nbytes)
-        except cl.MemoryError as error:
+                self._buffers[spec.name] = device.memory.buffer(device.context, spec.nbytes)
+        except DeviceMemoryError:
             self.release()
-            raise DeviceError(f"{device.info.title} refused {total_bytes(specs) / 2**20:.0f} MiB ({error}); close other "
-                              "programs on it, refine smaller images or use fewer context views") from error
+            raise
 
     @property
     def nbytes(self) -> int:
@@ -76,8 +74,11 @@ class Arena:
         """Bytes of the buffer `name`."""
         return self.specs[name].nbytes
 
-    def release(self):
-        """Give all buffers back now instead of when Python gets to it."""
-        for buffer in self._buffers.values():
-            buffer.release()
-        self._buffers.clear()
+    def take(self, name: str) -> cl.Buffer:
+        """The buffer `name`, the caller's from now on."""
+        return self._buffers.pop(name)
+
+    def release(self, keep=()):
+        """Give all buffers but those named in `keep` back now instead of when Python gets to it."""
+        for name in [name for name in self._buffers if name not in keep]:
+            self._buffers.pop(name).release()

@@ -51,19 +51,27 @@ def claim_device(names=None) -> Device:
     Raises
     ------
     DeviceError
-        All of them are taken. PAGAS_CL_SHARE=3 in the environment lets three processes work on one device.
+        All of them are taken, or cannot be opened. PAGAS_CL_SHARE=3 in the environment lets three processes work on one device.
     """
     if isinstance(names, Device):
-        return names
+        return devices.working(names)
+    cl, fault = devices.import_pyopencl(), None
     share, known, until = shares(), known_devices(names), time.monotonic() + WAIT
     while True:
         for slot in range(share):
             for place, (info, cl_device) in enumerate(known):
-                if _lock(f"{_identity(info, cl_device, place)}-{slot}"):
-                    return devices.opened(info, cl_device)
+                name = f"{_identity(info, cl_device, place)}-{slot}"
+                if _lock(name):
+                    try:
+                        return devices.opened(info, cl_device)
+                    except cl.Error as error:
+                        fault = f"{info.title} cannot be opened: {error}"
+                        _unlock(name)
         if time.monotonic() > until:
             break
         time.sleep(0.5)
+    if fault:
+        raise DeviceError(f"{fault}; see 'pagas-cl devices'")
     titles = ", ".join(info.title for info, _ in known)
     raise DeviceError(f"every device asked for ({titles}) is at work for another process; start one worker a device, "
                       f"or let several share one with {SHARE}={share + 1}")
@@ -72,7 +80,7 @@ def claim_device(names=None) -> Device:
 def give_back() -> None:
     """Let other processes have what this one has claimed."""
     while _held:
-        _held.popitem()[1].close()
+        _unlock(next(iter(_held)))
 
 
 def shares() -> int:
@@ -92,6 +100,12 @@ def _identity(info, cl_device, place: int) -> str:
         except Exception:  # each driver has its own way to say that it does not know
             continue
     return re.sub(r"[^\w.-]+", "_", f"{info.title}-{'-'.join(where) or place}")
+
+
+def _unlock(name: str) -> None:
+    file = _held.pop(name, None)
+    if file:
+        file.close()
 
 
 def _lock(name: str) -> bool:

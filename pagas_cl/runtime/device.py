@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 import os
 import threading
+import weakref
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from pagas_cl.errors import DeviceError
@@ -109,6 +111,14 @@ class Device:
     queue: Any
     profiling: bool = False
 
+    @cached_property
+    def memory(self):
+        """The buffers that this process holds on the device, counted: a runtime.memory.Memory."""
+        from pagas_cl.runtime.claim import shares
+        from pagas_cl.runtime.memory import Memory, limit_of
+
+        return Memory(self.info.title, limit_of(self.info.memory, shares()))
+
     def has(self, extension: str) -> bool:
         """Whether the device reports the OpenCL `extension`."""
         return extension in self.info.extensions
@@ -168,9 +178,36 @@ def _still_open(cl, cl_device, profiling: bool) -> Device | None:
         try:
             cl.enqueue_marker(device.queue).wait()
         except cl.Error:       # lost, or reset: another context may do
+            give_up(device)
+        if device in _given_up:
             del vars(_kept)[key]
             return None
     return device
+
+
+_given_up: weakref.WeakSet = weakref.WeakSet()
+
+
+def give_up(device: Device) -> None:
+    """Never use this context again: what it is asked for may fail or come out wrong."""
+    _given_up.add(device)
+
+
+def working(device: Device) -> Device:
+    """`device`, or the same one opened anew where its context was given up.
+
+    Raises
+    ------
+    DeviceError
+        It cannot be opened again.
+    """
+    if device not in _given_up:
+        return device
+    try:
+        return _keep(opened(device.info, device.cl_device, device.profiling))
+    except import_pyopencl().Error as error:
+        raise DeviceError(f"{device.info.title} was lost and cannot be opened again ({_cause(error)}): finished views are "
+                          f"kept, start the same command again or choose another device with {ENVIRONMENT}") from error
 
 
 def opened(info: DeviceInfo, cl_device, profiling: bool = False) -> Device:

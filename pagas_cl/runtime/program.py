@@ -100,6 +100,21 @@ class Fill:
         """Nothing is held."""
 
 
+@dataclass(frozen=True)
+class Upload:
+    """An array of the host to be copied into a buffer."""
+
+    buffer: cl.Buffer
+    array: np.ndarray
+    stage: str = "upload"
+
+    def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
+        return cl.enqueue_copy(queue, self.buffer, self.array, is_blocking=False)
+
+    def release(self):
+        """Nothing is held."""
+
+
 def run_once(queue: cl.CommandQueue, launches):
     """Enqueue `launches` in order and release them."""
     for launch in launches:

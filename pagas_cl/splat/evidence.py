@@ -27,24 +27,30 @@ class Verdict:
 
 
 class Evidence:
-    """Weighs the initial and the refined depth of one level by the photos of `views` (numbers from 1)."""
+    """Weighs the initial and the refined depth of one level by the photos of `views` (numbers from 1).
 
-    def __init__(self, level, views):
-        self.level, self.views = level, list(views)
+    `initial` is a buffer that holds the initial depth for as long as this lives. While the steps run, what was found
+    of it waits on the host where the photos do.
+    """
+
+    def __init__(self, level, views, initial: cl.Buffer):
+        self.level, self.views, self._initial = level, list(views), initial
         self.program = build(level.device, "evidence.cl", level.defines)
-        n = level.target.pixels
-        self._warped = self._buffer(8 * n)
-        self._before, self._after, self._initial = self._buffer(12 * n), self._buffer(12 * n), self._buffer(4 * n)
+        self._before = self._after = self._waiting = None
 
     def weigh_before(self):
-        """Keep a copy of the depth that is in the level now, the initial one, and weigh it."""
-        level = self.level
-        cl.enqueue_copy(level.device.queue, self._initial, level.arena["depth"], byte_count=4 * level.target.pixels)
-        self._weigh(self._before)
+        """Weigh the depth that is in the level now, the initial one."""
+        self._before = self._weigh()
+        if self.level.given.host:
+            self._waiting = self._read(self._before)
+            self._before.release()
 
     def weigh_after(self):
         """Weigh the depth as it is now."""
-        self._weigh(self._after)
+        if self._waiting is not None:
+            self._before = self._buffer(self._waiting.nbytes)
+            cl.enqueue_copy(self.level.device.queue, self._before, self._waiting)
+        self._after = self._weigh()
 
     def costs(self) -> tuple[float, float]:
         """Mean 1 - correlation before and after, over the pixels that are seen both times."""
@@ -69,26 +75,32 @@ class Evidence:
 
     def _surroundings(self) -> cl.Buffer:
         """1 - correlation and views under the refined depth, summed over the surroundings of each pixel."""
-        size, around = self.level.target, self._buffer(8 * self.level.target.pixels)
+        size, (rows, around) = self.level.target, self._scratch()
         run_once(self.level.device.queue, [
             bind(self.program, "sum_window", size.grid, None, source, stride, size.width, size.height, dx, dy, out)
-            for source, stride, dx, dy, out in ((self._after, 3, 1, 0, self._warped), (self._warped, 2, 0, 1, around))])
+            for source, stride, dx, dy, out in ((self._after, 3, 1, 0, rows), (rows, 2, 0, 1, around))])
         return around
 
-    def _weigh(self, evidence: cl.Buffer):
-        level, size = self.level, self.level.target
+    def _scratch(self) -> list[cl.Buffer]:
+        """Two buffers of two floats a pixel, of those that serve the steps."""
+        return [self.level.arena[name] for name in ("upstream", "rendered")]
+
+    def _weigh(self) -> cl.Buffer:
+        level, size, warped = self.level, self.level.target, self._scratch()[0]
+        evidence = self._buffer(12 * size.pixels)
         launches = [Fill(evidence, np.uint32(0), 12 * size.pixels)]
         for view in self.views:
-            launches += project.nearest(level, view)
+            launches += [*level.given.fetch(view), *project.nearest(level, view)]
             launches += [bind(self.program, "warp_photo", size.grid, None, level.arena["depth"], level.arena["cameras"], view,
                               float(level.threshold(view)), level.arena["z_first"] if "z_first" in level.arena else None,
-                              level.given.photos[view], self._warped),
-                         bind(self.program, "weigh", size.grid, None, self._warped, level.given.photos[0], size.width,
+                              level.given.photos[view], warped),
+                         bind(self.program, "weigh", size.grid, None, warped, level.given.photos[0], size.width,
                               size.height, evidence)]
         run_once(level.device.queue, launches)
+        return evidence
 
     def _buffer(self, nbytes: int) -> cl.Buffer:
-        return cl.Buffer(self.level.device.context, cl.mem_flags.READ_WRITE, nbytes)
+        return self.level.device.memory.buffer(self.level.device.context, nbytes)
 
     def _read(self, buffer: cl.Buffer, dtype=np.float32) -> np.ndarray:
         out = np.empty(buffer.size // np.dtype(dtype).itemsize, dtype)

@@ -9,7 +9,7 @@ import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.runtime.arena import Arena
-from pagas_cl.runtime.program import run_once
+from pagas_cl.runtime.program import Upload, run_once
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import footprint
 from pagas_cl.splat import backward, composite, loss, project, smooth, step
@@ -38,6 +38,9 @@ class LevelInput:
         Number of context views.
     exposure : ndarray of shape (contexts, 3, 2), optional
         Gain and offset of each channel from the target's photo to each context photo.
+    host : tuple of ndarray of shape (H, W, 4), uint8
+        Photos of all views but the target's, where the device holds one of them at a time: every photos[1:] is then
+        the same buffer, which `fetch` fills.
     """
 
     cameras: list[Camera]
@@ -47,6 +50,11 @@ class LevelInput:
     distance_unit: float
     contexts: int
     exposure: np.ndarray | None = None
+    host: tuple = ()
+
+    def fetch(self, view: int) -> list:
+        """What brings the photo of `view` to its buffer; nothing where it is there."""
+        return [Upload(self.photos[view], self.host[view - 1])] if self.host and view else []
 
     @property
     def sizes(self) -> list[Size]:
@@ -113,7 +121,8 @@ class Level:
 
     def _view(self, view: int) -> list:
         """All launches of one context view in one step."""
-        return [*composite.launches(self, view), *loss.launches(self, view), *backward.launches(self, view)]
+        return [*self.given.fetch(view), *composite.launches(self, view), *loss.launches(self, view),
+                *backward.launches(self, view)]
 
     def _target_view(self) -> list:
         """The target's own view has no gradient; it counts in the loss alone."""
@@ -162,8 +171,10 @@ class Level:
         cl.enqueue_copy(self.device.queue, out, self.arena[name])
         return out
 
-    def release(self):
+    def release(self, keep=()):
+        """Give everything back but the buffers named in `keep`."""
         for launches in (self.ending, self.target_view, self.smooth, *self.views):
             for launch in launches:
                 launch.release()
-        self.arena.release()
+        self.ending, self.target_view, self.smooth, self.views = [], [], [], []
+        self.arena.release(keep)

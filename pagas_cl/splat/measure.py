@@ -69,7 +69,7 @@ class Probe:
     def samples(self, view: int) -> Samples:
         """Samples of context view `view` (from 1)."""
         a, s, given = self.arena, self.config.splatting, self.given
-        launches = [*project.nearest(self, view),
+        launches = [*given.fetch(view), *project.nearest(self, view),
                     bind(build(self.device, "measure.cl", self.defines), "sample_view", (self.across * self.down,), None,
                          a["depth"], a["unit"], a["cameras"], view, float(s.low_pass), float(self.threshold(view)), a["z_first"],
                          given.photos[0], given.photos[view], self.stride, self.across, self.down, a["records"])]

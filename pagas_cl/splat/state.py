@@ -101,7 +101,7 @@ class PhotoStore:
     """
 
     def __init__(self, device, limit_bytes: int | None = None):
-        self.device, self.limit = device, limit_bytes or device.info.memory // 4
+        self.device, self.limit = device, limit_bytes or device.memory.limit // 4
         self._photos: dict[object, cl.Buffer] = {}
 
     def photo(self, view) -> cl.Buffer:
@@ -116,6 +116,20 @@ class PhotoStore:
         self._photos[key] = held       # last in the order of use; the view is held so that its id stays its own
         return held[1]
 
+    def level(self, views, sizes: list[Size], resampler):
+        """Photos of `views` at `sizes`, all on the device; none on the host (see streamed.StreamedPhotos)."""
+        return [resampler.photo(self.photo(view), Size(view.camera.width, view.camera.height), size)
+                for view, size in zip(views, sizes)], ()
+
+    def clear(self):
+        """Forget every photo."""
+        self._photos.clear()
+
+    def leave(self, nbytes: int):
+        """Keep no more photos than leave room for `nbytes` of other buffers."""
+        self.limit = max(0, min(self.limit, self.device.memory.limit - nbytes))
+        self._make_room(0)
+
     def _make_room(self, nbytes: int):
         while self._photos and sum(buffer.size for _, buffer in self._photos.values()) + nbytes > self.limit:
             self._photos.pop(next(iter(self._photos)))
@@ -123,7 +137,11 @@ class PhotoStore:
 
 def photo_buffer(device, pixels: int) -> cl.Buffer:
     """Room for a photo of `pixels`, and for what vector reads touch behind it."""
-    return cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 4 * (pixels + PHOTO_MARGIN))
+    return device.memory.buffer(device.context, photo_bytes(pixels))
+
+
+def photo_bytes(pixels: int) -> int:
+    return 4 * (pixels + PHOTO_MARGIN)
 
 
 def rgba(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:

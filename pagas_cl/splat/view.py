@@ -9,11 +9,13 @@ import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.scene.rig import distance_unit
+from pagas_cl.splat.budget import FOR_EVIDENCE, plan_for
 from pagas_cl.splat.evidence import Evidence
 from pagas_cl.splat.level import Level, LevelInput
 from pagas_cl.splat.measure import Probe
 from pagas_cl.splat.resample import Resampler
 from pagas_cl.splat.state import PhotoStore, Size, level_size, normalized_depth
+from pagas_cl.splat.streamed import StreamedPhotos
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +40,9 @@ class Refinement:
         Steps done at each level.
     losses : list of float
         Loss of each step, where the schedule follows it.
-    device_bytes : int
-        Most memory taken on the device by one level, photos included.
+    device_bytes, planned_bytes : int
+        Most memory that this process held on the device meanwhile, photos of other views included; and what was
+        planned before it began, without those.
     """
 
     depth: np.ndarray
@@ -51,6 +54,7 @@ class Refinement:
     steps: tuple[int, ...]
     losses: list[float]
     device_bytes: int
+    planned_bytes: int
 
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
@@ -64,29 +68,42 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
         At least one.
     depth : ndarray of shape (H, W)
         Initial z-depth in scene units, 0 = no surface.
-    photos : PhotoStore
-        Photos already on the device; a new store by default.
+    photos : PhotoStore or StreamedPhotos
+        Photos already on the device (a new store by default), or on the host.
     progress : callable of (done, total), optional
         Called while the steps of the last level are enqueued.
     witness : View, optional
         A view that takes no part and judges the result.
     exposure : ndarray of shape (contexts, 3, 2), optional
         Gain and offset of each channel from the target's photo to each context photo (with `loss.exposure`).
+
+    Raises
+    ------
+    DeviceMemoryError
+        Before the first step, where the device may not hold what is planned.
     """
-    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), witness, exposure)
-    level, done, losses, most = None, [], [], 0
+    photos = photos or PhotoStore(device)
+    cameras = [view.camera for view in (target, *contexts, *([] if witness is None else [witness]))]
+    planned = plan_for(cameras, len(contexts), config, device, isinstance(photos, StreamedPhotos))
+    planned.check(target.name, device)
+    planned.tell(target.name)
+    photos.leave(planned.beside_photos)
+    device.memory.begin()
+    run = _Run(target, contexts, depth, config, device, photos, witness, exposure)
+    before, done, losses = None, [], []
     for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
-        before, level = level, Level(device, config, run.at(scale))
+        level = Level(device, config, run.at(scale))
         level.enter(run.initial_writer(level))
         evidence = run.weigh_initial(level) if scale == 1 else None
         level.start(run.start_writer(level, before))
-        if before is not None:
-            before.release()
         done.append(level.run(steps, progress))
-        most = max(most, level.arena.nbytes + sum(photo.size for photo in level.given.photos))
         if "history" in level.arena:
             losses += level.read("history", level.arena.specs["history"].shape)[:done[-1]].tolist()
-    return run.finish(level, evidence, tuple(done), losses, most)
+        if scale < 1:
+            before = level.arena.take("depth"), level.target
+            level.release()
+            del level            # its photos too, before those of the next one
+    return run.finish(level, evidence, tuple(done), losses, planned.nbytes)
 
 
 def full_level(target, contexts, depth: np.ndarray, config: Config, device) -> Level:
@@ -122,44 +139,45 @@ class _Run:
         self.threshold = spread / config.splatting.depth_slices
         distance = distance_unit([view.camera for view in self.views]) / self.unit
         self.distance = distance if np.isfinite(distance) else 1.0
-        self.entered = cl.Buffer(device.context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR,
-                                 hostbuf=self.initial)
+        self.entered = device.memory.buffer(device.context, self.initial.nbytes)
+        cl.enqueue_copy(device.queue, self.entered, self.initial)
 
     def at(self, scale: float) -> LevelInput:
-        cameras, photos = [], []
-        for view in self.views + ([self.witness] if self.witness is not None and scale == 1 else []):
-            full, size = Size(view.camera.width, view.camera.height), level_size(view.camera, scale)
-            cameras.append(view.camera.resized(size.width, size.height))
-            photos.append(self.resampler.photo(self.photos.photo(view), full, size))
+        views = self.views + ([self.witness] if self.witness is not None and scale == 1 else [])
+        sizes = [level_size(view.camera, scale) for view in views]
+        cameras = [view.camera.resized(*size.grid) for view, size in zip(views, sizes)]
+        photos, host = self.photos.level(views, sizes, self.resampler)
         return LevelInput(cameras, photos, self.unit, self.threshold, self.distance, len(self.views) - 1,
-                          self.exposure)
+                          self.exposure, host)
 
     def initial_writer(self, level: Level):
         return lambda out: self.resampler.shrink_depth(self.entered, self.full, out, level.target)
 
-    def start_writer(self, level: Level, before: Level | None):
+    def start_writer(self, level: Level, before: tuple[cl.Buffer, Size] | None):
+        """`before`: depth of the level before, and its size."""
         if before is None:
             return lambda out: None
 
         def write(out):
-            at_size = cl.Buffer(self.device.context, cl.mem_flags.READ_WRITE, 4 * level.target.pixels)
+            at_size = self.device.memory.buffer(self.device.context, 4 * level.target.pixels)
             self.resampler.shrink_depth(self.entered, self.full, at_size, level.target)
-            self.resampler.enlarge_depth(before.arena["depth"], before.target, at_size, out, level.target)
+            self.resampler.enlarge_depth(*before, at_size, out, level.target)
 
         return write
 
     def weigh_initial(self, level: Level) -> tuple[Evidence, Evidence | None]:
         """Evidence for the depth as it came: of the context views, and of the witness."""
-        contexts = Evidence(level, range(1, len(self.views)))
+        contexts = Evidence(level, range(1, len(self.views)), self.entered)
         contexts.weigh_before()
         if self.witness is None:
             return contexts, None
-        witness = Evidence(level, [len(self.views)])
+        witness = Evidence(level, [len(self.views)], self.entered)
         witness.weigh_before()
         return contexts, witness
 
-    def finish(self, level: Level, evidence, steps, losses, most) -> Refinement:
+    def finish(self, level: Level, evidence, steps, losses, planned: int) -> Refinement:
         contexts, witness = evidence
+        level.release(keep=FOR_EVIDENCE)
         contexts.weigh_after()
         verdict = contexts.decide(self.depth.shape)
         refined = level.read("depth", self.depth.shape)
@@ -171,7 +189,8 @@ class _Run:
         level.release()
         return Refinement(self._back(refined, verdict.status), verdict.status,
                           verdict.deviation * np.float32(self.unit), parallax,
-                          (verdict.cost_before, verdict.cost_after), judged, steps, losses, most)
+                          (verdict.cost_before, verdict.cost_after), judged, steps, losses,
+                          self.device.memory.peak, planned)
 
     def _back(self, refined: np.ndarray, status: np.ndarray) -> np.ndarray:
         """Scene units again; a depth that was not refined comes back with the bits that it came with."""

@@ -1,45 +1,198 @@
-"""Too little memory on the device is said before anything runs, and nothing stays behind."""
+"""Memory of the device: planned beforehand, never more than planned, and less where there is less, with the same bytes."""
 
 from __future__ import annotations
 
+import gc
+import logging
+from dataclasses import replace
+from functools import lru_cache
 from types import SimpleNamespace
 
 import numpy as np
 import pyopencl as cl
 import pytest
 
-from pagas_cl.errors import DeviceError
-from pagas_cl.runtime import arena
+from pagas_cl.config import BALANCED, FAST, PAPER
+from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError
+from pagas_cl.made import relief_scene
+from pagas_cl.refine import refine_depth
+from pagas_cl.runtime import memory
 from pagas_cl.runtime.arena import Arena, BufferSpec
+from pagas_cl.runtime.memory import Memory, limit_of
+from pagas_cl.scene.view import View
+from pagas_cl.splat import budget, fit
 
 INFO = dict(title="a device", max_alloc=2**30, memory=2**32)
+CONFIGS = {
+    "balanced": BALANCED.with_settings(pyramid__steps=(3,)),
+    "fast": FAST.with_settings(pyramid__steps=(3,)),
+    "paper": PAPER.with_settings(pyramid__steps=(2, 2)),
+    "exposure, pyramid": BALANCED.with_settings(pyramid__scales=(0.3, 0.5, 1.0), pyramid__steps=(2, 2, 2),
+                                                effects__exposure="on", loss__unseen_mask=True),
+    "alpha, wide, normals": PAPER.with_settings(pyramid__scales=(1.0,), pyramid__steps=(2,), splatting__radius=2.6,
+                                                smoothness__kind="normal", smoothness__weight=0.01),
+}
+ARRAYS = "depth", "status", "deviation", "parallax"
 
 
-def device(**info):
-    return SimpleNamespace(info=SimpleNamespace(**{**INFO, **info}), context=None)
+def a_device(**info):
+    info = SimpleNamespace(**{**INFO, **info})
+    return SimpleNamespace(info=info, context=None, memory=Memory(info.title, info.memory))
 
 
-@pytest.mark.parametrize("info, shape, sentence", [
-    ({}, (2**29,), "'depth' needs 2048 MiB, a device allocates at most 1024 MiB at once"),
-    (dict(memory=2**20), (2**20,), "the buffers need 4 MiB, a device has 1 MiB; .* fewer context views"),
-    (dict(max_alloc=2**40, memory=2**40), (289, 12_000_000), r"more than 2\^31 elements.* smaller splatting.radius"),
+@pytest.mark.parametrize("info, shape, kind, sentence", [
+    ({}, (2**29,), DeviceError, "'depth' needs 2048 MiB, a device allocates at most 1024 MiB at once"),
+    (dict(memory=2**20), (2**20,), DeviceMemoryError, "may hold 1 MB, 0 MB are taken and 4 MB more are needed"),
+    (dict(max_alloc=2**40, memory=2**40), (289, 12_000_000), DeviceError, r"more than 2\^31 elements"),
 ])
-def test_refused_before_anything_is_allocated(monkeypatch, info, shape, sentence):
-    monkeypatch.setattr(arena.cl, "Buffer", lambda *_: pytest.fail("allocated"))
-    with pytest.raises(DeviceError, match=sentence):
-        Arena(device(**info), [BufferSpec("depth", shape, np.float32)])
+def test_refused_before_anything_is_allocated(monkeypatch, info, shape, kind, sentence):
+    monkeypatch.setattr(memory, "_Counted", lambda *_: pytest.fail("allocated"))
+    with pytest.raises(kind, match=sentence):
+        Arena(a_device(**info), [BufferSpec("depth", shape, np.float32)])
 
 
 def test_an_allocation_that_fails_gives_the_others_back(monkeypatch):
     released = []
 
-    def buffer(context, flags, nbytes):
+    def buffer(counter, context, nbytes):
         if nbytes == 12:
             raise cl.MemoryError("clCreateBuffer failed: MEM_OBJECT_ALLOCATION_FAILURE")
         return SimpleNamespace(release=lambda: released.append(nbytes))
 
-    monkeypatch.setattr(arena.cl, "Buffer", buffer)
+    monkeypatch.setattr(memory, "_Counted", buffer)
     specs = [BufferSpec(str(n), (n,), np.float32) for n in (1, 2, 3)]
-    with pytest.raises(DeviceError, match="refused 0 MiB .* close other programs"):
-        Arena(device(), specs)
+    with pytest.raises(DeviceMemoryError, match="refused 0 MB"):
+        Arena(a_device(), specs)
     assert released == [4, 8]
+
+
+@pytest.fixture(autouse=True)
+def results_as_they_are(monkeypatch):
+    """A view that is refined for a few steps only may well be kept as it came: here its bytes are compared."""
+    monkeypatch.setattr("pagas_cl.refine._harm", lambda *_: "")
+
+
+@lru_cache
+def scene_of(size=(97, 75)):
+    """A target, three context views, one of them larger and one smaller, a witness, and a depth near the truth."""
+    made = relief_scene(*size, 4)
+    target, first, second, third, witness = made.views
+    depth = made.true_depth(target.camera) * (1 + 2e-3 * np.random.default_rng(0).standard_normal(size[::-1]))
+    return target, [first, _padded(second, 11), _padded(third, -9)], witness, depth.astype(np.float32)
+
+
+def _padded(view, by):
+    """The view with `by` more columns, repeated ones, or fewer."""
+    camera = replace(view.camera, width=view.camera.width + by)
+    image = view.load_image()[:, :camera.width]
+    return View(camera, np.pad(image, ((0, 0), (0, camera.width - image.shape[1]), (0, 0)), "edge"), name=view.name)
+
+
+def refined(device, config, size=(97, 75), witness=True):
+    target, contexts, judge, depth = scene_of(size)
+    return refine_depth(target, contexts, depth, config=config, device=device, witness=judge if witness else None)
+
+
+def bytes_of(result):
+    assert result.counts["refined"] > 50, result.reason
+    return tuple(getattr(result, name).tobytes() for name in ARRAYS), result.report["cost"], result.report["witness_cost"]
+
+
+@pytest.fixture
+def limited(device):
+    """A function that sets how much the device may hold; undone afterwards."""
+    gc.collect()
+    counter, before = device.memory, device.memory.limit
+
+    def limit(nbytes):
+        gc.collect()
+        counter.limit = nbytes
+
+    yield limit
+    counter.limit = before
+
+
+@pytest.mark.parametrize("witness", [True, False])
+@pytest.mark.parametrize("name", CONFIGS)
+def test_peak_is_as_planned(device, name, witness):
+    gc.collect()
+    assert device.memory.held == 0, "an earlier test holds buffers"
+    report = refined(device, CONFIGS[name], (301, 203), witness).report
+    assert 0.9 < report["device_bytes"] / report["planned_bytes"] < 1.001
+    gc.collect()
+    assert device.memory.held == 0
+
+
+def test_the_plan_is_told_beforehand(device, caplog, monkeypatch):
+    monkeypatch.setattr(budget, "_told", set())
+    with caplog.at_level(logging.INFO, "pagas_cl"):
+        report = refined(device, CONFIGS["balanced"]).report
+    assert f"{report['planned_bytes'] / 1e6:,.1f} MB of device memory are planned" in caplog.text
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_less_memory_gives_the_same_bytes(device, limited, caplog, name):
+    plenty = refined(device, CONFIGS[name])
+    limited(plenty.report["planned_bytes"] - 1)
+    with caplog.at_level(logging.WARNING):
+        little = refined(device, CONFIGS[name])
+    assert "one at a time" in caplog.text
+    assert bytes_of(little) == bytes_of(plenty)
+    planned = little.report["planned_bytes"]
+    assert planned < plenty.report["planned_bytes"]
+    assert 0.9 < little.report["device_bytes"] / planned < 1.001
+
+
+def test_every_allocation_that_can_fail(device, monkeypatch):
+    """The driver refuses one buffer, any of them: the same bytes come out, and nothing stays behind."""
+    config, calls, plain = CONFIGS["exposure, pyramid"], [0, -1], memory._Counted
+
+    def counted(*arguments):
+        calls[0] += 1
+        if calls[0] == calls[1]:
+            raise cl.MemoryError("clCreateBuffer failed: MEM_OBJECT_ALLOCATION_FAILURE")
+        return plain(*arguments)
+
+    monkeypatch.setattr(memory, "_Counted", counted)
+    wanted, number = bytes_of(refined(device, config, (20, 18))), calls[0]
+    assert number > 30
+    for k in range(1, number + 1):
+        calls[:] = 0, k
+        assert bytes_of(refined(device, config, (20, 18))) == wanted
+    gc.collect()
+    assert device.memory.held == 0
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_refused_with_a_setting_or_a_size_that_fits(device, limited, name):
+    """What is refused before it starts names what fits; that, too, is true."""
+    target, contexts, judge, depth = scene_of()
+    cameras = [view.camera for view in (target, *contexts, judge)]
+    config = CONFIGS[name]
+    for share in (0.9, 0.6, 0.1):
+        limited(int(share * fit.plan_for(cameras, 3, config, device, streamed=True).nbytes))
+        with pytest.raises(DeviceMemoryError, match="even with one photo at a time; it fits with"):
+            refine_depth(target, contexts, depth, config=config, device=device, witness=judge)
+        gc.collect()
+        assert device.memory.held == 0
+        told = fit.what_fits(cameras, 3, config, device)
+        if "--set" in told:
+            pairs = [word.split("=") for word in told.split() if "=" in word]
+            leaner = config.with_settings(**{key.replace(".", "__"): {"true": True}.get(value, value)
+                                             for key, value in pairs})
+            refined(device, leaner)
+        else:
+            width, height = (int(word) for word in told.split("photos of ")[1].split(" (")[0].split(" x "))
+            small = [camera.resized(width, height) for camera in cameras]
+            assert fit.plan_for(small, 3, config, device, streamed=True).nbytes <= device.memory.limit
+
+
+def test_memory_that_the_environment_allows(monkeypatch):
+    monkeypatch.delenv("PAGAS_CL_MEMORY", raising=False)
+    assert limit_of(2**30) == 2**30 and limit_of(2**30, 4) == 2**28
+    monkeypatch.setenv("PAGAS_CL_MEMORY", "12.5")
+    assert limit_of(2**30, 4) == 12_500_000
+    for text in ("no", "-1", "0", "nan", "inf"):
+        monkeypatch.setenv("PAGAS_CL_MEMORY", text)
+        with pytest.raises(InputError, match="PAGAS_CL_MEMORY"):
+            limit_of(2**30)

@@ -1,0 +1,81 @@
+"""How much device memory the refinement of a view will take, known before anything of it is allocated."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+from pagas_cl.config import Config
+from pagas_cl.errors import DeviceMemoryError
+from pagas_cl.runtime.arena import total_bytes
+from pagas_cl.scene.camera import Camera
+from pagas_cl.splat.state import Size, level_buffers, level_size, photo_bytes
+from pagas_cl.splat.tile import choose_tiles
+
+FOR_EVIDENCE = ("depth", "unit", "cameras", "exposure", "z_first", "rendered", "upstream")     # kept after the steps
+
+log = logging.getLogger("pagas_cl")
+_told: set[Plan] = set()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Bytes at the peak: `photos` that the view needs, and `beside_photos` all else."""
+
+    photos: int
+    beside_photos: int
+
+    @property
+    def nbytes(self) -> int:
+        return self.photos + self.beside_photos
+
+    def tell(self, name: str) -> None:
+        """Log the plan; one that was told before, for a view of the same size, is not told again."""
+        if self not in _told:
+            _told.add(self)
+            log.info("view %s: %s MB of device memory are planned, %s MB of it photos", name,
+                     f"{self.nbytes / 1e6:,.1f}", f"{self.photos / 1e6:,.1f}")
+
+    def check(self, name: str, device) -> None:
+        """Raise DeviceMemoryError where `device` may not hold it."""
+        limit = device.memory.limit
+        if self.nbytes > limit:
+            raise DeviceMemoryError(f"view {name!r} needs {self.nbytes / 1e6:,.0f} MB, {device.info.title} may hold "
+                                    f"{limit / 1e6:,.0f} MB")
+
+
+def plan_for(cameras: list[Camera], contexts: int, config: Config, device, streamed: bool = False) -> Plan:
+    """The plan of refine_levels for the cameras of the target, of `contexts` context views, and of a witness if there
+    is one; `streamed`: photos wait on the host (streamed.py)."""
+    return max((_at(scale, cameras, contexts, config, device, streamed) for scale in config.pyramid.scales),
+               key=lambda plan: plan.nbytes)
+
+
+def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, device, streamed: bool) -> Plan:
+    """The plan of one level."""
+    cameras = cameras if scale == 1 else cameras[:1 + contexts]
+    full, sizes = [level_size(camera, 1.0) for camera in cameras], [level_size(camera, scale) for camera in cameras]
+    specs = level_buffers(config, sizes[0], sizes[1:], contexts, choose_tiles(device, [size.grid for size in sizes]))
+    depths = 4 * full[0].pixels                                  # the initial one; that of the level before, enlarged
+    depths += 4 * sizes[0].pixels + 4 * _before(scale, cameras[0], config).pixels if scale > config.pyramid.scales[0] else 0
+    judges = len(cameras) - contexts if scale == 1 else 0       # the context views, and the witness
+    verdict = 12 * full[0].pixels                               # streamed: read back before the next one
+    during = total_bytes(specs) + depths + verdict * (min(judges, 1) if streamed else judges)
+    after = total_bytes(spec for spec in specs if spec.name in FOR_EVIDENCE) + depths
+    after += 2 * verdict * judges + 5 * full[0].pixels if scale == 1 else 0
+    return Plan(_photos(full, sizes, streamed), max(during, after))
+
+
+def _before(scale: float, camera, config: Config) -> Size:
+    """Size of the target at the level before the one at `scale`."""
+    return level_size(camera, config.pyramid.scales[config.pyramid.scales.index(scale) - 1])
+
+
+def _photos(full: list[Size], sizes: list[Size], streamed: bool) -> int:
+    """Photos at the level's size, beside them those of full size where it is another."""
+    if streamed:
+        place = max((photo_bytes(size.pixels) for size in sizes[1:]), default=0)
+        shrunk = max(photo_bytes(size.pixels) for size in full) if sizes != full else 0
+        return photo_bytes(sizes[0].pixels) + place + 2 * shrunk
+    return sum(photo_bytes(size.pixels) for size in full) + sum(
+        photo_bytes(small.pixels) for small, size in zip(sizes, full) if small != size)
