@@ -57,7 +57,8 @@ def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, devi
     full, sizes = [level_size(camera, 1.0) for camera in cameras], [level_size(camera, scale) for camera in cameras]
     specs = level_buffers(config, sizes[0], sizes[1:], contexts, choose_tiles(device, [size.grid for size in sizes]))
     depths = 4 * full[0].pixels                                  # the initial one; that of the level before, enlarged
-    depths += 4 * sizes[0].pixels + 4 * _before(scale, cameras[0], config).pixels if scale > config.pyramid.scales[0] else 0
+    if scale > config.pyramid.scales[0]:
+        depths += 4 * (sizes[0].pixels + _before(scale, cameras[0], config).pixels)
     judges = len(cameras) - contexts if scale == 1 else 0       # the context views, and the witness
     verdict = 12 * full[0].pixels                               # streamed: read back before the next one
     during = total_bytes(specs) + depths + verdict * (min(judges, 1) if streamed else judges)

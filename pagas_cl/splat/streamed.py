@@ -9,7 +9,7 @@ from pagas_cl.splat.state import Size, photo_buffer, rgba
 
 
 class StreamedPhotos:
-    """Stands in for a PhotoStore: the kernels read the same bytes, from one place that each view's photo is copied to."""
+    """Stands in for a PhotoStore: the kernels read the same bytes, from one place that each photo is copied to."""
 
     def __init__(self, device):
         self.device = device

@@ -44,3 +44,11 @@ def test_figures_hang_together(report):
 def test_bytes_are_linear_in_pixels():
     for config in PRESETS.values():
         assert stage_bytes(config, 2000, 1000) == {k: 2 * v for k, v in stage_bytes(config, 1000, 500).items()}
+
+
+def test_memory_page_runs(capsys, monkeypatch):
+    import memory
+
+    monkeypatch.setattr("sys.argv", ["memory.py", "--size", "64", "48", "--contexts", "3", "--preset", "fast"])
+    assert memory.main() == 0
+    assert capsys.readouterr().out.rstrip().endswith("the same bytes")

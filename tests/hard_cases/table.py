@@ -50,7 +50,8 @@ def write_page(files: list[Path]) -> None:
     text = PAGE.read_text()
     start, end = text.index("| case |"), len(text)
     lines = text[start:end].splitlines()
-    table, after = [line for line in lines if line.startswith("|")], [line for line in lines if not line.startswith("|")]
+    table = [line for line in lines if line.startswith("|")]
+    after = [line for line in lines if not line.startswith("|")]
     names = _cells(table[0])
     rows = {cells[0]: dict(zip(names, cells)) for cells in map(_cells, table[2:])}
     for file in files:

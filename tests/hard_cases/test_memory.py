@@ -1,4 +1,4 @@
-"""Memory of the device: planned beforehand, never more than planned, and less where there is less, with the same bytes."""
+"""Memory of the device: planned beforehand, never more than that, and less where there is less, with the same bytes."""
 
 from __future__ import annotations
 
@@ -95,7 +95,8 @@ def refined(device, config, size=(97, 75), witness=True):
 
 def bytes_of(result):
     assert result.counts["refined"] > 50, result.reason
-    return tuple(getattr(result, name).tobytes() for name in ARRAYS), result.report["cost"], result.report["witness_cost"]
+    arrays = tuple(getattr(result, name).tobytes() for name in ARRAYS)
+    return arrays, result.report["cost"], result.report["witness_cost"]
 
 
 @pytest.fixture

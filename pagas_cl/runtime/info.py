@@ -1,0 +1,98 @@
+"""What an OpenCL device says of itself, and what it lacks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+LOCAL_MEMORY = 32 * 1024   # bytes of local memory that the kernels may use
+WORK_GROUP = 64            # work-items in a group that the kernels may ask for at least
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """What one OpenCL device says of itself. Sizes are in bytes.
+
+    Attributes
+    ----------
+    platform, name, vendor, version, c_version, driver : str
+        As the platform reports them; `version` is the device's OpenCL version, `c_version` that of its compiler.
+    kind : str
+        "GPU", "CPU", "accelerator" or "other".
+    memory, max_alloc, local_memory : int
+        Global memory, the largest single buffer, local memory of a work-group.
+    work_group, compute_units : int
+    extensions : tuple of str
+    available, compiler, little_endian : bool
+    fault : str
+        Why the device does not do what it says, where a trial (`trial_fault`) has shown it.
+    """
+
+    platform: str
+    name: str
+    kind: str
+    vendor: str = ""
+    version: str = ""
+    c_version: str = ""
+    driver: str = ""
+    memory: int = 0
+    max_alloc: int = 0
+    local_memory: int = 0
+    work_group: int = 1
+    compute_units: int = 1
+    extensions: tuple[str, ...] = ()
+    available: bool = True
+    compiler: bool = True
+    little_endian: bool = True
+    fault: str = ""
+
+    @property
+    def title(self) -> str:
+        """What a device name is matched against: "platform / device"."""
+        return f"{self.platform} / {self.name}"
+
+    @property
+    def lacks(self) -> tuple[str, ...]:
+        """What the kernels need and this device has not; empty for a usable device."""
+        faults = (
+            (not self.available, "it is not available"),
+            (not self.compiler, "a compiler"),
+            (not self.little_endian, "little-endian byte order"),
+            (_c_version(self.c_version) < (1, 2), f"OpenCL C 1.2 (it has {self.c_version.strip() or 'none'})"),
+            (self.local_memory < LOCAL_MEMORY, f"{LOCAL_MEMORY // 1024} kB of local memory"),
+            (self.work_group < WORK_GROUP, f"work-groups of {WORK_GROUP} (it allows {self.work_group})"),
+        )
+        tried = (f"a compiler that works ({self.fault})",) if self.fault else ()
+        return tuple(text for fault, text in faults if fault) + tried
+
+    @property
+    def does_without(self) -> tuple[str, ...]:
+        """What is absent and not needed: the kernels have a slower way round it, or never use it."""
+        wanted = (("cl_khr_int64_base_atomics", "64-bit atomics (32-bit pairs are used)"),
+                  ("cl_khr_fp64", "fp64 (not used)"))
+        return tuple(text for extension, text in wanted if extension not in self.extensions)
+
+    def __str__(self) -> str:
+        return f"{self.title} ({self.kind}, {self.version.strip()}, driver {self.driver.strip()})"
+
+
+def describe(cl, platform, device) -> DeviceInfo:
+    """Ask a pyopencl device for everything that DeviceInfo holds."""
+    kinds = ((cl.device_type.GPU, "GPU"), (cl.device_type.CPU, "CPU"), (cl.device_type.ACCELERATOR, "accelerator"))
+    return DeviceInfo(
+        platform=platform.name.strip(), name=device.name.strip(), vendor=device.vendor.strip(),
+        kind=next((kind for bit, kind in kinds if device.type & bit), "other"),
+        version=device.version.strip(), c_version=device.opencl_c_version.strip(),
+        driver=device.driver_version.strip(), memory=int(device.global_mem_size),
+        max_alloc=int(device.max_mem_alloc_size), local_memory=int(device.local_mem_size),
+        work_group=int(device.max_work_group_size), compute_units=int(device.max_compute_units),
+        extensions=tuple(device.extensions.split()), available=bool(device.available),
+        compiler=bool(device.compiler_available), little_endian=bool(device.endian_little))
+
+
+def _c_version(text: str) -> tuple[int, int]:
+    """(1, 2) from "OpenCL C 1.2 PoCL"; (0, 0) from what cannot be read."""
+    for word in text.split():
+        major, dot, minor = word.partition(".")
+        if dot and major.isdigit() and minor[:1].isdigit():
+            return int(major), int(minor[:1])
+    return 0, 0
