@@ -122,9 +122,11 @@ def main() -> int:
     digests = [run("all on the device", given, config, device)]
     gc.collect()
     before, full = device.memory.limit, device.memory.peak
-    device.memory.limit = int(0.9 * full)
-    digests.append(run("one at a time, limit", given, config, device))
-    device.memory.limit = before
+    try:
+        device.memory.limit = full - 1
+        digests.append(run("one at a time, limit", given, config, device))
+    finally:
+        device.memory.limit = before
     gc.collect()
     held = fill_device(0.9 * full)
     if held is not None:

@@ -49,6 +49,6 @@ def test_bytes_are_linear_in_pixels():
 def test_memory_page_runs(capsys, monkeypatch):
     import memory
 
-    monkeypatch.setattr("sys.argv", ["memory.py", "--size", "64", "48", "--contexts", "3", "--preset", "fast"])
+    monkeypatch.setattr("sys.argv", ["memory.py", "--size", "176", "144", "--contexts", "3", "--preset", "fast"])
     assert memory.main() == 0
     assert capsys.readouterr().out.rstrip().endswith("the same bytes")
