@@ -1,59 +1,89 @@
 // What a scene calls for, measured on a grid of samples under the initial depth (method section 8).
+//   sample_view     where the samples land in a context photo: hidden or not, and how large
+//   match_moved     1 - correlation of patches with the context photo, moved along and across the direction of depth
+//   judge_view      adds what a view says of each sample; how far its photo is off across the direction of depth
+//   compare_colors  colours of both photos, before and after the exposure fit (exposure.cl)
+//   judge_samples   what all views say of each sample
 //
-// One record of RECORD floats a sample and context view:
-//   0     1 seen, 2 hidden behind a nearer surface, 0 outside the photo or masked
-//   1     standard deviation of the projected Gaussian, pixels
-//   2-4   colour of the target, 5-7 of the context photo
-//   8-    1 - correlation of patches with the depth moved by SHIFTS pixels of parallax; 2 where it is not defined
+// Values of a context view are ROWS rows of one number a sample, NaN where there is none; summary.cl sums them up.
 #include "splat.clh"
+#include "lookup.clh"
+
+#define HIDDEN 0                 // 1 hidden behind a nearer surface, 0 seen
+#define SIZE 1                   // standard deviation of the projected Gaussian, pixels
+#define CHANGE 2                 // colour of the context photo less the target's, three channels
+#define ASIDE 5                  // pixels that the photo is off across the direction of depth, by quadrant of the target
+#define GLOSS 9                  // what the exposure fit leaves, averaged over neighbouring samples
+#define LIKE 10                  // 1 where the photos show the same thing, or nothing that could tell
+#define ROWS 11
+#define TOTALS (SHIFTS + 2)      // of a sample: views that see it, views that can tell, their costs by shift
 
 #define HALF 2
-#define SHIFTS 7
-#define RECORD (8 + SHIFTS)
 #define LEAST_PIXELS 15
+#define SHIFTS 7
+#define MOVES (SHIFTS + 4)
+#define UNDEFINED 2.0f
+#define TEXTURED 1.5f            // costs above this are of patches without texture: nothing is read from them
+#define OTHER 0.5f               // costs above this are of patches that show something else
 
-__constant float SHIFT[SHIFTS] = {-4.0f, -2.0f, -1.0f, 0.0f, 1.0f, 2.0f, 4.0f};
+// Pixels of parallax along the direction of depth; then pixels across it.
+__constant float MOVE[MOVES] = {-4.0f, -2.0f, -1.0f, 0.0f, 1.0f, 2.0f, 4.0f, -2.0f, -1.0f, 1.0f, 2.0f};
 
-float luma(float3 c)
+__global float *row_of(__global float *values, int view, int row, int count)
 {
-    return 0.299f * c.x + 0.587f * c.y + 0.114f * c.z;
+    return values + ((view - 1) * ROWS + row) * count;
 }
 
-float3 rgb_of(uchar4 p)
+__kernel void sample_view(__global const float *depth, __global const float *cameras, int view, float low_pass,
+                          float threshold, __global const uint *z_first, __global const uchar4 *photo, int stride,
+                          int across, int count, __global float *values)
 {
-    return convert_float3(p.xyz) * (1.0f / 255.0f);
+    const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
+    const int k = get_global_id(0);
+    if (k >= count)
+        return;
+    for (int row = 0; row < ROWS; ++row)
+        row_of(values, view, row, count)[k] = NAN;
+    const int2 at = sample_place(k, stride, across, target);
+    const float d = depth[at.y * target.width + at.x];
+    Splat splat;
+    Motion motion;
+    float3 color;
+    if (!(d > 0.0f) || !project_gaussian(target, context, at.x, at.y, d, 0.5f, low_pass, &splat, &motion)
+        || !look_up(photo, context, (float2)(splat.x, splat.y), &color))
+        return;
+    const bool hidden = splat.z > as_float(z_first[(int)splat.y * context.width + (int)splat.x]) + threshold;
+    row_of(values, view, HIDDEN, count)[k] = hidden ? 1.0f : 0.0f;
+    if (!hidden)
+        row_of(values, view, SIZE, count)[k] = rsqrt(sqrt(splat.kxx * splat.kyy - splat.kxy * splat.kxy));
 }
 
-// Bilinear colour of the photo; false outside it and where it is masked.
-bool look_up(__global const uchar4 *photo, const Camera context, float2 mean, float3 *color)
+// Unit vector across the direction in which depth moves a point in the photo.
+float2 across_depth(const Camera target, const Camera context, int column, int row, float d)
 {
-    const float u = mean.x - 0.5f, v = mean.y - 0.5f;
-    if (!(u >= 0.0f && v >= 0.0f && u < context.width - 1 && v < context.height - 1))
-        return false;
-    const int x = (int)u, y = (int)v;
-    const float a = u - x, b = v - y;
-    __global const uchar4 *p = photo + y * context.width + x;
-    if (p[0].w == 0 || p[1].w == 0 || p[context.width].w == 0 || p[context.width + 1].w == 0)
-        return false;
-    *color = (1 - b) * ((1 - a) * rgb_of(p[0]) + a * rgb_of(p[1]))
-           + b * ((1 - a) * rgb_of(p[context.width]) + a * rgb_of(p[context.width + 1]));
-    return true;
+    const float3 m = project_mean(target, context, column, row, d);
+    const float3 ray = pixel_ray(target, column, row);
+    const float3 q = (float3)(dot(context.r0, ray), dot(context.r1, ray), dot(context.r2, ray));
+    const float2 along = (float2)(context.fx * (q.x * context.t.z - q.z * context.t.x),
+                                  context.fy * (q.y * context.t.z - q.z * context.t.y));
+    return (float2)(-along.y, along.x) * rsqrt(fmax(dot(along, along), 1e-30f));
 }
 
-// 1 - correlation of the 5x5 patch around a target pixel with the context photo, depths moved by `shift` pixels.
-float shifted_cost(__global const float *depth, __global const float *unit, const Camera target, const Camera context,
-                   __global const uchar4 *target_photo, __global const uchar4 *photo, int column, int row, float shift)
+// 1 - correlation of the 5x5 patch around a target pixel with the context photo; depths moved by `shift` pixels of
+// parallax, the photo by `aside` pixels.
+float moved_cost(__global const float *depth, __global const float *unit, const Camera target, const Camera context,
+                 __global const uchar4 *target_photo, __global const uchar4 *photo, int2 at, float shift, float2 aside)
 {
     float n = 0.0f, w = 0.0f, t = 0.0f, ww = 0.0f, tt = 0.0f, wt = 0.0f;
-    for (int y = max(row - HALF, 0); y <= min(row + HALF, target.height - 1); ++y)
-        for (int x = max(column - HALF, 0); x <= min(column + HALF, target.width - 1); ++x) {
+    for (int y = max(at.y - HALF, 0); y <= min(at.y + HALF, target.height - 1); ++y)
+        for (int x = max(at.x - HALF, 0); x <= min(at.x + HALF, target.width - 1); ++x) {
             const int i = y * target.width + x;
             const float d = depth[i] + shift * unit[i];
             float3 color;
             if (!(depth[i] > 0.0f && d > NEAR))
                 continue;
             const float3 m = project_mean(target, context, x, y, d);
-            if (!(m.z > NEAR) || !look_up(photo, context, m.xy, &color))
+            if (!(m.z > NEAR) || !look_up(photo, context, m.xy + aside, &color))
                 continue;
             const float a = luma(color), b = luma(rgb_of(target_photo[i]));
             n += 1.0f;
@@ -66,38 +96,126 @@ float shifted_cost(__global const float *depth, __global const float *unit, cons
     const float noise = 1.5e-5f, inverse = 1.0f / fmax(n, 1.0f);
     const float vw = ww * inverse - w * w * inverse * inverse, vt = tt * inverse - t * t * inverse * inverse;
     if (n < LEAST_PIXELS || vt < 4.0f * noise)
-        return 2.0f;
+        return UNDEFINED;
     return 1.0f - (wt * inverse - w * t * inverse * inverse) / sqrt((fmax(vw, 0.0f) + noise) * (vt + noise));
 }
 
-__kernel void sample_view(__global const float *depth, __global const float *unit, __global const float *cameras, int view,
-                          float low_pass, float threshold, __global const uint *z_first,
-                          __global const uchar4 *target_photo, __global const uchar4 *photo, int stride, int across,
-                          int down, __global float *records)
+// Work-items (sample, move).
+__kernel void match_moved(__global const float *depth, __global const float *unit, __global const float *cameras,
+                          int view, __global const uchar4 *target_photo, __global const uchar4 *photo, int stride,
+                          int across, int count, __global float *values, __global float *costs)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
+    const int k = get_global_id(0), move = get_global_id(1);
+    if (k >= count)
+        return;
+    float cost = UNDEFINED;
+    if (row_of(values, view, HIDDEN, count)[k] == 0.0f) {
+        const int2 at = sample_place(k, stride, across, target);
+        float2 aside = 0.0f;
+        if (move >= SHIFTS)
+            aside = MOVE[move] * across_depth(target, context, at.x, at.y, depth[at.y * target.width + at.x]);
+        cost = moved_cost(depth, unit, target, context, target_photo, photo, at, move < SHIFTS ? MOVE[move] : 0.0f,
+                          aside);
+    }
+    costs[move * count + k] = cost;
+}
+
+// Where five costs, at -2, -1, 0, 1, 2 pixels, are least; NaN where one is not defined or none of them matches.
+float least_at(const float cost[5])
+{
+    int best = 0;
+    bool defined = true;
+    for (int j = 0; j < 5; ++j) {
+        defined = defined && cost[j] < TEXTURED;
+        best = cost[j] < cost[best] ? j : best;
+    }
+    if (!defined || cost[best] > OTHER)
+        return NAN;
+    if (best == 0 || best == 4)
+        return best - 2.0f;
+    const float before = cost[best - 1] - cost[best], after = cost[best + 1] - cost[best];
+    return best - 2.0f + 0.5f * (before - after) / fmax(before + after, 1e-12f);
+}
+
+__kernel void judge_view(__global const float *costs, __global const float *cameras, int view, int stride, int across,
+                         int count, __global float *values, __global float *totals)
+{
+    const Camera target = load_camera(cameras, 0);
     const int k = get_global_id(0);
-    if (k >= across * down)
+    if (k >= count)
         return;
-    const int column = min(k % across * stride + stride / 2, target.width - 1);
-    const int row = min(k / across * stride + stride / 2, target.height - 1), i = row * target.width + column;
-    __global float *record = records + k * RECORD;
-    for (int j = 0; j < RECORD; ++j)
-        record[j] = j < 8 ? 0.0f : 2.0f;
-    const float d = depth[i];
-    Splat splat;
-    Motion motion;
-    float3 color;
-    if (!(d > 0.0f) || !project_gaussian(target, context, column, row, d, 0.5f, low_pass, &splat, &motion)
-        || !look_up(photo, context, (float2)(splat.x, splat.y), &color))
+    float cost[MOVES];
+    bool tells = true;
+    for (int j = 0; j < MOVES; ++j) {
+        cost[j] = costs[j * count + k];
+        tells = tells && (j >= SHIFTS || cost[j] < TEXTURED);
+    }
+    for (int j = 0; j < TOTALS; ++j) {
+        const float add = j == 0 ? row_of(values, view, HIDDEN, count)[k] == 0.0f : !tells ? 0.0f : j == 1 ? 1.0f : cost[j - 2];
+        totals[j * count + k] = (view == 1 ? 0.0f : totals[j * count + k]) + add;
+    }
+    const float here = cost[SHIFTS / 2];
+    row_of(values, view, LIKE, count)[k] = here > OTHER && here < TEXTURED ? 0.0f : 1.0f;
+    const int2 at = sample_place(k, stride, across, target);
+    const int quadrant = (2 * at.x >= target.width) + 2 * (2 * at.y >= target.height);
+    const float aside[5] = {cost[SHIFTS], cost[SHIFTS + 1], here, cost[SHIFTS + 2], cost[SHIFTS + 3]};
+    row_of(values, view, ASIDE + quadrant, count)[k] = least_at(aside);
+}
+
+// Mean over channels of what the exposure fit leaves of a match (see exposure.cl).
+float left_over(__global const float *match, __global const float *exposure, int view)
+{
+    const float4 own = vload4(0, match), other = vload4(1, match);
+    const float3 left = other.xyz - vload3(2 * view, exposure) * own.xyz - vload3(2 * view + 1, exposure);
+    return (left.x + left.y + left.z) * (1.0f / 3.0f);
+}
+
+// Work-items (sample, context view - 1). Averaged over 5x5 samples: texture averages out, a highlight does not. Where
+// the patches do not show the same texture, something else stands there, and it is no gloss.
+__kernel void compare_colors(__global const float *matches, __global const float *exposure, int across, int down,
+                             __global float *values)
+{
+    const int k = get_global_id(0), view = get_global_id(1) + 1, count = across * down;
+    if (k >= count)
         return;
-    const int pixel = (int)splat.y * context.width + (int)splat.x;
-    const bool hidden = splat.z > as_float(z_first[pixel]) + threshold;
-    const float3 own = rgb_of(target_photo[i]);
-    record[0] = hidden ? 2.0f : 1.0f;
-    record[1] = rsqrt(sqrt(splat.kxx * splat.kyy - splat.kxy * splat.kxy));
-    vstore3(own, 0, record + 2);
-    vstore3(color, 0, record + 5);
-    for (int j = 0; j < SHIFTS && !hidden; ++j)
-        record[8 + j] = shifted_cost(depth, unit, target, context, target_photo, photo, column, row, SHIFT[j]);
+    __global const float *match = matches + 8 * ((view - 1) * count + k);
+    if (match[3] > 0.0f)
+        for (int c = 0; c < 3; ++c)
+            row_of(values, view, CHANGE + c, count)[k] = match[4 + c] - match[c];
+    float sum = 0.0f, number = 0.0f;
+    for (int v = max(k / across - 2, 0); v <= min(k / across + 2, down - 1); ++v)
+        for (int u = max(k % across - 2, 0); u <= min(k % across + 2, across - 1); ++u) {
+            const int near = v * across + u;
+            __global const float *other = matches + 8 * ((view - 1) * count + near);
+            if (other[3] > 0.0f && row_of(values, view, LIKE, count)[near] == 1.0f) {
+                sum += left_over(other, exposure, view);
+                number += 1.0f;
+            }
+        }
+    if (number > 12.0f)
+        row_of(values, view, GLOSS, count)[k] = fabs(sum / number);
+}
+
+// Two rows: 1 where some view sees a sample of the surface, else 0; 1 where the photos match clearly better two or more
+// pixels of parallax away, 0 where they do not. NaN where there is no surface, and where no view can tell.
+__kernel void judge_samples(__global const float *depth, __global const float *cameras, __global const float *totals,
+                            int stride, int across, int count, __global float *rows)
+{
+    const Camera target = load_camera(cameras, 0);
+    const int k = get_global_id(0);
+    if (k >= count)
+        return;
+    const int2 at = sample_place(k, stride, across, target);
+    const float number = totals[count + k];
+    float here = INFINITY, far = INFINITY;
+    for (int j = 0; j < SHIFTS; ++j) {
+        const float cost = totals[(j + 2) * count + k] / fmax(number, 1.0f);
+        if (fabs(MOVE[j]) < 2.0f)
+            here = fmin(here, cost);
+        else
+            far = fmin(far, cost);
+    }
+    rows[k] = depth[at.y * target.width + at.x] > 0.0f ? (totals[k] > 0.0f ? 1.0f : 0.0f) : NAN;
+    rows[count + k] = number > 0.0f ? (far < here - 0.05f ? 1.0f : 0.0f) : NAN;
 }

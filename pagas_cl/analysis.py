@@ -110,8 +110,7 @@ def effect_costs(target, contexts, depth, config: Config, measured: Measurements
 
     def cost(settled):
         if settled not in known:
-            exposure = measured.exposure if settled.loss.exposure else None
-            known[settled] = time_step(target, contexts, depth, _one_level(settled), device, photos, exposure)
+            known[settled] = time_step(target, contexts, depth, _one_level(settled), device, photos)
         return known[settled].view_seconds(settled), known[settled].device_bytes
 
     for name in RULES:

@@ -90,11 +90,10 @@ def probe(target, contexts, depth, config: Config, device, *, witness=None) -> C
 
     def measure(steps: int, each: int) -> float:
         start = time.perf_counter()
-        settled, _, measured = settle(target, contexts, depth, config, device, photos)
+        settled = settle(target, contexts, depth, config, device, photos)[0]
         short = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__patience=0,
                                       solver__views_per_step=each)
-        refine_levels(target, contexts, depth, short, device, photos, witness=witness,
-                      exposure=measured.exposure if short.loss.exposure else None)
+        refine_levels(target, contexts, depth, short, device, photos, witness=witness)
         return time.perf_counter() - start
 
     for each in (1, min(3, len(contexts))):
@@ -189,7 +188,7 @@ class Costs:
     def _settled(self, config: Config, contexts) -> Config:
         from pagas_cl.effects import decide, measure
 
-        if set(vars(config.effects).values()) <= {"set", "off"} and not config.loss.exposure:
+        if set(vars(config.effects).values()) <= {"set", "off"}:
             return decide(config, None)[0]
         if self._measured is None:
             self._measured = measure(self.target, contexts, self.depth, config, self.device)

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.scene import exposure as exposures
-from pagas_cl.scene.texture import noise_and_texture
 
-_TEXTURED = 1.5          # costs above this are of patches without texture: nothing is read from them
-_OTHER = 0.5             # costs above this are of patches that show something else
+NUMBER, MEAN, QUANTILE, MEAN_SQUARE = range(4)      # as in splat/summary.py
 _QUANTISATION = 0.0012   # noise that rounding to 8 bits alone leaves
+_LEAST = 50              # samples from which a share or a median is taken
 
 # effect: (evidence, threshold, whether above it calls for the effect, what is measured)
 RULES = {
@@ -53,6 +51,9 @@ class Measurements:
         Standard deviation of the target's noise, 0 to 1.
     far_off : float
         Share of the textured samples whose patches match clearly better two or more pixels of parallax away.
+    misaligned : float
+        How far the context photos are off across the direction that depth moves a point in, pixels: root mean square
+        over views and quadrants of the target. No depth explains it: cameras, or lenses, are off by about as much.
     masked : bool
         Whether masks were given.
     gains : tuple of tuple
@@ -68,6 +69,7 @@ class Measurements:
     plain: float
     noise: float
     far_off: float
+    misaligned: float
     masked: bool
     gains: tuple
 
@@ -100,76 +102,41 @@ def measure(target, contexts, depth, config: Config, device, photos=None) -> Mea
     """
     from pagas_cl.splat import probe_view
 
-    samples, shape = probe_view(target, contexts, depth, config, device, photos)
-    seen = [s.state == 1 for s in samples]
-    fits = [exposures.fit(s.own[ok], s.other[ok]) for s, ok in zip(samples, seen)]
-    surface = np.isfinite(depth) & (depth > 0)
-    noise, plain = noise_and_texture(target.load_image())
+    found = probe_view(target, contexts, depth, config, device, photos)
+    views = found.views
     return Measurements(
-        overlap=float(np.any(seen, axis=0).sum() / max(1, _sampled(surface, shape).sum())),
-        hidden=_share([(s.state == 2).sum() for s in samples], [(s.state > 0).sum() for s in samples]),
-        unseen=_unseen(target, contexts, samples, shape),
-        exposure_change=max(_change(s, ok) for s, ok in zip(samples, seen)),
-        gloss=float(np.median([_gloss(s, ok, fit, shape) for s, ok, fit in zip(samples, seen, fits)])),
-        smallest=min((float(np.median(s.size[ok])) for s, ok in zip(samples, seen) if ok.any()), default=0.5),
-        plain=plain, noise=max(noise, _QUANTISATION), far_off=_far_off(samples),
+        overlap=_number(found.seen[MEAN]), hidden=_share(views["hidden"]), unseen=_unseen(found, contexts),
+        exposure_change=_largest([views[f"change {c}"][:, QUANTILE] for c in "rgb"]),
+        gloss=float(np.median(np.nan_to_num(views["gloss"][:, QUANTILE]))),
+        smallest=_number(np.min(views["size"][:, QUANTILE], initial=np.inf, where=views["size"][:, NUMBER] > 0), 0.5),
+        plain=found.plain, noise=max(found.noise, _QUANTISATION),
+        far_off=_number(found.far[MEAN]) if found.far[NUMBER] >= _LEAST else 0.0, misaligned=_misaligned(views),
         masked=target.mask is not None or any(view.mask is not None for view in contexts),
-        gains=tuple(tuple(tuple(float(v) for v in channel) for channel in fit) for fit in fits))
+        gains=tuple(tuple(tuple(float(v) for v in channel) for channel in gain) for gain in found.gains))
 
 
-def _sampled(image: np.ndarray, shape) -> np.ndarray:
-    stride, across, down = shape
-    rows = np.minimum(np.arange(down) * stride + stride // 2, image.shape[0] - 1)
-    columns = np.minimum(np.arange(across) * stride + stride // 2, image.shape[1] - 1)
-    return image[np.ix_(rows, columns)]
+def _number(value, otherwise: float = 0.0) -> float:
+    return float(value) if np.isfinite(value) else otherwise
 
 
-def _share(part, whole) -> float:
-    return float(sum(part) / max(1, sum(whole)))
+def _share(rows) -> float:
+    """Mean over all samples of all views."""
+    return float((np.nan_to_num(rows[:, MEAN]) * rows[:, NUMBER]).sum() / max(1, rows[:, NUMBER].sum()))
 
 
-def _unseen(target, contexts, samples, shape) -> float:
+def _largest(values) -> float:
+    return float(np.nan_to_num(np.abs(values)).max(initial=0.0))
+
+
+def _unseen(found, contexts) -> float:
     """A sample stands for stride^2 pixels of the target, each of (2 size)^2 pixels in the context photo."""
-    area = [shape[0] ** 2 * float((4 * s.size[s.state == 1] ** 2).sum()) for s in samples]
-    return float(np.mean([max(0.0, 1 - a / (v.camera.width * v.camera.height)) for a, v in zip(area, contexts)]))
+    size = found.views["size"]
+    area = 4 * found.stride**2 * np.nan_to_num(size[:, MEAN_SQUARE]) * size[:, NUMBER]
+    pixels = np.array([view.camera.width * view.camera.height for view in contexts])
+    return float(np.maximum(0.0, 1 - area / pixels).mean())
 
 
-def _change(s, ok) -> float:
-    """Medians: neither a highlight on part of the surface nor a wrong depth moves them."""
-    return float(np.abs(np.median(s.other[ok] - s.own[ok], axis=0)).max()) if ok.any() else 0.0
-
-
-def _gloss(s, ok, fit, shape) -> float:
-    """Residual after the fit, averaged over 5x5 samples: texture averages out, a highlight does not.
-
-    Where the patches do not show the same texture, something else stands there, and it is no gloss.
-    """
-    stride, across, down = shape
-    here = s.cost[:, 3]
-    ok = ok & ~((here > _OTHER) & (here < _TEXTURED))
-    residual = np.where(ok, (s.other - s.own * fit[:, 0] - fit[:, 1]).mean(axis=1), 0).reshape(down, across)
-    weight = ok.reshape(down, across).astype(np.float64)
-    total, number = _box(residual), _box(weight)
-    full = number > 12
-    return float(np.quantile(np.abs(total[full] / number[full]), 0.95)) if full.any() else 0.0
-
-
-def _box(image: np.ndarray, half: int = 2) -> np.ndarray:
-    padded = np.pad(image, half)
-    rows = sum(padded[k:k + image.shape[0]] for k in range(2 * half + 1))
-    return sum(rows[:, k:k + image.shape[1]] for k in range(2 * half + 1))
-
-
-def _far_off(samples) -> float:
-    """Share of the textured samples that match clearly better two or more pixels of parallax away."""
-    from pagas_cl.splat import SHIFTS
-
-    cost = np.stack([s.cost for s in samples])
-    defined = (cost < _TEXTURED).all(axis=2) & np.stack([s.state == 1 for s in samples])
-    number = defined.sum(axis=0)
-    mean = np.where(defined[..., None], cost, 0).sum(axis=0) / np.maximum(number, 1)[:, None]
-    mean = mean[number > 0]
-    if len(mean) < 50:
-        return 0.0
-    here, far = mean[:, np.abs(SHIFTS) < 2].min(axis=1), mean[:, np.abs(SHIFTS) >= 2].min(axis=1)
-    return float((far < here - 0.05).mean())
+def _misaligned(views) -> float:
+    aside = np.stack([views[f"aside {k}"] for k in range(4)])
+    told = aside[..., QUANTILE][aside[..., NUMBER] >= _LEAST]
+    return float(np.sqrt(np.mean(told**2))) if told.size else 0.0

@@ -106,8 +106,7 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
 
     def attempt(photos):
         settled, decisions, measured = settle(target, contexts, depth, config, device, photos)
-        refined = refine_levels(target, contexts, depth, settled, device, photos, steps_done, witness,
-                                measured.exposure if settled.loss.exposure else None)
+        refined = refine_levels(target, contexts, depth, settled, device, photos, steps_done, witness)
         return refined, decisions, measured
 
     refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, witness,
@@ -188,7 +187,7 @@ def refine_one(views, partners: Partners, depth, config: Config, device, photos)
 
 def settle(target: View, contexts: list[View], depth, config: Config, device, photos):
     """Decide which effects this view calls for: the settings that follow, the decisions, and what they rest on."""
-    if all(choice in ("set", "off") for choice in vars(config.effects).values()) and not config.loss.exposure:
+    if all(choice in ("set", "off") for choice in vars(config.effects).values()):
         return *decide(config, None), None
     measured = measure(target, contexts, depth, config, device, photos)
     config, decisions = decide(config, measured)

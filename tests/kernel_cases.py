@@ -11,6 +11,7 @@ from random_scenes import random_scene
 from pagas_cl.reference.level import Photo, depth_threshold, loss_and_gradient, prepare
 from pagas_cl.reference.project import median_depth
 from pagas_cl.scene.view import View
+from pagas_cl.splat import exposure
 from pagas_cl.splat.level import Level, LevelInput
 from pagas_cl.splat.state import PhotoStore
 
@@ -48,12 +49,15 @@ class Scene:
 def start_level(device, config, scene: Scene) -> Level:
     """The level under the scene's initial depth; its buffer then holds the moved one."""
     photos, views = PhotoStore(device), [view_of(p) for p in (scene.target, *scene.contexts)]
-    exposure = gains(len(scene.contexts)) if config.loss.exposure else None
     given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.unit, scene.delta(config),
-                       1.0, len(scene.contexts), exposure)
+                       1.0, len(scene.contexts))
     level = Level(device, config, given)
     level.enter(lambda out: cl.enqueue_copy(device.queue, out, scene.initial))
     level.start(lambda out: None)
+    if config.loss.exposure:
+        table = exposure.neutral(len(scene.contexts))
+        table[1:] = gains(len(scene.contexts)).transpose(0, 2, 1)
+        cl.enqueue_copy(device.queue, level.arena["exposure"], table)
     cl.enqueue_copy(device.queue, level.arena["depth"], scene.moved)
     return level
 

@@ -1,4 +1,4 @@
-"""Samples of the scene analysis against their float64 twin."""
+"""What is measured on the device, sample by sample and summed up, against float64 twins."""
 
 from __future__ import annotations
 
@@ -9,34 +9,151 @@ from kernel_cases import Scene, view_of
 
 from pagas_cl.config import BALANCED
 from pagas_cl.errors import DeviceError
-from pagas_cl.reference.level import prepare
-from pagas_cl.reference.measure import UNDEFINED, shifted_cost
+from pagas_cl.made import relief_scene
+from pagas_cl.reference import exposure as exposure_twin
+from pagas_cl.reference import measure as twin
+from pagas_cl.reference.level import Photo, prepare
+from pagas_cl.reference.grain import noise_and_texture
+from pagas_cl.reference.summary import summarize
 from pagas_cl.runtime.device import open_device
+from pagas_cl.runtime.program import run_once
+from pagas_cl.splat import exposure, project
+from pagas_cl.splat.grain import Grain
 from pagas_cl.splat.level import LevelInput
-from pagas_cl.splat.measure import SHIFTS, Probe
-from pagas_cl.splat.state import PhotoStore
+from pagas_cl.splat.measure import _ROWS, SHIFTS, Probe
+from pagas_cl.splat.state import PhotoStore, Size
+from pagas_cl.splat.summary import Rows
+
+MOVES = [(float(shift), 0.0) for shift in SHIFTS] + [(0.0, aside) for aside in (-2.0, -1.0, 1.0, 2.0)]
 
 
-def test_costs_of_moved_depths_equal_the_twin():
+@pytest.fixture(scope="module")
+def device():
     try:
-        device = open_device()
+        return open_device()
     except DeviceError as error:
         pytest.skip(str(error))
-    scene = Scene.make(17, width=45, height=37, contexts=2, masks=True)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return Scene.make(17, width=45, height=37, contexts=2, masks=True)
+
+
+@pytest.fixture(scope="module")
+def smooth_scene():
+    """Without holes, and of different exposure: whole patches are seen."""
+    made = relief_scene(60, 45, 2, held_out=0, steps=0, exposure=0.3, contrast=1.5)
+    target, *contexts = [Photo.from_view(view) for view in made.views]
+    depth = made.initial_depth(made.cameras[0]).astype(np.float64)
+    unit = float(np.median(depth))
+    return Scene((depth / unit).astype(np.float32), (depth / unit).astype(np.float32), unit, target, contexts)
+
+
+@pytest.fixture
+def probe(device, scene):
+    yield from probe_of(device, scene)
+
+
+@pytest.fixture
+def smooth_probe(device, smooth_scene):
+    yield from probe_of(device, smooth_scene)
+
+
+def probe_of(device, scene):
     views, photos = [view_of(p) for p in (scene.target, *scene.contexts)], PhotoStore(device)
     given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.unit, scene.delta(BALANCED), 1.0, 2)
     probe = Probe(device, BALANCED, given, lambda out: cl.enqueue_copy(device.queue, out, scene.initial))
-    initial = scene.initial.astype(np.float64)
-    state = prepare(initial, scene.target, scene.contexts, BALANCED, scene.unit, scene.delta(BALANCED))
-    assert probe.stride == 1 and (probe.across, probe.down) == (45, 37)      # every pixel is a sample
-    for number, context in enumerate(scene.contexts, start=1):
-        got = probe.samples(number)
-        seen = (got.state == 1).reshape(initial.shape)
-        assert seen.mean() > 0.2
-        for k, shift in enumerate(SHIFTS):
-            want = shifted_cost(initial, state.parallax, scene.target, context, float(shift), scene.unit)[seen]
-            cost = got.cost[:, k].reshape(initial.shape)[seen]
-            same = (want == UNDEFINED) == (cost == UNDEFINED)
-            assert same.mean() > 0.99                      # a patch pixel exactly on the photo's edge may fall either way
-            assert np.quantile(np.abs(cost - want)[same], 0.99) < 1e-3
+    assert probe.grid.stride == 1 and (probe.grid.down, probe.grid.across) == scene.initial.shape    # every pixel is a sample
+    yield probe
     probe.release()
+
+
+def read(device, buffer, shape):
+    out = np.empty(shape, np.float32)
+    cl.enqueue_copy(device.queue, out, buffer)
+    return out
+
+
+def rows_of(device, probe, view):
+    shape = len(probe.contexts), len(_ROWS), *probe.target.grid[::-1]
+    return dict(zip([name for name, *_ in _ROWS], read(device, probe.views.values, shape)[view - 1]))
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_costs_of_moved_depths_equal_the_twin(device, scene, probe, number):
+    initial, context = scene.initial.astype(np.float64), scene.contexts[number - 1]
+    state = prepare(initial, scene.target, scene.contexts, BALANCED, scene.unit, scene.delta(BALANCED))
+    run_once(device.queue, [*project.nearest(probe, number), *probe.sample(number)])
+    got, rows = read(device, probe.arena["costs"], (len(MOVES), *initial.shape)), rows_of(device, probe, number)
+    seen = rows["hidden"] == 0
+    assert seen.mean() > 0.2
+    costs = np.stack([twin.moved_cost(initial, state.parallax, scene.target, context, shift, scene.unit, aside)
+                      for shift, aside in MOVES])
+    same = ((costs == twin.UNDEFINED) == (got == twin.UNDEFINED))[:, seen]
+    assert same.mean() > 0.99                              # a patch pixel exactly on the photo's edge may fall either way
+    difference = np.abs(costs - got)[:, seen]
+    assert np.quantile(difference[same], 0.99) < 1e-3
+    aside = np.nansum([rows[f"aside {k}"] for k in range(4)], axis=0)
+    want = twin.least_at(got[[7, 8, 3, 9, 10]])
+    assert np.isfinite(want[seen]).mean() > 0.05
+    assert np.abs(np.nan_to_num(want) - aside)[seen].max() < 1e-3
+
+
+def test_matched_colours_and_the_fit_equal_the_twin(device, smooth_scene, smooth_probe):
+    scene, probe = smooth_scene, smooth_probe
+    for view in (1, 2):
+        run_once(device.queue, [*project.nearest(probe, view), *probe.sample(view), exposure.match(probe, view)])
+    run_once(device.queue, probe._judge())
+    matches = read(device, probe.arena["matches"], (2, *scene.initial.shape, 8))
+    table, initial = read(device, probe.arena["exposure"], (3, 2, 3)), scene.initial.astype(np.float64)
+    assert (table[0] == [[1] * 3, [0] * 3]).all()
+    for number, context in enumerate(scene.contexts, start=1):
+        got, rows = matches[number - 1], rows_of(device, probe, number)
+        own, other, _ = exposure_twin.match(initial, scene.target, context, None, 0.0, scene.unit)
+        seen = got[..., 3] > 0
+        assert seen.mean() > 0.1
+        assert np.abs(got[..., :3] - own)[seen].max() < 1e-5
+        assert np.quantile(np.abs(got[..., 4:7] - other)[seen], 0.99) < 1e-4
+        usable = got[..., 3] == 2
+        want = exposure_twin.fit(got[usable][:, :3], got[usable][:, 4:7])
+        assert np.abs(table[number].T - want).max() < 2e-3
+        assert np.allclose(rows["change g"][seen], (got[..., 5] - got[..., 1])[seen], atol=1e-6)
+        left = twin.gloss(got[..., :3], got[..., 4:7], got[..., 3], rows["like"] == 1, table[number].T)
+        assert (np.isnan(left) == np.isnan(rows["gloss"])).all() and np.isfinite(left).mean() > 0.05
+        assert np.nanmax(np.abs(left - rows["gloss"])) < 1e-5
+
+
+def test_states_of_matches_equal_the_twin(device, smooth_scene, smooth_probe):
+    scene, probe = smooth_scene, smooth_probe
+    """Without anything hidden: where the photo is seen, and where it is clipped."""
+    scene, probe = smooth_scene, smooth_probe
+    cl.enqueue_fill_buffer(device.queue, probe.arena["z_first"], np.float32(np.inf), 0, probe.arena.size("z_first"))
+    run_once(device.queue, [exposure.match(probe, 1)])
+    got = read(device, probe.arena["matches"], (2, *scene.initial.shape, 8))[0, ..., 3]
+    want = exposure_twin.match(scene.initial.astype(np.float64), scene.target, scene.contexts[0], None, 0.0, scene.unit)[2]
+    inner = np.s_[3:-3, 3:-3]
+    assert (got[inner] == want[inner]).mean() > 0.99 and (np.unique(want) == [0, 1, 2]).all()
+
+
+def test_summaries(device):
+    rng = np.random.default_rng(0)
+    values = np.stack([rng.normal(0.3, 0.05, 5000), rng.integers(0, 2, 5000), np.full(5000, np.nan), rng.uniform(0, 1, 5000)])
+    values[0, ::3] = np.nan
+    rows = Rows(device, [(0, 1, 0.95), (0, 1, 0.5), (0, 1, 0.5), (0, 0.5, 0.25)], 5000)
+    cl.enqueue_copy(device.queue, rows.values, values.astype(np.float32))
+    run_once(device.queue, [rows.summarize()])
+    got = rows.read()
+    assert got[0] == pytest.approx(summarize(values[0], 0.95), abs=1e-3)
+    assert got[1, [0, 1, 3]] == pytest.approx(np.array(summarize(values[1], 0.5))[[0, 1, 3]], abs=1e-6)
+    assert got[2] == pytest.approx(summarize(values[2], 0.5), nan_ok=True)
+    assert got[3] == pytest.approx(summarize(values[3], 0.25), abs=1e-3)     # those beyond the range: in the last bin
+
+
+@pytest.mark.parametrize("noise", [0.0, 2.0, 6.0])
+def test_noise_and_texture_equal_the_twin(device, noise):
+    view = relief_scene(120, 90, 1, held_out=0, noise=noise).views[0]
+    got = Grain(device, PhotoStore(device).photo(view), Size(120, 90)).read()
+    want = noise_and_texture(view.load_image())
+    assert got[0] == pytest.approx(want[0], abs=0.6 * 1.4826 / 6**0.5 / 765)    # a median of whole numbers, or between them
+    assert got[1] == pytest.approx(want[1], abs=0.02)

@@ -1,4 +1,5 @@
-"""Twin of splat/measure: how well patches match when the depth is moved (method section 8, evidence for coarser levels)."""
+"""Twin of splat/measure: how well patches match when the depth, or the photo, is moved; the gloss of a surface (method
+section 8)."""
 
 from __future__ import annotations
 
@@ -8,49 +9,92 @@ from pagas_cl.reference.evidence import luma
 from pagas_cl.reference.project import project
 
 HALF, LEAST_PIXELS, NOISE, UNDEFINED = 2, 15, 1.5e-5, 2.0
+TEXTURED, OTHER = 1.5, 0.5       # costs above these are of patches without texture, and of other content
 
 
-def shifted_cost(depth, parallax, target, context, shift: float, unit: float) -> np.ndarray:
-    """1 - correlation of 5x5 patches of the target with the context photo, depths moved by `shift` pixels of parallax.
+def moved_cost(depth, parallax, target, context, shift: float, unit: float, aside: float = 0.0) -> np.ndarray:
+    """1 - correlation of 5x5 patches of the target with the context photo, depths moved by `shift` pixels of parallax and
+    the photo by `aside` pixels across the direction in which depth moves the middle of a patch in it.
 
     Parameters
     ----------
     depth, parallax : ndarray of shape (H, W)
         d and u in units.
     target, context : Photo
-    shift, unit : float
-        Pixels of parallax; scene units per unit.
+    shift, unit, aside : float
+        Pixels of parallax; scene units per unit; pixels.
 
     Returns
     -------
     ndarray of shape (H, W); 2 where fewer than 15 pixels of the patch are seen or the target's has no texture
     """
     moved = np.where(depth > 0, depth + shift * parallax, 0.0)
-    value, seen = _look_up(project(moved, target.camera, context.camera, 0.0, unit), context, depth.shape)
-    own = luma(target.image)
-    n = _patch_sum(seen.astype(float))
-    mean = [_patch_sum(np.where(seen, x, 0.0)) / np.maximum(n, 1)
-            for x in (value, own, value * value, own * own, value * own)]
+    along = project(depth, target.camera, context.camera, 0.0, unit).m_d
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.maximum(np.linalg.norm(along, axis=1), 1e-15)[:, None]
+    landed, photo, own = project(moved, target.camera, context.camera, 0.0, unit), luma(context.image), luma(target.image)
+    n, sums = 0, np.zeros((5, *depth.shape))
+    for pixel in _patch(np.arange(depth.size).reshape(depth.shape), fill=-1):      # each pixel of all patches in turn
+        value, seen = look_up(photo, landed, context, depth.shape, aside * across, pixel.ravel())
+        a, b = np.where(seen, value, 0), np.where(seen, own.ravel()[pixel], 0)
+        n, sums = n + seen, sums + [a, b, a * a, b * b, a * b]
+    mean = sums / np.maximum(n, 1)
     var_w, var_t = mean[2] - mean[0] ** 2, mean[3] - mean[1] ** 2
     correlation = (mean[4] - mean[0] * mean[1]) / np.sqrt((np.maximum(var_w, 0) + NOISE) * (np.maximum(var_t, 0) + NOISE))
     return np.where((n >= LEAST_PIXELS) & (var_t >= 4 * NOISE), 1 - correlation, UNDEFINED)
 
 
-def _look_up(projected, context, shape):
-    """Bilinear grey of the context photo at the projected means, and where all four pixels are inside and valid."""
-    photo, (height, width) = luma(context.image), context.image.shape[:2]
-    u, v = (projected.m - 0.5).T
-    inside = projected.valid & (u >= 0) & (v >= 0) & (u < width - 1) & (v < height - 1)
+def least_at(costs: np.ndarray) -> np.ndarray:
+    """Where costs (5, ...) at -2, -1, 0, 1, 2 pixels are least, by a parabola; NaN where one is not defined or none matches."""
+    best = costs.argmin(axis=0)
+    least = costs.min(axis=0)
+    middle = np.clip(best, 1, 3)
+    before, after = (np.take_along_axis(costs, (middle + k)[None], 0)[0] - least for k in (-1, 1))
+    fine = np.where(middle == best, 0.5 * (before - after) / np.maximum(before + after, 1e-12), 0.0)
+    return np.where((costs < TEXTURED).all(axis=0) & (least <= OTHER), best - 2 + fine, np.nan)
+
+
+def gloss(own, other, state, like, gain) -> np.ndarray:
+    """What an exposure fit leaves of matched colours, averaged over 5x5 samples; NaN where fewer than 13 tell.
+
+    Parameters
+    ----------
+    own, other : ndarray of shape (down, across, 3)
+    state, like : ndarray of shape (down, across)
+        Whether the colours are seen (> 0), and whether the photos show the same thing there.
+    gain : ndarray of shape (3, 2)
+        Gain and offset of each channel.
+    """
+    ok = (state > 0) & like
+    total = sum(_patch(np.where(ok, (other - own * gain[:, 0] - gain[:, 1]).mean(axis=-1), 0.0)))
+    number = sum(_patch(ok.astype(float)))
+    return np.where(number > 12, np.abs(total) / np.maximum(number, 1), np.nan)
+
+
+def look_up(image, landed, context, shape, moved=0.0, pixel=slice(None)):
+    """Bilinear values of `image`, (H', W') or (H', W', C), of the context photo where target pixels landed, and where all
+    four pixels are inside and valid; arrays of `shape` (H, W).
+
+    `pixel` (N,): whose landing place is asked for, -1 for none; by default each pixel's own. `moved`: pixels by which the
+    photo is moved, (N, 2) or 0.
+    """
+    height, width = image.shape[:2]
+    u, v = (landed.m[pixel] + moved - 0.5).T
+    inside = landed.valid[pixel] & (u >= 0) & (v >= 0) & (u < width - 1) & (v < height - 1)
+    if not isinstance(pixel, slice):
+        inside &= pixel >= 0
     x, y = np.where(inside, u, 0).astype(int), np.where(inside, v, 0).astype(int)
     right, below = np.minimum(x + 1, width - 1), np.minimum(y + 1, height - 1)
     if context.mask is not None:
         inside &= context.mask[y, x] & context.mask[y, right] & context.mask[below, x] & context.mask[below, right]
-    a, b = np.where(inside, u, 0) - x, np.where(inside, v, 0) - y
-    value = (1 - b) * ((1 - a) * photo[y, x] + a * photo[y, right]) + b * ((1 - a) * photo[below, x] + a * photo[below, right])
-    return value.reshape(shape), inside.reshape(shape)
+    a, b = (np.where(inside, t, 0) - whole for t, whole in ((u, x), (v, y)))
+    if image.ndim == 3:
+        a, b = a[:, None], b[:, None]
+    value = (1 - b) * ((1 - a) * image[y, x] + a * image[y, right]) + b * ((1 - a) * image[below, x] + a * image[below, right])
+    return value.reshape(*shape, *image.shape[2:]), inside.reshape(shape)
 
 
-def _patch_sum(image: np.ndarray) -> np.ndarray:
-    padded = np.pad(image, HALF)
+def _patch(image: np.ndarray, fill=0):
+    """The image moved by each pixel of a patch in turn, `fill` beyond its border."""
+    padded = np.pad(image, HALF, constant_values=fill)
     size = 2 * HALF + 1
-    return sum(padded[y:y + image.shape[0], x:x + image.shape[1]] for y in range(size) for x in range(size))
+    return (padded[y:y + image.shape[0], x:x + image.shape[1]] for y in range(size) for x in range(size))

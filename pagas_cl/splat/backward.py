@@ -5,6 +5,7 @@ from __future__ import annotations
 from pagas_cl.runtime.program import bind, build
 from pagas_cl.splat.tile import columns_of, row_grid, row_group
 from pagas_cl.splat.composite import blend_launch, exposure_argument, threshold_arguments
+from pagas_cl.splat.project import z_first_argument
 
 
 def launches(level, view: int) -> list:
@@ -14,7 +15,7 @@ def launches(level, view: int) -> list:
         columns = columns_of(level.device, level.target.width)
         program = build(level.device, "backward.cl", (*level.defines, f"COLUMNS={columns}"))
         return [bind(program, "gather_gradient", row_grid(level.target, columns), row_group(columns), a["depth"], photo, a["cameras"],
-                     view, float(s.low_pass), *threshold_arguments(level, view), a["z_first"], exposure_argument(level),
+                     view, float(s.low_pass), *threshold_arguments(level, view), z_first_argument(level), exposure_argument(level),
                      a["upstream"], a["gradient"])]
     return [blend_launch(level, view, "composite_alpha_vjp", a["upstream"]),
             bind(build(level.device, "alpha.cl", level.defines), "gather_alpha", level.target.grid, None, a["depth"],

@@ -33,7 +33,7 @@ def _order_free(level, view: int) -> list:
     return [*project.nearest(level, view),
             Fill(a["rendered"], np.uint32(0), pixels * (channels + 1) * 4),
             bind(program, "splat_order_free", row_grid(level.target, columns), row_group(columns), a["depth"], level.given.photos[0],
-                 a["cameras"], view, float(s.low_pass), *threshold_arguments(level, view), a["z_first"],
+                 a["cameras"], view, float(s.low_pass), *threshold_arguments(level, view), project.z_first_argument(level),
                  exposure_argument(level), a["rendered"])]
 
 

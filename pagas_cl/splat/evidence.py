@@ -92,7 +92,7 @@ class Evidence:
         for view in self.views:
             launches += [*level.given.fetch(view), *project.nearest(level, view)]
             launches += [bind(self.program, "warp_photo", size.grid, None, level.arena["depth"], level.arena["cameras"], view,
-                              float(level.threshold(view)), level.arena["z_first"] if "z_first" in level.arena else None,
+                              float(level.threshold(view)), project.z_first_argument(level),
                               level.given.photos[view], warped),
                          bind(self.program, "weigh", size.grid, None, warped, level.given.photos[0], size.width,
                               size.height, evidence)]

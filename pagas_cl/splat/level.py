@@ -12,7 +12,7 @@ from pagas_cl.runtime.arena import Arena
 from pagas_cl.runtime.program import Upload, run_once
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import footprint
-from pagas_cl.splat import backward, composite, loss, project, smooth, step
+from pagas_cl.splat import backward, composite, exposure, loss, project, smooth, step
 from pagas_cl.splat.options import defines
 from pagas_cl.splat.state import Size, allocate, camera_table
 from pagas_cl.splat.tile import choose_tiles
@@ -36,8 +36,6 @@ class LevelInput:
         Median distance of the cameras from the point they look at, device units.
     contexts : int
         Number of context views.
-    exposure : ndarray of shape (contexts, 3, 2), optional
-        Gain and offset of each channel from the target's photo to each context photo.
     host : tuple of ndarray of shape (H, W, 4), uint8
         Photos of all views but the target's, where the device holds one of them at a time: every photos[1:] is then
         the same buffer, which `fetch` fills.
@@ -49,7 +47,6 @@ class LevelInput:
     threshold: float
     distance_unit: float
     contexts: int
-    exposure: np.ndarray | None = None
     host: tuple = ()
 
     def fetch(self, view: int) -> list:
@@ -81,15 +78,7 @@ class Level:
         cl.enqueue_copy(device.queue, self.arena["cameras"],
                         camera_table(given.cameras[0], given.cameras[1:], given.unit))
         if config.loss.exposure:
-            cl.enqueue_copy(device.queue, self.arena["exposure"], self._exposure())
-
-    def _exposure(self) -> np.ndarray:
-        """Gains and offsets as photo.clh reads them: (1, 0) for the target and for views that only judge."""
-        table = np.zeros((len(self.given.cameras), 2, 3), np.float32)
-        table[:, 0] = 1
-        if self.given.exposure is not None:
-            table[1:1 + len(self.contexts)] = self.given.exposure.transpose(0, 2, 1)
-        return table
+            cl.enqueue_copy(device.queue, self.arena["exposure"], exposure.neutral(len(self.contexts)))
 
     def enter(self, write):
         """Take units and unseen masks under the run's initial depth; `write(buffer)` enqueues its writing."""
@@ -152,7 +141,10 @@ class Level:
         """At most `steps` steps; returns how many were enqueued."""
         queue, solver = self.device.queue, step.Solver(self)
         self.ending = solver.launches
+        fitted = exposure.fitted_before(steps) if self.config.loss.exposure else ()
         for number in range(steps):
+            if number in fitted:
+                run_once(queue, exposure.launches(self))
             if self.config.splatting.final_radius and number == steps // 2:
                 self._narrow()
             for launch in self.gradient_launches(number):

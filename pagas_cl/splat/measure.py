@@ -1,82 +1,119 @@
-"""Launches of measure.cl: samples of every context view under the initial depth (method section 8)."""
+"""Launches of measure.cl: every context view sampled under the initial depth (method section 8)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, sqrt
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.runtime.arena import Arena, BufferSpec
 from pagas_cl.runtime.program import bind, build, run_once
-from pagas_cl.splat import project
+from pagas_cl.splat import exposure, project
+from pagas_cl.splat.grain import Grain
 from pagas_cl.splat.level import threshold_in
 from pagas_cl.splat.options import defines
 from pagas_cl.splat.state import camera_table
+from pagas_cl.splat.summary import Rows
 
 SHIFTS = np.array([-4, -2, -1, 0, 1, 2, 4], np.float32)      # pixels of parallax, as in measure.cl
-_RECORD = 8 + len(SHIFTS)
-_MOST_SAMPLES = 4096
+_MOVES = len(SHIFTS) + 4
+# Rows of a context view, as in measure.cl: (name, lowest, highest, quantile's share).
+_ROWS = [("hidden", 0, 1, 0.5), ("size", 0, 8, 0.5), *[(f"change {c}", -1, 1, 0.5) for c in "rgb"],
+         *[(f"aside {k}", -2.5, 2.5, 0.5) for k in range(4)], ("gloss", 0, 1, 0.95), ("like", 0, 1, 0.5)]
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
-    """What one context view shows at S samples of the target.
+class Found:
+    """What was measured.
 
     Attributes
     ----------
-    state : ndarray of shape (S,)
-        1 seen, 2 hidden behind a nearer surface, 0 outside the photo or masked.
-    size : ndarray of shape (S,)
-        Standard deviation of the projected Gaussian, pixels.
-    own, other : ndarray of shape (S, 3)
-        Colours of target and context photo, 0 to 1.
-    cost : ndarray of shape (S, 7)
-        1 - correlation of patches with the depth moved by SHIFTS pixels of parallax; 2 where it is not defined.
+    views : dict of str to ndarray of shape (contexts, 4)
+        By row of measure.cl: number, mean, quantile and mean square over the samples; NaN without samples.
+    seen, far : ndarray of shape (4,)
+        The same of samples that some view sees (0 or 1), and of those that match better two or more pixels away.
+    gains : ndarray of shape (contexts, 3, 2)
+        Gain and offset of each channel from the target's photo to each context photo.
+    noise, plain : float
+        Of the target's photo; see grain.py.
+    stride : int
+        Pixels of the target between samples.
     """
 
-    state: np.ndarray
-    size: np.ndarray
-    own: np.ndarray
-    other: np.ndarray
-    cost: np.ndarray
+    views: dict[str, np.ndarray]
+    seen: np.ndarray
+    far: np.ndarray
+    gains: np.ndarray
+    noise: float
+    plain: float
+    stride: int
 
 
 class Probe:
-    """The full-size level as far as measuring needs it: what `project` asks of a Level, and the records."""
+    """The full-size level as far as measuring needs it: what `project` and `exposure` ask of a Level, and rows of samples.
+
+    Everything is enqueued; `read` is the only wait for the device.
+    """
 
     def __init__(self, device, config, given, write):
         config = config.with_settings(splatting__occlusion=True, loss__unseen_mask=False)
         target, *contexts = given.sizes
         self.device, self.config, self.given = device, config, given
         self.target, self.contexts = target, contexts[:given.contexts]
-        self.defines = defines(config, device, max(target.grid))
-        self.stride = max(1, ceil(sqrt(target.pixels / _MOST_SAMPLES)))
-        self.across, self.down = -(-target.width // self.stride), -(-target.height // self.stride)
-        most = max(size.pixels for size in given.sizes)
+        self.defines, self.grid = defines(config, device, max(target.grid)), exposure.Grid.over(target)
+        views, count = len(self.contexts), self.grid.count
+        self.views = Rows(device, [rule for _, *rule in _ROWS] * views, count)
+        self.samples = Rows(device, [(0, 1, 0.5)] * 2, count)
         self.arena = Arena(device, [
             BufferSpec("depth", (target.pixels,), np.float32), BufferSpec("unit", (target.pixels,), np.float32),
-            BufferSpec("cameras", (len(given.cameras), 20), np.float32), BufferSpec("z_first", (most,), np.uint32),
-            BufferSpec("records", (self.across * self.down, _RECORD), np.float32)])
+            BufferSpec("cameras", (len(given.cameras), 20), np.float32),
+            BufferSpec("z_first", (max(size.pixels for size in given.sizes),), np.uint32),
+            *exposure.buffers(target, views), BufferSpec("costs", (_MOVES, count), np.float32),
+            BufferSpec("totals", (len(SHIFTS) + 2, count), np.float32)])
         cl.enqueue_copy(device.queue, self.arena["cameras"], camera_table(given.cameras[0], given.cameras[1:], given.unit))
+        cl.enqueue_copy(device.queue, self.arena["exposure"], exposure.neutral(views))
         write(self.arena["depth"])
         run_once(device.queue, project.before_steps(self))
 
     def threshold(self, view: int) -> float:
+        """Depth threshold in context view `view`."""
         return threshold_in(self.given, self.config, view)
 
-    def samples(self, view: int) -> Samples:
-        """Samples of context view `view` (from 1)."""
-        a, s, given = self.arena, self.config.splatting, self.given
-        launches = [*given.fetch(view), *project.nearest(self, view),
-                    bind(build(self.device, "measure.cl", self.defines), "sample_view", (self.across * self.down,), None,
-                         a["depth"], a["unit"], a["cameras"], view, float(s.low_pass), float(self.threshold(view)), a["z_first"],
-                         given.photos[0], given.photos[view], self.stride, self.across, self.down, a["records"])]
-        run_once(self.device.queue, launches)
-        r = np.empty((self.across * self.down, _RECORD), np.float32)
-        cl.enqueue_copy(self.device.queue, r, a["records"])
-        return Samples(r[:, 0], r[:, 1], r[:, 2:5], r[:, 5:8], r[:, 8:])
+    def read(self) -> Found:
+        """Measure all context views."""
+        for view in range(1, 1 + len(self.contexts)):
+            run_once(self.device.queue, [*self.given.fetch(view), *project.nearest(self, view), *self.sample(view), exposure.match(self, view)])
+        run_once(self.device.queue, self._judge())
+        grain = Grain(self.device, self.given.photos[0], self.target)
+        views, samples = self.views.read().reshape(-1, len(_ROWS), 4), self.samples.read()
+        table = np.empty((1 + len(self.contexts), 2, 3), np.float32)
+        cl.enqueue_copy(self.device.queue, table, self.arena["exposure"])
+        return Found({name: views[:, row] for row, (name, *_) in enumerate(_ROWS)}, samples[0], samples[1],
+                     table[1:].transpose(0, 2, 1).astype(np.float64), *grain.read(), self.grid.stride)
+
+    def sample(self, view: int) -> list:
+        """Samples of context view `view`, by the nearest surfaces that arena["z_first"] holds for it."""
+        a, grid, given, low_pass = self.arena, self.grid, self.given, float(self.config.splatting.low_pass)
+        place = grid.stride, grid.across, grid.count
+        return [self._bind("sample_view", (grid.count,), a["depth"], a["cameras"], view, low_pass, float(self.threshold(view)),
+                           a["z_first"], given.photos[view], *place, self.views.values),
+                self._bind("match_moved", (grid.count, _MOVES), a["depth"], a["unit"], a["cameras"], view, given.photos[0],
+                           given.photos[view], *place, self.views.values, a["costs"]),
+                self._bind("judge_view", (grid.count,), a["costs"], a["cameras"], view, *place, self.views.values, a["totals"])]
+
+    def _judge(self) -> list:
+        a, grid = self.arena, self.grid
+        return [exposure.fit(self),
+                self._bind("compare_colors", (grid.count, len(self.contexts)), a["matches"], a["exposure"], grid.across,
+                           grid.down, self.views.values),
+                self._bind("judge_samples", (grid.count,), a["depth"], a["cameras"], a["totals"], grid.stride, grid.across,
+                           grid.count, self.samples.values),
+                self.views.summarize(), self.samples.summarize()]
+
+    def _bind(self, name: str, size, *arguments):
+        return bind(build(self.device, "measure.cl", self.defines), name, size, None, *arguments)
 
     def release(self):
+        """Give the buffers back."""
         self.arena.release()

@@ -22,6 +22,11 @@ def before_steps(level) -> list:
     return launches
 
 
+def z_first_argument(level):
+    """z_first of the context view at hand; None where it is not part of the program."""
+    return level.arena["z_first"] if "z_first" in level.arena else None
+
+
 def nearest(level, view: int) -> list:
     """z_first of every pixel of a context view; nothing where occlusion is off."""
     if not level.config.splatting.occlusion:

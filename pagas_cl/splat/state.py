@@ -11,6 +11,7 @@ import pyopencl as cl
 from pagas_cl.config import Config
 from pagas_cl.runtime.arena import Arena, BufferSpec
 from pagas_cl.scene.camera import Camera
+from pagas_cl.splat import exposure
 from pagas_cl.splat import tile as tiles
 from pagas_cl.splat.options import reach
 from pagas_cl.splat.smooth import SUM_GROUPS
@@ -66,7 +67,8 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
     if config.loss.ssim > 0:
         rows = max(tiles.pitch(size.width) * size.height for size in (*contexts, target))
         specs.append(BufferSpec("partials", (3 * channels * rows + 2 * tiles.MARGIN,), np.float32))
-    specs.append(BufferSpec("z_first", (m if config.splatting.occlusion else 1,), np.uint32))
+    if config.splatting.occlusion:
+        specs.append(BufferSpec("z_first", (m,), np.uint32))
     if config.splatting.blend == "alpha":
         specs += _list_buffers(config, n, (*contexts, target))
     if config.smoothness.kind != "none":
@@ -74,7 +76,7 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
     if config.smoothness.kind == "normal":
         specs += [BufferSpec(name, (n, 4), np.float32) for name in ("normals", "slopes")]
     if config.loss.exposure:
-        specs.append(BufferSpec("exposure", (1 + len(contexts), 2, 3), np.float32))
+        specs += exposure.buffers(target, masked)
     if config.loss.unseen_mask:
         specs += [BufferSpec(f"seen{k}", (size.pixels // 32 + 2,), np.uint32)
                   for k, size in enumerate(contexts[:masked])]

@@ -28,12 +28,13 @@ class StepTime:
 
 
 def time_step(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
-              exposure=None, steps: int = 5) -> StepTime:
+              steps: int = 5) -> StepTime:
     """Time some steps of the full-size level; parameters as in refine_levels, every effect settled."""
-    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), None, exposure)
+    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), None)
     level = Level(device, config, run.at(1.0))
     level.enter(run.initial_writer(level))
     level.start(run.start_writer(level, None))
+    level.config = level.config.with_settings(loss__exposure=False)      # fits are a few of all steps, not of these
     best = np.inf
     for _ in range(1 + _ROUNDS):          # the first one compiles
         device.queue.finish()

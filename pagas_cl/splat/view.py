@@ -58,7 +58,7 @@ class Refinement:
 
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
-                  progress=None, witness=None, exposure=None) -> Refinement:
+                  progress=None, witness=None) -> Refinement:
     """Run the pyramid on one view.
 
     Parameters
@@ -74,8 +74,6 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
         Called while the steps of the last level are enqueued.
     witness : View, optional
         A view that takes no part and judges the result.
-    exposure : ndarray of shape (contexts, 3, 2), optional
-        Gain and offset of each channel from the target's photo to each context photo (with `loss.exposure`).
 
     Raises
     ------
@@ -89,7 +87,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     planned.tell(target.name)
     photos.leave(planned.beside_photos)
     device.memory.begin()
-    run = _Run(target, contexts, depth, config, device, photos, witness, exposure)
+    run = _Run(target, contexts, depth, config, device, photos, witness)
     before, done, losses = None, [], []
     for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
         level = Level(device, config, run.at(scale))
@@ -108,7 +106,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
 
 def full_level(target, contexts, depth: np.ndarray, config: Config, device) -> Level:
     """The full-size level, ready for its first step from the initial depth."""
-    run = _Run(target, contexts, depth, config, device, PhotoStore(device), None, None)
+    run = _Run(target, contexts, depth, config, device, PhotoStore(device), None)
     level = Level(device, config, run.at(1.0))
     level.enter(run.initial_writer(level))
     level.start(run.start_writer(level, None))
@@ -116,21 +114,21 @@ def full_level(target, contexts, depth: np.ndarray, config: Config, device) -> L
 
 
 def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None):
-    """Samples of every context view under the initial depth, and their grid (stride, across, down); see measure.py."""
-    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), None, None)
+    """What the context views show under the initial depth: a measure.Found."""
+    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), None)
     given = run.at(1.0)
     probe = Probe(device, config, given, lambda out: run.resampler.shrink_depth(run.entered, run.full, out, run.full))
-    samples = [probe.samples(view) for view in range(1, len(given.cameras))]
+    found = probe.read()
     probe.release()
-    return samples, (probe.stride, probe.across, probe.down)
+    return found
 
 
 class _Run:
     """One view's inputs at any level, and its way back to scene units."""
 
-    def __init__(self, target, contexts, depth, config, device, photos, witness, exposure):
+    def __init__(self, target, contexts, depth, config, device, photos, witness):
         self.views, self.config, self.device, self.photos = [target, *contexts], config, device, photos
-        self.depth, self.witness, self.exposure = depth, witness, exposure
+        self.depth, self.witness = depth, witness
         self.resampler = Resampler(device, config)
         self.full = Size(target.camera.width, target.camera.height)
         self.initial, self.unit = normalized_depth(depth, target.load_mask())
@@ -147,8 +145,7 @@ class _Run:
         sizes = [level_size(view.camera, scale) for view in views]
         cameras = [view.camera.resized(*size.grid) for view, size in zip(views, sizes)]
         photos, host = self.photos.level(views, sizes, self.resampler)
-        return LevelInput(cameras, photos, self.unit, self.threshold, self.distance, len(self.views) - 1,
-                          self.exposure, host)
+        return LevelInput(cameras, photos, self.unit, self.threshold, self.distance, len(self.views) - 1, host)
 
     def initial_writer(self, level: Level):
         return lambda out: self.resampler.shrink_depth(self.entered, self.full, out, level.target)

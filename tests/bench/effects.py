@@ -46,10 +46,10 @@ def run(made, views, config, device):
     target, *contexts = views
     measured = measure(target, contexts, depth, config, device, photos)
     config, decisions = decide(config, measured)
-    exposure, best = measured.exposure if config.loss.exposure else None, np.inf
+    best = np.inf
     for _ in range(3):
         start = time.perf_counter()
-        refined = refine_levels(target, contexts, depth, config, device, photos, exposure=exposure)
+        refined = refine_levels(target, contexts, depth, config, device, photos)
         best = min(best, time.perf_counter() - start)
     return refined.depth, best, {d.effect: d for d in decisions}
 

@@ -1,4 +1,4 @@
-"""Noise and texture of one photo."""
+"""Twin of splat/grain: noise and texture of one photo."""
 
 from __future__ import annotations
 

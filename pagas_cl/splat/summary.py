@@ -1,0 +1,41 @@
+"""Launches of summary.cl: number, mean and a quantile of rows of numbers, so that few of them leave the device."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.runtime.program import bind, build
+
+_GROUP = 64               # as in summary.cl
+NUMBER, MEAN, QUANTILE, MEAN_SQUARE = range(4)
+
+
+class Rows:
+    """Rows of `count` float32 on the device, NaN = no value, and what they come to.
+
+    Parameters
+    ----------
+    rules : list of (lowest, highest, share)
+        Of each row: the values that its quantile lies between, and the share of the values below it.
+    """
+
+    def __init__(self, device, rules, count: int):
+        self.device, self.rows, self.count = device, len(rules), count
+        self.values = device.memory.buffer(device.context, 4 * self.rows * count)
+        self.summary = device.memory.buffer(device.context, 16 * self.rows)
+        table = np.zeros((self.rows, 4), np.float32)
+        table[:, :3] = rules
+        self._rules = device.memory.buffer(device.context, table.nbytes)
+        cl.enqueue_copy(device.queue, self._rules, table)
+
+    def summarize(self):
+        """The launch that fills `summary`."""
+        return bind(build(self.device, "summary.cl"), "summarize", (self.rows * _GROUP,), (_GROUP,), self.values, self.count,
+                    self._rules, self.summary)
+
+    def read(self) -> np.ndarray:
+        """`summary` on the host: (rows, 4) of number, mean, quantile, mean square; NaN in a row without values."""
+        out = np.empty((self.rows, 4), np.float32)
+        cl.enqueue_copy(self.device.queue, out, self.summary)
+        return out.astype(np.float64)
