@@ -92,7 +92,7 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
         config = config.with_settings(fusion__voxel=_footprints(read, voxel_size))
     pairs = _refined(read, config, device, progress)
     results = [result for _, result in pairs]
-    surface = fuse_results([frame.view for frame, _ in pairs], results, config, progress)
+    surface = fuse_results([frame.view for frame, _ in pairs], results, config, progress, device=device)
     quality = vertex_confidence(surface.vertices, [r.camera for r in results], [r.depth for r in results],
                                 [r.confidence for r in results])
     return _tensor_mesh(replace(surface, quality=quality))

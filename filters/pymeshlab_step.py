@@ -134,7 +134,8 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
     if asked.output == "displace":
         _displace_layer(meshes, surface, views, depths, results, asked, matrix)
     else:
-        _add_layer(meshes, fuse_results(views, results, asked.config, progress), results, f"{label} refined", matrix)
+        fused = fuse_results(views, results, asked.config, progress, device=device or asked.device)
+        _add_layer(meshes, fused, results, f"{label} refined", matrix)
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
 
 

@@ -98,7 +98,7 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
             timed, measured_costs = target.name, effect_costs(target, contexts, depth, config, measured, device, photos)
     if progress:
         progress("analyze", len(asked), len(asked))
-    agreement = decide_consistency([view.camera for view in views], depths, config)[1]
+    agreement = decide_consistency([view.camera for view in views], depths, config, device)[1]
     return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement)
 
 

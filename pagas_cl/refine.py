@@ -72,7 +72,7 @@ def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=Non
                            folder=folder)
     if output == "displace":
         return displaced_mesh(mesh, views, depths, results, config, subdivide)
-    fused = fuse_results(views, results, config, progress, executor=executor, folder=folder)
+    fused = fuse_results(views, results, config, progress, executor=executor, folder=folder, device=device)
     return from_surface(fused, like=mesh)
 
 
@@ -215,27 +215,28 @@ def initial_depths(surface, views: list[View], progress=None, keep=None) -> list
 
 
 def fuse_results(views: list[View], results: list[DepthResult], config: Config, progress=None, memory_mb=None, tell=None, *,
-                 executor=None, folder=None):
+                 executor=None, folder=None, device=None):
     """Keep what other views confirm, then TSDF: a Surface. In `memory_mb` of host memory, or what is free.
 
     `tell(text)` is told whether other views were asked, and why. Where one grid does not fit, its boxes go to
-    `executor`, if that is a concurrent.futures.Executor and photos and depth maps are files that it can read.
+    `executor`, if that is a concurrent.futures.Executor and photos and depth maps are files that it can read. Views are
+    compared on `device` (as in refine_mesh), in NumPy where there is none.
     """
-    from pagas_cl.consistency import Later, decide_consistency
+    from pagas_cl.consistency import Later, decide_consistency, device_for
     from pagas_cl.surface.agree import confirmed
     from pagas_cl.surface.blocks import fuse_within
 
-    by_camera = {id(result.camera): result for result in results}
+    device, by_camera = device_for(device), {id(result.camera): result for result in results}
     used = [view for view in views if id(view.camera) in by_camera]
     results, cameras = [by_camera[id(view.camera)] for view in used], [view.camera for view in used]
-    config, decision = decide_consistency(cameras, [Later(result) for result in results], config)
+    config, decision = decide_consistency(cameras, [Later(result) for result in results], config, device)
     if decision is not None:
         log.info("%s", decision)
         if tell:
             tell(str(decision))
     on_disk = config.fusion.agree_views == 0  # read one at a time, then
     depths = [result.file if on_disk and hasattr(result, "file") else result.depth for result in results]
-    agreed = confirmed(cameras, depths, config.fusion)
+    agreed = confirmed(cameras, depths, config.fusion, device=device)
     files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
     elsewhere = executor if files and hasattr(executor, "map") else None
     return fuse_within(used, agreed, config.fusion, memory_mb, progress=progress, executor=elsewhere, folder=folder)

@@ -5,7 +5,8 @@ import pytest
 from conftest import look_at, plane_depth
 
 from pagas_cl.config import Fusion
-from pagas_cl.errors import InputError
+from pagas_cl.errors import DeviceError, InputError
+from pagas_cl.reference import agree as twin
 from pagas_cl.surface import agree
 
 NORMAL = np.array([0.3, 0.2, -0.93]) / np.linalg.norm([0.3, 0.2, -0.93])
@@ -80,7 +81,7 @@ def test_chunks_unit_and_origin(ring, monkeypatch):
     large = [d * np.float32(1e3) for d in depths]
     other = agree.confirmations(moved[3], large[3], moved[:3], large[:3], 2.0)
     assert 0.2 < whole.mean() / 3 < 0.99 and (whole != other).mean() < 1e-3
-    monkeypatch.setattr(agree, "_ROWS", 1000)
+    monkeypatch.setattr(twin, "_ROWS", 1000)
     assert np.array_equal(agree.confirmations(ring[3], depths[3], ring[:3], depths[:3], 2.0), whole)
 
 
@@ -107,3 +108,24 @@ def test_look_at_far_views_do_not_count_behind_the_camera():
     front, back = look_at((0, 0, -4), (0, 0, 0)), look_at((0, 0, -4.5), (0, 0, -10))
     depth = plane_depth(front, NORMAL, 0)
     assert agree.confirmations(front, depth, [back], [np.full_like(depth, 4.0)], 2.0).max() == 0
+
+
+def test_counts_on_a_device_equal_the_twin(ring):
+    from pagas_cl.runtime.device import open_device
+
+    try:
+        device = open_device()
+    except DeviceError as error:
+        pytest.skip(str(error))
+    rng = np.random.default_rng(1)
+    depths = [plane_depth(c, NORMAL, 0) * (1 + 0.01 * rng.normal(size=(120, 160))).astype("f4") for c in ring]
+    for depth in depths:
+        depth[rng.uniform(size=depth.shape) < 0.1] = 0
+    depths[1][30:60, 20:90] *= 0.8                       # something in front
+    others = ring[:3] + ring[4:6], depths[:3] + [None] + depths[5:6]
+    want, got = (agree.counts(ring[3], depths[3], *others, 2.0, where) for where in (None, device))
+    for name, a, b in zip(("confirmed", "expected"), want, got):
+        assert b.dtype == np.uint16 and len(np.unique(a)) > 2, name
+        assert (a == b).mean() > 0.999, name
+    kept = [agree.confirmed(ring, depths, Fusion(agree_views=2), device=where) for where in (None, device)]
+    assert np.mean([(a == b).mean() for a, b in zip(*kept)]) > 0.999

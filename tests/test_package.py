@@ -18,7 +18,7 @@ OPTIONAL = {"open3d", "pymeshlab", "pycolmap", "matplotlib", "skimage", "scipy",
 # What each part may import of the others; the flow is one way (a part may always import itself, errors and config).
 ALLOWED = {
     "errors": set(), "config": set(), "scene": set(), "reference": {"scene"}, "runtime": {"scene", "cl_kernels"},
-    "surface": {"scene", "runtime"}, "splat": {"scene", "runtime"}, "result": {"scene"},
+    "surface": {"scene", "runtime", "reference"}, "splat": {"scene", "runtime"}, "result": {"scene"},
     "jobs": {"scene", "runtime", "splat", "result"},
     "refine": {"jobs", "scene", "runtime", "surface", "splat", "result", "effects", "keep_mesh", "consistency"},
     "camera_check": {"scene", "surface"},

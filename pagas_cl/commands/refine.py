@@ -75,7 +75,8 @@ def command(
         if output is not None and keep_mesh:
             write_whole(output, displaced_mesh(mesh, found.views, depths, results, config, subdivide))
         elif output is not None:
-            write_mesh(output, fuse_results(found.views, results, config, progress, memory, page and page.note))
+            write_mesh(output, fuse_results(found.views, results, config, progress, memory, page and page.note,
+                                            device=place["device"]))
         if output is not None:
             log.info("mesh: %s", output)
     _tell(results, save_depth, report)

@@ -1,4 +1,4 @@
-"""What the cameras as a whole look at."""
+"""What the cameras as a whole look at, and how kernels read them."""
 
 from __future__ import annotations
 
@@ -32,3 +32,16 @@ def footprint(target: Camera, context: Camera, unit: float) -> float:
     rotation, tau = context.relative_to(target)
     z = rotation[2, 2] + tau[2] / unit
     return max(0.0, float(z)) / float(np.sqrt(context.fx * context.fy))
+
+
+def camera_table(target: Camera, contexts: list[Camera], unit: float) -> np.ndarray:
+    """The cameras as camera.clh reads them, target first: float32 of shape (1 + contexts, 20).
+
+    Relative poses are formed in float64 (method section 2); lengths are divided by `unit`.
+    """
+    rows = []
+    for camera in (target, *contexts):
+        rotation, tau = camera.relative_to(target)
+        rows.append([*rotation.ravel(), *(tau / unit), camera.fx, camera.fy, camera.cx, camera.cy, 1 / camera.fx,
+                     1 / camera.fy, camera.width, camera.height])
+    return np.array(rows, np.float32)

@@ -11,10 +11,10 @@ from pagas_cl.config import Config
 from pagas_cl.runtime.arena import Arena
 from pagas_cl.runtime.program import Upload, run_once
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.rig import footprint
+from pagas_cl.scene.rig import camera_table, footprint
 from pagas_cl.splat import backward, composite, exposure, loss, project, smooth, step
 from pagas_cl.splat.options import defines
-from pagas_cl.splat.state import Size, allocate, camera_table
+from pagas_cl.splat.state import Size, allocate
 from pagas_cl.splat.tile import choose_tiles
 
 

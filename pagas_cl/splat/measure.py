@@ -9,11 +9,11 @@ import pyopencl as cl
 
 from pagas_cl.runtime.arena import Arena, BufferSpec
 from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.scene.rig import camera_table
 from pagas_cl.splat import exposure, project
 from pagas_cl.splat.grain import Grain
 from pagas_cl.splat.level import threshold_in
 from pagas_cl.splat.options import defines
-from pagas_cl.splat.state import camera_table
 from pagas_cl.splat.summary import Rows
 
 SHIFTS = np.array([-4, -2, -1, 0, 1, 2, 4], np.float32)      # pixels of parallax, as in measure.cl

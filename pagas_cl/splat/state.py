@@ -43,19 +43,6 @@ def level_size(camera: Camera, scale: float) -> Size:
     return Size(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
 
 
-def camera_table(target: Camera, contexts: list[Camera], unit: float) -> np.ndarray:
-    """The cameras as camera.clh reads them, target first: float32 of shape (1 + contexts, 20).
-
-    Relative poses are formed in float64 (method section 2); lengths are divided by `unit`.
-    """
-    rows = []
-    for camera in (target, *contexts):
-        rotation, tau = camera.relative_to(target)
-        rows.append([*rotation.ravel(), *(tau / unit), camera.fx, camera.fy, camera.cx, camera.cy, 1 / camera.fx,
-                     1 / camera.fy, camera.width, camera.height])
-    return np.array(rows, np.float32)
-
-
 def level_buffers(config: Config, target: Size, contexts: list[Size], masked: int,
                   used: tuple[tiles.Tile, ...]) -> list[BufferSpec]:
     """Every buffer of a level except photos: per target pixel, one view's scratch, `masked` unseen masks."""

@@ -1,9 +1,4 @@
-"""Which depths other views confirm (method section 7), in NumPy.
-
-A depth d of view t is carried to view j: Q = d R rho + tau, seen there at m with depth z. View j confirms it when its
-own depth at m differs from z by no more than a number of pixels of parallax, one pixel of parallax being the change of
-d that moves m by one pixel (root mean square over the views that see the point).
-"""
+"""Which depths other views confirm (method section 7), on a device, or in NumPy where there is none."""
 
 from __future__ import annotations
 
@@ -11,14 +6,35 @@ import numpy as np
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import InputError
+from pagas_cl.reference import agree as twin
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.rig import camera_table
 
-_ROWS = 1 << 19  # pixels worked on at a time, which bounds memory to some 100 MB
+
+class DepthMaps:
+    """Depth maps on the device, each uploaded once; the one unused for longest goes when a quarter of memory is taken."""
+
+    def __init__(self, device):
+        self.device, self.limit, self._held = device, device.info.memory // 4, {}
+
+    def map(self, depth: np.ndarray):
+        """Buffer of float32 of `depth`."""
+        import pyopencl as cl
+
+        held = self._held.pop(id(depth), None)
+        if held is None:
+            pixels = np.ascontiguousarray(depth, np.float32)
+            while self._held and sum(buffer.size for _, buffer in self._held.values()) + pixels.nbytes > self.limit:
+                self._held.pop(next(iter(self._held)))
+            flags = cl.mem_flags
+            held = depth, cl.Buffer(self.device.context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=pixels)
+        self._held[id(depth)] = held       # the array is held so that its id stays its own
+        return held[1]
 
 
-def confirmations(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: list[np.ndarray | None],
-                  pixels: float = 2.0) -> np.ndarray:
-    """How many other views confirm each depth.
+def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: list[np.ndarray | None],
+           pixels: float = 2.0, device=None, maps: DepthMaps | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """How many other views confirm each depth, and how many should see it.
 
     Parameters
     ----------
@@ -29,10 +45,14 @@ def confirmations(target: Camera, depth: np.ndarray, cameras: list[Camera], dept
         The other views, without the target; None where a view has no depth map.
     pixels : float
         Tolerance, pixels of parallax.
+    device : Device, optional
+        Where to compare; in NumPy by default.
+    maps : DepthMaps, optional
+        Depth maps that are on the device already.
 
     Returns
     -------
-    ndarray of shape (H, W), uint16; 0 where there is no surface or no parallax
+    Two arrays of shape (H, W), uint16; 0 where there is no surface; no view confirms where there is no parallax
     """
     if len(cameras) != len(depths):
         raise InputError(f"there are {len(cameras)} cameras and {len(depths)} depth maps, expected one each")
@@ -40,78 +60,60 @@ def confirmations(target: Camera, depth: np.ndarray, cameras: list[Camera], dept
         if other is not None and other.shape != (camera.height, camera.width):
             raise InputError(f"depth map of {camera.name!r} is {other.shape[1]} x {other.shape[0]}, its camera says "
                              f"{camera.width} x {camera.height}")
-    others = [(camera, other, *camera.relative_to(target)) for camera, other in zip(cameras, depths)
-              if other is not None]
-    count = np.zeros(depth.size, np.uint16)
-    valid = np.flatnonzero(depth.reshape(-1) > 0)
-    for start in range(0, len(valid), _ROWS):
-        chunk = valid[start:start + _ROWS]
-        count[chunk] = _confirmed(target, depth.reshape(-1)[chunk].astype(np.float64), chunk, others, pixels)
-    return count.reshape(depth.shape)
+    used = [(camera, other) for camera, other in zip(cameras, depths) if other is not None]
+    if device is None:
+        return twin.count(target, depth, [camera for camera, _ in used], [other for _, other in used], pixels)
+    return _on_device(target, depth, used, pixels, device, maps or DepthMaps(device))
+
+
+def _on_device(target, depth, used, pixels: float, device, maps) -> tuple[np.ndarray, np.ndarray]:
+    import pyopencl as cl
+
+    from pagas_cl.runtime.program import bind, build, run_once
+
+    sample = depth[::8, ::8]
+    unit = float(np.median(sample[sample > 0])) if (sample > 0).any() else float(np.max(depth, initial=0.0)) or 1.0
+    table = camera_table(target, [camera for camera, _ in used], unit)
+    flags, n = cl.mem_flags, depth.size
+    cameras = cl.Buffer(device.context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=table)
+    parallax, found = (cl.Buffer(device.context, flags.READ_WRITE, 4 * n) for _ in range(2))
+    cl.enqueue_fill_buffer(device.queue, found, np.uint32(0), 0, 4 * n)
+    program, own, size, scale = build(device, "agree.cl"), maps.map(depth), (target.width, target.height), 1 / unit
+    run_once(device.queue, [bind(program, "parallax", size, None, own, cameras, len(used), scale, parallax)])
+    for view, (_, other) in enumerate(used, start=1):
+        run_once(device.queue, [bind(program, "count_view", size, None, own, cameras, view, scale, maps.map(other),
+                                     parallax, float(pixels), found)])
+    out = np.empty((*depth.shape, 2), np.uint16)
+    cl.enqueue_copy(device.queue, out, found)
+    return out[..., 0], out[..., 1]
+
+
+def confirmations(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: list[np.ndarray | None],
+                  pixels: float = 2.0, device=None) -> np.ndarray:
+    """The first of `counts`: how many other views confirm each depth."""
+    return counts(target, depth, cameras, depths, pixels, device)[0]
 
 
 def confirmed(cameras: list[Camera], depths: list[np.ndarray | None], settings: Fusion,
-              neighbours: list | None = None) -> list[np.ndarray | None]:
+              neighbours: list | None = None, device=None) -> list[np.ndarray | None]:
     """Copies of the depth maps without the depths that fewer than `settings.agree_views` others confirm.
 
     Parameters
     ----------
     neighbours : list of sequences of int, optional
         For each view the others to ask (its context views); all others where it is left out.
+    device : Device, optional
+        As in `counts`.
     """
     if settings.agree_views == 0:
         return list(depths)
-    kept = []
+    kept, maps = [], None if device is None else DepthMaps(device)
     for i, (camera, depth) in enumerate(zip(cameras, depths)):
         asked = [j for j in (range(len(cameras)) if neighbours is None else neighbours[i]) if j != i]
         if depth is None:
             kept.append(None)
             continue
-        count = confirmations(camera, depth, [cameras[j] for j in asked], [depths[j] for j in asked],
-                              settings.agree_pixels)
+        count = counts(camera, depth, [cameras[j] for j in asked], [depths[j] for j in asked], settings.agree_pixels,
+                       device, maps)[0]
         kept.append(np.where(count >= settings.agree_views, depth, np.float32(0)))
     return kept
-
-
-def _confirmed(target: Camera, d: np.ndarray, pixel: np.ndarray, others: list, pixels: float) -> np.ndarray:
-    rows, columns = np.divmod(pixel, target.width)
-    rho = np.stack([(columns + 0.5 - target.cx) / target.fx, (rows + 0.5 - target.cy) / target.fy, np.ones(len(d))])
-    squared, views = np.zeros(len(d)), np.zeros(len(d))
-    errors = np.full((len(others), len(d)), np.inf)
-    for error, (camera, depth, rotation, tau) in zip(errors, others):
-        q = rotation @ rho
-        x, y, z = q * d + tau[:, None]
-        front = z > 1e-6 * d
-        z = np.where(front, z, 1)
-        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-        inside = front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        moved = ((camera.fx * (q[0] * tau[2] - q[2] * tau[0]) / z**2) ** 2
-                 + (camera.fy * (q[1] * tau[2] - q[2] * tau[1]) / z**2) ** 2)
-        squared += np.where(inside, moved, 0)
-        views += inside
-        error[inside] = _difference(depth, u[inside], v[inside], z[inside])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        unit = np.sqrt(views / squared)  # one pixel of parallax, in depth; inf or NaN where there is none
-    unit = np.where(np.isfinite(unit), unit, 0)
-    return np.count_nonzero((errors <= pixels * unit) & (unit > 0), axis=0)
-
-
-def _difference(depth: np.ndarray, u: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """|own depth - z|: the smaller of the pixel's own and, where all four neighbours are valid, their interpolation.
-
-    Inverse depth is interpolated, since it is linear in the image on every plane. Infinite where there is no depth.
-    """
-    height, width = depth.shape
-    near = depth[v.astype(np.intp), u.astype(np.intp)]
-    best = np.where(near > 0, np.abs(near - z), np.inf)
-    x, y = np.clip(u - 0.5, 0, width - 1), np.clip(v - 0.5, 0, height - 1)
-    left, top = np.minimum(x.astype(np.intp), max(width - 2, 0)), np.minimum(y.astype(np.intp), max(height - 2, 0))
-    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-    fx, fy = x - left, y - top
-    inverse, valid = np.zeros(len(u)), np.ones(len(u), bool)
-    for rows, columns, share in ((top, left, (1 - fy) * (1 - fx)), (top, right, (1 - fy) * fx),
-                                 (bottom, left, fy * (1 - fx)), (bottom, right, fy * fx)):
-        corner = depth[rows, columns].astype(np.float64)
-        valid &= corner > 0
-        inverse += share / np.where(corner > 0, corner, 1)
-    return np.where(valid, np.minimum(best, np.abs(1 / np.where(valid, inverse, 1) - z)), best)

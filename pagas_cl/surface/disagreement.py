@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from pagas_cl.reference.agree import OCCLUDED, difference
 from pagas_cl.scene.camera import Camera
-from pagas_cl.surface.agree import _difference
 
-_OCCLUDED = 0.05  # share of the depth: larger differences are other surfaces, not errors
 _WINDOW = 4       # pixels to each side over which differences are averaged
 
 
@@ -35,8 +34,8 @@ def disagreement(target: Camera, depth: np.ndarray, cameras: list[Camera], depth
         z = np.where(front, z, 1)
         u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
         inside = np.flatnonzero(front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height))
-        error = _difference(other, u[inside], v[inside], z[inside]) / z[inside]
-        same = error < _OCCLUDED
+        error = difference(other, u[inside], v[inside], z[inside]) / z[inside]
+        same = error < OCCLUDED
         place = rows[inside[same]], columns[inside[same]]
         total[place] += error[same]
         count[place] += 1
@@ -53,22 +52,3 @@ def _box(values: np.ndarray) -> np.ndarray:
         values = np.take(sums, np.arange(span, sums.shape[axis]), axis) - np.take(
             sums, np.arange(sums.shape[axis] - span), axis)
     return values
-
-
-def expected(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: list[np.ndarray]) -> np.ndarray:
-    """How many other views should see each depth: those with a surface there that does not hide it, uint16 (H, W)."""
-    count = np.zeros(depth.size, np.uint16)
-    pixel = np.flatnonzero(depth.reshape(-1) > 0)
-    rows, columns = np.divmod(pixel, target.width)
-    d = depth.reshape(-1)[pixel].astype(np.float64)
-    rho = np.stack([(columns + 0.5 - target.cx) / target.fx, (rows + 0.5 - target.cy) / target.fy, np.ones(len(d))])
-    for camera, other in zip(cameras, depths):
-        rotation, tau = camera.relative_to(target)
-        x, y, z = rotation @ (rho * d) + tau[:, None]
-        front = z > 1e-6 * d
-        z = np.where(front, z, 1)
-        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-        inside = np.flatnonzero(front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height))
-        found = other[v[inside].astype(np.intp), u[inside].astype(np.intp)]
-        count[pixel[inside[(found > 0) & (z[inside] < found * (1 + _OCCLUDED))]]] += 1
-    return count.reshape(depth.shape)

@@ -76,7 +76,8 @@ def _agreed(setting, bench, depth, device, photos):
             around = [other for other in views if other is not view]
             cameras.append(view.camera)
             others.append(_stages(setting.stages, view, around, start, device, photos)[0])
-    count = confirmations(bench.target.camera, depth, cameras, others, setting.stages[-1].fusion.agree_pixels)
+    count = confirmations(bench.target.camera, depth, cameras, others, setting.stages[-1].fusion.agree_pixels,
+                          device)
     return np.where(count >= setting.agree, depth, np.float32(0))
 
 

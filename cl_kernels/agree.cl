@@ -1,0 +1,78 @@
+// Which depths other views confirm, and which they should see (method section 7). Lengths in units; `scale` is units per
+// scene unit, in which the depth maps come.
+//   parallax       depth that moves a point of the target by one pixel, over the views that see it
+//   count_view     adds what one other view says of each depth
+#include "camera.clh"
+
+#define FRONT 1e-6f                      // as in reference/agree.py
+#define OCCLUDED 0.05f
+
+// Where a depth of the target lands in another view: false behind it and outside its image.
+bool land(const Camera target, const Camera other, int column, int row, float d, float3 *mean)
+{
+    *mean = project_mean(target, other, column, row, d);
+    return mean->z > FRONT * d && mean->x >= 0.0f && mean->x < other.width && mean->y >= 0.0f && mean->y < other.height;
+}
+
+__kernel void parallax(__global const float *depth, __global const float *cameras, int views, float scale,
+                       __global float *unit)
+{
+    const Camera target = load_camera(cameras, 0);
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= target.width || row >= target.height)
+        return;
+    const int i = row * target.width + column;
+    const float d = depth[i] * scale;
+    const float3 ray = pixel_ray(target, column, row);
+    float sum = 0.0f, number = 0.0f;
+    for (int view = 1; view <= views && d > 0.0f; ++view) {
+        const Camera other = load_camera(cameras, view);
+        float3 mean;
+        if (!land(target, other, column, row, d, &mean))
+            continue;
+        const float3 q = (float3)(dot(other.r0, ray), dot(other.r1, ray), dot(other.r2, ray));
+        const float2 moved = (float2)(other.fx * (q.x * other.t.z - q.z * other.t.x),
+                                      other.fy * (q.y * other.t.z - q.z * other.t.y)) / (mean.z * mean.z);
+        sum += dot(moved, moved);
+        number += 1.0f;
+    }
+    unit[i] = sum > 0.0f ? sqrt(number / sum) : 0.0f;
+}
+
+// |own depth - z|: the smaller of the pixel's own and, where all four neighbours are valid, their interpolation. Inverse
+// depth is interpolated, since it is linear in the image on every plane.
+float difference(__global const float *map, const Camera other, float3 mean, float near, float scale)
+{
+    const float best = near > 0.0f ? fabs(near - mean.z) : INFINITY;
+    const float x = clamp(mean.x - 0.5f, 0.0f, other.width - 1.0f), y = clamp(mean.y - 0.5f, 0.0f, other.height - 1.0f);
+    const int left = min((int)x, max(other.width - 2, 0)), top = min((int)y, max(other.height - 2, 0));
+    float inverse = 0.0f;
+    for (int v = 0; v <= 1; ++v)
+        for (int u = 0; u <= 1; ++u) {
+            const float corner = map[min(top + v, other.height - 1) * other.width + min(left + u, other.width - 1)] * scale;
+            if (!(corner > 0.0f))
+                return best;
+            inverse += (u ? x - left : 1.0f - (x - left)) * (v ? y - top : 1.0f - (y - top)) / corner;
+        }
+    return fmin(best, fabs(1.0f / inverse - mean.z));
+}
+
+// counts: views that confirm a depth to within `pixels` of parallax, views that should see it.
+__kernel void count_view(__global const float *depth, __global const float *cameras, int view, float scale,
+                         __global const float *map, __global const float *unit, float pixels, __global ushort2 *counts)
+{
+    const Camera target = load_camera(cameras, 0), other = load_camera(cameras, view);
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= target.width || row >= target.height)
+        return;
+    const int i = row * target.width + column;
+    const float d = depth[i] * scale;
+    float3 mean;
+    if (!(d > 0.0f) || !land(target, other, column, row, d, &mean))
+        return;
+    const float near = map[(int)mean.y * other.width + (int)mean.x] * scale;
+    if (unit[i] > 0.0f && difference(map, other, mean, near, scale) <= pixels * unit[i])
+        counts[i].x += 1;
+    if (near > 0.0f && mean.z < near * (1.0f + OCCLUDED))
+        counts[i].y += 1;
+}
