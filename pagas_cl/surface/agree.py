@@ -15,19 +15,16 @@ class DepthMaps:
     """Depth maps on the device, each uploaded once; the one unused for longest goes when a quarter of memory is taken."""
 
     def __init__(self, device):
-        self.device, self.limit, self._held = device, device.info.memory // 4, {}
+        self.device, self.limit, self._held = device, device.memory.limit // 4, {}
 
     def map(self, depth: np.ndarray):
         """Buffer of float32 of `depth`."""
-        import pyopencl as cl
-
         held = self._held.pop(id(depth), None)
         if held is None:
             pixels = np.ascontiguousarray(depth, np.float32)
             while self._held and sum(buffer.size for _, buffer in self._held.values()) + pixels.nbytes > self.limit:
                 self._held.pop(next(iter(self._held)))
-            flags = cl.mem_flags
-            held = depth, cl.Buffer(self.device.context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=pixels)
+            held = depth, _uploaded(self.device, pixels)
         self._held[id(depth)] = held       # the array is held so that its id stays its own
         return held[1]
 
@@ -74,9 +71,8 @@ def _on_device(target, depth, used, pixels: float, device, maps) -> tuple[np.nda
     sample = depth[::8, ::8]
     unit = float(np.median(sample[sample > 0])) if (sample > 0).any() else float(np.max(depth, initial=0.0)) or 1.0
     table = camera_table(target, [camera for camera, _ in used], unit)
-    flags, n = cl.mem_flags, depth.size
-    cameras = cl.Buffer(device.context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=table)
-    parallax, found = (cl.Buffer(device.context, flags.READ_WRITE, 4 * n) for _ in range(2))
+    cameras, n = _uploaded(device, table), depth.size
+    parallax, found = (device.memory.buffer(device.context, 4 * n) for _ in range(2))
     cl.enqueue_fill_buffer(device.queue, found, np.uint32(0), 0, 4 * n)
     program, own, size, scale = build(device, "agree.cl"), maps.map(depth), (target.width, target.height), 1 / unit
     run_once(device.queue, [bind(program, "parallax", size, None, own, cameras, len(used), scale, parallax)])
@@ -86,6 +82,14 @@ def _on_device(target, depth, used, pixels: float, device, maps) -> tuple[np.nda
     out = np.empty((*depth.shape, 2), np.uint16)
     cl.enqueue_copy(device.queue, out, found)
     return out[..., 0], out[..., 1]
+
+
+def _uploaded(device, array: np.ndarray):
+    import pyopencl as cl
+
+    buffer = device.memory.buffer(device.context, array.nbytes)
+    cl.enqueue_copy(device.queue, buffer, array)
+    return buffer
 
 
 def confirmations(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: list[np.ndarray | None],
