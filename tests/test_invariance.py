@@ -65,3 +65,11 @@ def test_a_rounded_initial_depth_changes_little(made, plain, scale):
     relative = np.abs(depth - plain[1])[both] / plain[1][both]
     assert np.median(relative) < 1e-5
     assert np.quantile(np.abs(depth - plain[1])[both] / plain[0].parallax[both], 0.99) < 0.03
+
+
+def test_the_order_of_the_array_in_memory_changes_nothing(made):
+    """A depth map by columns (a transposed array, some resized ones) is the same depth map."""
+    depth = made.initial_depth(made.views[0].camera)
+    rows, columns = (refine_depth(made.views[0], made.views[1:], order(depth)).depth
+                     for order in (np.ascontiguousarray, np.asfortranarray))
+    assert np.array_equal(rows, columns) and not np.array_equal(rows, depth)

@@ -119,11 +119,11 @@ def resize_depth(depth: np.ndarray, width: int, height: int) -> np.ndarray:
         return depth
     if width <= depth.shape[1] and height <= depth.shape[0]:
         share = depth_down(np.where(depth > 0, np.float32(2), np.float32(1)), width, height)
-        return np.where(share >= 1.5, depth_down(depth, width, height), np.float32(0))
+        return np.ascontiguousarray(np.where(share >= 1.5, depth_down(depth, width, height), np.float32(0)))
     rows = ((np.arange(height) + 0.5) * depth.shape[0] / height).astype(np.intp)
     columns = ((np.arange(width) + 0.5) * depth.shape[1] / width).astype(np.intp)
     valid = (depth > 0)[rows[:, None], columns[None, :]]
-    return np.where(valid, depth_up(depth, width, height), np.float32(0))
+    return np.ascontiguousarray(np.where(valid, depth_up(depth, width, height), np.float32(0)))
 
 
 def _read_npz(path: Path) -> np.ndarray:

@@ -154,7 +154,8 @@ def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.nda
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = (depth / np.asarray(unit, depth.dtype)).astype(np.float32, copy=False)
         valid &= (scaled >= NEAR) & (scaled <= FAR)
-    return np.where(valid, scaled, np.float32(0)), unit
+    # NumPy keeps the order of what came in, by columns too, and the device reads rows
+    return np.ascontiguousarray(np.where(valid, scaled, np.float32(0))), unit
 
 
 def median_of(depths: np.ndarray) -> float:
