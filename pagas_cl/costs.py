@@ -27,7 +27,7 @@ log = logging.getLogger("pagas_cl")
 _SHORT, _MOST = 1, 4000   # steps of the short run, and most of the long one
 _FEW = 64                 # views that are looked at one by one
 _REPEATS = 3
-_LEAST = 0.25             # seconds that the long run must take longer than the short one
+_LEAST = 0.3              # seconds that the long run must take longer than the short one
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,9 @@ def _solve(measure, contexts: int, pixels: int, photo: float) -> Cost:
         steps //= 3
     one = max(long - short, 1e-9) / (steps - _SHORT)        # seconds of a step with one view
     each = min(3, contexts)
-    more = (least(steps, each) - long) / (steps * (each - 1)) if each > 1 else one
+    fewer = max(steps // each, _SHORT + 1)                  # as much work with several views a step
+    several = (least(fewer, each) - short + _SHORT * one) / fewer
+    more = (several - one) / (each - 1) if each > 1 else one
     view = min(max(more, 0.0), one)                         # a view costs something, and so does the step itself
     setup = max(short - _SHORT * one, 0.0)
     return Cost(photo, setup / pixels / (1 + contexts), (one - view) / pixels, view / pixels)

@@ -1,0 +1,58 @@
+"""Expected time per view (pagas_cl.costs) beside the time that refine_views takes, photos read from files.
+
+    python tests/bench/scenes.py SCENES --data DATA
+    python tests/bench/prediction.py SCENES OUT.md [--names relief bar motorcycle] [--device gpu]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from front import depth_of
+
+from pagas_cl.costs import Costs, rungs
+from pagas_cl.refine import refine_views
+from pagas_cl.runtime.device import open_device
+from pagas_cl.scene.readers import read_scene
+
+SETTINGS = ("fast", "balanced", "accurate")
+
+
+def rows_of(folder: Path, device, most: int):
+    """(settings, views, expected, taken) of a scene written by scenes.py; seconds per view."""
+    scene = read_scene(folder)
+    depths = [depth_of(folder / "depth_initial", view) for view in scene.views]
+    names = [view.name for view, depth in zip(scene.views, depths) if depth is not None][:most]
+    costs = Costs(scene.views, depths, device, names)
+    for name, config in rungs():
+        if name not in SETTINGS:
+            continue
+        expected, times = costs.seconds(config), []
+        for _ in range(3):  # the least: what else the machine does only adds
+            start = time.perf_counter()
+            refine_views(scene.views, depths, names=names, config=config, device=device)
+            times.append((time.perf_counter() - start) / len(names))
+        yield name, len(names), expected, min(times)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenes", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--names", nargs="*", default=("relief", "bar", "motorcycle", "dtu"))
+    parser.add_argument("--device")
+    parser.add_argument("--views", type=int, default=10, help="at most so many of each scene")
+    given = parser.parse_args()
+    device = open_device(given.device)
+    lines = [str(device.info), "", "| scene | settings | views | expected s per view | taken | ratio |",
+             "|---|---|---|---|---|---|"]
+    for name in given.names:
+        for settings, views, expected, taken in rows_of(given.scenes / name, device, given.views):
+            lines.append(f"| {name} | {settings} | {views} | {expected:.4g} | {taken:.4g} | {expected / taken:.3f} |")
+    given.out.write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
