@@ -13,7 +13,7 @@ from pagas_cl.runtime.program import Upload, run_once
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import camera_table, footprint
 from pagas_cl.splat import backward, composite, exposure, loss, project, smooth, step
-from pagas_cl.splat.options import defines
+from pagas_cl.splat.options import defines, heaviest_pixel
 from pagas_cl.splat.state import Size, allocate
 from pagas_cl.splat.tile import choose_tiles
 
@@ -70,7 +70,7 @@ class Level:
     def __init__(self, device, config: Config, given: LevelInput):
         target, *contexts = given.sizes
         self.device, self.config, self.given = device, config, given
-        self.defines = defines(config, device, max(target.grid))
+        self.defines = defines(config, device, heaviest_pixel(given.cameras[0]))
         self.target, self.contexts = target, contexts[:given.contexts]
         self.ssim_tile, self.loss_tile = choose_tiles(device, [size.grid for size in given.sizes])
         self.arena: Arena = allocate(device, config, target, contexts, given.contexts,
@@ -98,7 +98,7 @@ class Level:
         """Go on with the radius of the last steps: other programs, the same buffers."""
         self.config = self.config.with_settings(splatting__radius=self.config.splatting.final_radius,
                                                 splatting__final_radius=0.0)
-        self.defines = defines(self.config, self.device, max(self.target.grid))
+        self.defines = defines(self.config, self.device, heaviest_pixel(self.given.cameras[0]))
         for launches in (self.target_view, *self.views):
             for launch in launches:
                 launch.release()

@@ -13,7 +13,7 @@ from pagas_cl.scene.rig import camera_table
 from pagas_cl.splat import exposure, project
 from pagas_cl.splat.grain import Grain
 from pagas_cl.splat.level import threshold_in
-from pagas_cl.splat.options import defines
+from pagas_cl.splat.options import defines, heaviest_pixel
 from pagas_cl.splat.summary import Rows
 
 SHIFTS = np.array([-4, -2, -1, 0, 1, 2, 4], np.float32)      # pixels of parallax, as in measure.cl
@@ -61,7 +61,7 @@ class Probe:
         target, *contexts = given.sizes
         self.device, self.config, self.given = device, config, given
         self.target, self.contexts = target, contexts[:given.contexts]
-        self.defines, self.grid = defines(config, device, max(target.grid)), exposure.Grid.over(target)
+        self.defines, self.grid = defines(config, device, heaviest_pixel(given.cameras[0])), exposure.Grid.over(target)
         views, count = len(self.contexts), self.grid.count
         self.views = Rows(device, [rule for _, *rule in _ROWS] * views, count)
         self.samples = Rows(device, [(0, 1, 0.5)] * 2, count)

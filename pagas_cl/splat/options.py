@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import ceil, floor, log2
 
 from pagas_cl.config import Config
+from pagas_cl.scene.camera import Camera
 
 SLOTS = 12                # candidates that a pixel sorts at a time (lists.clh)
 LIST_GROUP = (32, 4)      # work-items that do so side by side: 16 bytes a slot, 24 kB of local memory
@@ -15,17 +16,24 @@ def reach(radius: float) -> int:
     return floor(radius + 0.5)
 
 
-def fixed_bits(longest_side: int) -> int:
-    """Fractional bits of the fixed-point weights of an image with `longest_side` pixels.
+def heaviest_pixel(target: Camera) -> float:
+    """More than the weights of all Gaussians of `target` can sum to in one pixel of any view, at any depths.
 
-    Projected area is kept, so that one surface gives a pixel a weight of about pi / 2; seen edge-on, a whole row of
-    Gaussians may fall into one pixel. Twice that must fit into 32 bits.
+    Projected area is kept, so that one surface gives a pixel a weight of about pi / 2. Seen edge-on, a whole row of
+    pixels may fall into one, each with the weight of those beside it: sqrt(pi / 2) times the square root of how much
+    longer a pixel is one way than the other. Twice that, and never more than all pixels together.
     """
-    return max(8, min(20, 32 - ceil(log2(3.2 * longest_side))))
+    stretch = max(target.fx / target.fy, target.fy / target.fx) ** 0.5
+    return min(3.2 * max(target.width, target.height) * stretch, 1.01 * target.width * target.height + 1)
 
 
-def defines(config: Config, device, longest_side: int) -> tuple[str, ...]:
-    """The -D defines of every kernel for `config` on `device`, for a target of `longest_side` pixels."""
+def fixed_bits(weight: float) -> int:
+    """Fractional bits of whole-number weights whose sum stays below `weight`: 32 bits hold it."""
+    return max(1, min(20, 32 - ceil(log2(weight))))
+
+
+def defines(config: Config, device, weight: float) -> tuple[str, ...]:
+    """The -D defines of every kernel for `config` on `device`; `weight` as heaviest_pixel has it."""
     splatting, loss = config.splatting, config.loss
     switches = {
         "ORDER_FREE": splatting.blend == "order_free",
@@ -46,7 +54,7 @@ def defines(config: Config, device, longest_side: int) -> tuple[str, ...]:
     }
     numbers = {"REACH": reach(splatting.radius), "SLOTS": SLOTS,
                "LIST_GROUP_W": LIST_GROUP[0], "LIST_GROUP_H": LIST_GROUP[1],
-               "FIXED_BITS": fixed_bits(longest_side)}
+               "FIXED_BITS": fixed_bits(weight)}
     numbers["RADIUS"] = f"{float(splatting.radius)!r}f"
     if loss.robust > 0:
         numbers["ROBUST"] = f"{float(loss.robust)!r}f"       # 2.0f, 1e-06f: always a floating constant of C

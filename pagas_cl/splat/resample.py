@@ -13,7 +13,7 @@ class Resampler:
     """Device to device: every result is a buffer of its own or goes into the one given."""
 
     def __init__(self, device, config):
-        self.device, self.program = device, build(device, "resample.cl", defines(config, device, 1))
+        self.device, self.program = device, build(device, "resample.cl", defines(config, device, 1.0))
 
     def photo(self, source: cl.Buffer, size: Size, to: Size) -> cl.Buffer:
         """`source` at the size `to`, by area averaging; `source` itself where nothing changes."""
