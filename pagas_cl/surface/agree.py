@@ -60,7 +60,10 @@ def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: lis
     used = [(camera, other) for camera, other in zip(cameras, depths) if other is not None]
     if device is None:
         return twin.count(target, depth, [camera for camera, _ in used], [other for _, other in used], pixels)
-    return _on_device(target, depth, used, pixels, device, maps or DepthMaps(device))
+    from pagas_cl.runtime.faults import told_as_device_error
+
+    with told_as_device_error(device, f"the comparison of view {target.name!r} with others"):
+        return _on_device(target, depth, used, pixels, device, maps or DepthMaps(device))
 
 
 def _on_device(target, depth, used, pixels: float, device, maps) -> tuple[np.ndarray, np.ndarray]:

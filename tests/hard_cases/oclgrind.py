@@ -41,6 +41,7 @@ def inside() -> None:
     from pagas_cl.runtime.device import open_device
     from pagas_cl.selftest import BLENDS
     from pagas_cl.splat import composite, options, refine_levels
+    from pagas_cl.surface.agree import counts
 
     device, launched, enqueue = open_device("oclgrind"), set(), program.Launch.enqueue
 
@@ -63,6 +64,9 @@ def inside() -> None:
                          witness=witness)
         else:
             refine_levels(scene.target, scene.contexts, scene.depth, config, device)
+    scene = make.base(size=(18, 16))
+    counts(scene.target.camera, scene.depth, [view.camera for view in scene.contexts], [scene.depth, scene.depth],
+           device=device)
     sys.stdout.write(f"kernels: {' '.join(sorted(launched))}\n")
 
 
