@@ -11,6 +11,8 @@ from typing import Any
 
 from pagas_cl.errors import InputError
 
+MOST_CONTEXTS = 1000
+
 
 def _check(stage: str, **rules):
     """Raise InputError for the first `field=(value, holds, expected)` that does not hold."""
@@ -254,7 +256,7 @@ class Context:
     min_overlap: float = 0.1
 
     def __post_init__(self):
-        _check("context", number=_whole(self.number, 1, 1000), min_angle=_within(self.min_angle, 0, 180),
+        _check("context", number=_whole(self.number, 1, MOST_CONTEXTS), min_angle=_within(self.min_angle, 0, 180),
                max_angle=_within(self.max_angle, self.min_angle, 180), min_overlap=_within(self.min_overlap, 0, 1))
 
 

@@ -134,7 +134,7 @@ def test_every_block_is_in_one_box_and_boxes_fit(scene, tmp_path):
 
 def test_too_little_for_the_mesh_itself_is_refused_before_the_work(scene):
     views, depths = scene
-    with pytest.raises(InputError, match=r"fusion is allowed 2 MB, and the mesh .* take \d+ MB: allow \d+ MB"):
+    with pytest.raises(InputError, match=r"fusion is allowed 2 MB, and the mesh.* take \d+ MB: allow \d+ MB"):
         fuse_within(views, depths, SETTINGS, 2.0)
 
 

@@ -90,6 +90,34 @@ def test_photo_paths_of_a_scene_file_stay_inside_unless_told(tmp_path, path):
         read_scene(folder, "nerfstudio")
 
 
+@pytest.mark.parametrize("what", ["photo", "folder", "whole scene", "inside"])
+def test_links_out_of_a_scene_are_told(tmp_path, caplog, what):
+    """Photos behind symbolic links are read, and the caller is told where from; links that stay inside are nobody's
+    business, nor is the way to the scene itself."""
+    folder, elsewhere = tmp_path / "scene", tmp_path / "elsewhere"
+    folder.mkdir(), elsewhere.mkdir()
+    nerfstudio.write(folder, rigs.with_photos(folder, rigs.random_cameras(2)))
+    photo = read_scene(folder, "nerfstudio").views[0].image
+    if what == "photo":
+        photo.rename(elsewhere / photo.name)
+        photo.symlink_to(elsewhere / photo.name)
+    elif what == "folder":
+        photo.parent.rename(elsewhere / "photos")
+        photo.parent.symlink_to(elsewhere / "photos")
+    elif what == "inside":
+        photo.rename(folder / "first.png")
+        photo.symlink_to(folder / "first.png")
+    else:
+        (tmp_path / "link").symlink_to(folder)
+        folder = tmp_path / "link"
+    caplog.clear()
+    scene = read_scene(folder, "nerfstudio")
+    assert scene.views[0].load_image().size
+    assert ("symbolic links" in caplog.text) == (what in ("photo", "folder"))
+    if what == "folder":
+        assert f"{len(scene.views)} photos" in caplog.text and str(elsewhere) in caplog.text
+
+
 def test_a_photo_that_claims_to_be_huge(tmp_path):
     def chunk(kind, data):
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

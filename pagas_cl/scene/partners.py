@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from pagas_cl.config import Context
+from pagas_cl.config import MOST_CONTEXTS, Context
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.sampling import DepthSample, sample_depth
@@ -49,7 +49,8 @@ class PartnerChooser:
     def __init__(self, cameras: list[Camera], depths: list, settings: Context):
         self._number = settings.number
         depths = [for_planning(depth, len(cameras)) for depth in depths]
-        self._chooser = ContextChooser(cameras, depths, replace(settings, number=settings.number + 1))
+        one_more = min(settings.number + 1, MOST_CONTEXTS)      # to spare, for the witness
+        self._chooser = ContextChooser(cameras, depths, replace(settings, number=one_more))
 
     def choose(self, target: int) -> Partners:
         """Partners of the view `target`."""

@@ -114,9 +114,9 @@ def cut(touched: Touched, settings: Fusion, allowed_mb: float, views) -> list[Bo
     least = _memory_mb(27, settings)
     if room < least:
         wanted = allowed_mb - room + 20 * least
-        raise InputError(f"fusion is allowed {allowed_mb:.0f} MB, and the mesh and one photo alone take "
-                         f"{allowed_mb - room:.0f} MB: allow {wanted:.0f} MB, or raise fusion.voxel (it is "
-                         f"{settings.voxel:g})")
+        raise InputError(f"fusion is allowed {allowed_mb:.0f} MB, and the mesh, one photo and the smallest box take "
+                         f"{allowed_mb - room + least:.0f} MB: allow {wanted:.0f} MB, raise fusion.voxel (it is "
+                         f"{settings.voxel:g}) or lower fusion.truncation (it is {settings.truncation:g})")
     blocks = touched.blocks
     far = 1 << 20
     boxes, waiting = [], [(blocks, (-far,) * 3, (far,) * 3)]

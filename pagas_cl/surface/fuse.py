@@ -157,8 +157,8 @@ def _mesh(extracted, plan: FusionPlan, settings: Fusion, seen: np.ndarray) -> Su
     if len(faces) == 0:
         raise InputError(f"fused mesh is empty: depths {plan.depth_range[0]:.4g} to {plan.depth_range[1]:.4g}, voxel "
                          f"{plan.voxel:.4g}, truncation {plan.truncation:.4g}, fusion.min_views {settings.min_views}; "
-                         f"voxels seen by 1, 2, 3, more views: {', '.join(map(str, seen))}; lower fusion.min_views or "
-                         "raise fusion.voxel")
+                         f"voxels seen by 1, 2, 3, more views: {', '.join(map(str, seen))}; lower fusion.min_views, or "
+                         f"change fusion.voxel (it is {settings.voxel:g})")
     keep, faces, dropped = without_small_pieces(faces, len(vertices), settings.min_component)
     if dropped:
         log.info("fusion: %d pieces with fewer than %g of the largest one's triangles are dropped", dropped,

@@ -55,8 +55,8 @@ def join(files: list[Path], boxes, plan: FusionPlan, settings: Fusion) -> Surfac
     """One mesh from the pieces; they are read one at a time."""
     if not files:
         raise InputError(f"fused mesh is empty: depths {plan.depth_range[0]:.4g} to {plan.depth_range[1]:.4g}, voxel "
-                         f"{plan.voxel:.4g}, fusion.min_views {settings.min_views}; lower fusion.min_views or raise "
-                         "fusion.voxel")
+                         f"{plan.voxel:.4g}, fusion.min_views {settings.min_views}; lower fusion.min_views, or "
+                         f"change fusion.voxel (it is {settings.voxel:g})")
     cell = plan.voxel / plan.unit
     sides = _sides(boxes, block_resolution(settings.truncation) * cell)
     remembered, places = zip(*(_remember(file, sides, _NEAR * cell) for file in files))

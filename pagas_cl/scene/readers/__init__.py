@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from pagas_cl.errors import InputError
+from pagas_cl.scene.links import tell_links
 from pagas_cl.scene.view import Scene
 
 # In the order of looking: what names its convention and its photos itself comes first.
@@ -55,6 +56,8 @@ def read_scene(folder, format: str | None = None, **options) -> Scene:
     for name in known if format is None else [format]:
         module = import_module(f"{__name__}.{FORMATS[name]}")
         if format is not None or module.detect(folder):
-            return module.read(folder, **options)
+            scene = module.read(folder, **options)
+            tell_links(scene.views, folder)
+            return scene
     raise InputError(f"scene {str(folder)!r} holds no cameras in a known format ({', '.join(known)}); expected for "
                      "instance images/ and a COLMAP model in sparse/0")
