@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 
 from pagas_cl.config import Fusion
-from pagas_cl.errors import InputError
+from pagas_cl.errors import DeviceMemoryError, InputError
 from pagas_cl.reference import agree as twin
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import camera_table
+
+log = logging.getLogger("pagas_cl")
 
 
 class DepthMaps:
@@ -62,8 +66,12 @@ def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: lis
         return twin.count(target, depth, [camera for camera, _ in used], [other for _, other in used], pixels)
     from pagas_cl.runtime.faults import told_as_device_error
 
-    with told_as_device_error(device, f"the comparison of view {target.name!r} with others"):
-        return _on_device(target, depth, used, pixels, device, maps or DepthMaps(device))
+    try:
+        with told_as_device_error(device, f"the comparison of view {target.name!r} with others"):
+            return _on_device(target, depth, used, pixels, device, maps or DepthMaps(device))
+    except DeviceMemoryError as error:
+        log.warning("%s: its depths are compared on the host", str(error))
+        return twin.count(target, depth, [camera for camera, _ in used], [other for _, other in used], pixels)
 
 
 def _on_device(target, depth, used, pixels: float, device, maps) -> tuple[np.ndarray, np.ndarray]:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import gc
+import logging
 import os
 import sys
 import time
@@ -20,10 +21,8 @@ def resident_mb() -> float:
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
-def soak(views: int = 200) -> list[tuple[float, float, int, int]]:
-    """Seconds, resident MB, open files and live device buffers after each tenth of the views."""
-    import pyopencl as cl
-
+def soak(views: int = 200) -> list[tuple[float, float, int, float]]:
+    """Seconds, resident MB, open files and MB held on the device after each tenth of the views."""
     from pagas_cl import hard_scenes as make
     from pagas_cl.config import BALANCED
     from pagas_cl.refine import refine_depth
@@ -33,7 +32,7 @@ def soak(views: int = 200) -> list[tuple[float, float, int, int]]:
     from pagas_cl.runtime.device import open_device
 
     device = open_device()
-    photos, config = PhotoStore(device, limit_bytes=2 << 20), BALANCED.with_settings(pyramid__steps=(5,))
+    photos, config = PhotoStore(device, limit_bytes=256 << 10), BALANCED.with_settings(pyramid__steps=(5,))
     base, found, start = make.base(1, (64, 48)), [], time.perf_counter()
     for number in range(1, views + 1):
         target = View(replace(base.target.camera, name=f"view {number}"), base.target.image)
@@ -41,23 +40,26 @@ def soak(views: int = 200) -> list[tuple[float, float, int, int]]:
         refine_depth(target, contexts, base.depth, config=config, device=device.info.name, photos=photos)
         if number % max(1, views // 10) == 0:
             gc.collect()
-            buffers = sum(isinstance(thing, cl.Buffer) for thing in gc.get_objects())
-            found.append((time.perf_counter() - start, resident_mb(), len(os.listdir("/proc/self/fd")), buffers))
+            found.append((time.perf_counter() - start, resident_mb(), len(os.listdir("/proc/self/fd")),
+                          device.memory.held / 1e6))
             start = time.perf_counter()
     return found
 
 
 def main() -> int:
     views = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    logging.getLogger("pagas_cl").setLevel(logging.ERROR)       # photos of noise: every view is kept as it came
     found = soak(views)
-    for k, (seconds, resident, files, buffers) in enumerate(found, 1):
+    for k, (seconds, resident, files, held) in enumerate(found, 1):
         print(f"{k * views // len(found):>6} views {seconds:8.2f} s {resident:9.1f} MB {files:5d} files "
-              f"{buffers:5d} buffers")
+              f"{held:9.3f} MB on the device")
     warm = found[len(found) // 5:]                # compiling and caches belong to the first views
     grown, files = warm[-1][1] - warm[0][1], warm[-1][2] - warm[0][2]
     slower = np.median([w[0] for w in warm[-3:]]) / np.median([w[0] for w in warm[:3]])
-    ok = grown < 8 and files <= 0 and slower < 1.5
-    print(f"{'flat' if ok else 'NOT FLAT'}: {grown:+.1f} MB, {files:+d} files, time per view x {slower:.2f}")
+    held = max(w[3] for w in warm) - min(w[3] for w in warm)
+    ok = grown < 8 and files <= 0 and slower < 1.5 and held < 0.1
+    print(f"{'flat' if ok else 'NOT FLAT'}: {grown:+.1f} MB, {files:+d} files, {held:+.3f} MB on the device, time per "
+          f"view x {slower:.2f}")
     return 0 if ok else 1
 
 

@@ -21,6 +21,7 @@ from pagas_cl.runtime.arena import Arena, BufferSpec
 from pagas_cl.runtime.memory import Memory, limit_of
 from pagas_cl.scene.view import View
 from pagas_cl.splat import budget, fit
+from pagas_cl.surface.agree import counts
 
 INFO = dict(title="a device", max_alloc=2**30, memory=2**32)
 CONFIGS = {
@@ -186,6 +187,16 @@ def test_refused_with_a_setting_or_a_size_that_fits(device, limited, name):
             width, height = (int(word) for word in told.split("photos of ")[1].split(" (")[0].split(" x "))
             small = [camera.resized(width, height) for camera in cameras]
             assert fit.plan_for(small, 3, config, device, streamed=True).nbytes <= device.memory.limit
+
+
+def test_views_are_compared_on_the_host_where_the_device_is_too_small(device, limited, caplog):
+    target, contexts, _, depth = scene_of()
+    others = [view.camera for view in contexts[:1]]
+    wanted = counts(target.camera, depth, others, [depth], device=device)
+    limited(100)
+    found = counts(target.camera, depth, others, [depth], device=device)
+    assert "compared on the host" in caplog.text
+    assert all((a == b).mean() > 0.999 for a, b in zip(found, wanted))
 
 
 def test_memory_that_the_environment_allows(monkeypatch):
