@@ -1,4 +1,7 @@
-"""Random cameras, depths, sizes and settings: what holds for every one of them. PAGAS_CL_EXAMPLES=1000 for many."""
+"""Random cameras, depths, sizes and settings: what holds for every one of them.
+
+PAGAS_CL_EXAMPLES=1000 runs as many a test, other ones every time; the default is a few, always the same.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,8 @@ from pagas_cl.scene.view import View  # noqa: E402
 from pagas_cl.selftest import BLENDS, _normalized, device_gradient, difference, twin_gradient  # noqa: E402
 from pagas_cl.splat import refine_levels  # noqa: E402
 
-MANY = settings(max_examples=int(os.environ.get("PAGAS_CL_EXAMPLES", 5)), deadline=None, derandomize=True,
+MANY = settings(max_examples=int(os.environ.get("PAGAS_CL_EXAMPLES", 5)), deadline=None,
+                derandomize="PAGAS_CL_EXAMPLES" not in os.environ, print_blob=True,
                 suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 TOLERANCE = 0.3            # wide: a Gaussian on a threshold may carry a good part of a tiny image's gradient
 small = lambda most: st.floats(-most, most, allow_nan=False, allow_subnormal=False)  # noqa: E731
@@ -74,12 +78,50 @@ def test_gradient_is_finite_repeatable_and_near_the_twin(device, blend, scene, r
     assert difference(got, want, length) < TOLERANCE
 
 
+# Programs of their own, hence few; what is a number to them is drawn freely.
+SHAPES = (
+    {}, dict(loss__grey=True, loss__ssim=0.0), dict(loss__structure=True, loss__robust=0.5, loss__gradient_weight=True),
+    dict(splatting__occlusion=False, loss__coverage_weight=True),
+    dict(splatting__depth_relative=0.3, splatting__radius=0.7),
+    dict(solver__patience=2, loss__target_view=True, loss__unseen_mask=True, splatting__normalize=True),
+)
+
+
+@st.composite
+def options(draw):
+    """Settings of every stage of a refinement, their limits among them."""
+    near = lambda low, high: st.one_of(st.sampled_from([low, high]), st.floats(low, high))  # noqa: E731
+    shape = draw(st.sampled_from(SHAPES))
+    chosen = dict(splatting__depth_slices=10.0 ** draw(near(-6, 9)), splatting__depth_footprints=draw(near(0, 1e6)),
+                  smoothness__kind=draw(st.sampled_from(["none", "normal", "planar"])),
+                  smoothness__weight=draw(near(0, 100)), smoothness__texture=draw(near(0, 1)),
+                  smoothness__huber=10.0 ** draw(near(-6, 6)), smoothness__cut=10.0 ** draw(near(-6, 12)),
+                  solver__rate=10.0 ** draw(near(-12, 2)), solver__unit=draw(st.sampled_from(["parallax", "distance"])),
+                  solver__damping=draw(near(0, 1e3)), solver__rate_floor=draw(near(0, 1)),
+                  solver__final_rate=draw(near(0, 1)), solver__views_per_step=draw(st.integers(0, 4)),
+                  solver__max_move=draw(near(0, 1e9)), solver__tolerance=draw(near(0, 2)),
+                  solver__mismatch=draw(near(0, 2)))
+    return {**chosen, **shape}
+
+
+@pytest.mark.parametrize("blend", BLENDS)
+@MANY
+@given(scene=scenes(), chosen=options())
+def test_any_settings_keep_the_promises(device, blend, scene, chosen):
+    keep_promises(scene, BLENDS[blend].with_settings(pyramid__scales=(1.0,), pyramid__steps=(3,), **chosen), device)
+
+
 @pytest.mark.parametrize("blend", BLENDS)
 @MANY
 @given(scene=scenes())
 def test_a_refinement_keeps_its_promises(device, blend, scene):
-    config = BLENDS[blend].with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=(1, 3))
-    result = refine_levels(scene.target, scene.contexts, scene.depth, config, device)
+    keep_promises(scene, BLENDS[blend].with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=(1, 3)), device)
+
+
+def keep_promises(scene, config, device):
+    """Finite, no surface made or lost, what was not refined keeps its bits, and a second run gives the same."""
+    result, again = (refine_levels(scene.target, scene.contexts, scene.depth, config, device) for _ in range(2))
+    assert result.depth.tobytes() == again.depth.tobytes() and result.status.tobytes() == again.status.tobytes()
     valid = _normalized(scene)[0] > 0
     assert np.isfinite(result.depth).all()
     assert not np.isnan(result.deviation).any() and not np.isnan(result.parallax).any()
