@@ -6,6 +6,7 @@ does, once or for ever.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import pyopencl as cl
@@ -14,9 +15,10 @@ from job_scenes import QUICK, bytes_of, load_small_scene, write_small_scene
 from kill_trials import check_whole
 
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError
+from pagas_cl.jobs import run, worker
 from pagas_cl.refine import refine_depth, refine_views
 from pagas_cl.runtime import device as devices
-from pagas_cl.runtime import faults, program
+from pagas_cl.runtime import claim, faults, program
 
 CODES = {"OUT_OF_RESOURCES": -5, "DEVICE_NOT_AVAILABLE": -2, "INVALID_COMMAND_QUEUE": -36, "NVIDIA": -9999}
 
@@ -95,6 +97,34 @@ def test_reset_once(scene, tmp_path, failing, device, code):
     failing(first, first, code)
     refine_views(scene.views, scene.depths, config=QUICK, folder=tmp_path)
     assert bytes_of(tmp_path) == scene.wanted
+
+
+def test_workers_that_all_lost_their_device_end_the_run(scene, tmp_path, monkeypatch, device):
+    """Some views are done, then every worker says that it has no device: the run ends instead of asking for ever."""
+    plain, asked = worker._bench, [0]
+
+    def bench(name):
+        asked[0] += 1
+        if asked[0] > 6:
+            raise DeviceError("no device left")
+        return plain(name)
+
+    monkeypatch.setattr(worker, "_bench", bench)
+    monkeypatch.setattr(run, "STALLED", 0.0)
+    with ThreadPoolExecutor(1) as pool, pytest.raises(DeviceError, match="no device left"):
+        refine_views(scene.views, scene.depths, config=QUICK, folder=tmp_path, executor=pool)
+    assert 0 < check_whole(tmp_path) < 5
+
+
+def test_a_worker_waits_for_a_device_that_does_not_open(monkeypatch, device):
+    def opened(*arguments):
+        raise driver_error(-2, "clCreateContext")
+
+    monkeypatch.setattr(devices, "opened", opened)
+    monkeypatch.setattr(claim, "WAIT", 0.1)
+    with pytest.raises(DeviceError, match="cannot be opened: .*DEVICE_NOT_AVAILABLE"):
+        claim.claim_device(device.info.name)
+    assert not claim._held, "others may try"
 
 
 def test_one_view_says_it_in_one_sentence(scene, failing, device):
