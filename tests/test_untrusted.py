@@ -21,6 +21,7 @@ from pagas_cl.config import PRESETS, setting_names
 from pagas_cl.errors import InputError
 from pagas_cl.filters.filter_script import check_script
 from pagas_cl.hard_cases import SETTINGS
+from pagas_cl.scene import depthmap
 from pagas_cl.scene.images import read_photo
 from pagas_cl.scene.mesh import to_surface
 from pagas_cl.scene.readers import nerfstudio, read_scene
@@ -75,6 +76,15 @@ def test_entities_are_never_expanded(tmp_path, text):
         check_script(tmp_path / "s.mlx")
     with bounded(), pytest.raises(InputError):
         read_scene(tmp_path, "meshlab")
+
+
+def test_a_depth_map_that_unpacks_to_more_than_any_has(tmp_path, monkeypatch):
+    """Kilobytes of zeros, deflated: refused by what the archive says, before anything is unpacked."""
+    monkeypatch.setattr(depthmap, "MOST_BYTES", 1 << 20)
+    np.savez_compressed(tmp_path / "a.npz", depth=np.zeros((1000, 1000), np.float32))
+    monkeypatch.setattr(np.lib.format, "read_array", lambda *_, **__: pytest.fail("unpacked"))
+    with pytest.raises(InputError, match="unpacks to 0.0 GB"):
+        depthmap.load_depth(tmp_path / "a.npz")
 
 
 @pytest.mark.parametrize("path", ["/etc/passwd", "../secret.png", "images/../../secret.png", "C:\\secret.png",

@@ -21,6 +21,7 @@ log = logging.getLogger("pagas_cl")
 _DAMAGE = (OSError, ValueError, EOFError, KeyError, IndexError, SyntaxError, MemoryError, RuntimeError, OverflowError,
            zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
 
+MOST_BYTES = 1 << 31       # of one depth map: 268 megapixels of float64
 SUFFIXES = (".npz", ".npy", ".pfm", ".png", ".geometric.bin", ".photometric.bin")
 
 
@@ -130,6 +131,9 @@ def _read_npz(path: Path) -> np.ndarray:
     with np.load(path, allow_pickle=False) as archive:
         if not isinstance(archive, np.lib.npyio.NpzFile) or not archive.files:
             raise ValueError("it holds no array")
+        unpacked = max(entry.file_size for entry in archive.zip.infolist())
+        if unpacked > MOST_BYTES:      # a few megabytes may unpack to any number of gigabytes
+            raise ValueError(f"it unpacks to {unpacked / 1e9:.1f} GB, a depth map has at most {MOST_BYTES / 1e9:.1f}")
         return archive[archive.files[0]]
 
 
