@@ -10,6 +10,7 @@ from pagas_cl.config import Config
 
 NUMBER, MEAN, QUANTILE, MEAN_SQUARE = range(4)      # as in splat/summary.py
 _QUANTISATION = 0.0012   # noise that rounding to 8 bits alone leaves
+_MISALIGNED = 0.4        # pixels by which cameras may be off for colours to be compared through them
 _LEAST = 50              # samples from which a share or a median is taken
 
 # effect: (evidence, threshold, whether above it calls for the effect, what is measured)
@@ -20,7 +21,7 @@ RULES = {
     "view_dependence": ("residual", 0.035, True, "residual left after exposure (0 to 1)"),
     "antialiasing": ("smallest", 0.36, False, "smallest projected Gaussian, pixels"),
     "smoothness": ("plain", 0.01, True, "share of pixels with little texture"),
-    "noise": ("unexplained", 1.4, True, "noise and residual, of what the default weight allows for"),
+    "noise": ("unexplained", 1.4, True, "noise, residual, cameras that are off; of what the default weight allows for"),
     "pyramid": ("far_off", 0.15, True, "share of samples that match two or more pixels away"),
 }
 
@@ -77,7 +78,7 @@ class Measurements:
     def unexplained(self) -> float:
         """What the photos show that no depth explains, against what the default smoothness is made for."""
         glossy = self.residual > RULES["view_dependence"][1]
-        return max(self.noise / 0.004, min(self.residual, 0.1) / 0.009 if glossy else 0.0)
+        return max(self.noise / 0.004, min(self.residual, 0.1) / 0.009 if glossy else 0.0, self.misaligned / 0.13)
 
     @property
     def spread(self) -> float:
@@ -86,8 +87,8 @@ class Measurements:
 
     @property
     def residual(self) -> float:
-        """gloss; 0 where the depth is too far off for the photos to be compared through it."""
-        return 0.0 if self.far_off > RULES["pyramid"][1] else self.gloss
+        """gloss; 0 where depth or cameras are too far off for the photos to be compared through them."""
+        return 0.0 if self.far_off > RULES["pyramid"][1] or self.misaligned > _MISALIGNED else self.gloss
 
     @property
     def exposure(self) -> np.ndarray:

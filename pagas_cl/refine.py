@@ -22,6 +22,7 @@ from pagas_cl.scene.view import View
 log = logging.getLogger("pagas_cl")
 
 MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not to be trusted as a whole
+MOST_MISALIGNED = 0.8    # pixels; nor one whose photos fit one another worse, unless the depth was worse still
 
 
 def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=None, device=None, progress=None,
@@ -115,7 +116,7 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "witness_cost": refined.witness, "device_bytes": refined.device_bytes,
               "planned_bytes": refined.planned_bytes, "seconds": time.perf_counter() - start}
-    harm = _harm(refined, witness)
+    harm = _harm(refined, depth, witness, measured)
     if harm:
         log.warning("view %s is kept as it came: %s", target.name, harm)
         return DepthResult.unrefined(target.camera, depth, harm, report)
@@ -250,8 +251,12 @@ def _config(preset: str, config) -> Config:
     return config
 
 
-def _harm(refined, witness) -> str:
+def _harm(refined, depth, witness, measured) -> str:
     """Why a refinement is not to be trusted as a whole; empty where it is."""
+    off = measured.misaligned if measured else 0.0
+    if off > MOST_MISALIGNED and off > _moved(refined, depth):
+        return (f"the photos are off by {off:.1f} pixels across the direction of depth, more than the depths moved by along it: "
+                "are the cameras right?")
     refused, accepted = (int(np.count_nonzero(refined.status == status)) for status in (REJECTED, REFINED))
     if refused > MOST_REFUSED * (refused + accepted):
         return f"the photos do not confirm the refined depth of {refused / (refused + accepted):.0%} of the pixels"
@@ -260,6 +265,14 @@ def _harm(refined, witness) -> str:
     if np.isfinite(after) and np.isfinite(before) and after > before:
         return f"{judge} matches worse through the refined depth (1 - correlation {before:.4f} before, {after:.4f} after)"
     return ""
+
+
+def _moved(refined, depth) -> float:
+    """By how many pixels of parallax the refined depths moved, root mean square over some rows and columns."""
+    some = np.s_[::4, ::4]
+    there = (refined.status[some] == REFINED) & (refined.parallax[some] > 0)
+    moved = (refined.depth[some][there] - depth[some][there]) / refined.parallax[some][there]
+    return float(np.sqrt(np.mean(moved.astype(np.float64)**2))) if moved.size else 0.0
 
 
 def _steps_of(progress, target: View):
