@@ -107,7 +107,7 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
 
     def attempt(photos):
         settled, decisions, measured = settle(target, contexts, depth, config, device, photos)
-        refined = refine_levels(target, contexts, depth, settled, device, photos, steps_done, witness)
+        refined = refine_levels(target, contexts, depth, settled, device, photos, steps_done, witness, measured)
         return refined, decisions, measured
 
     refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, witness,
@@ -120,8 +120,7 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
     if harm:
         log.warning("view %s is kept as it came: %s", target.name, harm)
         return DepthResult.unrefined(target.camera, depth, harm, report)
-    deviation = refined.deviation * np.float32(measured.spread if measured else 1)
-    return DepthResult(target.camera, refined.depth, refined.status, deviation, refined.parallax, "", report)
+    return DepthResult(target.camera, refined.depth, refined.status, refined.deviation, refined.parallax, "", report)
 
 
 def refine_views(views: list[View], depths, *, names=None, config=None, preset="balanced", device=None, progress=None,

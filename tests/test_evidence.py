@@ -74,8 +74,13 @@ def test_verdicts_equal_the_twin(device):
     cl.enqueue_copy(device.queue, level.arena["depth"], refined)
     judge.weigh_after()
     before, after = (judge._read(e).reshape(*initial.shape, 3).astype(np.float64) for e in (judge._before, judge._after))
-    status = judge.decide(initial.shape).status
+    verdict = judge.decide(initial.shape, 1.5, 0.2)
+    status, accepted = verdict.status, level.read("depth", initial.shape).astype(np.float64)
     level.release()
+    deviations = twin.deviation(accepted, status, unit.astype(np.float64), before, after, 1.5, 0.2)
+    assert (np.isfinite(deviations) == np.isfinite(verdict.deviation)).all()
+    known = np.isfinite(deviations) & (deviations > 0)
+    assert known.mean() > 0.3 and np.quantile(np.abs(verdict.deviation / np.where(known, deviations, 1) - 1)[known], 0.99) < 1e-3
     want = twin.decide(initial, refined, unit, before, after, 0.5, 0.1, 0.8)
     assert (np.bincount(want.ravel(), minlength=4) > 0).all()
     assert (status == want).mean() > 0.999

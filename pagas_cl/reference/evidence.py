@@ -86,6 +86,37 @@ def decide(initial, refined, unit, before, after, max_move, tolerance, mismatch)
     return np.select([~(initial > 0), unseen, refused], [NO_SURFACE, KEPT, REJECTED], REFINED)
 
 
+def deviation(depth, status, unit, before, after, spread: float, misaligned: float):
+    """Standard deviation of each depth of shape (H, W), units; infinite where nothing is known.
+
+    Parameters
+    ----------
+    depth, status, unit, before, after
+        Accepted depth, and as in `decide`.
+    spread, misaligned : float
+        See Measurements.
+    """
+    held = np.where((status == REFINED)[..., None], after, before)
+    bending = 0.35 * _patch_sum(bends(depth, unit)) / _patch_sum(np.ones_like(depth))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        match = 0.7 / held[..., 2] + unit**2 * (bending**2 + 0.02**2)
+        total = np.sqrt(spread**2 * match + unit**2 * 0.36 * misaligned**2 / held[..., 1])
+    known = (held[..., 1] > 0) & (held[..., 2] > 0)
+    return np.where(status == NO_SURFACE, 0.0, np.where(known, total, np.inf))
+
+
+def bends(depth, unit, most: float = 1.4):
+    """Second differences of inverse depth along both directions, pixels of parallax, added; at most `most`, which also
+    stands where a neighbour has no depth."""
+    total = np.zeros_like(depth)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse, kappa = np.where(depth > 0, 1 / depth, np.nan), np.where(unit > 0, depth**2 / unit, np.nan)
+    for axis in (0, 1):
+        inner = np.s_[1:-1] if axis == 0 else np.s_[:, 1:-1]
+        total[inner] += np.nan_to_num(np.abs(np.diff(inverse, 2, axis=axis)) * kappa[inner], nan=most)
+    return np.where((depth > 0) & (unit > 0), np.minimum(total, most), 0.0)
+
+
 def _patch_sum(image: np.ndarray, half: int = PATCH) -> np.ndarray:
     padded = np.pad(image, half)
     height, width = image.shape

@@ -10,7 +10,6 @@ import pyopencl as cl
 from pagas_cl.runtime.program import Fill, bind, build, run_once
 from pagas_cl.splat import project
 
-LEAST_DEVIATION = 0.02      # pixels of parallax: what no photo of this kind resolves
 _SUM_GROUP, _SUM_GROUPS, _ONE = 64, 256, 2**20      # as in evidence.cl
 
 
@@ -61,15 +60,21 @@ class Evidence:
         before, after, pixels = self._read(sums, np.int64).reshape(-1, 3).sum(axis=0).tolist()
         return (before / pixels / _ONE, after / pixels / _ONE) if pixels else (float("nan"), float("nan"))
 
-    def decide(self, shape) -> Verdict:
-        """Send back what the photos do not confirm; arena["depth"] holds what is accepted."""
+    def decide(self, shape, spread: float = 1.0, misaligned: float = 0.0) -> Verdict:
+        """Send back what the photos do not confirm; arena["depth"] holds what is accepted.
+
+        `spread`, `misaligned`: of Measurements, for the deviations.
+        """
         level, n = self.level, self.level.target.pixels
         solver, a = level.config.solver, level.arena
-        status, deviation = self._buffer(n), self._buffer(4 * n)
-        around = self._surroundings()
-        bind(self.program, "decide", (n,), None, self._initial, a["depth"], a["unit"], n, self._before, self._after,
-             around, float(solver.max_move), float(solver.tolerance), float(solver.mismatch), LEAST_DEVIATION, status,
-             deviation).enqueue(level.device.queue)
+        status, deviation, size = self._buffer(n), self._buffer(4 * n), level.target
+        around, bent = self._surroundings(), self._scratch()[0]
+        run_once(level.device.queue, [
+            bind(self.program, "decide", (n,), None, self._initial, a["depth"], a["unit"], n, self._before, self._after,
+                 around, float(solver.max_move), float(solver.tolerance), float(solver.mismatch), status),
+            bind(self.program, "bends", size.grid, None, a["depth"], a["unit"], *size.grid, bent),
+            bind(self.program, "deviate", size.grid, None, status, a["unit"], *size.grid, self._before, self._after, bent,
+                 float(spread), float(misaligned), deviation)])
         return Verdict(self._read(status, np.uint8).reshape(shape), self._read(deviation, np.float32).reshape(shape),
                        *self.costs())
 

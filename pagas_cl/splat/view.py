@@ -58,7 +58,7 @@ class Refinement:
 
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
-                  progress=None, witness=None) -> Refinement:
+                  progress=None, witness=None, measured=None) -> Refinement:
     """Run the pyramid on one view.
 
     Parameters
@@ -74,6 +74,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
         Called while the steps of the last level are enqueued.
     witness : View, optional
         A view that takes no part and judges the result.
+    measured : Measurements, optional
+        What was measured of the view, for the deviations.
 
     Raises
     ------
@@ -101,7 +103,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
             before = level.arena.take("depth"), level.target
             level.release()
             del level            # its photos too, before those of the next one
-    return run.finish(level, evidence, tuple(done), losses, planned.nbytes)
+    return run.finish(level, evidence, tuple(done), losses, planned.nbytes, measured)
 
 
 def full_level(target, contexts, depth: np.ndarray, config: Config, device) -> Level:
@@ -172,11 +174,12 @@ class _Run:
         witness.weigh_before()
         return contexts, witness
 
-    def finish(self, level: Level, evidence, steps, losses, planned: int) -> Refinement:
+    def finish(self, level: Level, evidence, steps, losses, planned: int, measured) -> Refinement:
         contexts, witness = evidence
         level.release(keep=FOR_EVIDENCE)
         contexts.weigh_after()
-        verdict = contexts.decide(self.depth.shape)
+        doubt = (measured.spread, measured.misaligned) if measured else ()
+        verdict = contexts.decide(self.depth.shape, *doubt)
         refined = level.read("depth", self.depth.shape)
         parallax = level.read("unit", self.depth.shape) * np.float32(self.unit)
         judged = None
