@@ -12,6 +12,7 @@
 #define PATCH 2                      // half the width of a patch
 #define LEAST_PIXELS 6               // of a patch must be visible
 #define NOISE (1.0f / 255.0f)        // of a photo: what a residual never falls below
+#define LEAST_POSSIBLE 0.3f          // below this a patch is all noise
 #define UNSEEN -1.0f
 
 #define NO_SURFACE 0
@@ -67,7 +68,11 @@ __kernel void warp_photo(__global const float *depth, __global const float *came
 }
 
 // evidence per pixel: sum of 1 - correlation, number of views, sum of information (1 / variance of the depth)
-__kernel void weigh(__global const float *warped, __global const uchar4 *target_photo, int width, int height,
+//
+// grain: variance of the photos' noise beyond NOISE. A correlation is taken as a share of what that much noise lets a
+// perfect match have; looking up between pixels leaves 4/9 of it. Without it two flat patches match; with it, nothing is
+// known of them.
+__kernel void weigh(__global const float *warped, __global const uchar4 *target_photo, int width, int height, float grain,
                     __global float *evidence)
 {
     const int column = get_global_id(0), row = get_global_id(1);
@@ -95,7 +100,10 @@ __kernel void weigh(__global const float *warped, __global const uchar4 *target_
     const float inverse = 1.0f / n, noise = NOISE * NOISE;
     const float var_w = fmax(ww - w * w * inverse, 0.0f) * inverse, var_t = fmax(tt - t * t * inverse, 0.0f) * inverse;
     const float cov = (wt - w * t * inverse) * inverse;
-    const float correlation = (cov + noise) / sqrt((var_w + noise) * (var_t + noise));
+    const float flat = fmax(noise - grain, 1e-9f);
+    const float clear_w = 1.0f - 4.0f / 9 * grain / (var_w + flat), clear_t = 1.0f - grain / (var_t + flat);
+    const float possible = fmax(sqrt(fmax(clear_w, 0.0f) * fmax(clear_t, 0.0f)), LEAST_POSSIBLE);
+    const float correlation = (cov + flat) / sqrt((var_w + flat) * (var_t + flat)) / possible;
     const float share = fmin(fmax(cov, 0.0f) / sqrt(fmax(var_w * var_t, noise * noise)), 1.0f);
     const float explained = share * share, unexplained = var_w * (1.0f - explained) + noise;
     const int i = row * width + column;

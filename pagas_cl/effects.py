@@ -82,14 +82,6 @@ def _smoothness(config, decision, _):
     return config.with_settings(smoothness__kind=kind if decision.on else "none")
 
 
-def _noise(config, decision, measured):
-    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree."""
-    if not decision.on or config.smoothness.kind == "none":
-        return config
-    factor = float(np.clip(measured.unexplained**2, 1.0, 40.0)) if measured else 4.0
-    return config.with_settings(smoothness__weight=min(config.smoothness.weight * factor, 100.0))
-
-
 def _pyramid(config, decision, _):
     if not decision.on or len(config.pyramid.scales) > 1:
         return config if decision.on else config.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps[-1:])
@@ -97,6 +89,19 @@ def _pyramid(config, decision, _):
     return config.with_settings(pyramid__scales=(0.25, 0.5, 1.0), pyramid__steps=(steps, steps, steps))
 
 
+def _noise(config, decision, measured):
+    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree; and where the photos
+    are noisy, a first level of half their size, where noise has averaged out."""
+    if not decision.on:
+        return config
+    if (measured is None or measured.grain > decision.threshold) and len(config.pyramid.scales) == 1:
+        config = config.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=2 * config.pyramid.steps)
+    if config.smoothness.kind == "none":
+        return config
+    factor = float(np.clip(measured.unexplained**2, 1.0, 40.0)) if measured else 4.0
+    return config.with_settings(smoothness__weight=min(config.smoothness.weight * factor, 100.0))
+
+
 _SETTERS = {"occlusion": _occlusion, "unseen_mask": _unseen_mask, "exposure": _exposure,
             "view_dependence": _view_dependence, "antialiasing": _antialiasing, "smoothness": _smoothness,
-            "noise": _noise, "pyramid": _pyramid}
+            "pyramid": _pyramid, "noise": _noise}

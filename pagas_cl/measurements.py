@@ -21,8 +21,8 @@ RULES = {
     "view_dependence": ("residual", 0.035, True, "residual left after exposure (0 to 1)"),
     "antialiasing": ("smallest", 0.36, False, "smallest projected Gaussian, pixels"),
     "smoothness": ("plain", 0.01, True, "share of pixels with little texture"),
-    "noise": ("unexplained", 1.4, True, "noise, residual, cameras that are off; of what the default weight allows for"),
     "pyramid": ("far_off", 0.15, True, "share of samples that match two or more pixels away"),
+    "noise": ("unexplained", 1.4, True, "noise, residual, cameras that are off; of what the default weight allows for"),
 }
 
 
@@ -78,12 +78,17 @@ class Measurements:
     def unexplained(self) -> float:
         """What the photos show that no depth explains, against what the default smoothness is made for."""
         glossy = self.residual > RULES["view_dependence"][1]
-        return max(self.noise / 0.004, min(self.residual, 0.1) / 0.009 if glossy else 0.0, self.misaligned / 0.13)
+        return max(self.grain, min(self.residual, 0.1) / 0.009 if glossy else 0.0, self.misaligned / 0.13)
+
+    @property
+    def grain(self) -> float:
+        """Noise of the photos, of what the default weight of the smoothness allows for."""
+        return self.noise / 0.004
 
     @property
     def spread(self) -> float:
         """By how much depth errors exceed what the sharpness of the match alone tells (tests/bench/calibration.py)."""
-        return max(1.0, (self.noise / 0.004) ** 0.5, self.residual / 0.0125)
+        return max(1.0, self.grain**0.5, self.residual / 0.0125)
 
     @property
     def residual(self) -> float:

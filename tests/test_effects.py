@@ -25,7 +25,7 @@ def switched_on(config) -> dict[str, bool]:
     return {"occlusion": config.splatting.occlusion, "unseen_mask": config.loss.unseen_mask,
             "exposure": config.loss.exposure, "view_dependence": config.loss.structure,
             "antialiasing": config.splatting.low_pass > 0, "smoothness": config.smoothness.kind != "none",
-            "noise": config.smoothness.weight > BALANCED.smoothness.weight, "pyramid": len(config.pyramid.scales) > 1}
+            "noise": config.smoothness.weight > BALANCED.smoothness.weight, "pyramid": config.pyramid.scales[0] < 0.5}
 
 
 @pytest.mark.parametrize("effect", RULES)

@@ -14,8 +14,9 @@ from pagas_cl.reference.composite import candidates, nearest_surface
 from pagas_cl.reference.project import project
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.rig import footprint
-from pagas_cl.splat.evidence import Evidence
+from pagas_cl.splat.evidence import Doubt, Evidence
 
+DOUBT = Doubt(1.5, 0.2, 0.05)
 CONFIG = BALANCED.with_settings(solver__views_per_step=0)
 
 
@@ -37,7 +38,7 @@ def twin_evidence(scene: Scene, depth):
         z_first = nearest_surface(pairs, size[0] * size[1]).reshape(size[1], size[0])
         value, slope, inside = twin.warped(depth, scene.target, context, z_first, max(scene.delta(CONFIG), CONFIG.splatting.depth_footprints * footprint(
                                                    scene.target.camera, context.camera, scene.unit)), scene.unit)
-        cost, information, defined = twin.weigh(value, slope, inside, twin.luma(scene.target.image))
+        cost, information, defined = twin.weigh(value, slope, inside, twin.luma(scene.target.image), DOUBT.grain)
         total += np.where(defined[..., None], np.stack([cost, np.ones_like(cost), information], axis=-1), 0)
         edge = np.abs(p.m - np.round(p.m)).min(axis=1).reshape(depth.shape) < 1e-3   # which pixel's z_first is asked
         band |= edge
@@ -47,7 +48,7 @@ def twin_evidence(scene: Scene, depth):
 def test_evidence_equals_the_twin(device):
     scene = Scene.make(17, width=45, height=37, contexts=3, masks=True)
     level = start_level(device, CONFIG, scene)
-    judge = Evidence(level, [1, 2, 3], level.arena["depth"])
+    judge = Evidence(level, [1, 2, 3], level.arena["depth"], DOUBT)
     judge.weigh_before()
     got = judge._read(judge._before).reshape(*scene.moved.shape, 3)
     want, band = twin_evidence(scene, scene.moved)
@@ -68,13 +69,13 @@ def test_verdicts_equal_the_twin(device):
     unit, initial = level.read("unit", scene.moved.shape), level.read("depth", scene.moved.shape)
     entered = device.memory.buffer(device.context, initial.nbytes)
     cl.enqueue_copy(device.queue, entered, initial)
-    judge = Evidence(level, [1, 2, 3], entered)
+    judge = Evidence(level, [1, 2, 3], entered, Doubt(1.5, 0.2))
     judge.weigh_before()
     refined = np.where(initial > 0, initial + rng.normal(0, 0.3, initial.shape) * unit, 0).astype(np.float32)
     cl.enqueue_copy(device.queue, level.arena["depth"], refined)
     judge.weigh_after()
     before, after = (judge._read(e).reshape(*initial.shape, 3).astype(np.float64) for e in (judge._before, judge._after))
-    verdict = judge.decide(initial.shape, 1.5, 0.2)
+    verdict = judge.decide(initial.shape)
     status, accepted = verdict.status, level.read("depth", initial.shape).astype(np.float64)
     level.release()
     deviations = twin.deviation(accepted, status, unit.astype(np.float64), before, after, 1.5, 0.2)

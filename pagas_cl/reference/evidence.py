@@ -6,7 +6,7 @@ import numpy as np
 
 from pagas_cl.reference.project import project
 
-PATCH, WINDOW, LEAST_PIXELS, NOISE = 2, 7, 6, 1 / 255
+PATCH, WINDOW, LEAST_PIXELS, NOISE, LEAST_POSSIBLE = 2, 7, 6, 1 / 255, 0.3
 NO_SURFACE, REFINED, KEPT, REJECTED = range(4)
 
 
@@ -44,7 +44,7 @@ def warped(depth, target, context, z_first, delta, unit):
     return value.reshape(depth.shape), slope.reshape(depth.shape), inside.reshape(depth.shape)
 
 
-def weigh(value, slope, inside, own):
+def weigh(value, slope, inside, own, grain: float = 0.0):
     """1 - correlation of 5x5 patches, the information on the depth (1 / variance), and where both are defined.
 
     Parameters
@@ -53,14 +53,19 @@ def weigh(value, slope, inside, own):
         From `warped`.
     own : ndarray of shape (H, W)
         Grey of the target's photo.
+    grain : float
+        Variance of the photos' noise beyond NOISE.
     """
     n = _patch_sum(inside.astype(float))
     mean = lambda x: _patch_sum(np.where(inside, x, 0.0)) / np.maximum(n, 1)   # noqa: E731
     mw, mt, ms = mean(value), mean(own), mean(slope)
     var_w, var_t = mean(value**2) - mw**2, mean(own**2) - mt**2
     noise = NOISE**2
-    correlation = (mean(value * own) - mw * mt + noise) / np.sqrt((np.maximum(var_w, 0) + noise) * (np.maximum(var_t, 0) + noise))
-    cov, product = mean(value * own) - mw * mt, np.maximum(var_w, 0) * np.maximum(var_t, 0)
+    flat, cov = max(noise - grain, 1e-9), mean(value * own) - mw * mt
+    spreads = [np.maximum(v, 0) + flat for v in (var_w, var_t)]
+    possible = np.sqrt(np.maximum(1 - 4 / 9 * grain / spreads[0], 0) * np.maximum(1 - grain / spreads[1], 0))
+    correlation = (cov + flat) / np.sqrt(spreads[0] * spreads[1]) / np.maximum(possible, LEAST_POSSIBLE)
+    product = np.maximum(var_w, 0) * np.maximum(var_t, 0)
     explained = np.minimum(np.clip(cov, 0, None) ** 2 / np.maximum(product, noise**2), 1)
     unexplained = np.maximum(var_w, 0) * (1 - explained) + noise
     information = explained * np.maximum(n * (mean(slope**2) - ms**2), 0) / unexplained

@@ -25,6 +25,34 @@ class Verdict:
     cost_after: float
 
 
+@dataclass(frozen=True)
+class Doubt:
+    """What was measured of a view beforehand (Measurements), as far as its evidence depends on it: by how much errors
+    exceed what a match tells, pixels that photos are off, noise of a photo (0 to 1)."""
+
+    spread: float = 1.0
+    misaligned: float = 0.0
+    noise: float = 0.0
+
+    @classmethod
+    def of(cls, measured) -> Doubt:
+        """From Measurements, or None."""
+        return cls(float(measured.spread), float(measured.misaligned), float(measured.noise)) if measured else NO_DOUBT
+
+    @property
+    def grain(self) -> float:
+        """Variance of the noise of luma, which is 4/3 of that of the mean of the channels, beyond one grey level."""
+        return max(0.0, 4 / 3 * self.noise**2 - 1 / 255**2)
+
+    @property
+    def slack(self) -> float:
+        """By how much a correlation may fall by chance, in that of a clear photo."""
+        return max(1.0, (self.noise / 0.004) ** 2)
+
+
+NO_DOUBT = Doubt()
+
+
 class Evidence:
     """Weighs the initial and the refined depth of one level by the photos of `views` (numbers from 1).
 
@@ -32,9 +60,9 @@ class Evidence:
     of it waits on the host where the photos do.
     """
 
-    def __init__(self, level, views, initial: cl.Buffer):
+    def __init__(self, level, views, initial: cl.Buffer, doubt: Doubt = NO_DOUBT):
         self.level, self.views, self._initial = level, list(views), initial
-        self.program = build(level.device, "evidence.cl", level.defines)
+        self.program, self.doubt = build(level.device, "evidence.cl", level.defines), doubt
         self._before = self._after = self._waiting = None
 
     def weigh_before(self):
@@ -60,21 +88,18 @@ class Evidence:
         before, after, pixels = self._read(sums, np.int64).reshape(-1, 3).sum(axis=0).tolist()
         return (before / pixels / _ONE, after / pixels / _ONE) if pixels else (float("nan"), float("nan"))
 
-    def decide(self, shape, spread: float = 1.0, misaligned: float = 0.0) -> Verdict:
-        """Send back what the photos do not confirm; arena["depth"] holds what is accepted.
-
-        `spread`, `misaligned`: of Measurements, for the deviations.
-        """
+    def decide(self, shape) -> Verdict:
+        """Send back what the photos do not confirm; arena["depth"] holds what is accepted."""
         level, n = self.level, self.level.target.pixels
         solver, a = level.config.solver, level.arena
         status, deviation, size = self._buffer(n), self._buffer(4 * n), level.target
         around, bent = self._surroundings(), self._scratch()[0]
         run_once(level.device.queue, [
             bind(self.program, "decide", (n,), None, self._initial, a["depth"], a["unit"], n, self._before, self._after,
-                 around, float(solver.max_move), float(solver.tolerance), float(solver.mismatch), status),
+                 around, float(solver.max_move), solver.tolerance * self.doubt.slack, float(solver.mismatch), status),
             bind(self.program, "bends", size.grid, None, a["depth"], a["unit"], *size.grid, bent),
             bind(self.program, "deviate", size.grid, None, status, a["unit"], *size.grid, self._before, self._after, bent,
-                 float(spread), float(misaligned), deviation)])
+                 self.doubt.spread, self.doubt.misaligned, deviation)])
         return Verdict(self._read(status, np.uint8).reshape(shape), self._read(deviation, np.float32).reshape(shape),
                        *self.costs())
 
@@ -100,7 +125,7 @@ class Evidence:
                               float(level.threshold(view)), project.z_first_argument(level),
                               level.given.photos[view], warped),
                          bind(self.program, "weigh", size.grid, None, warped, level.given.photos[0], size.width,
-                              size.height, evidence)]
+                              size.height, self.doubt.grain, evidence)]
         run_once(level.device.queue, launches)
         return evidence
 

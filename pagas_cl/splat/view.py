@@ -10,7 +10,7 @@ import pyopencl as cl
 from pagas_cl.config import Config
 from pagas_cl.scene.rig import distance_unit
 from pagas_cl.splat.budget import FOR_EVIDENCE, plan_for
-from pagas_cl.splat.evidence import Evidence
+from pagas_cl.splat.evidence import Doubt, Evidence
 from pagas_cl.splat.level import Level, LevelInput
 from pagas_cl.splat.measure import Probe
 from pagas_cl.splat.resample import Resampler
@@ -75,7 +75,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     witness : View, optional
         A view that takes no part and judges the result.
     measured : Measurements, optional
-        What was measured of the view, for the deviations.
+        What was measured of the view: its evidence and deviations depend on it.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
         level = Level(device, config, run.at(scale))
         level.enter(run.initial_writer(level))
-        evidence = run.weigh_initial(level) if scale == 1 else None
+        evidence = run.weigh_initial(level, Doubt.of(measured)) if scale == 1 else None
         level.start(run.start_writer(level, before))
         done.append(level.run(steps, progress))
         if "history" in level.arena:
@@ -103,7 +103,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
             before = level.arena.take("depth"), level.target
             level.release()
             del level            # its photos too, before those of the next one
-    return run.finish(level, evidence, tuple(done), losses, planned.nbytes, measured)
+    return run.finish(level, evidence, tuple(done), losses, planned.nbytes)
 
 
 def full_level(target, contexts, depth: np.ndarray, config: Config, device) -> Level:
@@ -164,22 +164,21 @@ class _Run:
 
         return write
 
-    def weigh_initial(self, level: Level) -> tuple[Evidence, Evidence | None]:
+    def weigh_initial(self, level: Level, doubt: Doubt) -> tuple[Evidence, Evidence | None]:
         """Evidence for the depth as it came: of the context views, and of the witness."""
-        contexts = Evidence(level, range(1, len(self.views)), self.entered)
+        contexts = Evidence(level, range(1, len(self.views)), self.entered, doubt)
         contexts.weigh_before()
         if self.witness is None:
             return contexts, None
-        witness = Evidence(level, [len(self.views)], self.entered)
+        witness = Evidence(level, [len(self.views)], self.entered, doubt)
         witness.weigh_before()
         return contexts, witness
 
-    def finish(self, level: Level, evidence, steps, losses, planned: int, measured) -> Refinement:
+    def finish(self, level: Level, evidence, steps, losses, planned: int) -> Refinement:
         contexts, witness = evidence
         level.release(keep=FOR_EVIDENCE)
         contexts.weigh_after()
-        doubt = (measured.spread, measured.misaligned) if measured else ()
-        verdict = contexts.decide(self.depth.shape, *doubt)
+        verdict = contexts.decide(self.depth.shape)
         refined = level.read("depth", self.depth.shape)
         parallax = level.read("unit", self.depth.shape) * np.float32(self.unit)
         judged = None
