@@ -5,6 +5,7 @@
 //   weigh        5x5 patches of it against the target: correlation, and how sharply it fixes the depth
 //   sum_window   1 - correlation and views of one line of pixels around each pixel, by rows and then by columns
 //   decide       which refined depths are kept
+//   feather      no seams between those and the others
 //   bends        second differences of the depth, in pixels of parallax
 //   deviate      the standard deviation of each depth
 #include "splat.clh"
@@ -161,6 +162,30 @@ __kernel void decide(__global const float *initial, __global float *depth, __glo
         verdict = REJECTED;
     status[i] = verdict;
     depth[i] = verdict == REFINED ? d : d0;
+}
+
+#define SEAM 3                       // half the width of the surroundings that a seam spreads over
+
+// A refined depth moves all the way where everything around it is refined, and less towards what stays as it came, so
+// that no seam is left between the two.
+__kernel void feather(__global const float *initial, __global float *depth, __global const uchar *status, int width,
+                      int height)
+{
+    const int column = get_global_id(0), row = get_global_id(1);
+    if (column >= width || row >= height)
+        return;
+    const int i = row * width + column;
+    if (status[i] != REFINED)
+        return;
+    float refined = 0.0f, all = 0.0f;
+    for (int y = max(row - SEAM, 0); y <= min(row + SEAM, height - 1); ++y)
+        for (int x = max(column - SEAM, 0); x <= min(column + SEAM, width - 1); ++x) {
+            const uchar other = status[y * width + x];
+            refined += other == REFINED ? 1.0f : 0.0f;
+            all += other != NO_SURFACE ? 1.0f : 0.0f;
+        }
+    if (refined < all)
+        depth[i] = initial[i] + clamp(2.0f * refined / all - 1.0f, 0.0f, 1.0f) * (depth[i] - initial[i]);
 }
 
 #define MOST_BENT 1.4f               // pixels of parallax: as much as counts, at a discontinuity or where the surface ends

@@ -22,7 +22,7 @@ from pagas_cl.scene.view import View
 log = logging.getLogger("pagas_cl")
 
 MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not to be trusted as a whole
-MOST_MISALIGNED = 0.8    # pixels; nor one whose photos fit one another worse, unless the depth was worse still
+MISALIGNED = 0.2         # pixels by which photos may be off without a question whether the cameras harm more than they serve
 
 
 def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=None, device=None, progress=None,
@@ -116,7 +116,7 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "witness_cost": refined.witness, "device_bytes": refined.device_bytes,
               "planned_bytes": refined.planned_bytes, "seconds": time.perf_counter() - start}
-    harm = _harm(refined, depth, witness, measured)
+    harm = _harm(refined, depth, len(contexts), witness, measured)
     if harm:
         log.warning("view %s is kept as it came: %s", target.name, harm)
         return DepthResult.unrefined(target.camera, depth, harm, report)
@@ -250,12 +250,13 @@ def _config(preset: str, config) -> Config:
     return config
 
 
-def _harm(refined, depth, witness, measured) -> str:
+def _harm(refined, depth, contexts: int, witness, measured) -> str:
     """Why a refinement is not to be trusted as a whole; empty where it is."""
     off = measured.misaligned if measured else 0.0
-    if off > MOST_MISALIGNED and off > _moved(refined, depth):
-        return (f"the photos are off by {off:.1f} pixels across the direction of depth, more than the depths moved by along it: "
-                "are the cameras right?")
+    added = off / np.sqrt(contexts)          # to a depth, by cameras that are off independently of one another
+    if off > MISALIGNED and (moved := _moved(refined, depth)) < 2 * added:
+        return (f"the photos are off by {off:.1f} pixels across the direction of depth, so that {contexts} of them add errors of "
+                f"about {added:.1f} pixels of parallax to depths that moved by {moved:.1f}: are the cameras right?")
     refused, accepted = (int(np.count_nonzero(refined.status == status)) for status in (REJECTED, REFINED))
     if refused > MOST_REFUSED * (refused + accepted):
         return f"the photos do not confirm the refined depth of {refused / (refused + accepted):.0%} of the pixels"

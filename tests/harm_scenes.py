@@ -65,8 +65,11 @@ def _other_photo(k: int):
 
 
 def figures(made, depth) -> dict[str, float]:
-    """Mean and median depth error in pixels of parallax, mean and median angle of the normals in degrees."""
+    """Mean and median depth error in pixels of parallax, mean and median angle of the normals in degrees; means
+    also of the pixels beside discontinuities, where there are any."""
     report = compare_depth(depth, made.true_depth(made.cameras[0]), made.cameras[0], parallax=made.relief.parallax,
-                           true_normals=made.true_normals(made.cameras[0])).all
-    return {"mean": report.mean_parallax, "median": report.median_parallax, "normal mean": report.normal_mean,
-            "normal median": report.normal_median}
+                           true_normals=made.true_normals(made.cameras[0]))
+    return {f"{name}{where}": value for where, part in (("", report.all), (" near edges", report.edges))
+            for name, value in (("mean", part.mean_parallax), ("median", part.median_parallax),
+                                ("normal mean", part.normal_mean), ("normal median", part.normal_median))
+            if value == value and not (where and "median" in name)}

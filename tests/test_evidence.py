@@ -78,6 +78,8 @@ def test_verdicts_equal_the_twin(device):
     verdict = judge.decide(initial.shape)
     status, accepted = verdict.status, level.read("depth", initial.shape).astype(np.float64)
     level.release()
+    feathered = twin.feather(initial.astype(np.float64), refined.astype(np.float64), status)
+    assert np.abs(accepted - feathered).max() < 1e-6 and (feathered != refined)[status == 1].mean() > 0.3
     deviations = twin.deviation(accepted, status, unit.astype(np.float64), before, after, 1.5, 0.2)
     assert (np.isfinite(deviations) == np.isfinite(verdict.deviation)).all()
     known = np.isfinite(deviations) & (deviations > 0)

@@ -91,6 +91,13 @@ def decide(initial, refined, unit, before, after, max_move, tolerance, mismatch)
     return np.select([~(initial > 0), unseen, refused], [NO_SURFACE, KEPT, REJECTED], REFINED)
 
 
+def feather(initial, refined, status):
+    """Depths after `decide`: refined ones move less towards what stays as it came, over 7x7 pixels."""
+    share = _patch_sum((status == REFINED) * 1.0, 3) / np.maximum(_patch_sum((status != NO_SURFACE) * 1.0, 3), 1)
+    moved = initial + np.clip(2 * share - 1, 0, 1) * (refined - initial)
+    return np.where(status == REFINED, moved, initial)
+
+
 def deviation(depth, status, unit, before, after, spread: float, misaligned: float):
     """Standard deviation of each depth of shape (H, W), units; infinite where nothing is known.
 

@@ -97,6 +97,7 @@ class Evidence:
         run_once(level.device.queue, [
             bind(self.program, "decide", (n,), None, self._initial, a["depth"], a["unit"], n, self._before, self._after,
                  around, float(solver.max_move), solver.tolerance * self.doubt.slack, float(solver.mismatch), status),
+            bind(self.program, "feather", size.grid, None, self._initial, a["depth"], status, *size.grid),
             bind(self.program, "bends", size.grid, None, a["depth"], a["unit"], *size.grid, bent),
             bind(self.program, "deviate", size.grid, None, status, a["unit"], *size.grid, self._before, self._after, bent,
                  self.doubt.spread, self.doubt.misaligned, deviation)])
