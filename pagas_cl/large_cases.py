@@ -11,7 +11,9 @@ from pagas_cl.scene.view import View
 from pagas_cl.selftest import BLENDS, Case, Outcome, device_gradient, difference, twin_gradient
 
 WINDOW, BORDER = 128, 40       # pixels: of the window in the far corner, and of its border that is not compared
-WHY = "whole-number weights have 18 bits there: a barely covered pixel carries 1e-3"
+TOLERANCE, MOST_PIXELS = 2e-2, 5e-3      # of all pixels together, and of 99 of 100 of them one by one
+WHY = ("a position of 4000 pixels is rounded to 2e-4: a few pixels in a thousand decide otherwise at a threshold or the "
+       "sign of a residual, and carry most of the difference")
 SHIFT = 0.004                  # baseline: so short that the window sees all that reaches it
 SIZES = {"12 megapixels": (4000, 3000), "more than 2^24 pixels": (4128, 4120)}
 
@@ -60,8 +62,7 @@ def corner_gradient(large: Large, config, at, unit) -> np.ndarray:
 
 def run_one(name: str, blend: str, device) -> Outcome:
     """One large case: finite, the same bits twice, and the far corner as the twin has it."""
-    tolerance = 2e-2 if blend == "order-free" else 1e-3
-    large, case, faults = make_large(SIZES[name]), Case(name, base, tolerance, why=WHY), []
+    large, case, faults = make_large(SIZES[name]), Case(name, base, TOLERANCE, why=WHY), []
     config = BLENDS[blend].with_settings(splatting__depth_slices=1e-3)      # the range of depth differs in the window
     at = large.whole.depth
     got, loss, length = device_gradient(large.whole, config, device, at, at, 1.0)
@@ -75,6 +76,9 @@ def run_one(name: str, blend: str, device) -> Outcome:
     worst = difference(got[inside], want[inside], length[inside])
     if not worst <= case.tolerance:
         faults.append(f"gradient differs from the twin by {worst:.3g}")
+    most = np.quantile(np.abs(got[inside] - want[inside]), 0.99) / np.sqrt(np.mean(want[inside] ** 2))
+    if not most <= MOST_PIXELS:
+        faults.append(f"one pixel in a hundred differs by more than {most:.3g} of the usual gradient")
     return Outcome(case, blend, worst, tuple(faults))
 
 
