@@ -99,7 +99,7 @@ def _uploaded(device, array: np.ndarray):
     import pyopencl as cl
 
     buffer = device.memory.buffer(device.context, array.nbytes)
-    cl.enqueue_copy(device.queue, buffer, array)
+    cl.enqueue_copy(device.queue, buffer, np.ascontiguousarray(array))  # by rows, as the kernels read it
     return buffer
 
 
