@@ -9,11 +9,11 @@
 #define LOSS 4
 
 // Without branches, so that compilers for CPUs make vectors of it. first_scale and second_scale undo the bias of the
-// first steps: 1 / (1 - 0.9^pass) and 1 / (1 - 0.999^pass).
+// first steps: 1 / (1 - beta1^pass) and 1 / (1 - beta2^pass).
 __kernel void adam(__global float *restrict depth, __global float *restrict gradient, __global float *restrict first,
                    __global float *restrict second, __global const float *restrict unit,
                    __global const float *restrict state, int count, float first_scale, float second_scale,
-                   float damping, float common_unit, float share)
+                   float beta1, float beta2, float damping, float common_unit, float share)
 {
     const int i = get_global_id(0);
     if (i >= count)
@@ -23,7 +23,8 @@ __kernel void adam(__global float *restrict depth, __global float *restrict grad
     const bool moving = d > 0.0f && state[DONE] == 0.0f;
     const float g = moving ? gradient[i] * u : 0.0f;
     const float old_m = first[i], old_v = second[i];
-    const float m = moving ? 0.9f * old_m + 0.1f * g : old_m, v = moving ? 0.999f * old_v + 0.001f * g * g : old_v;
+    const float m = moving ? beta1 * old_m + (1.0f - beta1) * g : old_m;
+    const float v = moving ? beta2 * old_v + (1.0f - beta2) * g * g : old_v;
     const float change = rate * u * m * first_scale / (sqrt(v * second_scale) + damping);
     gradient[i] = 0.0f;
     first[i] = m;

@@ -101,13 +101,13 @@ def test_adam_takes_the_rate_first_and_leaves_fixed_pixels():
     depth = np.array([[1.0, 1.0, 1.0, 0.0, 2e-3]])
     gradient = np.array([[0.7, -3.0, 5.0, 1.0, 1.0]])
     length = np.array([[0.01, 0.02, 0.0, 0.01, 1.0]])
-    adam = Adam.start(depth.shape)
+    adam = Adam.start(depth.shape, 0.9, 0.999)
     after = adam.step(depth, gradient, length, 0.5, 0.0)
     assert after == pytest.approx(np.array([[0.995, 1.01, 1.0, 0.0, NEAR]]), rel=1e-12)
-    still = Adam.start(depth.shape).step(depth, np.zeros_like(depth), length, 0.5, 0.0)
+    still = Adam.start(depth.shape, 0.9, 0.999).step(depth, np.zeros_like(depth), length, 0.5, 0.0)
     assert (still == depth).all()
     x, m, v = np.array([[1.0]]), 0.0, 0.0
-    adam = Adam.start(x.shape)
+    adam = Adam.start(x.shape, 0.9, 0.999)
     for t, g in enumerate((0.3, -0.2, 0.0), 1):  # by the book
         m, v = 0.9 * m + 0.1 * g, 0.999 * v + 0.001 * g * g
         want = x - 0.01 * (m / (1 - 0.9**t)) / (np.sqrt(v / (1 - 0.999**t)) + 1e-8)

@@ -169,7 +169,8 @@ def run_level(depth, target: Photo, contexts: list[Photo], config: Config, state
     """Adam on one level: the depth in units after at most `steps` steps, and the loss before each of them."""
     solver, history = config.solver, []
     length = state.parallax if solver.unit == "parallax" else np.where(state.parallax > 0, state.distance, 0.0)
-    adam, schedule = Adam.start(depth.shape), Plateau(solver.rate, solver.patience, solver.rate_floor)
+    adam = Adam.start(depth.shape, solver.beta1, solver.beta2)
+    schedule = Plateau(solver.rate, solver.patience, solver.rate_floor)
     for step in range(steps):
         views = views_of_step(step, len(contexts), solver.views_per_step)
         value, gradient = loss_and_gradient(depth, target, contexts, config, state, views)

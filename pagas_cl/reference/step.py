@@ -8,8 +8,6 @@ import numpy as np
 
 from pagas_cl.reference.project import NEAR, Projected
 
-BETA1, BETA2 = 0.9, 0.999
-
 
 def parallax_unit(projections: list[Projected], sizes: list[tuple[int, int]]) -> np.ndarray:
     """u of shape (N,): the change of depth that moves the projected mean by one pixel, root mean square over views.
@@ -33,15 +31,17 @@ def late_share(step: int, steps: int, final: float) -> float:
 
 @dataclass
 class Adam:
-    """First and second moments of the gradient, same shape as the depth, and the count of steps."""
+    """First and second moments of the gradient, same shape as the depth, their decay per step, and the count of steps."""
 
     m: np.ndarray
     v: np.ndarray
+    beta1: float
+    beta2: float
     steps: int = 0
 
     @classmethod
-    def start(cls, shape) -> Adam:
-        return cls(np.zeros(shape), np.zeros(shape))
+    def start(cls, shape, beta1: float, beta2: float) -> Adam:
+        return cls(np.zeros(shape), np.zeros(shape), beta1, beta2)
 
     def step(self, depth, gradient, length, rate: float, damping: float) -> np.ndarray:
         """The depth after one step on x = d / length.
@@ -57,10 +57,10 @@ class Adam:
         """
         g = gradient * length
         self.steps += 1
-        self.m = BETA1 * self.m + (1 - BETA1) * g
-        self.v = BETA2 * self.v + (1 - BETA2) * g * g
-        mean = self.m / (1 - BETA1**self.steps)
-        scale = np.sqrt(self.v / (1 - BETA2**self.steps)) + damping
+        self.m = self.beta1 * self.m + (1 - self.beta1) * g
+        self.v = self.beta2 * self.v + (1 - self.beta2) * g * g
+        mean = self.m / (1 - self.beta1**self.steps)
+        scale = np.sqrt(self.v / (1 - self.beta2**self.steps)) + damping
         move = np.where(self.v > 0, mean / np.where(self.v > 0, scale, 1.0), 0.0)
         stepped = np.maximum(depth - rate * length * move, NEAR)
         return np.where((depth > 0) & (length > 0), stepped, depth)

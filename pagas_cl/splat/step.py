@@ -24,7 +24,8 @@ class Solver:
         common = level.given.distance_unit if solver.unit == "distance" else 0.0
         n = level.target.pixels
         self._adam = bind(program, "adam", (n,), None, a["depth"], a["gradient"], a["first"], a["second"], a["unit"],
-                          a["state"], n, 1.0, 1.0, float(solver.damping), float(common), 1.0)
+                          a["state"], n, 1.0, 1.0, float(solver.beta1), float(solver.beta2), float(solver.damping), float(common),
+                          1.0)
         if self.patience:
             floor = solver.rate * solver.rate_floor * 0.999      # a rate that reaches the floor still counts
             self._plateau = bind(program, "plateau", (1,), None, a["state"], a["history"], 1, self.patience,
@@ -40,8 +41,9 @@ class Solver:
         if self.patience:
             self._plateau.kernel.set_arg(2, np.int32(number + 1))
             self._plateau.enqueue(self.queue)
-        corrections = 1 / (1 - 0.9 ** (number + 1)), 1 / (1 - 0.999 ** (number + 1))
-        for argument, value in zip((7, 8, 11), (*corrections, self._share(number, steps))):
+        settings = self.level.config.solver
+        corrections = (1 / (1 - beta ** (number + 1)) for beta in (settings.beta1, settings.beta2))
+        for argument, value in zip((7, 8, 13), (*corrections, self._share(number, steps))):
             self._adam.kernel.set_arg(argument, np.float32(value))
         self._adam.enqueue(self.queue)
 
