@@ -127,7 +127,7 @@ def _step(device, target, contexts, depth, config, repeats, copy):
     from pagas_cl.splat.view import full_level
 
     level = full_level(target, contexts, depth, config, device)
-    launches = [*level.gradient_launches(0), *Solver(level).launches]
+    launches = [*level.step_launches(0), *Solver(level).launches]
     moved = stage_bytes(config, level.target.pixels, max(size.pixels for size in level.contexts))
     stages = []
     for name, (ms, count) in stage_times(device.queue, launches, repeats).items():

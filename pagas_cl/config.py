@@ -177,6 +177,9 @@ class Solver:
     beta1, beta2 : float
         Adam's decay of the mean gradient and of the mean square, per step. A beta2 near 1 remembers the large gradients
         of the first steps for ever, and every later step is short.
+    spread : int
+        Radius, pixels, of the tent over which the gradient of the photos is averaged before each step: neighbours that
+        are off together push together, noise does not. 0 leaves each pixel its own.
     patience : int
         Steps without a better loss before the rate falls by 10; 0 keeps the rate.
     rate_floor : float
@@ -199,6 +202,7 @@ class Solver:
     damping: float = 1e-3
     beta1: float = 0.9
     beta2: float = 0.9
+    spread: int = 2
     patience: int = 0
     rate_floor: float = 0.01
     final_rate: float = 0.3
@@ -210,7 +214,7 @@ class Solver:
     def __post_init__(self):
         _check("solver", rate=_within(self.rate, 1e-12, 100), unit=_one_of(self.unit, "parallax", "distance"),
                damping=_within(self.damping, 0, 1e3), beta1=_within(self.beta1, 0, 0.9999),
-               beta2=_within(self.beta2, 0, 0.9999), patience=_whole(self.patience, 0, 10**6),
+               beta2=_within(self.beta2, 0, 0.9999), spread=_whole(self.spread, 0, 16), patience=_whole(self.patience, 0, 10**6),
                rate_floor=_within(self.rate_floor, 0, 1), views_per_step=_whole(self.views_per_step, 0, 10**4),
                final_rate=_within(self.final_rate, 0, 1), max_move=_within(self.max_move, 0, 1e9),
                tolerance=_within(self.tolerance, 0, 2), mismatch=_within(self.mismatch, 0, 2))
@@ -382,7 +386,7 @@ PAPER = Config(
                         low_pass=0.3),
     loss=Loss(ssim=0.2, gradient_weight=True, coverage_weight=True, unseen_mask=True, target_view=True),
     smoothness=Smoothness(kind="none", weight=0.0),
-    solver=Solver(rate=1e-5, unit="distance", damping=1e-8, beta2=0.999, final_rate=1.0, patience=10, views_per_step=0, max_move=1e9,
+    solver=Solver(rate=1e-5, unit="distance", damping=1e-8, beta2=0.999, spread=0, final_rate=1.0, patience=10, views_per_step=0, max_move=1e9,
                   tolerance=2.0, mismatch=2.0),
     pyramid=Pyramid(scales=(0.5, 1.0), steps=(100, 100)),
     effects=Effects.every("set"),

@@ -12,7 +12,7 @@ from pagas_cl.reference import resample
 from pagas_cl.reference.composite import Rendered, composite, composite_vjp
 from pagas_cl.reference.project import is_valid, median_depth, project
 from pagas_cl.reference.smooth import smoothness
-from pagas_cl.reference.step import Adam, Plateau, late_share, parallax_unit
+from pagas_cl.reference.step import Adam, Plateau, late_share, parallax_unit, spread
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import distance_unit, footprint
 
@@ -147,15 +147,20 @@ def loss_and_gradient(depth, target: Photo, contexts: list[Photo], config: Confi
     gradient : ndarray of shape (H, W)
         0 where there is no surface.
     """
+    photos, smooth = parts_of_loss(depth, target, contexts, config, state, views)
+    return photos[0] + smooth[0], photos[1] + smooth[1]
+
+
+def parts_of_loss(depth, target: Photo, contexts: list[Photo], config: Config, state: State, views=None):
+    """Value and gradient of `loss_and_gradient`, of the photos and of the smoothness by themselves."""
     views = range(len(contexts)) if views is None else views
     parts = [view_loss(depth, target, contexts[v], config, state, state.seen[v]) for v in views]
     if config.loss.target_view:
         parts.append(view_loss(depth, target, target, config, state))
     value, gradient = smoothness(depth, is_valid(depth), config.smoothness, state.kappa, target.camera.rays(),
                                  state.texture)
-    value += sum(part[0] for part in parts) / len(parts)
-    gradient = gradient + sum(part[1] for part in parts) / len(parts)
-    return float(value), depth.size * gradient
+    photos = tuple(sum(part[k] for part in parts) / len(parts) for k in (0, 1))
+    return (float(photos[0]), depth.size * photos[1]), (float(value), depth.size * gradient)
 
 
 def views_of_step(step: int, number: int, per_step: int) -> list[int]:
@@ -173,7 +178,8 @@ def run_level(depth, target: Photo, contexts: list[Photo], config: Config, state
     schedule = Plateau(solver.rate, solver.patience, solver.rate_floor)
     for step in range(steps):
         views = views_of_step(step, len(contexts), solver.views_per_step)
-        value, gradient = loss_and_gradient(depth, target, contexts, config, state, views)
+        photos, smooth = parts_of_loss(depth, target, contexts, config, state, views)
+        value, gradient = photos[0] + smooth[0], spread(photos[1], state.parallax, solver.spread) + smooth[1]
         history.append(value)
         rate = schedule.next_rate(value)
         if rate == 0:

@@ -12,7 +12,7 @@ from pagas_cl.runtime.arena import Arena
 from pagas_cl.runtime.program import Upload, run_once
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import camera_table, footprint
-from pagas_cl.splat import backward, composite, exposure, loss, project, smooth, step
+from pagas_cl.splat import backward, composite, exposure, loss, project, smooth, spread, step
 from pagas_cl.splat.options import defines, heaviest_pixel
 from pagas_cl.splat.state import Size, allocate
 from pagas_cl.splat.tile import choose_tiles
@@ -88,7 +88,7 @@ class Level:
         """The depth that the steps start from."""
         self._once(write, smooth.before_steps)
         self._bind_views()
-        self.smooth, self.ending = smooth.launches(self), []
+        self.spread, self.smooth, self.ending = spread.launches(self), smooth.launches(self), []
 
     def _bind_views(self):
         self.views = [self._view(v) for v in range(1, 1 + len(self.contexts))]
@@ -132,10 +132,18 @@ class Level:
         return self.views_per_step + (1 if self.config.loss.target_view else 0)
 
     def gradient_launches(self, number: int) -> list:
-        """Launches that add N dL/dd of step `number` (from 0) to the gradient: context views in turn."""
+        """Launches that add N dL/dd of step `number` (from 0) to the gradient."""
+        return self._photo_launches(number) + self.smooth
+
+    def step_launches(self, number: int) -> list:
+        """The same with the gradient of the photos spread over neighbouring pixels, as a step wants it."""
+        return self._photo_launches(number) + self.spread + self.smooth
+
+    def _photo_launches(self, number: int) -> list:
+        """Context views in turn."""
         k, n = self.views_per_step, len(self.views)
         chosen = [self.views[(number * k + j) % n] for j in range(k)]
-        return [launch for view in (self.target_view, *chosen) for launch in view] + self.smooth
+        return [launch for view in (self.target_view, *chosen) for launch in view]
 
     def run(self, steps: int, progress=None) -> int:
         """At most `steps` steps; returns how many were enqueued."""
@@ -147,7 +155,7 @@ class Level:
                 run_once(queue, exposure.launches(self))
             if self.config.splatting.final_radius and number == steps // 2:
                 self._narrow()
-            for launch in self.gradient_launches(number):
+            for launch in self.step_launches(number):
                 launch.enqueue(queue)
             solver.enqueue(number, steps)
             if solver.finished(number):
@@ -165,8 +173,8 @@ class Level:
 
     def release(self, keep=()):
         """Give everything back but the buffers named in `keep`."""
-        for launches in (self.ending, self.target_view, self.smooth, *self.views):
+        for launches in (self.ending, self.target_view, self.spread, self.smooth, *self.views):
             for launch in launches:
                 launch.release()
-        self.ending, self.target_view, self.smooth, self.views = [], [], [], []
+        self.ending, self.target_view, self.spread, self.smooth, self.views = [], [], [], [], []
         self.arena.release(keep)

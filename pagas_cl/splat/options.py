@@ -55,6 +55,8 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
     numbers = {"REACH": reach(splatting.radius), "SLOTS": SLOTS,
                "LIST_GROUP_W": LIST_GROUP[0], "LIST_GROUP_H": LIST_GROUP[1],
                "FIXED_BITS": fixed_bits(weight)}
+    if config.solver.spread > 0:
+        numbers["SPREAD"] = config.solver.spread
     numbers["RADIUS"] = f"{float(splatting.radius)!r}f"
     if loss.robust > 0:
         numbers["ROBUST"] = f"{float(loss.robust)!r}f"       # 2.0f, 1e-06f: always a floating constant of C

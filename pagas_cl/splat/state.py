@@ -54,6 +54,8 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
     if config.loss.ssim > 0:
         rows = max(tiles.pitch(size.width) * size.height for size in (*contexts, target))
         specs.append(BufferSpec("partials", (3 * channels * rows + 2 * tiles.MARGIN,), np.float32))
+    if config.solver.spread > 0:
+        specs.append(BufferSpec("sums", (n,), np.float32))
     if config.splatting.occlusion:
         specs.append(BufferSpec("z_first", (m,), np.uint32))
     if config.splatting.blend == "alpha":

@@ -1,0 +1,15 @@
+"""Launches of spread.cl: the gradient of the photos averaged over neighbouring pixels (method section 6)."""
+
+from __future__ import annotations
+
+from pagas_cl.runtime.program import bind, build
+
+
+def launches(level) -> list:
+    """Average arena["gradient"] in place; once a step, before the smoothness adds to it."""
+    if level.config.solver.spread == 0:
+        return []
+    a, size = level.arena, level.target
+    program = build(level.device, "spread.cl", level.defines)
+    return [bind(program, "spread_across", size.grid, None, a["gradient"], a["unit"], size.width, size.height, a["sums"]),
+            bind(program, "spread_down", size.grid, None, a["sums"], a["unit"], size.width, size.height, a["gradient"])]
