@@ -141,6 +141,9 @@ class Smoothness:
         inverse depth, in pixels of parallax, which vanish on every plane.
     weight : float
         lambda_s.
+    full_views : int
+        With fewer context views than this the weight is larger, by (full_views / context views)^(2/3): fewer photos
+        average less noise. 1 keeps it.
     texture : float
         How much w_grad lowers the weight: 1 - texture * w_grad.
     huber : float
@@ -151,14 +154,19 @@ class Smoothness:
 
     kind: str = "planar"
     weight: float = 0.12
+    full_views: int = 10
     texture: float = 0.0
     huber: float = 1.0
     cut: float = 0.7
 
     def __post_init__(self):
         _check("smoothness", kind=_one_of(self.kind, "none", "normal", "planar"), weight=_within(self.weight, 0, 100),
-               texture=_within(self.texture, 0, 1), huber=_within(self.huber, 1e-6, 1e6),
-               cut=_within(self.cut, 1e-6, 1e12))
+               full_views=_whole(self.full_views, 1, 1000), texture=_within(self.texture, 0, 1),
+               huber=_within(self.huber, 1e-6, 1e6), cut=_within(self.cut, 1e-6, 1e12))
+
+    def weight_with(self, contexts: int) -> float:
+        """lambda_s where there are so many context views."""
+        return self.weight * max(1.0, self.full_views / contexts) ** (2 / 3)
 
 
 @dataclass(frozen=True)
@@ -197,7 +205,7 @@ class Solver:
         do not show the same thing there. A view with more than two thirds rejected is returned as it came.
     """
 
-    rate: float = 0.04
+    rate: float = 0.045
     unit: str = "parallax"
     damping: float = 1e-3
     beta1: float = 0.9
@@ -233,7 +241,7 @@ class Pyramid:
     """
 
     scales: tuple[float, ...] = (1.0,)
-    steps: tuple[int, ...] = (200,)
+    steps: tuple[int, ...] = (100,)
 
     def __post_init__(self):
         object.__setattr__(self, "scales", tuple(float(s) for s in self.scales))
@@ -385,7 +393,7 @@ PAPER = Config(
     splatting=Splatting(blend="alpha", radius=1.42, depth_slices=20.0, depth_footprints=0.0,
                         low_pass=0.3),
     loss=Loss(ssim=0.2, gradient_weight=True, coverage_weight=True, unseen_mask=True, target_view=True),
-    smoothness=Smoothness(kind="none", weight=0.0),
+    smoothness=Smoothness(kind="none", weight=0.0, full_views=1),
     solver=Solver(rate=1e-5, unit="distance", damping=1e-8, beta2=0.999, spread=0, final_rate=1.0, patience=10, views_per_step=0, max_move=1e9,
                   tolerance=2.0, mismatch=2.0),
     pyramid=Pyramid(scales=(0.5, 1.0), steps=(100, 100)),
@@ -396,10 +404,11 @@ PAPER = Config(
 BALANCED = Config()
 # Gives up colour, most steps and the measuring of effects (photos of one exposure, a depth within a pixel or two of
 # parallax): two to three times the error of "balanced" at a quarter of its time or less.
-FAST = BALANCED.with_settings(loss__grey=True, solver__rate=0.08, solver__final_rate=0.1, pyramid__steps=(40,),
+FAST = BALANCED.with_settings(loss__grey=True, solver__rate=0.13, solver__beta1=0.7, solver__spread=3,
+                              solver__final_rate=0.1, pyramid__steps=(20,),
                               **{f"effects__{f.name}": "set" for f in fields(Effects)})
 # Past the knee: one or two percent better for twice the steps, and worse beside discontinuities.
-ACCURATE = BALANCED.with_settings(loss__ssim=0.4, pyramid__steps=(400,))
+ACCURATE = BALANCED.with_settings(loss__ssim=0.4, pyramid__steps=(200,))
 PRESETS: dict[str, Config] = {"fast": FAST, "balanced": BALANCED, "accurate": ACCURATE, "paper": PAPER}
 
 

@@ -63,10 +63,11 @@ def rungs() -> list[tuple[str, Config]]:
     """Settings along the measured front of error against time, cheapest first: about half as much error every time or
     two, until the knee at "balanced"."""
     fast, balanced, accurate = (preset(name) for name in ("fast", "balanced", "accurate"))
-    quick = [(f"fast, {n} steps", fast.with_settings(pyramid__steps=(n,), solver__rate=0.1)) for n in (10, 20)]
+    quick = [(f"fast, {n} steps", fast.with_settings(pyramid__steps=(n,), solver__rate=rate))
+             for n, rate in ((6, 0.2), (12, 0.16))]
     middle = [(f"balanced, {n} steps", balanced.with_settings(pyramid__steps=(n,), solver__rate=rate))
-              for n, rate in ((50, 0.06), (75, 0.04), (100, 0.04), (150, 0.04))]
-    more = [("balanced, 300 steps", balanced.with_settings(pyramid__steps=(300,)))]
+              for n, rate in ((35, 0.08), (50, 0.07), (75, 0.06))]
+    more = [("balanced, 150 steps", balanced.with_settings(pyramid__steps=(150,), solver__rate=0.04))]
     return [*quick, ("fast", fast), *middle, ("balanced", balanced), *more, ("accurate", accurate)]
 
 

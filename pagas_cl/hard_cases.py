@@ -87,7 +87,8 @@ _STEP_LIMITS = [
     ("solver__rate", 1e-12), ("solver__damping", 0.0), ("solver__damping", 1e3), ("solver__patience", 1),
     ("solver__patience", 10**6), ("solver__rate_floor", 0.0), ("solver__rate_floor", 1.0), ("solver__final_rate", 0.0),
     ("solver__views_per_step", 10**4), ("solver__max_move", 0.0), ("solver__tolerance", 0.0),
-    ("solver__unit", "distance"),
+    ("solver__unit", "distance"), ("solver__beta1", 0.0), ("solver__beta2", 0.0), ("solver__beta2", 0.9999),
+    ("solver__spread", 0), ("solver__spread", 16),
 ]
 SETTINGS = [
     *(Case(f"{key.replace('__', '.')} = {value}", make.base, 2e-3 if "robust" in key else 1e-3, {key: value})

@@ -6,7 +6,7 @@ from kernel_cases import Scene, start_level
 
 from pagas_cl.config import preset
 from pagas_cl.reference.level import parts_of_loss, prepare
-from pagas_cl.reference.step import spread
+from pagas_cl.reference.spread import spread
 from pagas_cl.runtime.device import open_device
 
 
@@ -35,7 +35,8 @@ def test_borders_take_nothing_from_the_other_side():
 
 @pytest.mark.parametrize("radius", [1, 2, 3])
 def test_kernels_are_the_twin(radius):
-    config, device, scene = preset("balanced").with_settings(solver__spread=radius), open_device(None), Scene.make(3)
+    config = preset("balanced").with_settings(solver__spread=radius, smoothness__full_views=1)
+    device, scene = open_device(None), Scene.make(3)
     level = start_level(device, config, scene)
     for launch in level.step_launches(0):
         launch.enqueue(device.queue)

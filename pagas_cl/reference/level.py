@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from pagas_cl.reference import resample
 from pagas_cl.reference.composite import Rendered, composite, composite_vjp
 from pagas_cl.reference.project import is_valid, median_depth, project
 from pagas_cl.reference.smooth import smoothness
-from pagas_cl.reference.step import Adam, Plateau, late_share, parallax_unit, spread
+from pagas_cl.reference.spread import spread
+from pagas_cl.reference.step import Adam, Plateau, late_share, parallax_unit
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import distance_unit, footprint
 
@@ -157,7 +158,8 @@ def parts_of_loss(depth, target: Photo, contexts: list[Photo], config: Config, s
     parts = [view_loss(depth, target, contexts[v], config, state, state.seen[v]) for v in views]
     if config.loss.target_view:
         parts.append(view_loss(depth, target, target, config, state))
-    value, gradient = smoothness(depth, is_valid(depth), config.smoothness, state.kappa, target.camera.rays(),
+    holding = replace(config.smoothness, weight=config.smoothness.weight_with(len(contexts)))
+    value, gradient = smoothness(depth, is_valid(depth), holding, state.kappa, target.camera.rays(),
                                  state.texture)
     photos = tuple(sum(part[k] for part in parts) / len(parts) for k in (0, 1))
     return (float(photos[0]), depth.size * photos[1]), (float(value), depth.size * gradient)

@@ -26,12 +26,16 @@ def launches(level) -> list:
     program = build(level.device, "smooth.cl", level.defines)
     if s.kind == "planar":
         return [bind(program, "smoothness_planar", size.grid, None, a["depth"], a["kappa"], a["weights"], size.width,
-                     size.height, float(s.weight), float(s.huber), float(s.cut), a["gradient"]), *_loss(level)]
+                     size.height, _weight(level), float(s.huber), float(s.cut), a["gradient"]), *_loss(level)]
     return [bind(program, "normal_map", size.grid, None, a["depth"], a["cameras"], a["normals"]),
             bind(program, "normal_slope", size.grid, None, a["normals"], a["weights"], size.width, size.height,
-                 float(s.weight), a["slopes"]),
+                 _weight(level), a["slopes"]),
             bind(program, "normal_vjp", size.grid, None, a["depth"], a["cameras"], a["slopes"], a["gradient"]),
             *_loss(level)]
+
+
+def _weight(level) -> float:
+    return level.config.smoothness.weight_with(len(level.contexts))
 
 
 def _loss(level) -> list:
@@ -45,4 +49,4 @@ def _loss(level) -> list:
                    float(s.cut), a["smooth_losses"]) if s.kind == "planar" else
               bind(program, "normal_loss", grid, (SUM_GROUP,), a["normals"], *shared, a["smooth_losses"]))
     return [summed, bind(build(level.device, "step.cl", level.defines), "add_smoothness", (1,), None,
-                         a["smooth_losses"], SUM_GROUPS, float(s.weight) / size.pixels, a["state"])]
+                         a["smooth_losses"], SUM_GROUPS, _weight(level) / size.pixels, a["state"])]
