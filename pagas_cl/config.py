@@ -394,8 +394,8 @@ PAPER = Config(
                         low_pass=0.3),
     loss=Loss(ssim=0.2, gradient_weight=True, coverage_weight=True, unseen_mask=True, target_view=True),
     smoothness=Smoothness(kind="none", weight=0.0, full_views=1),
-    solver=Solver(rate=1e-5, unit="distance", damping=1e-8, beta2=0.999, spread=0, final_rate=1.0, patience=10, views_per_step=0, max_move=1e9,
-                  tolerance=2.0, mismatch=2.0),
+    solver=Solver(rate=1e-5, unit="distance", damping=1e-8, beta2=0.999, spread=0, final_rate=1.0, patience=10,
+                  views_per_step=0, max_move=1e9, tolerance=2.0, mismatch=2.0),
     pyramid=Pyramid(scales=(0.5, 1.0), steps=(100, 100)),
     effects=Effects.every("set"),
 )

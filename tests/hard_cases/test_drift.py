@@ -1,6 +1,6 @@
 """Float32 on the device against the float64 twin over a whole small refinement, not one step.
 
-Tolerance budget, in pixels of parallax: 98 of 100 pixels with texture end within 1e-3 of where the twin ends.
+Tolerance budget, in pixels of parallax: 98 of 100 pixels with texture end within 3e-3 of where the twin ends.
 Elsewhere it does not hold: without texture, or with a Gaussian on a threshold, the sign of a residual may turn on the
 last bit, and Adam's step does not know how small the residual was. Such pixels stay within a few steps of the rate.
 """
@@ -45,5 +45,5 @@ def test_drift_of_a_whole_refinement(device, blend):
     textured, plain, way = drift(device, blend)
     assert len(textured) > 500
     assert np.median(way) > 0.02, "the refinement goes somewhere"
-    assert np.quantile(textured, 0.98) < 1e-3
+    assert np.quantile(textured, 0.98) < 3e-3
     assert np.concatenate([textured, plain]).max() < 1e-2
