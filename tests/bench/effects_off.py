@@ -1,0 +1,101 @@
+"""Does an effect that is off cost anything? The kernels of a step against those of sources that never had it.
+
+    python tests/bench/effects_off.py [--width 1554] [--device NAME] [--out FILE.md]
+
+tests/test_effects_off.py shows that the programs are equal but for parameters that nothing reads; here both are timed on
+the device's own clock, in turn, so that neither has a warmer device.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from stripped import EFFECTS, never_had, parameters_in, parameters_of  # noqa: E402
+
+from pagas_cl.config import BALANCED, Effects  # noqa: E402
+from pagas_cl.made.layout import Relief, make_cameras  # noqa: E402
+from pagas_cl.runtime import program  # noqa: E402
+from pagas_cl.runtime.device import open_device  # noqa: E402
+from pagas_cl.runtime.timing import stage_times  # noqa: E402
+from pagas_cl.scene.view import View  # noqa: E402
+from pagas_cl.splat import view as refinement  # noqa: E402
+
+OFF = {"occlusion": dict(splatting__occlusion=False), "unseen_mask": dict(loss__unseen_mask=False),
+       "exposure": dict(loss__exposure=False), "view_dependence": dict(loss__structure=False),
+       "antialiasing": dict(splatting__low_pass=0.0)}
+ROUNDS, REPEATS = 7, 20
+
+
+@contextmanager
+def as_if_never_written(effect):
+    """Programs built meanwhile are those of sources without the effect, and launches hand over what they still take."""
+    source, build, bind, files = program.source, program.build, program.bind, {}
+    modules = [m for name, m in sys.modules.items() if name.startswith("pagas_cl.splat") and m is not None]
+
+    def bare_build(device, name, defines=()):
+        built = build(device, name, defines)
+        files[built.int_ptr] = name
+        return built
+
+    def bare_bind(built, kernel, size, group, *arguments):
+        file = files[built.int_ptr]
+        gone, names = parameters_in(effect, file), parameters_of(source(file), kernel)
+        return bind(built, kernel, size, group, *(a for a, name in zip(arguments, names) if name not in gone))
+
+    kept, programs = [(m, name, getattr(m, name)) for m in modules for name in ("build", "bind") if hasattr(m, name)], dict(
+        program._programs)
+    program.source = lambda name: never_had(effect, name, source(name))
+    program._programs.clear()
+    for module, name, _ in kept:
+        setattr(module, name, bare_build if name == "build" else bare_bind)
+    try:
+        yield
+    finally:
+        program.source = source
+        program._programs.clear()
+        program._programs.update(programs)
+        for module, name, value in kept:
+            setattr(module, name, value)
+
+
+def level_of(device, config, views, depth):
+    return refinement.full_level(views[0], views[1:], depth, config, device)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--width", type=int, default=1554)
+    parser.add_argument("--device")
+    parser.add_argument("--out", type=Path)
+    given = parser.parse_args()
+    device, rng = open_device(given.device, profiling=True), np.random.default_rng(0)
+    cameras = make_cameras(Relief(width=given.width, height=given.width * 3 // 4, contexts=2))
+    views = [View(c, rng.integers(0, 256, (c.height, c.width, 3), np.uint8), None, c.name) for c in cameras]
+    depth = np.full((cameras[0].height, cameras[0].width), 650, np.float32)
+    depth += 5 * np.sin(np.arange(depth.shape[1], dtype=np.float32) / 40)
+    lines = ["| effect, off | step, ms | the same, never written, ms | ratio |", "|---|---|---|---|"]
+    for effect in EFFECTS:
+        config = BALANCED.with_settings(**OFF[effect], **{f"effects__{name}": "set" for name in vars(Effects())})
+        level = level_of(device, config, views, depth)
+        with as_if_never_written(effect):
+            bare = level_of(device, config, views, depth)
+        times = np.array([[sum(ms for ms, _ in stage_times(device.queue, one.gradient_launches(0), REPEATS).values())
+                           for one in (level, bare)] for _ in range(ROUNDS)])
+        have, lack = np.median(times, axis=0)
+        spread = np.ptp(times[:, 0] / times[:, 1]) / 2
+        lines.append(f"| {effect} | {have:.4f} | {lack:.4f} | {have / lack:.4f} ± {spread:.4f} |")
+        print(lines[-1], flush=True)
+        level.release()
+        bare.release()
+    if given.out:
+        given.out.write_text("\n".join([f"Measured on {device.info}, {given.width} x {given.width * 3 // 4} pixels.", "", *lines, ""]))
+
+
+if __name__ == "__main__":
+    main()
