@@ -149,6 +149,20 @@ def test_the_command_ends_with_status_1(scene, tmp_path, failing, device, capsys
     assert check_whole(tmp_path / "out") == 2
 
 
+@pytest.mark.parametrize("words", [["analyze"], ["bench", "--width", "64", "--context", "2", "--repeat", "1"]],
+                         ids=lambda words: words[0])
+def test_other_commands_say_it_too(tmp_path, failing, device, capsys, words):
+    import pagas_cl.__main__ as command_line
+
+    if words == ["analyze"]:
+        folder = write_small_scene(tmp_path / "scene", 3)
+        words = ["analyze", str(folder), "--depth-dir", str(folder / "depth_initial")]
+    failing(5)
+    assert command_line.run(words) == 1
+    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("pagas-cl:")]
+    assert len(told) == 1 and "failed" in told[0] and "start the same command again" in told[0]
+
+
 def test_what_is_no_loss_stays_what_it_is(device):
     for code, kind in ((-4, DeviceMemoryError), (-6, DeviceMemoryError), (-52, cl.Error), (-30, cl.Error)):
         with pytest.raises(kind), faults.told_as_device_error(device, "a test"):
