@@ -6,23 +6,19 @@ import logging
 import time
 from pathlib import Path
 
-import numpy as np
-
 from pagas_cl.config import Config
 from pagas_cl.config import preset as named_preset
 from pagas_cl.effects import decide, measure
 from pagas_cl.errors import InputError
+from pagas_cl.harm import harm_of
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
-from pagas_cl.result import REFINED, REJECTED, DepthResult
+from pagas_cl.result import DepthResult
 from pagas_cl.scene.inputs import as_views, asked_views, checked_depth
 from pagas_cl.scene.mesh import from_surface, to_surface
 from pagas_cl.scene.partners import PartnerChooser, Partners
 from pagas_cl.scene.view import View
 
 log = logging.getLogger("pagas_cl")
-
-MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not to be trusted as a whole
-MISALIGNED = 0.2         # pixels by which photos may be off without a question whether the cameras harm more than they serve
 
 
 def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=None, device=None, progress=None,
@@ -97,7 +93,7 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
         As in refine_mesh.
     """
     from pagas_cl.runtime.device import open_device
-    from pagas_cl.splat import PhotoStore, refine_levels
+    from pagas_cl.splat import Entered, PhotoStore, refine_levels
     from pagas_cl.splat.fit import fit_memory
 
     config, depth, device = _config(preset, config), checked_depth(depth, target), open_device(device)
@@ -106,8 +102,10 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
     start, steps_done = time.perf_counter(), _steps_of(progress, target)
 
     def attempt(photos):
-        settled, decisions, measured = settle(target, contexts, depth, config, device, photos)
-        refined = refine_levels(target, contexts, depth, settled, device, photos, steps_done, witness, measured)
+        entered = Entered(target, depth, device)
+        settled, decisions, measured = settle(target, contexts, depth, config, device, photos, entered)
+        refined = refine_levels(target, contexts, depth, settled, device, photos, steps_done, witness, measured,
+                                entered)
         return refined, decisions, measured
 
     refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, witness,
@@ -116,7 +114,7 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "witness_cost": refined.witness, "device_bytes": refined.device_bytes,
               "planned_bytes": refined.planned_bytes, "seconds": time.perf_counter() - start}
-    harm = _harm(refined, depth, len(contexts), witness, measured)
+    harm = harm_of(refined, depth, len(contexts), witness, measured)
     if harm:
         log.warning("view %s is kept as it came: %s", target.name, harm)
         return DepthResult.unrefined(target.camera, depth, harm, report)
@@ -185,11 +183,11 @@ def refine_one(views, partners: Partners, depth, config: Config, device, photos)
                         photos=photos, witness=witness)
 
 
-def settle(target: View, contexts: list[View], depth, config: Config, device, photos):
+def settle(target: View, contexts: list[View], depth, config: Config, device, photos, entered=None):
     """Decide which effects this view calls for: the settings that follow, the decisions, and what they rest on."""
     if all(choice in ("set", "off") for choice in vars(config.effects).values()):
         return *decide(config, None), None
-    measured = measure(target, contexts, depth, config, device, photos)
+    measured = measure(target, contexts, depth, config, device, photos, entered)
     config, decisions = decide(config, measured)
     for decision in decisions:
         log.debug("view %s: %s %s (%.4g, threshold %.4g)", target.name, decision.effect, "on" if decision.on else "off",
@@ -248,31 +246,6 @@ def _config(preset: str, config) -> Config:
     if not isinstance(config, Config):
         raise InputError(f"config is a {type(config).__name__}, expected pagas_cl.Config (start from pagas_cl.preset({preset!r}))")
     return config
-
-
-def _harm(refined, depth, contexts: int, witness, measured) -> str:
-    """Why a refinement is not to be trusted as a whole; empty where it is."""
-    off = measured.misaligned if measured else 0.0
-    added = off / np.sqrt(contexts)          # to a depth, by cameras that are off independently of one another
-    if off > MISALIGNED and (moved := _moved(refined, depth)) < 2 * added:
-        return (f"the photos are off by {off:.1f} pixels across the direction of depth, so that {contexts} of them add errors of "
-                f"about {added:.1f} pixels of parallax to depths that moved by {moved:.1f}: are the cameras right?")
-    refused, accepted = (int(np.count_nonzero(refined.status == status)) for status in (REJECTED, REFINED))
-    if refused > MOST_REFUSED * (refused + accepted):
-        return f"the photos do not confirm the refined depth of {refused / (refused + accepted):.0%} of the pixels"
-    before, after = refined.witness or refined.cost
-    judge = f"the photo of {witness.name}, which took no part," if refined.witness else "the context photos"
-    if np.isfinite(after) and np.isfinite(before) and after > before:
-        return f"{judge} matches worse through the refined depth (1 - correlation {before:.4f} before, {after:.4f} after)"
-    return ""
-
-
-def _moved(refined, depth) -> float:
-    """By how many pixels of parallax the refined depths moved, root mean square over some rows and columns."""
-    some = np.s_[::4, ::4]
-    there = (refined.status[some] == REFINED) & (refined.parallax[some] > 0)
-    moved = (refined.depth[some][there] - depth[some][there]) / refined.parallax[some][there]
-    return float(np.sqrt(np.mean(moved.astype(np.float64)**2))) if moved.size else 0.0
 
 
 def _steps_of(progress, target: View):

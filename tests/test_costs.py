@@ -87,6 +87,7 @@ def test_refine_takes_a_time_instead_of_a_preset(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(costs, "rungs", lambda: [("quick", preset("fast")), ("slow", preset("balanced"))])
     made = relief_scene(64, 48, 2, held_out=0)
     folder = write_scene(made, tmp_path / "scene")
+    (folder / "depth_initial" / f"{made.views[2].name}.npz").unlink()          # a view without a depth map
     common = ["refine", str(folder), "--depth-dir", str(folder / "depth_initial"), "--save-depth",
               str(tmp_path / "out"), "--views", made.views[0].name, "--quiet"]
     assert run_command([*common, "--time-per-view", "100", "--set", "pyramid.steps=5"]) == 0

@@ -20,7 +20,8 @@ ALLOWED = {
     "errors": set(), "config": set(), "scene": set(), "reference": {"scene"}, "runtime": {"scene", "cl_kernels"},
     "surface": {"scene", "runtime", "reference"}, "splat": {"scene", "runtime"}, "result": {"scene"},
     "jobs": {"scene", "runtime", "splat", "result"},
-    "refine": {"jobs", "scene", "runtime", "surface", "splat", "result", "effects", "keep_mesh", "consistency"},
+    "harm": {"result"},
+    "refine": {"harm", "jobs", "scene", "runtime", "surface", "splat", "result", "effects", "keep_mesh", "consistency"},
     "camera_check": {"scene", "surface"},
     "evaluate": {"scene"}, "made": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
 }

@@ -58,7 +58,7 @@ class Refinement:
 
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
-                  progress=None, witness=None, measured=None) -> Refinement:
+                  progress=None, witness=None, measured=None, entered: Entered | None = None) -> Refinement:
     """Run the pyramid on one view.
 
     Parameters
@@ -76,6 +76,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
         A view that takes no part and judges the result.
     measured : Measurements, optional
         What was measured of the view: its evidence and deviations depend on it.
+    entered : Entered, optional
+        `depth`, where it is on the device already.
 
     Raises
     ------
@@ -89,7 +91,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     planned.tell(target.name)
     photos.leave(planned.beside_photos)
     device.memory.begin()
-    run = _Run(target, contexts, depth, config, device, photos, witness)
+    run = _Run(target, contexts, depth, config, device, photos, witness, entered)
     before, done, losses = None, [], []
     for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
         level = Level(device, config, run.at(scale))
@@ -115,9 +117,10 @@ def full_level(target, contexts, depth: np.ndarray, config: Config, device) -> L
     return level
 
 
-def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None):
+def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
+               entered: Entered | None = None):
     """What the context views show under the initial depth: a measure.Found."""
-    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), None)
+    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), None, entered)
     given = run.at(1.0)
     probe = Probe(device, config, given, lambda out: run.resampler.shrink_depth(run.entered, run.full, out, run.full))
     found = probe.read()
@@ -125,22 +128,40 @@ def probe_view(target, contexts, depth: np.ndarray, config: Config, device, phot
     return found
 
 
+class Entered:
+    """The initial depth of a view on the device, in units of its median: made once for measuring and for refining.
+
+    Attributes
+    ----------
+    unit : float
+        Scene units per unit.
+    spread : float
+        Range of the valid depths, units.
+    buffer : pyopencl.Buffer
+        float32 of shape (H, W), 0 = no surface.
+    """
+
+    def __init__(self, target, depth: np.ndarray, device):
+        initial, self.unit = normalized_depth(depth, target.load_mask())
+        valid = initial[initial > 0]
+        self.spread = float(valid.max() - valid.min()) if valid.size else 0.0
+        self.buffer = device.memory.buffer(device.context, initial.nbytes)
+        cl.enqueue_copy(device.queue, self.buffer, initial)
+
+
 class _Run:
     """One view's inputs at any level, and its way back to scene units."""
 
-    def __init__(self, target, contexts, depth, config, device, photos, witness):
+    def __init__(self, target, contexts, depth, config, device, photos, witness, entered: Entered | None = None):
         self.views, self.config, self.device, self.photos = [target, *contexts], config, device, photos
         self.depth, self.witness = depth, witness
         self.resampler = Resampler(device, config)
         self.full = Size(target.camera.width, target.camera.height)
-        self.initial, self.unit = normalized_depth(depth, target.load_mask())
-        valid = self.initial[self.initial > 0]
-        spread = float(valid.max() - valid.min()) if valid.size else 0.0
-        self.threshold = spread / config.splatting.depth_slices
+        entered = entered or Entered(target, depth, device)
+        self.unit, self.entered = entered.unit, entered.buffer
+        self.threshold = entered.spread / config.splatting.depth_slices
         distance = distance_unit([view.camera for view in self.views]) / self.unit
         self.distance = distance if np.isfinite(distance) else 1.0
-        self.entered = device.memory.buffer(device.context, self.initial.nbytes)
-        cl.enqueue_copy(device.queue, self.entered, self.initial)
 
     def at(self, scale: float) -> LevelInput:
         views = self.views + ([self.witness] if self.witness is not None and scale == 1 else [])

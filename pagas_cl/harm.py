@@ -1,0 +1,47 @@
+"""Whether a refined view is to be trusted as a whole, or returned as it came."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pagas_cl.result import REFINED, REJECTED
+
+MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not to be trusted as a whole
+MISALIGNED = 0.2         # pixels by which photos may be off without a question whether the cameras harm more than they serve
+
+
+def harm_of(refined, depth, contexts: int, witness, measured) -> str:
+    """Why a refinement is not to be trusted as a whole; empty where it is.
+
+    Parameters
+    ----------
+    refined : splat.Refinement
+    depth : ndarray of shape (H, W)
+        What it started from.
+    contexts : int
+        Number of context views.
+    witness : View or None
+        The view that took no part.
+    measured : Measurements or None
+    """
+    off = measured.misaligned if measured else 0.0
+    added = off / np.sqrt(contexts)          # to a depth, by cameras that are off independently of one another
+    if off > MISALIGNED and (moved := _moved(refined, depth)) < 2 * added:
+        return (f"the photos are off by {off:.1f} pixels across the direction of depth, so that {contexts} of them add errors of "
+                f"about {added:.1f} pixels of parallax to depths that moved by {moved:.1f}: are the cameras right?")
+    refused, accepted = (int(np.count_nonzero(refined.status == status)) for status in (REJECTED, REFINED))
+    if refused > MOST_REFUSED * (refused + accepted):
+        return f"the photos do not confirm the refined depth of {refused / (refused + accepted):.0%} of the pixels"
+    before, after = refined.witness or refined.cost
+    judge = f"the photo of {witness.name}, which took no part," if refined.witness else "the context photos"
+    if np.isfinite(after) and np.isfinite(before) and after > before:
+        return f"{judge} matches worse through the refined depth (1 - correlation {before:.4f} before, {after:.4f} after)"
+    return ""
+
+
+def _moved(refined, depth) -> float:
+    """By how many pixels of parallax the refined depths moved, root mean square over some rows and columns."""
+    some = np.s_[::4, ::4]
+    there = (refined.status[some] == REFINED) & (refined.parallax[some] > 0)
+    moved = (refined.depth[some][there] - depth[some][there]) / refined.parallax[some][there]
+    return float(np.sqrt(np.mean(moved.astype(np.float64)**2))) if moved.size else 0.0
