@@ -108,17 +108,18 @@ def _effects() -> list[Setting]:
 
 
 def _steps(base) -> list[Setting]:
-    grey = [changed(f"grey, {n} steps", "steps", base, loss__grey=True, pyramid__steps=(n,),
-                    solver__rate=0.1 if n < 20 else 0.06 if n < 75 else 0.04) for n in (10, 20, 30, 60, 200)]
-    color = [changed(f"{n} steps", "steps", base, pyramid__steps=(n,), solver__rate=0.06 if n < 75 else 0.04)
-             for n in (20, 40, 75, 100, 150, 300, 600)]
-    return color[1:5] + grey[1:] + color[5:] + color[:1] + grey[:1]
+    quick = fixed("fast")
+    grey = [changed(f"grey, {n} steps", "steps", quick, pyramid__steps=(n,), solver__rate=rate, solver__beta1=beta1)
+            for n, rate, beta1 in ((6, 0.2, 0.7), (12, 0.16, 0.7), (30, 0.1, 0.7), (50, 0.07, 0.9), (100, 0.045, 0.9))]
+    color = [changed(f"{n} steps", "steps", base, pyramid__steps=(n,), solver__rate=rate)
+             for n, rate in ((20, 0.1), (35, 0.08), (50, 0.07), (75, 0.06), (150, 0.04), (200, 0.03), (400, 0.03))]
+    return color[1:4] + grey[2:] + color[4:] + color[:1] + grey[:2]
 
 
 def _views(base) -> list[Setting]:
     return [changed(f"{k or 'all'} views a step, {n} steps", "views a step", base, solver__views_per_step=k,
-                    pyramid__steps=(n,))
-            for k, n in ((2, 100), (2, 200), (3, 67), (3, 200), (5, 600), (0, 60), (0, 200))]
+                    pyramid__steps=(n,), solver__rate=0.02 if n > 200 else base.solver.rate)
+            for k, n in ((2, 50), (2, 100), (3, 33), (3, 100), (5, 400), (0, 30), (0, 100))]
 
 
 def _contexts(base) -> list[Setting]:
@@ -137,33 +138,40 @@ def _model(base) -> list[Setting]:
         "weight by coverage": dict(loss__coverage_weight=True),
         "no smoothness": dict(smoothness__kind="none", smoothness__weight=0.0),
         "half the smoothness": dict(smoothness__weight=0.06), "twice the smoothness": dict(smoothness__weight=0.24),
+        "same smoothness with few views": dict(smoothness__full_views=1),
     }
     return [changed(name, "model", base, **settings) for name, settings in changes.items()]
 
 
 def _levels(base) -> list[Setting]:
-    levels = (("half size only, 60 steps", (0.5, 1), (60, 0)), ("half size only, 200 steps", (0.5, 1), (200, 0)),
-              ("half and full size, 60 + 60", (0.5, 1), (60, 60)),
-              ("half and full size, 60 + 200", (0.5, 1), (60, 200)),
-              ("three levels, 60 + 60 + 60", (0.25, 0.5, 1), (60, 60, 60)))
+    levels = (("half size only, 30 steps", (0.5, 1), (30, 0)), ("half size only, 100 steps", (0.5, 1), (100, 0)),
+              ("half and full size, 20 + 50", (0.5, 1), (20, 50)),
+              ("half and full size, 30 + 100", (0.5, 1), (30, 100)),
+              ("three levels, 20 + 20 + 50", (0.25, 0.5, 1), (20, 20, 50)))
     return [changed(name, "levels", base, pyramid__scales=scales, pyramid__steps=steps)
             for name, scales, steps in levels]
 
 
 def _solver(base) -> list[Setting]:
-    return [changed("half the rate", "solver", base, solver__rate=0.02),
-            changed("twice the rate", "solver", base, solver__rate=0.08),
+    plain = dict(solver__spread=0, solver__beta2=0.999)
+    return [changed("each pixel its own gradient", "solver", base, solver__spread=0),
+            changed("gradient spread by 1 pixel", "solver", base, solver__spread=1),
+            changed("gradient spread by 3 pixels", "solver", base, solver__spread=3),
+            changed("long memory (beta2 0.999)", "solver", base, solver__beta2=0.999),
+            changed("both, 200 steps", "solver", base, **plain, pyramid__steps=(200,), solver__rate=0.04),
+            changed("half the rate", "solver", base, solver__rate=0.5 * base.solver.rate),
+            changed("twice the rate", "solver", base, solver__rate=2 * base.solver.rate),
             changed("rate kept to the end", "solver", base, solver__final_rate=1.0),
-            changed("early stop on the loss", "solver", base, solver__patience=20, pyramid__steps=(400,))]
+            changed("early stop on the loss", "solver", base, solver__patience=20, pyramid__steps=(200,))]
 
 
 def _staged(base) -> list[Setting]:
     """Time spent where it pays: few views or grey photos while the depth is still rough, the rest at the end."""
-    few = base.with_settings(context__number=3, pyramid__scales=(0.5, 1), pyramid__steps=(60, 0))
-    grey = base.with_settings(loss__grey=True, solver__rate=0.06, solver__final_rate=1.0, pyramid__steps=(30,))
-    rest = base.with_settings(pyramid__steps=(60,))
-    late = base.with_settings(solver__views_per_step=3, pyramid__steps=(20,), solver__rate=0.02)
-    start = base.with_settings(pyramid__steps=(60,), solver__final_rate=1.0)
-    return [Setting("half size with 3 views, then 60 full steps", (few, rest), "staged"),
-            Setting("30 grey steps, then 60 in colour", (grey, rest), "staged"),
-            Setting("60 steps, then 20 with 3 views each", (start, late), "staged")]
+    few = base.with_settings(context__number=3, pyramid__scales=(0.5, 1), pyramid__steps=(30, 0))
+    grey = base.with_settings(loss__grey=True, solver__rate=0.07, solver__final_rate=1.0, pyramid__steps=(20,))
+    rest = base.with_settings(pyramid__steps=(50,))
+    late = base.with_settings(solver__views_per_step=3, pyramid__steps=(15,), solver__rate=0.02)
+    start = base.with_settings(pyramid__steps=(50,), solver__rate=0.07, solver__final_rate=1.0)
+    return [Setting("half size with 3 views, then 50 full steps", (few, rest), "staged"),
+            Setting("20 grey steps, then 50 in colour", (grey, rest), "staged"),
+            Setting("50 steps, then 15 with 3 views each", (start, late), "staged")]

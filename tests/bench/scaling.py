@@ -1,7 +1,9 @@
-"""Whether time is linear in pixels, steps and views: `python tests/bench/scaling.py OUT.md [--width 1554] [--device gpu]`.
+"""Whether time is linear in pixels, steps and views.
 
-Fits the exponent of time against each over a range of 16, the others fixed, on a made relief (resized photos: for times,
-not for errors). "A view": from photos on the device to the depth on the host. "Its steps": that less the same with no
+    python tests/bench/scenes.py SCENES
+    python tests/bench/scaling.py SCENES/relief OUT.md [--device gpu]
+
+Fits the exponent of time against each over a range of 16, the others fixed (photos are resized: for times, not for errors). "A view": from photos on the device to the depth on the host. "Its steps": that less the same with no
 step, which is what grows with steps and views.
 """
 
@@ -13,13 +15,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from front import bench_of
 from PIL import Image
 
-from pagas_cl.made import relief_scene
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depthmap import resize_depth
 from pagas_cl.scene.view import View
 from pagas_cl.splat import PhotoStore, refine_levels
+from pagas_cl.tradeoffs.bench import loaded
 from pagas_cl.tradeoffs.front import fitted_exponent
 from pagas_cl.tradeoffs.plan import fixed
 
@@ -36,9 +39,9 @@ class Scene:
     depth: np.ndarray
 
     @classmethod
-    def made(cls, width: int, contexts: int) -> Scene:
-        found = relief_scene(width, round(width * 1162 / 1554), contexts)
-        return cls(found.views[0], found.views[1:], found.initial_depth(found.cameras[0]))
+    def read(cls, folder: Path) -> Scene:
+        bench = loaded(bench_of(folder))
+        return cls(bench.target, bench.contexts, bench.initial)
 
     @property
     def pixels(self) -> int:
@@ -102,11 +105,11 @@ def table(rows) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scene", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--width", type=int, default=1554)
     parser.add_argument("--device")
     given = parser.parse_args()
-    device, scene = open_device(given.device), Scene.made(given.width, 10)
+    device, scene = open_device(given.device), Scene.read(given.scene)
     few = replace(scene, contexts=scene.contexts[:4])
     rows = [against_pixels(few.resized(0.25), device), against_pixels(few, device), against_steps(scene, device),
             against_views(scene, 1, device), against_views(scene, 4, device)]
