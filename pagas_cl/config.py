@@ -205,7 +205,7 @@ class Solver:
         do not show the same thing there. A view with more than two thirds rejected is returned as it came.
     """
 
-    rate: float = 0.045
+    rate: float = 0.035
     unit: str = "parallax"
     damping: float = 1e-3
     beta1: float = 0.9
@@ -241,7 +241,7 @@ class Pyramid:
     """
 
     scales: tuple[float, ...] = (1.0,)
-    steps: tuple[int, ...] = (100,)
+    steps: tuple[int, ...] = (150,)
 
     def __post_init__(self):
         object.__setattr__(self, "scales", tuple(float(s) for s in self.scales))
@@ -404,11 +404,11 @@ PAPER = Config(
 BALANCED = Config()
 # Gives up colour, most steps and the measuring of effects (photos of one exposure, a depth within a pixel or two of
 # parallax): two to three times the error of "balanced" at a quarter of its time or less.
-FAST = BALANCED.with_settings(loss__grey=True, solver__rate=0.13, solver__beta1=0.7, solver__spread=3,
+FAST = BALANCED.with_settings(loss__grey=True, solver__rate=0.16, solver__beta1=0.7, solver__spread=3,
                               solver__final_rate=0.1, pyramid__steps=(20,),
                               **{f"effects__{f.name}": "set" for f in fields(Effects)})
 # Past the knee: one or two percent better for twice the steps, and worse beside discontinuities.
-ACCURATE = BALANCED.with_settings(loss__ssim=0.4, pyramid__steps=(200,))
+ACCURATE = BALANCED.with_settings(loss__ssim=0.4, solver__rate=0.025, pyramid__steps=(300,))
 PRESETS: dict[str, Config] = {"fast": FAST, "balanced": BALANCED, "accurate": ACCURATE, "paper": PAPER}
 
 

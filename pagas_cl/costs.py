@@ -64,11 +64,10 @@ def rungs() -> list[tuple[str, Config]]:
     two, until the knee at "balanced"."""
     fast, balanced, accurate = (preset(name) for name in ("fast", "balanced", "accurate"))
     quick = [(f"fast, {n} steps", fast.with_settings(pyramid__steps=(n,), solver__rate=rate))
-             for n, rate in ((6, 0.2), (12, 0.16))]
+             for n, rate in ((6, 0.2), (12, 0.18))]
     middle = [(f"balanced, {n} steps", balanced.with_settings(pyramid__steps=(n,), solver__rate=rate))
-              for n, rate in ((35, 0.08), (50, 0.07), (75, 0.06))]
-    more = [("balanced, 150 steps", balanced.with_settings(pyramid__steps=(150,), solver__rate=0.04))]
-    return [*quick, ("fast", fast), *middle, ("balanced", balanced), *more, ("accurate", accurate)]
+              for n, rate in ((35, 0.08), (50, 0.07), (75, 0.06), (100, 0.045))]
+    return [*quick, ("fast", fast), *middle, ("balanced", balanced), ("accurate", accurate)]
 
 
 def probe(target, contexts, depth, config: Config, device, *, witness=None) -> Cost:

@@ -82,4 +82,6 @@ def _compared(point, base, key) -> str:
     if base is None or point is base:
         return ""
     change = point.error(key) / base.error(key) - 1
+    if change != change:
+        return "-"
     return "same" if abs(change) < _SAME else f"{'worse' if change > 0 else 'better'}, {change:+.0%}"

@@ -112,14 +112,14 @@ def _steps(base) -> list[Setting]:
     grey = [changed(f"grey, {n} steps", "steps", quick, pyramid__steps=(n,), solver__rate=rate, solver__beta1=beta1)
             for n, rate, beta1 in ((6, 0.2, 0.7), (12, 0.16, 0.7), (30, 0.1, 0.7), (50, 0.07, 0.9), (100, 0.045, 0.9))]
     color = [changed(f"{n} steps", "steps", base, pyramid__steps=(n,), solver__rate=rate)
-             for n, rate in ((20, 0.1), (35, 0.08), (50, 0.07), (75, 0.06), (150, 0.04), (200, 0.03), (400, 0.03))]
+             for n, rate in ((20, 0.1), (35, 0.08), (50, 0.07), (75, 0.06), (100, 0.045), (200, 0.03), (400, 0.02))]
     return color[1:4] + grey[2:] + color[4:] + color[:1] + grey[:2]
 
 
 def _views(base) -> list[Setting]:
     return [changed(f"{k or 'all'} views a step, {n} steps", "views a step", base, solver__views_per_step=k,
                     pyramid__steps=(n,), solver__rate=0.02 if n > 200 else base.solver.rate)
-            for k, n in ((2, 50), (2, 100), (3, 33), (3, 100), (5, 400), (0, 30), (0, 100))]
+            for k, n in ((2, 75), (2, 150), (3, 50), (3, 150), (5, 400), (0, 50), (0, 150))]
 
 
 def _contexts(base) -> list[Setting]:
@@ -139,6 +139,7 @@ def _model(base) -> list[Setting]:
         "no smoothness": dict(smoothness__kind="none", smoothness__weight=0.0),
         "half the smoothness": dict(smoothness__weight=0.06), "twice the smoothness": dict(smoothness__weight=0.24),
         "same smoothness with few views": dict(smoothness__full_views=1),
+        "smoothness 0.09": dict(smoothness__weight=0.09),
     }
     return [changed(name, "model", base, **settings) for name, settings in changes.items()]
 

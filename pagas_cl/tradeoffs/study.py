@@ -123,7 +123,7 @@ def _fill(book, benches, settings, device, budget, repeats, workers, progress) -
     """Run what the book does not have; returns the names of what did not fit into the budget."""
     from pagas_cl.splat import PhotoStore
 
-    began, photos, left_out = time.monotonic(), PhotoStore(device), []
+    began, left_out = time.monotonic(), []
     todo = [(setting, k) for setting in settings for k, bench in enumerate(benches) if not book.has(setting, bench)]
     guess = _Guess(benches[0], device, repeats) if todo else None
     if todo:
@@ -138,6 +138,7 @@ def _fill(book, benches, settings, device, budget, repeats, workers, progress) -
             if budget and spent + guess.seconds(setting, benches[k]) > 60 * budget:
                 left_out.append(setting.name)
                 continue
+            photos = PhotoStore(device)  # its own, so that the memory counted is of this view alone
             _one(book, setting, benches[k], k, device, photos, repeats, judges, guess)
     if progress:
         progress("measure", len(todo), len(todo))
