@@ -14,7 +14,7 @@
 #define CHANGE 2                 // colour of the context photo less the target's, three channels
 #define ASIDE 5                  // pixels that the photo is off across the direction of depth, by quadrant of the target
 #define GLOSS 9                  // what the exposure fit leaves, averaged over neighbouring samples
-#define LIKE 10                  // 1 where the photos show the same thing, or nothing that could tell
+#define LIKE 10                  // 0 where the photos show other things there, or show that the depth is wrong; else 1
 #define ROWS 11
 #define TOTALS (SHIFTS + 2)      // of a sample: views that see it, views that can tell, their costs by shift
 
@@ -24,6 +24,7 @@
 #define MOVES (SHIFTS + 4)
 #define UNDEFINED 2.0f
 #define TEXTURED 1.5f            // costs above this are of patches without texture: nothing is read from them
+#define WORSE 0.02f              // a depth that matches worse than another by more is not the right one
 #define OTHER 0.5f               // costs above this are of patches that show something else
 
 // Pixels of parallax along the direction of depth; then pixels across it.
@@ -145,10 +146,11 @@ __kernel void judge_view(__global const float *costs, __global const float *came
     const int k = get_global_id(0);
     if (k >= count)
         return;
-    float cost[MOVES];
+    float cost[MOVES], least = UNDEFINED;
     bool tells = true;
     for (int j = 0; j < MOVES; ++j) {
         cost[j] = costs[j * count + k];
+        least = j < SHIFTS ? fmin(least, cost[j]) : least;
         tells = tells && (j >= SHIFTS || cost[j] < TEXTURED);
     }
     for (int j = 0; j < TOTALS; ++j) {
@@ -156,7 +158,7 @@ __kernel void judge_view(__global const float *costs, __global const float *came
         totals[j * count + k] = (view == 1 ? 0.0f : totals[j * count + k]) + add;
     }
     const float here = cost[SHIFTS / 2];
-    row_of(values, view, LIKE, count)[k] = here > OTHER && here < TEXTURED ? 0.0f : 1.0f;
+    row_of(values, view, LIKE, count)[k] = here < TEXTURED && (here > OTHER || here > least + WORSE) ? 0.0f : 1.0f;
     const int2 at = sample_place(k, stride, across, target);
     const int quadrant = (2 * at.x >= target.width) + 2 * (2 * at.y >= target.height);
     const float aside[5] = {cost[SHIFTS], cost[SHIFTS + 1], here, cost[SHIFTS + 2], cost[SHIFTS + 3]};
@@ -197,10 +199,11 @@ __kernel void compare_colors(__global const float *matches, __global const float
         row_of(values, view, GLOSS, count)[k] = fabs(sum / number);
 }
 
-// Two rows: 1 where some view sees a sample of the surface, else 0; 1 where the photos match clearly better two or more
-// pixels of parallax away, 0 where they do not. NaN where there is no surface, and where no view can tell.
+// Three rows: 1 where some view sees a sample of the surface, else 0; 1 where the photos match clearly better two or more
+// pixels of parallax away, 0 where they do not; mean gloss of the views. NaN where there is no surface, and where no view
+// can tell.
 __kernel void judge_samples(__global const float *depth, __global const float *cameras, __global const float *totals,
-                            int stride, int across, int count, __global float *rows)
+                            __global float *values, int views, int stride, int across, int count, __global float *rows)
 {
     const Camera target = load_camera(cameras, 0);
     const int k = get_global_id(0);
@@ -218,4 +221,11 @@ __kernel void judge_samples(__global const float *depth, __global const float *c
     }
     rows[k] = depth[at.y * target.width + at.x] > 0.0f ? (totals[k] > 0.0f ? 1.0f : 0.0f) : NAN;
     rows[count + k] = number > 0.0f ? (far < here - 0.05f ? 1.0f : 0.0f) : NAN;
+    float gloss = 0.0f, glossy = 0.0f;
+    for (int view = 1; view <= views; ++view) {
+        const float value = row_of(values, view, GLOSS, count)[k];
+        gloss += isnan(value) ? 0.0f : value;
+        glossy += isnan(value) ? 0.0f : 1.0f;
+    }
+    rows[2 * count + k] = glossy > 0.0f ? gloss / glossy : NAN;
 }

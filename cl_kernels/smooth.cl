@@ -1,6 +1,7 @@
 // What holds a depth map together where photos say little (method section 5): per target pixel, added to the gradient.
 //   smoothness_scale, smoothness_planar    Huber on second differences of inverse depth, in pixels of parallax
 //   normal_map, normal_slope, normal_vjp   the paper's angle between neighbouring normals
+//   raise_weights                          more where a surface is glossy
 //   planar_loss, normal_loss               their penalties, summed for the schedule
 #include "splat.clh"
 
@@ -15,6 +16,21 @@ __kernel void smoothness_scale(__global const float *depth, __global const float
     const int i = y * width + x;
     kappa[i] = unit[i] > 0.0f ? depth[i] * depth[i] / unit[i] : 0.0f;
     weights[i] = 1.0f - texture * gradient_weight(photo, x, y, width, height);
+}
+
+// Raise the weight of each pixel by what `factors`, a grid over the image, say around it.
+__kernel void raise_weights(__global const float *factors, int across, int down, int width, int height,
+                            __global float *weights)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height)
+        return;
+    const float u = clamp((x + 0.5f) * across / width - 0.5f, 0.0f, across - 1.0f);
+    const float v = clamp((y + 0.5f) * down / height - 0.5f, 0.0f, down - 1.0f);
+    const int left = (int)u, top = (int)v, right = min(left + 1, across - 1), below = min(top + 1, down - 1);
+    const float a = u - left, b = v - top;
+    weights[y * width + x] *= (1 - b) * ((1 - a) * factors[top * across + left] + a * factors[top * across + right])
+                            + b * ((1 - a) * factors[below * across + left] + a * factors[below * across + right]);
 }
 
 float huber_slope(float e, float h, float cut)

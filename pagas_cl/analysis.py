@@ -39,7 +39,7 @@ class ViewAnalysis:
 
     def as_dict(self) -> dict:
         told = {} if self.measured is None else {
-            name: value for name, value in vars(self.measured).items() if name != "gains"}
+            name: value for name, value in vars(self.measured).items() if name not in ("gains", "local_gloss")}
         return {"view": self.view, "contexts": list(self.contexts), "reason": self.reason, "measured": told,
                 "effects": [decision.as_dict() for decision in self.decisions]}
 

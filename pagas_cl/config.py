@@ -146,6 +146,8 @@ class Smoothness:
         average less noise. 1 keeps it.
     texture : float
         How much w_grad lowers the weight: 1 - texture * w_grad.
+    gloss : float
+        Most by which the gloss that was measured around a pixel raises its weight; 0 leaves it out.
     huber : float
         With "planar": where the penalty turns from quadratic to linear, pixels of parallax.
     cut : float
@@ -156,12 +158,14 @@ class Smoothness:
     weight: float = 0.12
     full_views: int = 10
     texture: float = 0.0
+    gloss: float = 0.0
     huber: float = 1.0
     cut: float = 0.7
 
     def __post_init__(self):
         _check("smoothness", kind=_one_of(self.kind, "none", "normal", "planar"), weight=_within(self.weight, 0, 100),
                full_views=_whole(self.full_views, 1, 1000), texture=_within(self.texture, 0, 1),
+               gloss=_within(self.gloss, 0, 1e4),
                huber=_within(self.huber, 1e-6, 1e6), cut=_within(self.cut, 1e-6, 1e12))
 
     def weight_with(self, contexts: int) -> float:

@@ -11,6 +11,7 @@ from pagas_cl.measurements import RULES, Measurements, measure
 
 __all__ = ["Decision", "LOW_PASS", "Measurements", "RULES", "decide", "measure"]
 
+MOST_RAISED = 40.0       # times the weight of the smoothness
 LOW_PASS = 0.06          # px^2: about what a photo's own pixel blurs; more than that blurs what is to be compared
 
 
@@ -90,16 +91,17 @@ def _pyramid(config, decision, _):
 
 
 def _noise(config, decision, measured):
-    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree; and where the photos
-    are noisy, a first level of half their size, where noise has averaged out."""
+    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree, around what gloss there
+    is, or everywhere; and where the photos are noisy, a first level of half their size, where noise has averaged out."""
     if not decision.on:
         return config
     if (measured is None or measured.grain > decision.threshold) and len(config.pyramid.scales) == 1:
         config = config.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=2 * config.pyramid.steps)
     if config.smoothness.kind == "none":
         return config
-    factor = float(np.clip(measured.unexplained**2, 1.0, 40.0)) if measured else 4.0
-    return config.with_settings(smoothness__weight=min(config.smoothness.weight * factor, 100.0))
+    factor = float(np.clip(measured.unexplained_everywhere**2, 1.0, MOST_RAISED)) if measured else 4.0
+    return config.with_settings(smoothness__weight=min(config.smoothness.weight * factor, 100.0),
+                                smoothness__gloss=MOST_RAISED if measured and measured.residual > 0.009 else 0.0)
 
 
 _SETTERS = {"occlusion": _occlusion, "unseen_mask": _unseen_mask, "exposure": _exposure,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -59,6 +59,8 @@ class Measurements:
         Whether masks were given.
     gains : tuple of tuple
         Gain and offset of each channel for each context view.
+    local_gloss : ndarray of shape (down, across), or None
+        Residual as in `gloss`, mean over the context views, on a grid of samples over the target; NaN = unknown.
     """
 
     overlap: float
@@ -73,12 +75,17 @@ class Measurements:
     misaligned: float
     masked: bool
     gains: tuple
+    local_gloss: np.ndarray | None = field(default=None, compare=False, repr=False)
 
     @property
     def unexplained(self) -> float:
         """What the photos show that no depth explains, against what the default smoothness is made for."""
-        glossy = self.residual > RULES["view_dependence"][1]
-        return max(self.grain, min(self.residual, 0.1) / 0.009 if glossy else 0.0, self.misaligned / 0.13)
+        return max(self.unexplained_everywhere, min(self.residual, 0.1) / 0.009)
+
+    @property
+    def unexplained_everywhere(self) -> float:
+        """The same without gloss, which is in some places more than in others."""
+        return max(self.grain, self.misaligned / 0.13)
 
     @property
     def grain(self) -> float:
@@ -119,7 +126,7 @@ def measure(target, contexts, depth, config: Config, device, photos=None, entere
         plain=found.plain, noise=max(found.noise, _QUANTISATION),
         far_off=_number(found.far[MEAN]) if found.far[NUMBER] >= _LEAST else 0.0, misaligned=_misaligned(views),
         masked=target.mask is not None or any(view.mask is not None for view in contexts),
-        gains=tuple(tuple(tuple(float(v) for v in channel) for channel in gain) for gain in found.gains))
+        gains=tuple(tuple(tuple(float(v) for v in channel) for channel in gain) for gain in found.gains), local_gloss=found.local_gloss)
 
 
 def _number(value, otherwise: float = 0.0) -> float:

@@ -12,7 +12,7 @@ from pagas_cl.runtime.program import bind, build
 from pagas_cl.splat import project
 
 _FIT_GROUP = 64           # as in exposure.cl
-_MOST_SAMPLES = 4096
+MOST_SAMPLES = 4096       # about; rows and columns are whole
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class Grid:
 
     @classmethod
     def over(cls, size) -> Grid:
-        """At most about _MOST_SAMPLES."""
-        stride = max(1, ceil(sqrt(size.pixels / _MOST_SAMPLES)))
+        """At most about MOST_SAMPLES, never twice as many."""
+        stride = max(1, ceil(sqrt(size.pixels / MOST_SAMPLES)))
         return cls(stride, -(-size.width // stride), -(-size.height // stride))
 
     @property

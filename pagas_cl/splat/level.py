@@ -39,6 +39,8 @@ class LevelInput:
     host : tuple of ndarray of shape (H, W, 4), uint8
         Photos of all views but the target's, where the device holds one of them at a time: every photos[1:] is then
         the same buffer, which `fetch` fills.
+    gloss : ndarray, optional
+        Gloss measured on a grid over the target (Measurements.local_gloss).
     """
 
     cameras: list[Camera]
@@ -48,6 +50,7 @@ class LevelInput:
     distance_unit: float
     contexts: int
     host: tuple = ()
+    gloss: np.ndarray | None = None
 
     def fetch(self, view: int) -> list:
         """What brings the photo of `view` to its buffer; nothing where it is there."""

@@ -39,6 +39,8 @@ class Found:
         Of the target's photo; see grain.py.
     stride : int
         Pixels of the target between samples.
+    local_gloss : ndarray of shape (down, across), float32
+        Mean gloss over the context views at each sample, NaN = unknown.
     """
 
     views: dict[str, np.ndarray]
@@ -48,6 +50,7 @@ class Found:
     noise: float
     plain: float
     stride: int
+    local_gloss: np.ndarray
 
 
 class Probe:
@@ -64,7 +67,7 @@ class Probe:
         self.defines, self.grid = defines(config, device, heaviest_pixel(given.cameras[0])), exposure.Grid.over(target)
         views, count = len(self.contexts), self.grid.count
         self.views = Rows(device, [rule for _, *rule in _ROWS] * views, count)
-        self.samples = Rows(device, [(0, 1, 0.5)] * 2, count)
+        self.samples = Rows(device, [(0, 1, 0.5)] * 3, count)
         self.arena = Arena(device, [
             BufferSpec("depth", (target.pixels,), np.float32), BufferSpec("unit", (target.pixels,), np.float32),
             BufferSpec("cameras", (len(given.cameras), 20), np.float32),
@@ -87,10 +90,12 @@ class Probe:
         run_once(self.device.queue, self._judge())
         grain = Grain(self.device, self.given.photos[0], self.target)
         views, samples = self.views.read().reshape(-1, len(_ROWS), 4), self.samples.read()
+        gloss = np.empty((self.grid.down, self.grid.across), np.float32)
+        cl.enqueue_copy(self.device.queue, gloss, self.samples.values, src_offset=8 * self.grid.count)
         table = np.empty((1 + len(self.contexts), 2, 3), np.float32)
         cl.enqueue_copy(self.device.queue, table, self.arena["exposure"])
         return Found({name: views[:, row] for row, (name, *_) in enumerate(_ROWS)}, samples[0], samples[1],
-                     table[1:].transpose(0, 2, 1).astype(np.float64), *grain.read(), self.grid.stride)
+                     table[1:].transpose(0, 2, 1).astype(np.float64), *grain.read(), self.grid.stride, gloss)
 
     def sample(self, view: int) -> list:
         """Samples of context view `view`, by the nearest surfaces that arena["z_first"] holds for it."""
@@ -107,8 +112,8 @@ class Probe:
         return [exposure.fit(self),
                 self._bind("compare_colors", (grid.count, len(self.contexts)), a["matches"], a["exposure"], grid.across,
                            grid.down, self.views.values),
-                self._bind("judge_samples", (grid.count,), a["depth"], a["cameras"], a["totals"], grid.stride, grid.across,
-                           grid.count, self.samples.values),
+                self._bind("judge_samples", (grid.count,), a["depth"], a["cameras"], a["totals"], self.views.values, len(self.contexts),
+                           grid.stride, grid.across, grid.count, self.samples.values),
                 self.views.summarize(), self.samples.summarize()]
 
     def _bind(self, name: str, size, *arguments):

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+import pyopencl as cl
+
 from pagas_cl.runtime.program import bind, build
 
+GLOSS = 0.009                        # residual (0 to 1) that the default weight allows for
+AROUND = 3                           # samples around a glossy one that are not trusted either
 SUM_GROUP, SUM_GROUPS = 256, 64      # work-items of a group, as in smooth.cl, and groups that share the pixels
 
 
@@ -14,8 +19,22 @@ def before_steps(level) -> list:
         return []
     a, size = level.arena, level.target
     texture = 1.0 if s.kind == "normal" else float(s.texture)
-    return [bind(build(level.device, "smooth.cl", level.defines), "smoothness_scale", size.grid, None, a["depth"], a["unit"],
-                 level.given.photos[0], size.width, size.height, texture, a["kappa"], a["weights"])]
+    program = build(level.device, "smooth.cl", level.defines)
+    scale = bind(program, "smoothness_scale", size.grid, None, a["depth"], a["unit"], level.given.photos[0], size.width,
+                 size.height, texture, a["kappa"], a["weights"])
+    if not s.gloss or level.given.gloss is None:
+        return [scale]
+    factors = factors_of(level.given.gloss, float(s.gloss))
+    cl.enqueue_copy(level.device.queue, a["raised"], factors)
+    return [scale, bind(program, "raise_weights", size.grid, None, a["raised"], *factors.shape[::-1], *size.grid, a["weights"])]
+
+
+def factors_of(gloss: np.ndarray, most: float) -> np.ndarray:
+    """By how much gloss, measured on a grid (NaN = unknown), raises the weights there and around, float32: 1 to `most`."""
+    padded = np.pad(np.nan_to_num(gloss, nan=0.0), AROUND)
+    side = range(2 * AROUND + 1)
+    largest = np.max([padded[y:y + gloss.shape[0], x:x + gloss.shape[1]] for y in side for x in side], axis=0)
+    return np.clip((largest / GLOSS) ** 2, 1.0, most).astype(np.float32)
 
 
 def launches(level) -> list:

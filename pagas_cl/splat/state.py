@@ -62,6 +62,8 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
         specs += _list_buffers(config, n, (*contexts, target))
     if config.smoothness.kind != "none":
         specs += [BufferSpec(name, (n,), np.float32) for name in ("kappa", "weights")]
+    if config.smoothness.kind != "none" and config.smoothness.gloss > 0:
+        specs.append(BufferSpec("raised", (2 * exposure.MOST_SAMPLES,), np.float32))
     if config.smoothness.kind == "normal":
         specs += [BufferSpec(name, (n, 4), np.float32) for name in ("normals", "slopes")]
     if config.loss.exposure:

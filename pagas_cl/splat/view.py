@@ -91,7 +91,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     planned.tell(target.name)
     photos.leave(planned.beside_photos)
     device.memory.begin()
-    run = _Run(target, contexts, depth, config, device, photos, witness, entered)
+    run = _Run(target, contexts, depth, config, device, photos, witness, entered,
+               measured.local_gloss if measured else None)
     before, done, losses = None, [], []
     for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
         level = Level(device, config, run.at(scale))
@@ -152,9 +153,9 @@ class Entered:
 class _Run:
     """One view's inputs at any level, and its way back to scene units."""
 
-    def __init__(self, target, contexts, depth, config, device, photos, witness, entered: Entered | None = None):
+    def __init__(self, target, contexts, depth, config, device, photos, witness, entered: Entered | None = None, gloss=None):
         self.views, self.config, self.device, self.photos = [target, *contexts], config, device, photos
-        self.depth, self.witness = depth, witness
+        self.depth, self.witness, self.gloss = depth, witness, gloss
         self.resampler = Resampler(device, config)
         self.full = Size(target.camera.width, target.camera.height)
         entered = entered or Entered(target, depth, device)
@@ -168,7 +169,7 @@ class _Run:
         sizes = [level_size(view.camera, scale) for view in views]
         cameras = [view.camera.resized(*size.grid) for view, size in zip(views, sizes)]
         photos, host = self.photos.level(views, sizes, self.resampler)
-        return LevelInput(cameras, photos, self.unit, self.threshold, self.distance, len(self.views) - 1, host)
+        return LevelInput(cameras, photos, self.unit, self.threshold, self.distance, len(self.views) - 1, host, self.gloss)
 
     def initial_writer(self, level: Level):
         return lambda out: self.resampler.shrink_depth(self.entered, self.full, out, level.target)

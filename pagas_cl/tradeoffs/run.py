@@ -57,8 +57,8 @@ def _stages(stages, target, contexts, depth, device, photos):
     work, most = 0.0, 0
     for stage in stages:
         used = contexts[:stage.context.number]
-        stage = settle(target, used, depth, stage, device, photos)[0]
-        found = refine_levels(target, used, depth, stage, device, photos)
+        stage, _, measured = settle(target, used, depth, stage, device, photos)
+        found = refine_levels(target, used, depth, stage, device, photos, measured=measured)
         each = min(stage.solver.views_per_step or len(used), len(used))
         work += sum(scale**2 * steps * each for scale, steps in zip(stage.pyramid.scales, found.steps))
         depth, most = found.depth, max(most, found.device_bytes)

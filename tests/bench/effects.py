@@ -49,7 +49,7 @@ def run(made, views, config, device):
     best = np.inf
     for _ in range(3):
         start = time.perf_counter()
-        refined = refine_levels(target, contexts, depth, config, device, photos)
+        refined = refine_levels(target, contexts, depth, config, device, photos, measured=measured)
         best = min(best, time.perf_counter() - start)
     return refined.depth, best, {d.effect: d for d in decisions}
 

@@ -1,0 +1,58 @@
+"""Smoothness where a surface is glossy: the weights against their twin, and that the effect gains what it is for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from harm_scenes import figures
+from kernel_cases import Scene, start_level
+
+from pagas_cl.config import BALANCED
+from pagas_cl.errors import DeviceError
+from pagas_cl.made import relief_scene
+from pagas_cl.reference.smooth import raised
+from pagas_cl.refine import refine_depth
+from pagas_cl.runtime.device import open_device
+
+
+@pytest.fixture(scope="module")
+def device():
+    try:
+        return open_device()
+    except DeviceError as error:
+        pytest.skip(str(error))
+
+
+def weights(device, gloss, **settings):
+    scene = Scene.make(17, width=45, height=37, contexts=2)
+    level = start_level(device, BALANCED.with_settings(smoothness__texture=0.5, **settings), scene, gloss)
+    found = level.read("weights", scene.initial.shape).astype(np.float64), "raised" in level.arena
+    level.release()
+    return found
+
+
+@pytest.mark.parametrize("shape", [(37, 45), (9, 12), (1, 1)])
+def test_weights_equal_the_twin(device, shape):
+    gloss = np.random.default_rng(0).uniform(0, 0.03, shape).astype(np.float32)
+    gloss[::4, ::3] = np.nan
+    plain, _ = weights(device, gloss)
+    got, has_buffer = weights(device, gloss, smoothness__gloss=5.0)
+    assert has_buffer and np.abs(got / raised(plain, gloss, 5.0) - 1).max() < 1e-5
+
+
+def test_without_gloss_nothing_changes(device):
+    plain, has_buffer = weights(device, None)
+    assert not has_buffer
+    assert (weights(device, None, smoothness__gloss=5.0)[0] == plain).all()
+    assert (weights(device, np.zeros((9, 12), np.float32), smoothness__gloss=5.0)[0] == plain).all()
+
+
+def test_a_glossy_surface_gains_depth_and_loses_no_normals(device):
+    made = relief_scene(120, 90, 4, held_out=0, steps=0, shine=0.5)
+    target, *contexts = made.views
+    initial = made.initial_depth(made.cameras[0])
+    auto = refine_depth(target, contexts, initial, device=device)
+    off = refine_depth(target, contexts, initial, device=device, config=BALANCED.with_settings(effects__noise="off"))
+    before, after, without = (figures(made, depth) for depth in (initial, auto.depth, off.depth))
+    assert after["mean"] < 0.8 * before["mean"] and after["mean"] < 0.9 * without["mean"]
+    assert after["normal mean"] < 1.02 * before["normal mean"] and after["normal mean"] < 0.8 * without["normal mean"]
