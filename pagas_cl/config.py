@@ -11,7 +11,7 @@ from typing import Any
 
 from pagas_cl.errors import InputError
 
-MOST_CONTEXTS = 1000
+MOST_CONTEXTS, MOST_WEIGHT = 1000, 100
 
 
 def _check(stage: str, **rules):
@@ -163,14 +163,14 @@ class Smoothness:
     cut: float = 0.7
 
     def __post_init__(self):
-        _check("smoothness", kind=_one_of(self.kind, "none", "normal", "planar"), weight=_within(self.weight, 0, 100),
+        _check("smoothness", kind=_one_of(self.kind, "none", "normal", "planar"), weight=_within(self.weight, 0, MOST_WEIGHT),
                full_views=_whole(self.full_views, 1, 1000), texture=_within(self.texture, 0, 1),
                gloss=_within(self.gloss, 0, 1e4),
                huber=_within(self.huber, 1e-6, 1e6), cut=_within(self.cut, 1e-6, 1e12))
 
     def weight_with(self, contexts: int) -> float:
-        """lambda_s where there are so many context views."""
-        return self.weight * max(1.0, self.full_views / contexts) ** (2 / 3)
+        """lambda_s where there are so many context views, at most the largest weight there is."""
+        return min(MOST_WEIGHT, self.weight * max(1.0, self.full_views / contexts) ** (2 / 3))
 
 
 @dataclass(frozen=True)

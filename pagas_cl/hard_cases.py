@@ -88,11 +88,16 @@ _STEP_LIMITS = [
     ("solver__patience", 10**6), ("solver__rate_floor", 0.0), ("solver__rate_floor", 1.0), ("solver__final_rate", 0.0),
     ("solver__views_per_step", 10**4), ("solver__max_move", 0.0), ("solver__tolerance", 0.0),
     ("solver__unit", "distance"), ("solver__beta1", 0.0), ("solver__beta2", 0.0), ("solver__beta2", 0.9999),
-    ("solver__spread", 0), ("solver__spread", 16),
+    ("solver__spread", 0), ("solver__spread", 16), ("solver__mismatch", 0.0), ("solver__mismatch", 2.0),
+    ("smoothness__full_views", 1), ("smoothness__full_views", 1000), ("splatting__final_radius", 0.5),
 ]
+_SWITCHES = ("gradient_weight", "coverage_weight", "unseen_mask", "grey", "exposure", "structure", "target_view")
 SETTINGS = [
     *(Case(f"{key.replace('__', '.')} = {value}", make.base, 2e-3 if "robust" in key else 1e-3, {key: value})
       for key, value in _LIMITS),
+    *(Case(f"loss.{name} = {on}", make.base, 2e-3, {f"loss__{name}": on}, blends)
+      for name in _SWITCHES for on, blends in ((True, ONE), (False, ("alpha",)))),
+    Case("splatting.normalize = True", make.base, 1e-3, dict(splatting__normalize=True), ("alpha",)),
     Case("radius 8", make.base, 2e-3, dict(splatting__radius=8.0)),
     Case("depth threshold 0", make.base, 0.2, dict(splatting__depth_slices=1e9, splatting__depth_footprints=0.0),
          why=WHOLE),

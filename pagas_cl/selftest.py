@@ -141,12 +141,13 @@ def device_gradient(scene: HardScene, config: Config, device, initial, at, unit)
     return found
 
 
-def twin_gradient(scene: HardScene, config: Config, initial, at, unit):
-    """The same gradient and loss by the float64 twin."""
+def twin_gradient(scene: HardScene, config: Config, initial, at, unit, more: float = 0.0):
+    """The same gradient and loss by the float64 twin; the depth threshold larger by `more`."""
     from pagas_cl.reference.level import Photo, loss_and_gradient, prepare
 
     target, contexts = Photo.from_view(scene.target), [Photo.from_view(v) for v in scene.contexts]
-    state = prepare(initial.astype(np.float64), target, contexts, config, unit, _threshold(initial, config))
+    state = prepare(initial.astype(np.float64), target, contexts, config, unit,
+                    _threshold(initial, config) + more)
     value, gradient = loss_and_gradient(at.astype(np.float64), target, contexts, config, state)
     return gradient, value
 

@@ -88,6 +88,18 @@ def test_fusion_at_its_limit(made, name):
     assert surface.faces.min() >= 0 and surface.faces.max() < len(surface.vertices)
 
 
+def test_every_setting_is_at_a_limit_somewhere():
+    """A setting that is added gets a case: here, in pagas_cl/hard_cases.py, or among those that the other cases vary."""
+    from pagas_cl.config import setting_names
+    from pagas_cl.hard_cases import CAMERAS, SETTINGS
+
+    elsewhere = {"splatting.blend"} | {name for name in setting_names() if name.startswith("effects.")}   # every case
+    stages = {"context": CONTEXT, "fusion": FUSION}
+    there = {f"{stage}.{key}" for stage, cases in stages.items() for values in cases.values() for key in values}
+    there |= {key.replace("__", ".") for case in (*CAMERAS, *SETTINGS) for key in case.settings}
+    assert set(setting_names()) - elsewhere <= there
+
+
 def test_readme_lists_them():
     page = (Path(__file__).parent / "README.md").read_text()
     missing = [name for name in (*CONTEXT, *FUSION) if f"| {name} |" not in page]

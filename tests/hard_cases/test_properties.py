@@ -74,8 +74,16 @@ def test_gradient_is_finite_repeatable_and_near_the_twin(device, blend, scene, r
     assert (got[initial == 0] == 0).all()
     if not (length > 0).any():
         return
-    want, _ = twin_gradient(scene, config, initial, initial, unit)
-    assert difference(got, want, length) < TOLERANCE
+    assert any(difference(got, want, length) < TOLERANCE for want in twins(scene, config, initial, unit))
+
+
+def twins(scene, config, initial, unit):
+    """The twin's gradient; then those of depths and thresholds that float32 cannot tell from these, for a Gaussian may
+    lie on a threshold, or two at one depth, whose order the alpha blend shows."""
+    rng, at = np.random.default_rng(0), initial.astype(np.float64)
+    for rounding, more in ((0.0, 0.0), *[(1e-6, 0.0), (1e-6, 2e-6)] * 10):
+        shaken = at * (1 + rounding * rng.uniform(-1, 1, at.shape))
+        yield twin_gradient(scene, config, initial, shaken, unit, more)[0]
 
 
 # Programs of their own, hence few; what is a number to them is drawn freely.

@@ -37,7 +37,7 @@ def variant(name: str):
 @pytest.mark.parametrize("file, name", itertools.product(FILES, VARIANTS))
 def test_kernels_fit_any_device_of_opencl_1_2(device, file, name):
     """Without double precision, within 32 kB of local memory and 256 work-items."""
-    given = options.defines(variant(name), device, 64)
+    given = options.defines(variant(name).with_settings(solver__spread=2), device, 64)
     for part in tile.SCALAR:
         built = cl.Program(device.context, NO_DOUBLE + program.source(file)).build(
             [*program.OPTIONS, *(f"-D{define}" for define in (*given, *part.defines))])
