@@ -11,7 +11,7 @@ from typing import Any
 
 from pagas_cl.errors import InputError
 
-MOST_CONTEXTS, MOST_WEIGHT = 1000, 100
+MOST_CONTEXTS, MOST_WEIGHT = 1000, 100.0
 
 
 def _check(stage: str, **rules):

@@ -89,7 +89,8 @@ _STEP_LIMITS = [
     ("solver__views_per_step", 10**4), ("solver__max_move", 0.0), ("solver__tolerance", 0.0),
     ("solver__unit", "distance"), ("solver__beta1", 0.0), ("solver__beta2", 0.0), ("solver__beta2", 0.9999),
     ("solver__spread", 0), ("solver__spread", 16), ("solver__mismatch", 0.0), ("solver__mismatch", 2.0),
-    ("smoothness__full_views", 1), ("smoothness__full_views", 1000), ("splatting__final_radius", 0.5),
+    ("smoothness__gloss", 0.0), ("smoothness__gloss", 1e4), ("smoothness__full_views", 1),
+    ("smoothness__full_views", 1000), ("splatting__final_radius", 0.5),
 ]
 _SWITCHES = ("gradient_weight", "coverage_weight", "unseen_mask", "grey", "exposure", "structure", "target_view")
 SETTINGS = [
