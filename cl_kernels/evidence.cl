@@ -6,20 +6,14 @@
 //   sum_window   1 - correlation and views of one line of pixels around each pixel, by rows and then by columns
 //   decide       which refined depths are kept
 //   feather      no seams between those and the others
-//   bends        second differences of the depth, in pixels of parallax
-//   deviate      the standard deviation of each depth
 #include "splat.clh"
+#include "status.clh"
 
 #define PATCH 2                      // half the width of a patch
 #define LEAST_PIXELS 6               // of a patch must be visible
 #define NOISE (1.0f / 255.0f)        // of a photo: what a residual never falls below
 #define LEAST_POSSIBLE 0.3f          // below this a patch is all noise
 #define UNSEEN -1.0f
-
-#define NO_SURFACE 0
-#define REFINED 1
-#define KEPT 2
-#define REJECTED 3
 
 float grey_of(uchar4 p)
 {
@@ -186,64 +180,6 @@ __kernel void feather(__global const float *initial, __global float *depth, __gl
         }
     if (refined < all)
         depth[i] = initial[i] + clamp(2.0f * refined / all - 1.0f, 0.0f, 1.0f) * (depth[i] - initial[i]);
-}
-
-#define MOST_BENT 1.4f               // pixels of parallax: as much as counts, at a discontinuity or where the surface ends
-
-// Second difference of inverse depth at i, between i - stride and i + stride, in pixels of parallax.
-float bend(__global const float *depth, int i, int stride, float u)
-{
-    const float d = depth[i], a = depth[i - stride], b = depth[i + stride];
-    if (!(d > 0.0f && u > 0.0f))
-        return 0.0f;
-    return a > 0.0f && b > 0.0f ? fabs((d - a) / (d * a) + (d - b) / (d * b)) * d * d / u : MOST_BENT;
-}
-
-// How much the surface bends at each pixel, along both directions.
-__kernel void bends(__global const float *depth, __global const float *unit, int width, int height, __global float *bent)
-{
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= width || row >= height)
-        return;
-    const int i = row * width + column;
-    float sum = 0.0f;
-    if (column > 0 && column + 1 < width)
-        sum += bend(depth, i, 1, unit[i]);
-    if (row > 0 && row + 1 < height)
-        sum += bend(depth, i, width, unit[i]);
-    bent[i] = fmin(sum, MOST_BENT);
-}
-
-// Standard deviation of each depth: what the sharpness of the match leaves, what the surface bends around it, which
-// neither photos nor smoothness resolve, and what cameras that are off add. The numbers are fitted to scenes with truth
-// (tests/bench/calibration.py). Infinite where nothing is known.
-#define INFORMED 0.7f
-#define BENT 0.35f
-#define LEAST 0.02f                  // pixels of parallax: what no photo of this kind resolves
-#define ASIDE 0.36f
-
-__kernel void deviate(__global const uchar *status, __global const float *unit, int width, int height,
-                      __global const float *before, __global const float *after, __global const float *bent,
-                      float spread, float misaligned, __global float *deviation)
-{
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= width || row >= height)
-        return;
-    const int i = row * width + column;
-    const float3 held = vload3(i, status[i] == REFINED ? after : before);
-    if (status[i] == NO_SURFACE || !(held.y > 0.0f && held.z > 0.0f)) {
-        deviation[i] = status[i] == NO_SURFACE ? 0.0f : INFINITY;
-        return;
-    }
-    float sum = 0.0f, number = 0.0f;
-    for (int y = max(row - PATCH, 0); y <= min(row + PATCH, height - 1); ++y)
-        for (int x = max(column - PATCH, 0); x <= min(column + PATCH, width - 1); ++x) {
-            sum += bent[y * width + x];
-            number += 1.0f;
-        }
-    const float u = unit[i], bending = BENT * sum / number;
-    const float match = INFORMED / held.z + u * u * (bending * bending + LEAST * LEAST);
-    deviation[i] = sqrt(spread * spread * match + u * u * ASIDE * misaligned * misaligned / held.y);
 }
 
 #define SUM_GROUP 64

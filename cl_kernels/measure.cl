@@ -154,7 +154,8 @@ __kernel void judge_view(__global const float *costs, __global const float *came
         tells = tells && (j >= SHIFTS || cost[j] < TEXTURED);
     }
     for (int j = 0; j < TOTALS; ++j) {
-        const float add = j == 0 ? row_of(values, view, HIDDEN, count)[k] == 0.0f : !tells ? 0.0f : j == 1 ? 1.0f : cost[j - 2];
+        const float told = !tells ? 0.0f : j == 1 ? 1.0f : cost[max(j - 2, 0)];
+        const float add = j == 0 ? row_of(values, view, HIDDEN, count)[k] == 0.0f : told;
         totals[j * count + k] = (view == 1 ? 0.0f : totals[j * count + k]) + add;
     }
     const float here = cost[SHIFTS / 2];

@@ -104,7 +104,7 @@ class Loss:
         Compare grey images (Rec. 601 luma) instead of three channels.
     exposure : bool
         Fit a gain and an offset of each channel between the target's photo and each context photo, in closed form
-        under the initial depth, and compare after them.
+        and again as the depth improves, and compare after them.
     structure : bool
         SSIM without its luminance term: a local offset of brightness, as a highlight leaves it, is not seen.
     robust : float

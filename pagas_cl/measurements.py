@@ -126,7 +126,8 @@ def measure(target, contexts, depth, config: Config, device, photos=None, entere
         plain=found.plain, noise=max(found.noise, _QUANTISATION),
         far_off=_number(found.far[MEAN]) if found.far[NUMBER] >= _LEAST else 0.0, misaligned=_misaligned(views),
         masked=target.mask is not None or any(view.mask is not None for view in contexts),
-        gains=tuple(tuple(tuple(float(v) for v in channel) for channel in gain) for gain in found.gains), local_gloss=found.local_gloss)
+        gains=tuple(tuple(tuple(float(v) for v in channel) for channel in gain) for gain in found.gains),
+        local_gloss=found.local_gloss)
 
 
 def _number(value, otherwise: float = 0.0) -> float:

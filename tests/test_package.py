@@ -27,8 +27,8 @@ ALLOWED = {
 }
 WITHOUT_OPENCL = {"errors", "config", "scene", "reference", "report", "evaluate", "made", "result"}
 # Kernel files that belong to a stage of another name.
-STAGE = {"alpha": "composite", "crowded": "composite"}
-REFERENCE = {"alpha": "composite", "backward": "composite", "ssim": "loss"}
+STAGE = {"alpha": "composite", "deviation": "evidence", "crowded": "composite"}
+REFERENCE = {"alpha": "composite", "deviation": "evidence", "backward": "composite", "ssim": "loss"}
 
 
 def shipped_files():

@@ -114,14 +114,14 @@ def normal(depth, valid, rays, pixel_weight, weight):
 
 
 def raised(weights, gloss, most: float):
-    """Pixel weights (H, W) where a surface is glossy: raised by (largest residual within 3 samples / 0.009)^2, 1 to `most`.
+    """Pixel weights (H, W) where a surface is glossy: raised by (largest residual within 3 samples / 0.007)^2, 1 to `most`.
 
     `gloss`: residuals on a grid over the image, NaN = unknown; the factors are interpolated between its samples.
     """
     around = 3
     padded = np.pad(np.nan_to_num(gloss), around)
     largest = np.lib.stride_tricks.sliding_window_view(padded, (2 * around + 1,) * 2).max(axis=(2, 3))
-    factors = np.clip((largest / 0.009) ** 2, 1.0, most)
+    factors = np.clip((largest / 0.007) ** 2, 1.0, most)
     for axis, (pixels, samples) in enumerate(zip(weights.shape, gloss.shape)):
         at = np.clip((np.arange(pixels) + 0.5) * samples / pixels - 0.5, 0, samples - 1)
         low = at.astype(int)

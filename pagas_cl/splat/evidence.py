@@ -1,4 +1,4 @@
-"""Launches of evidence.cl: which refined depths the photos confirm, and how sure each depth is (method section 9)."""
+"""Launches of evidence.cl and deviation.cl: which refined depths the photos confirm, how sure each is (method section 9)."""
 
 from __future__ import annotations
 
@@ -94,12 +94,13 @@ class Evidence:
         solver, a = level.config.solver, level.arena
         status, deviation, size = self._buffer(n), self._buffer(4 * n), level.target
         around, bent = self._surroundings(), self._scratch()[0]
+        deviation_program = build(level.device, "deviation.cl", level.defines)
         run_once(level.device.queue, [
             bind(self.program, "decide", (n,), None, self._initial, a["depth"], a["unit"], n, self._before, self._after,
                  around, float(solver.max_move), solver.tolerance * self.doubt.slack, float(solver.mismatch), status),
             bind(self.program, "feather", size.grid, None, self._initial, a["depth"], status, *size.grid),
-            bind(self.program, "bends", size.grid, None, a["depth"], a["unit"], *size.grid, bent),
-            bind(self.program, "deviate", size.grid, None, status, a["unit"], *size.grid, self._before, self._after, bent,
+            bind(deviation_program, "bends", size.grid, None, a["depth"], a["unit"], *size.grid, bent),
+            bind(deviation_program, "deviate", size.grid, None, status, a["unit"], *size.grid, self._before, self._after, bent,
                  self.doubt.spread, self.doubt.misaligned, deviation)])
         return Verdict(self._read(status, np.uint8).reshape(shape), self._read(deviation, np.float32).reshape(shape),
                        *self.costs())

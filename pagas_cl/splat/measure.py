@@ -86,7 +86,8 @@ class Probe:
     def read(self) -> Found:
         """Measure all context views."""
         for view in range(1, 1 + len(self.contexts)):
-            run_once(self.device.queue, [*self.given.fetch(view), *project.nearest(self, view), *self.sample(view), exposure.match(self, view)])
+            run_once(self.device.queue, [*self.given.fetch(view), *project.nearest(self, view), *self.sample(view),
+                                         exposure.match(self, view)])
         run_once(self.device.queue, self._judge())
         grain = Grain(self.device, self.given.photos[0], self.target)
         views, samples = self.views.read().reshape(-1, len(_ROWS), 4), self.samples.read()
@@ -112,8 +113,8 @@ class Probe:
         return [exposure.fit(self),
                 self._bind("compare_colors", (grid.count, len(self.contexts)), a["matches"], a["exposure"], grid.across,
                            grid.down, self.views.values),
-                self._bind("judge_samples", (grid.count,), a["depth"], a["cameras"], a["totals"], self.views.values, len(self.contexts),
-                           grid.stride, grid.across, grid.count, self.samples.values),
+                self._bind("judge_samples", (grid.count,), a["depth"], a["cameras"], a["totals"], self.views.values,
+                           len(self.contexts), grid.stride, grid.across, grid.count, self.samples.values),
                 self.views.summarize(), self.samples.summarize()]
 
     def _bind(self, name: str, size, *arguments):

@@ -7,7 +7,7 @@ import pyopencl as cl
 
 from pagas_cl.runtime.program import bind, build
 
-GLOSS = 0.009                        # residual (0 to 1) that the default weight allows for
+GLOSS = 0.007                        # residual (0 to 1) that the default weight allows for
 AROUND = 3                           # samples around a glossy one that are not trusted either
 SUM_GROUP, SUM_GROUPS = 256, 64      # work-items of a group, as in smooth.cl, and groups that share the pixels
 

@@ -48,8 +48,8 @@ def as_if_never_written(effect):
         gone, names = parameters_in(effect, file), parameters_of(source(file), kernel)
         return bind(built, kernel, size, group, *(a for a, name in zip(arguments, names) if name not in gone))
 
-    kept, programs = [(m, name, getattr(m, name)) for m in modules for name in ("build", "bind") if hasattr(m, name)], dict(
-        program._programs)
+    kept = [(m, name, getattr(m, name)) for m in modules for name in ("build", "bind") if hasattr(m, name)]
+    programs = dict(program._programs)
     program.source = lambda name: never_had(effect, name, source(name))
     program._programs.clear()
     for module, name, _ in kept:
