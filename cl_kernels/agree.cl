@@ -14,7 +14,7 @@ bool land(const Camera target, const Camera other, int column, int row, float d,
     return mean->z > FRONT * d && mean->x >= 0.0f && mean->x < other.width && mean->y >= 0.0f && mean->y < other.height;
 }
 
-__kernel void parallax(__global const float *depth, __global const float *cameras, int views, float scale,
+__kernel void parallax(__global const float *depth, __constant float *cameras, int views, float scale,
                        __global float *unit)
 {
     const Camera target = load_camera(cameras, 0);
@@ -58,7 +58,7 @@ float difference(__global const float *map, const Camera other, float3 mean, flo
 }
 
 // counts: views that confirm a depth to within `pixels` of parallax, views that should see it.
-__kernel void count_view(__global const float *depth, __global const float *cameras, int view, float scale,
+__kernel void count_view(__global const float *depth, __constant float *cameras, int view, float scale,
                          __global const float *map, __global const float *unit, float pixels, __global ushort2 *counts)
 {
     const Camera target = load_camera(cameras, 0), other = load_camera(cameras, view);

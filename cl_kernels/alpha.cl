@@ -9,7 +9,7 @@
 // Each pair of a Gaussian and a pixel has a place of its own, so that no two work-items ever write to the same one.
 #include "lists.clh"
 
-__kernel void link_bins(__global const float *depth, __global const float *cameras, int view, float low_pass,
+__kernel void link_bins(__global const float *depth, __constant float *cameras, int view, float low_pass,
                         __global volatile int *heads, __global int2 *links, __global float *alphas)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
@@ -65,7 +65,7 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
               relative, v_color, v_coverage);
 }
 
-__kernel void gather_alpha(__global const float *depth, __global const float *cameras, int view, float low_pass,
+__kernel void gather_alpha(__global const float *depth, __constant float *cameras, int view, float low_pass,
                            __global const float *alphas, __global float *gradient)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);

@@ -32,7 +32,7 @@ void add_columns(__global float *places, columns_t values, int first)
 }
 
 __kernel void gather_gradient(__global const float *depth, __global const uchar4 *target_photo,
-                              __global const float *cameras, int view, float low_pass, float threshold, float relative,
+                              __constant float *cameras, int view, float low_pass, float threshold, float relative,
                               __global const uint *z_first, __global const float *exposure,
                               __global const float *upstream, __global float *gradient)
 {

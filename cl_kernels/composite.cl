@@ -1,7 +1,7 @@
 // Order-free blend (method section 4): scatter weights and weighted colours as whole numbers.
 //
 // sums holds, per context pixel, fixed-point [weight, red, green, blue] ([weight, grey] with GREY).
-#include "splat.clh"
+#include "box.clh"
 
 #ifdef INT64_ATOMICS
 #pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable
@@ -18,8 +18,72 @@ void add_pair(__global volatile uint *pair, uint low, uint high)
 }
 #endif
 
+// Fixed-point weight and weighted colours of the Gaussians at the pixels they reach.
+void weigh_colors(const Gaussians *g, const Reach r, const columns_t color[CHANNELS], int parts[CHANNELS + 1][COLUMNS])
+{
+    const columns_t weight = fmin(raw_alpha(g->splat, r.dx, r.dy), ALPHA_MAX) * FIXED_ONE;
+    STORE_COLUMNS(TO_WHOLE(weight + 0.5f), parts[0]);
+    for (int c = 0; c < CHANNELS; ++c)
+        STORE_COLUMNS(TO_WHOLE(weight * color[c] + 0.5f), parts[c + 1]);
+}
+
+void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
+{
+    add_pair(sum, parts[0], parts[1]);
+#ifndef GREY
+    add_pair(sum + 2, parts[2], parts[3]);
+#endif
+}
+
+#if COLUMNS == 1
+// A work-group adds up in local memory first: most pixels are reached by several of its Gaussians.
+__kernel IN_BOXES
+void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
+                      __constant float *cameras, int view, float low_pass, float threshold,
+                      float relative, __global const uint *z_first, __global const float *exposure,
+                      __global volatile uint *sums)
+{
+    __local uint boxed[(CHANNELS + 1) * BOX];
+    __local int corners[4];
+    const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
+    int column;
+    const int row = get_global_id(1);
+    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, low_pass, &column);
+    const Box box = landing_box(&g, corners);
+    for (int k = box_item(); k < box.width * box.height; k += BOX_GROUP)
+        for (int c = 0; c <= CHANNELS; ++c)
+            boxed[c * BOX + k] = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (g.own) {
+        float color[CHANNELS];
+        load_exposed(target_photo, row * target.width + column, exposure, view, color);
+        for (int v = 0; v < SPAN; ++v)
+            for (int u = 0; u < SPAN; ++u) {
+                const Reach r = reach_pixel(&g, context, u, v);
+                if (!r.reached || !taking_part(&g, r, z_first, threshold, relative))
+                    continue;
+                int parts[CHANNELS + 1][1];
+                weigh_colors(&g, r, color, parts);
+                const int place = place_in_box(box, g.x + u, g.y + v);
+                if (place >= 0)
+                    for (int c = 0; c <= CHANNELS; ++c)
+                        atomic_add(&boxed[c * BOX + place], (uint)parts[c][0]);
+                else
+                    add_to_image(sums + r.pixel * (CHANNELS + 1), (const uint *)parts);
+            }
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int k = box_item(); k < box.width * box.height; k += BOX_GROUP) {
+        uint parts[CHANNELS + 1];
+        for (int c = 0; c <= CHANNELS; ++c)
+            parts[c] = boxed[c * BOX + k];
+        if (parts[0])
+            add_to_image(sums + pixel_of_box(box, k, context.width) * (CHANNELS + 1), parts);
+    }
+}
+#else
 __kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                               __global const float *cameras, int view, float low_pass, float threshold,
+                               __constant float *cameras, int view, float low_pass, float threshold,
                                float relative, __global const uint *z_first, __global const float *exposure,
                                __global volatile uint *sums)
 {
@@ -39,18 +103,15 @@ __kernel void splat_order_free(__global const float *depth, __global const uchar
             int pixel[COLUMNS], taken[COLUMNS], parts[CHANNELS + 1][COLUMNS];
             STORE_COLUMNS(r.pixel, pixel);
             STORE_COLUMNS(taking_part(&g, r, z_first, threshold, relative), taken);
-            const columns_t weight = fmin(raw_alpha(g.splat, r.dx, r.dy), ALPHA_MAX) * FIXED_ONE;
-            STORE_COLUMNS(TO_WHOLE(weight + 0.5f), parts[0]);
-            for (int c = 0; c < CHANNELS; ++c)
-                STORE_COLUMNS(TO_WHOLE(weight * color[c] + 0.5f), parts[c + 1]);
+            weigh_colors(&g, r, color, parts);
             for (int k = 0; k < COLUMNS; ++k) {
                 if (!taken[k])
                     continue;
-                __global volatile uint *sum = sums + pixel[k] * (CHANNELS + 1);
-                add_pair(sum, parts[0][k], parts[1][k]);
-#ifndef GREY
-                add_pair(sum + 2, parts[2][k], parts[3][k]);
-#endif
+                uint own[CHANNELS + 1];
+                for (int c = 0; c <= CHANNELS; ++c)
+                    own[c] = parts[c][k];
+                add_to_image(sums + pixel[k] * (CHANNELS + 1), own);
             }
         }
 }
+#endif

@@ -20,7 +20,7 @@ float grey_of(uchar4 p)
     return (0.299f * p.x + 0.587f * p.y + 0.114f * p.z) * (1.0f / 255.0f);
 }
 
-__kernel void warp_photo(__global const float *depth, __global const float *cameras, int view, float threshold,
+__kernel void warp_photo(__global const float *depth, __constant float *cameras, int view, float threshold,
                          __global const uint *z_first, __global const uchar4 *photo, __global float *warped)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);

@@ -22,7 +22,7 @@ bool unclipped(float3 c)
     return all(c > DARKEST) && all(c < BRIGHTEST);
 }
 
-__kernel void match_colors(__global const float *depth, __global const float *cameras, int view, float threshold,
+__kernel void match_colors(__global const float *depth, __constant float *cameras, int view, float threshold,
                            __global const uint *z_first, __global const uchar4 *target_photo,
                            __global const uchar4 *photo, int stride, int across, int count, __global float *matches)
 {

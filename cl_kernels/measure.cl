@@ -35,7 +35,7 @@ __global float *row_of(__global float *values, int view, int row, int count)
     return values + ((view - 1) * ROWS + row) * count;
 }
 
-__kernel void sample_view(__global const float *depth, __global const float *cameras, int view, float low_pass,
+__kernel void sample_view(__global const float *depth, __constant float *cameras, int view, float low_pass,
                           float threshold, __global const uint *z_first, __global const uchar4 *photo, int stride,
                           int across, int count, __global float *values)
 {
@@ -102,7 +102,7 @@ float moved_cost(__global const float *depth, __global const float *unit, const 
 }
 
 // Work-items (sample, move).
-__kernel void match_moved(__global const float *depth, __global const float *unit, __global const float *cameras,
+__kernel void match_moved(__global const float *depth, __global const float *unit, __constant float *cameras,
                           int view, __global const uchar4 *target_photo, __global const uchar4 *photo, int stride,
                           int across, int count, __global float *values, __global float *costs)
 {
@@ -139,7 +139,7 @@ float least_at(const float cost[5])
     return best - 2.0f + 0.5f * (before - after) / fmax(before + after, 1e-12f);
 }
 
-__kernel void judge_view(__global const float *costs, __global const float *cameras, int view, int stride, int across,
+__kernel void judge_view(__global const float *costs, __constant float *cameras, int view, int stride, int across,
                          int count, __global float *values, __global float *totals)
 {
     const Camera target = load_camera(cameras, 0);
@@ -203,7 +203,7 @@ __kernel void compare_colors(__global const float *matches, __global const float
 // Three rows: 1 where some view sees a sample of the surface, else 0; 1 where the photos match clearly better two or more
 // pixels of parallax away, 0 where they do not; mean gloss of the views. NaN where there is no surface, and where no view
 // can tell.
-__kernel void judge_samples(__global const float *depth, __global const float *cameras, __global const float *totals,
+__kernel void judge_samples(__global const float *depth, __constant float *cameras, __global const float *totals,
                             __global float *values, int views, int stride, int across, int count, __global float *rows)
 {
     const Camera target = load_camera(cameras, 0);

@@ -14,7 +14,7 @@ void lower(__global volatile uint *place, uint key)
     atomic_min(place, key);
 }
 
-__kernel void nearest(__global const float *depth, __global const float *cameras, int view, float low_pass,
+__kernel void nearest(__global const float *depth, __constant float *cameras, int view, float low_pass,
                       __global volatile uint *z_first)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
@@ -38,7 +38,7 @@ __kernel void nearest(__global const float *depth, __global const float *cameras
         }
 }
 
-__kernel void mark_seen(__global const float *depth, __global const float *cameras, int view,
+__kernel void mark_seen(__global const float *depth, __constant float *cameras, int view,
                         __global volatile uint *seen)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
@@ -56,7 +56,7 @@ __kernel void mark_seen(__global const float *depth, __global const float *camer
 }
 
 // u = 1 / sqrt(mean |dm/dd|^2) over the context views that see the Gaussian; 0 where none does: such a pixel is fixed.
-__kernel void parallax_unit(__global const float *depth, __global const float *cameras, int views,
+__kernel void parallax_unit(__global const float *depth, __constant float *cameras, int views,
                             __global float *unit)
 {
     const Camera target = load_camera(cameras, 0);

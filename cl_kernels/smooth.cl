@@ -95,7 +95,7 @@ float3 point_at(__global const float *depth, const Camera camera, int x, int y)
 }
 
 // n in xyz and 1 / |cross product| in w; w = 0 where a neighbour is missing
-__kernel void normal_map(__global const float *depth, __global const float *cameras, __global float *normals)
+__kernel void normal_map(__global const float *depth, __constant float *cameras, __global float *normals)
 {
     const Camera camera = load_camera(cameras, 0);
     const int x = get_global_id(0), y = get_global_id(1), width = camera.width, height = camera.height;
@@ -140,7 +140,7 @@ __kernel void normal_slope(__global const float *normals, __global const float *
 }
 
 // i is the right neighbour of i - 1, the left one of i + 1, the lower of i - width, the upper of i + width
-__kernel void normal_vjp(__global const float *depth, __global const float *cameras, __global const float *slopes,
+__kernel void normal_vjp(__global const float *depth, __constant float *cameras, __global const float *slopes,
                          __global float *gradient)
 {
     const Camera camera = load_camera(cameras, 0);

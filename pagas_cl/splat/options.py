@@ -6,6 +6,7 @@ from math import ceil, floor, log2
 
 from pagas_cl.config import Config
 from pagas_cl.scene.camera import Camera
+from pagas_cl.splat.tile import BOX_GROUP
 
 SLOTS = 12                # candidates that a pixel sorts at a time (lists.clh)
 LIST_GROUP = (32, 4)      # work-items that do so side by side: 16 bytes a slot, 24 kB of local memory
@@ -54,7 +55,7 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
     }
     numbers = {"REACH": reach(splatting.radius), "SLOTS": SLOTS,
                "LIST_GROUP_W": LIST_GROUP[0], "LIST_GROUP_H": LIST_GROUP[1],
-               "FIXED_BITS": fixed_bits(weight)}
+               "BOX_GROUP_W": BOX_GROUP[0], "BOX_GROUP_H": BOX_GROUP[1], "FIXED_BITS": fixed_bits(weight)}
     if config.solver.spread > 0:
         numbers["SPREAD"] = config.solver.spread
     numbers["RADIUS"] = f"{float(splatting.radius)!r}f"

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 HALO = 10                 # as in window.clh
 MARGIN = 16
+BOX_GROUP = (32, 8)       # work-items that collect in local memory what falls into the same pixels (box.clh)
 
 
 @dataclass(frozen=True)
@@ -61,10 +62,10 @@ def row_grid(size, columns: int) -> tuple[int, int]:
     return -(-size.width // columns), size.height
 
 
-def row_group(columns: int) -> tuple[int, int] | None:
+def row_group(columns: int) -> tuple[int, int]:
     """Work-items of a group of row_grid: one where each holds a vector (PoCL's loop over several such items crashes at
-    some image sizes), else as the device likes."""
-    return (1, 1) if columns > 1 else None
+    some image sizes), else a box of pixels that shares local memory (box.clh)."""
+    return (1, 1) if columns > 1 else BOX_GROUP
 
 
 def choose_tiles(device, sizes) -> tuple[Tile, Tile]:
