@@ -79,12 +79,13 @@ __kernel void gather_alpha(__global const float *depth, __constant float *camera
     if (!project_gaussian(target, context, column, row, d, RADIUS, low_pass, &s, &motion))
         return;
     const int x = (int)floor(s.x), y = (int)floor(s.y);
+    const LogSlope slope = log_slope(s, motion);
     float sum = 0.0f;
     for (int v = -REACH; v <= REACH; ++v)
         for (int u = -REACH; u <= REACH; ++u) {
             const float v_alpha = alphas[((v + REACH) * SIDE + u + REACH) * count + i];
             const float dx = x + u + 0.5f - s.x, dy = y + v + 0.5f - s.y;
-            sum += v_alpha * alpha_motion(s, motion, dx, dy, raw_alpha(s, dx, dy));
+            sum += v_alpha * alpha_motion(slope, dx, dy, raw_alpha(s, dx, dy));
         }
     gradient[i] += sum;
 }

@@ -45,14 +45,17 @@ __kernel void gather_gradient(__global const float *depth, __global const uchar4
     const int i = row * target.width + column;
     columns_t color[CHANNELS], sum = ZERO;
     load_exposed(target_photo, i, exposure, view, color);
+    const LogSlope slope = log_slope(g.splat, g.motion);
+UNROLL_SPAN
     for (int v = 0; v < SPAN; ++v)
+UNROLL_SPAN
         for (int u = 0; u < SPAN; ++u) {
             const Reach r = reach_pixel(&g, context, u, v);
             if (!ANY(r.reached))
                 continue;
             const mask_t taken = taking_part(&g, r, z_first, threshold, relative);
             const columns_t v_alpha = slope_by_alpha(upstream, r.pixel, taken, color);
-            const columns_t moved = alpha_motion(g.splat, g.motion, r.dx, r.dy, raw_alpha(g.splat, r.dx, r.dy));
+            const columns_t moved = alpha_motion(slope, r.dx, r.dy, raw_alpha(g.splat, r.dx, r.dy));
             sum += select(ZERO, v_alpha * moved, taken);
         }
     add_columns(gradient + i, sum, get_global_id(0) * COLUMNS - column);

@@ -22,9 +22,9 @@ void add_pair(__global volatile uint *pair, uint low, uint high)
 void weigh_colors(const Gaussians *g, const Reach r, const columns_t color[CHANNELS], int parts[CHANNELS + 1][COLUMNS])
 {
     const columns_t weight = fmin(raw_alpha(g->splat, r.dx, r.dy), ALPHA_MAX) * FIXED_ONE;
-    STORE_COLUMNS(TO_WHOLE(weight + 0.5f), parts[0]);
+    STORE_COLUMNS(ROUND_SHORT(weight), parts[0]);
     for (int c = 0; c < CHANNELS; ++c)
-        STORE_COLUMNS(TO_WHOLE(weight * color[c] + 0.5f), parts[c + 1]);
+        STORE_COLUMNS(ROUND_SHORT(weight * color[c]), parts[c + 1]);
 }
 
 void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
@@ -35,8 +35,9 @@ void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
 #endif
 }
 
-#if COLUMNS == 1
-// A work-group adds up in local memory first: most pixels are reached by several of its Gaussians.
+#if COLUMNS == 1 && !defined(GREY)
+// A work-group adds up in local memory first: most pixels are reached by several of its Gaussians. Not worth its while
+// for the one addition a pair of a grey image.
 __kernel IN_BOXES
 void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
                       __constant float *cameras, int view, float low_pass, float threshold,
@@ -57,7 +58,9 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
     if (g.own) {
         float color[CHANNELS];
         load_exposed(target_photo, row * target.width + column, exposure, view, color);
+UNROLL_SPAN
         for (int v = 0; v < SPAN; ++v)
+UNROLL_SPAN
             for (int u = 0; u < SPAN; ++u) {
                 const Reach r = reach_pixel(&g, context, u, v);
                 if (!r.reached || !taking_part(&g, r, z_first, threshold, relative))
@@ -95,7 +98,9 @@ __kernel void splat_order_free(__global const float *depth, __global const uchar
         return;
     columns_t color[CHANNELS];
     load_exposed(target_photo, row * target.width + column, exposure, view, color);
+UNROLL_SPAN
     for (int v = 0; v < SPAN; ++v)
+UNROLL_SPAN
         for (int u = 0; u < SPAN; ++u) {
             const Reach r = reach_pixel(&g, context, u, v);
             if (!ANY(r.reached))

@@ -49,9 +49,9 @@ void ssim_backward(__global const float *partials, int left, int top, int width,
     for (int t = get_local_id(0); t < TILE_H * CHUNKS; t += LOSS_GROUP) {
         const int y = t / CHUNKS, x = t % CHUNKS * LANES, place = y * TILE_W + x;
         __local const float *at = sums + y * STRIDE + x;
-        const lanes_t by = blur_across(at) + 2.0f * LOAD_LANES(xs + place) * blur_across(at + TILE_H * STRIDE)
-                           + LOAD_LANES(ys + place) * blur_across(at + 2 * TILE_H * STRIDE);
-        JOIN(vstore, LANES)(-scale * by, 0, xs + place);
+        const lanes_t by = blur_across(at) + 2.0f * LOAD_ROW(xs + place) * blur_across(at + TILE_H * STRIDE)
+                           + LOAD_ROW(ys + place) * blur_across(at + 2 * TILE_H * STRIDE);
+        STORE_ROW(-scale * by, xs + place);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 }
