@@ -40,7 +40,7 @@ void composite_alpha(__global const uchar4 *target_photo, __global const float *
                      __global const int *heads, __global const int2 *links, __global float *alphas, int count,
                      int width, int height, float threshold, float relative, __global float *rendered)
 {
-    __local uint4 lists[SLOTS * GROUP];
+    __local uint2 lists[SLOTS * GROUP];
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= width || row >= height)
         return;
@@ -54,7 +54,7 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
                          __global const int *heads, __global const int2 *links, __global float *alphas, int count,
                          int width, int height, float threshold, float relative, __global const float *upstream)
 {
-    __local uint4 lists[SLOTS * GROUP];
+    __local uint2 lists[SLOTS * GROUP];
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= width || row >= height)
         return;

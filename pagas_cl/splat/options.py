@@ -9,7 +9,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.splat.tile import BOX_GROUP
 
 SLOTS = 12                # candidates that a pixel sorts at a time (lists.clh)
-LIST_GROUP = (32, 4)      # work-items that do so side by side: 16 bytes a slot, 24 kB of local memory
+LIST_GROUP = (32, 4)      # work-items that do so side by side: 8 bytes a slot, 12 kB of local memory
 
 
 def reach(radius: float) -> int:
@@ -54,6 +54,7 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
         "INT64_ATOMICS": device.has("cl_khr_int64_base_atomics"),
     }
     numbers = {"REACH": reach(splatting.radius), "SLOTS": SLOTS,
+               "PLACE_BITS": max(1, ceil(log2((2 * reach(splatting.radius) + 1) ** 2))),
                "LIST_GROUP_W": LIST_GROUP[0], "LIST_GROUP_H": LIST_GROUP[1],
                "BOX_GROUP_W": BOX_GROUP[0], "BOX_GROUP_H": BOX_GROUP[1], "FIXED_BITS": fixed_bits(weight)}
     if config.solver.spread > 0:
