@@ -3,6 +3,20 @@
 #include "splat.clh"
 
 // G . c + h of the pixels that are taken, 0 for the others.
+#if COLUMNS == 1
+float slope_by_alpha(__global const float *upstream, int pixel, int taken, const float color[CHANNELS])
+{
+    if (!taken)
+        return 0.0f;
+#ifdef GREY
+    LOAD_TWO(float, upstream + 2 * pixel, g, h)
+    return g * color[0] + h;
+#else
+    LOAD_FOUR(float, upstream + 4 * pixel, red, green, blue, h)
+    return red * color[0] + green * color[1] + blue * color[2] + h;
+#endif
+}
+#else
 columns_t slope_by_alpha(__global const float *upstream, mask_t pixels, mask_t taking, const columns_t color[CHANNELS])
 {
     int pixel[COLUMNS], taken[COLUMNS];
@@ -17,6 +31,7 @@ columns_t slope_by_alpha(__global const float *upstream, mask_t pixels, mask_t t
         sum += LOAD_COLUMNS(up[c]) * color[c];
     return sum;
 }
+#endif
 
 // Add to the lanes from `first` on: those before belong to another work-item.
 void add_columns(__global float *places, columns_t values, int first)

@@ -21,7 +21,7 @@ float grey_of(uchar4 p)
 }
 
 __kernel void warp_photo(__global const float *depth, __constant float *cameras, int view, float threshold,
-                         __global const uint *z_first, __global const uchar4 *photo, __global float *warped)
+                         __global const uint *z_first, __global const uchar4 *photo, __global float2 *warped)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     const int column = get_global_id(0), row = get_global_id(1);
@@ -29,7 +29,7 @@ __kernel void warp_photo(__global const float *depth, __constant float *cameras,
         return;
     const int i = row * target.width + column;
     const float d = depth[i];
-    vstore2((float2)(UNSEEN, 0.0f), i, warped);
+    warped[i] = (float2)(UNSEEN, 0.0f);
     if (!(d > 0.0f))
         return;
     const float3 ray = pixel_ray(target, column, row);
@@ -59,7 +59,7 @@ __kernel void warp_photo(__global const float *depth, __constant float *cameras,
     const float zz = inverse_z * inverse_z;
     const float slope = by_u * context.fx * (q.x * context.t.z - q.z * context.t.x) * zz
                       + by_v * context.fy * (q.y * context.t.z - q.z * context.t.y) * zz;
-    vstore2((float2)(value, slope), i, warped);
+    warped[i] = (float2)(value, slope);
 }
 
 // evidence per pixel: sum of 1 - correlation, number of views, sum of information (1 / variance of the depth)
@@ -67,17 +67,17 @@ __kernel void warp_photo(__global const float *depth, __constant float *cameras,
 // grain: variance of the photos' noise beyond NOISE. A correlation is taken as a share of what that much noise lets a
 // perfect match have; looking up between pixels leaves 4/9 of it. Without it two flat patches match; with it, nothing is
 // known of them.
-__kernel void weigh(__global const float *warped, __global const uchar4 *target_photo, int width, int height, float grain,
+__kernel void weigh(__global const float2 *warped, __global const uchar4 *target_photo, int width, int height, float grain,
                     __global float *evidence)
 {
     const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= width || row >= height || vload2(row * width + column, warped).x == UNSEEN)
+    if (column >= width || row >= height || warped[row * width + column].x == UNSEEN)
         return;
     float n = 0.0f, w = 0.0f, t = 0.0f, s = 0.0f, ww = 0.0f, tt = 0.0f, wt = 0.0f, ss = 0.0f;
-    const float origin = vload2(row * width + column, warped).x, middle = grey_of(target_photo[row * width + column]);
+    const float origin = warped[row * width + column].x, middle = grey_of(target_photo[row * width + column]);
     for (int y = max(row - PATCH, 0); y <= min(row + PATCH, height - 1); ++y)
         for (int x = max(column - PATCH, 0); x <= min(column + PATCH, width - 1); ++x) {
-            const float2 seen = vload2(y * width + x, warped);
+            const float2 seen = warped[y * width + x];
             if (seen.x == UNSEEN)
                 continue;
             const float a = seen.x - origin, b = grey_of(target_photo[y * width + x]) - middle;
