@@ -15,6 +15,7 @@ import pyopencl as cl
 from pagas_cl.errors import KernelBuildError
 
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$')
+GROUP_1D, GROUP_2D = (128,), (32, 4)
 OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-single-precision-constant")
 
 
@@ -126,12 +127,22 @@ def run_once(queue: cl.CommandQueue, launches):
 _idle: dict[tuple, list[cl.Kernel]] = defaultdict(list)
 
 
+def usual_group(global_size) -> tuple[int, ...] | None:
+    """Work-items of a group where a kernel does not mind: left to the driver, a prime width gets groups of one.
+
+    Global sizes are rounded up to it, so that every such kernel looks where its data ends; a single item stays alone.
+    """
+    if len(global_size) == 2:
+        return GROUP_2D
+    return GROUP_1D if global_size[0] > 1 else None
+
+
 def bind(program: cl.Program, name: str, global_size, local_size, *arguments) -> Launch:
     """A Launch of `name` with its own argument set: int -> int32, float -> float32, None -> a null buffer."""
     source = (program.int_ptr, name)
     kernel = _idle[source].pop() if _idle[source] else cl.Kernel(program, name)
     kernel.set_args(*(_argument(a) for a in arguments))
-    local_size = tuple(local_size) if local_size else None
+    local_size = tuple(local_size) if local_size else usual_group(global_size)
     if local_size:
         global_size = tuple(-(-g // l) * l for g, l in zip(global_size, local_size))
     return Launch(kernel, tuple(int(g) for g in global_size), local_size, name, source)
