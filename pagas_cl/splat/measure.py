@@ -118,7 +118,8 @@ class Probe:
                 self.views.summarize(), self.samples.summarize()]
 
     def _bind(self, name: str, size, *arguments):
-        return bind(build(self.device, "measure.cl", self.defines), name, size, None, *arguments)
+        group = (64, 1) if len(size) == 2 else None          # rows are moves or views: none is added
+        return bind(build(self.device, "measure.cl", self.defines), name, size, group, *arguments)
 
     def release(self):
         """Give the buffers back."""
