@@ -108,7 +108,7 @@ __kernel void match_moved(__global const float *depth, __global const float *uni
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     const int k = get_global_id(0), move = get_global_id(1);
-    if (k >= count)
+    if (k >= count || move >= MOVES)
         return;
     float cost = UNDEFINED;
     if (row_of(values, view, HIDDEN, count)[k] == 0.0f) {
@@ -177,10 +177,10 @@ float left_over(__global const float *match, __global const float *exposure, int
 // Work-items (sample, context view - 1). Averaged over 5x5 samples: texture averages out, a highlight does not. Where
 // the patches do not show the same texture, something else stands there, and it is no gloss.
 __kernel void compare_colors(__global const float *matches, __global const float *exposure, int across, int down,
-                             __global float *values)
+                             int views, __global float *values)
 {
     const int k = get_global_id(0), view = get_global_id(1) + 1, count = across * down;
-    if (k >= count)
+    if (k >= count || view > views)
         return;
     __global const float *match = matches + 8 * ((view - 1) * count + k);
     if (match[3] > 0.0f)

@@ -112,7 +112,7 @@ class Probe:
         a, grid = self.arena, self.grid
         return [exposure.fit(self),
                 self._bind("compare_colors", (grid.count, len(self.contexts)), a["matches"], a["exposure"], grid.across,
-                           grid.down, self.views.values),
+                           grid.down, len(self.contexts), self.views.values),
                 self._bind("judge_samples", (grid.count,), a["depth"], a["cameras"], a["totals"], self.views.values,
                            len(self.contexts), grid.stride, grid.across, grid.count, self.samples.values),
                 self.views.summarize(), self.samples.summarize()]

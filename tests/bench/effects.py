@@ -96,7 +96,7 @@ def main():
     for name in given.scenes:
         name, effect, picked, cells, times, decisions = row(name, given.width, given.contexts, device, BALANCED)
         cells = " | ".join(f"{d:.3f} px, {n:.1f}°" for d, n in cells)
-        lines.append(f"| {name} | {effect} | {picked} | {cells} | {' / '.join(f'{t:.2f}' for t in times)} |")
+        lines.append(f"| {name} | {effect} | {picked} | {cells} | {' / '.join(f'{t:.3f}' for t in times)} |")
         print(lines[-1], flush=True)
         print("   ", {k: round(d.evidence, 4) for k, d in decisions.items()}, flush=True)
     if given.out:
