@@ -160,8 +160,8 @@ __kernel void decide(__global const float *initial, __global float *depth, __glo
 
 #define SEAM 3                       // half the width of the surroundings that a seam spreads over
 
-// A refined depth moves all the way where everything around it is refined, and less towards what stays as it came, so
-// that no seam is left between the two.
+// A refined depth moves all the way where everything around it is refined, and less towards what was sent back, so
+// that no seam is left between the two. (What no view sees was held in place all along.)
 __kernel void feather(__global const float *initial, __global float *depth, __global const uchar *status, int width,
                       int height)
 {
@@ -176,7 +176,7 @@ __kernel void feather(__global const float *initial, __global float *depth, __gl
         for (int x = max(column - SEAM, 0); x <= min(column + SEAM, width - 1); ++x) {
             const uchar other = status[y * width + x];
             refined += other == REFINED ? 1.0f : 0.0f;
-            all += other != NO_SURFACE ? 1.0f : 0.0f;
+            all += other == REFINED || other == REJECTED ? 1.0f : 0.0f;
         }
     if (refined < all)
         depth[i] = initial[i] + clamp(2.0f * refined / all - 1.0f, 0.0f, 1.0f) * (depth[i] - initial[i]);

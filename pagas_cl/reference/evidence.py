@@ -92,8 +92,8 @@ def decide(initial, refined, unit, before, after, max_move, tolerance, mismatch)
 
 
 def feather(initial, refined, status):
-    """Depths after `decide`: refined ones move less towards what stays as it came, over 7x7 pixels."""
-    share = _patch_sum((status == REFINED) * 1.0, 3) / np.maximum(_patch_sum((status != NO_SURFACE) * 1.0, 3), 1)
+    """Depths after `decide`: refined ones move less towards what was sent back, over 7x7 pixels."""
+    share = _patch_sum((status == REFINED) * 1.0, 3) / np.maximum(_patch_sum(np.isin(status, (REFINED, REJECTED)) * 1.0, 3), 1)
     moved = initial + np.clip(2 * share - 1, 0, 1) * (refined - initial)
     return np.where(status == REFINED, moved, initial)
 
