@@ -2,12 +2,11 @@
 // same affine function of colour for all that take part in it: dL/dalpha_i = G . c_i + h.
 #include "splat.clh"
 
-// G . c + h of the pixels that are taken, 0 for the others.
+// G . c + h of the pixels that are taken; whatever for the others.
 #if COLUMNS == 1
+// Loads do not wait for what decides whether they are needed: those of all pixels of a Gaussian are under way together.
 float slope_by_alpha(__global const float *upstream, int pixel, int taken, const float color[CHANNELS])
 {
-    if (!taken)
-        return 0.0f;
 #ifdef GREY
     LOAD_TWO(float, upstream + 2 * pixel, g, h)
     return g * color[0] + h;
@@ -66,10 +65,10 @@ UNROLL_SPAN
 UNROLL_SPAN
         for (int u = 0; u < SPAN; ++u) {
             const Reach r = reach_pixel(&g, context, u, v);
-            if (!ANY(r.reached))
+            if (COLUMNS > 1 && !ANY(r.reached))
                 continue;
             const mask_t taken = taking_part(&g, r, z_first, threshold, relative);
-            const columns_t v_alpha = slope_by_alpha(upstream, r.pixel, taken, color);
+            const columns_t v_alpha = slope_by_alpha(upstream, select((mask_t)(0), r.pixel, r.reached), taken, color);
             const columns_t moved = alpha_motion(slope, r.dx, r.dy, raw_alpha(g.splat, r.dx, r.dy));
             sum += select(ZERO, v_alpha * moved, taken);
         }

@@ -19,12 +19,11 @@ void gather_down(__global const float *partials, int left, int top, int width, i
             sum[0][k] = sum[1][k] = sum[2][k] = ZERO;
 #pragma unroll
         for (int j = 0; j < TAPS + RUN - 1; ++j) {
-            if (row + j < 0 || row + j >= height - HALO)
-                continue;
-            __global const float *at = partials + (row + j) * pitch + min(column, width - COLUMNS);
+            const bool there = row + j >= 0 && row + j < height - HALO;     // read in any case: loads do not wait
+            __global const float *at = partials + clamp(row + j, 0, height - HALO - 1) * pitch + min(column, width - COLUMNS);
 #pragma unroll
             for (int q = 0; q < 3; ++q) {
-                const columns_t value = LOAD_COLUMNS(at + q * plane);
+                const columns_t value = there ? LOAD_COLUMNS(at + q * plane) : ZERO;
 #pragma unroll
                 for (int k = 0; k < RUN; ++k)
                     if (j >= k && j - k < TAPS)
