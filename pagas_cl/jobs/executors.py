@@ -15,6 +15,8 @@ PATIENCE = 20  # seconds to wait for a scheduler's answer
 class Here(Executor):
     """Runs each task at once, in this process."""
 
+    _max_workers = 1
+
     def submit(self, work, /, *arguments, **keywords) -> Future:
         future = Future()
         try:

@@ -7,6 +7,7 @@ import os
 import socket
 import threading
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import datetime
 
 from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputError, PagasError
@@ -19,6 +20,7 @@ from pagas_cl.jobs.task import Batch, Record, ViewTask
 log = logging.getLogger("pagas_cl")
 
 STOP = "stop"          # a file of this name in the work folder asks every worker to end after its present view
+_READERS = 6           # photos that are decoded at a time
 _one_at_a_time = threading.Lock()  # tasks of one process share a device's queue
 _benches: dict = {}
 _lost: list[str] = []              # the view at which the device failed, until one is refined
@@ -44,29 +46,46 @@ class Bench:
 def run_batch(batch: Batch) -> list[Record]:
     """Refine the views of `batch` that are not finished; one record each.
 
+    The device refines one view while the files of the next are read and those of the one before are written.
+
     An error of one view is told in its record. OutputError (nothing can be written) and DeviceError (no device to
     work with) are raised: they are not the view's fault.
     """
     if batch.code != code_version():
         raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "
                           "planned the run: install the same version everywhere")
-    with _one_at_a_time:
-        records, views = [], _bench(batch.device).views(batch)
-        for task in batch.tasks:
+    with _one_at_a_time, ThreadPoolExecutor(_READERS) as readers, ThreadPoolExecutor(1) as writer:
+        views, ended, ahead = _bench(batch.device).views(batch), [], {}
+        for task, following in zip(batch.tasks, [*batch.tasks[1:], None]):
             if (work_folder(batch.folder) / STOP).exists():
                 break
-            records.append(find_finished(batch.folder, task, batch.extras) or _attempt(batch, task, views))
-        return records
+            record = find_finished(batch.folder, task, batch.extras)
+            if record is not None:
+                ended.append(record)
+                continue
+            depth = ahead.pop(task.name, None) or _read_ahead(readers, task, views)
+            if following is not None:
+                ahead[following.name] = _read_ahead(readers, following, views)
+            ended.append(_attempt(batch, task, views, depth, writer))
+            if len(ended) > 1 and isinstance(ended[-2], Future):
+                ended[-2] = ended[-2].result()  # no more than one result waits to be written
+        return [record.result() if isinstance(record, Future) else record for record in ended]
 
 
-def _attempt(batch: Batch, task: ViewTask, views: dict) -> Record:
+def _read_ahead(readers: ThreadPoolExecutor, task: ViewTask, views: dict) -> Future:
+    """Have the photos of `task` read, and its depth map, which is what is promised."""
+    depth = readers.submit(task.depth.load)
+    for k in task.partners.all:
+        readers.submit(views[k].load_image)  # who needs the photo is told what was wrong with it
+    return depth
+
+
+def _attempt(batch: Batch, task: ViewTask, views: dict, depth: Future, writer: ThreadPoolExecutor):
+    """The record of `task` if it fails, else what promises it: `writer` is to write the result."""
     bench, start = _bench(batch.device), time.perf_counter()
     note_down(batch.folder, "began", task.name)
     try:
-        result = batch.work(views, task.partners, task.depth.load(), batch.config, bench.device, bench.photos)
-        about = {"device": bench.device.info.title, "worker": worker_name(),
-                 "task_seconds": time.perf_counter() - start}
-        record = write_finished(batch.folder, task, result, batch.extras, about)
+        result = batch.work(views, task.partners, depth.result(), batch.config, bench.device, bench.photos)
     except OutputError:
         raise
     except DeviceLostError as error:
@@ -74,11 +93,20 @@ def _attempt(batch: Batch, task: ViewTask, views: dict) -> Record:
     except Exception as error:  # whatever it is, the other views must not suffer
         if not isinstance(error, InputError):
             _benches.pop(batch.device, None)  # the device may be in any state: opened anew for the next view
-        told = str(error) if isinstance(error, PagasError) else f"{type(error).__name__}: {error}"
-        note_down(batch.folder, "failed", task.name)
-        return Record(task.name, task.stem, task.key, error=told, bad_input=isinstance(error, InputError))
-    note_down(batch.folder, "ended", task.name)
+        return _failed(batch, task, error)
     _lost.clear()
+    about = {"device": bench.device.info.title, "worker": worker_name(), "task_seconds": time.perf_counter() - start}
+    return writer.submit(_write, batch, task, result, about)
+
+
+def _write(batch: Batch, task: ViewTask, result, about: dict) -> Record:
+    try:
+        record = write_finished(batch.folder, task, result, batch.extras, about)
+    except OutputError:
+        raise
+    except Exception as error:
+        return _failed(batch, task, error)
+    note_down(batch.folder, "ended", task.name)
     return record
 
 
@@ -91,6 +119,12 @@ def _without_device(batch: Batch, task: ViewTask, error: DeviceLostError) -> Rec
         raise error
     _lost.append(task.name)
     return Record(task.name, task.stem, task.key, error=str(error))
+
+
+def _failed(batch: Batch, task: ViewTask, error: Exception) -> Record:
+    told = str(error) if isinstance(error, PagasError) else f"{type(error).__name__}: {error}"
+    note_down(batch.folder, "failed", task.name)
+    return Record(task.name, task.stem, task.key, error=told, bad_input=isinstance(error, InputError))
 
 
 def _bench(device) -> Bench:

@@ -104,16 +104,17 @@ class Relief:
 
 def make_cameras(relief: Relief) -> list[Camera]:
     """Target, contexts, held-out cameras; all look at the origin, where the relief's middle is."""
-    cameras = [_camera(relief, "target", 0, 0)]
+    cameras = [camera_at(relief, "target", 0, 0)]
     for k, (right, down) in enumerate(_GRID[:relief.contexts]):
-        cameras.append(_camera(relief, f"context_{k:02d}", right, down, relief.sizes[k % len(relief.sizes)],
+        cameras.append(camera_at(relief, f"context_{k:02d}", right, down, relief.sizes[k % len(relief.sizes)],
                                relief.zooms[k % len(relief.zooms)], relief.distances[k % len(relief.distances)]))
     for k, (right, down) in enumerate(_HELD_OUT[:relief.held_out]):
-        cameras.append(_camera(relief, f"held_out_{k}", right, down))
+        cameras.append(camera_at(relief, f"held_out_{k}", right, down))
     return cameras
 
 
-def _camera(relief, name, right, down, size=1.0, zoom=1.0, distance=1.0):
+def camera_at(relief, name, right, down, size=1.0, zoom=1.0, distance=1.0) -> Camera:
+    """A camera that looks at the relief's middle, `right` and `down` times the spacing away from the front."""
     around, up = np.radians(relief.spacing) * np.array([right, down])
     c, s, cu, su = np.cos(around), np.sin(around), np.cos(up), np.sin(up)
     away = np.array([s * cu, su, -c * cu])  # from the object to the camera

@@ -1,0 +1,114 @@
+"""A whole scene, from photos and depth maps on disk to refined depth maps on disk, as the command does it.
+
+    python tests/bench/whole.py                     # makes 49 views of 1600 x 1200, then times `pagas-cl refine` twice
+    python tests/bench/whole.py --scene FOLDER      # keeps the made scene there, or uses what is there
+    python tests/bench/whole.py --profile           # once more in this process, with the functions that took longest
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from math import ceil, sqrt
+from pathlib import Path
+
+ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+
+
+def make(folder: Path, views: int, width: int, height: int) -> None:
+    """Photos (JPEG), cameras.json and depth_initial/ of a made relief under a square of cameras.
+
+    Photos are rendered at half size and enlarged: for times alone.
+    """
+    from pagas_cl.made import relief_scene
+    from pagas_cl.made.layout import camera_at
+    from pagas_cl.scene.readers import camera_file
+    from pagas_cl.scene.view import View
+
+    for name in ("images", "depth_initial"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    made, side = relief_scene(width // 2, height // 2, contexts=1, held_out=0), ceil(sqrt(views))
+    places = [(k % side - (side - 1) / 2, k // side - (side - 1) / 2) for k in range(views)]
+    made = replace(made, cameras=[camera_at(made.relief, f"{k:03d}", 0.6 * right, 0.6 * down)
+                                  for k, (right, down) in enumerate(places)])
+    with multiprocessing.get_context("fork").Pool(os.cpu_count()) as pool:
+        pool.starmap(_make_view, [(made, k, (width, height), folder) for k in range(views)], chunksize=1)
+    camera_file.write(folder, [View(c.resized(width, height), Path(f"{c.name}.jpg"), None, f"{c.name}.jpg")
+                               for c in made.cameras])
+
+
+def _make_view(made, k: int, size: tuple[int, int], folder: Path) -> None:
+    from PIL import Image
+
+    from pagas_cl.scene.depthmap import save_depth
+
+    camera = made.cameras[k]
+    Image.fromarray(made.image(k)).resize(size, Image.BICUBIC).save(folder / "images" / f"{camera.name}.jpg", quality=95)
+    save_depth(folder / "depth_initial" / f"{camera.name}.npz", made.initial_depth(camera.resized(*size)))
+
+
+def arguments(scene: Path, out: Path, preset: str) -> list[str]:
+    return ["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth", str(out), "--preset", preset,
+            "--quiet"]
+
+
+def timed(scene: Path, out: Path, preset: str) -> float:
+    """Wall seconds of the command in a process of its own."""
+    start = time.perf_counter()
+    subprocess.run([sys.executable, "-m", "pagas_cl", *arguments(scene, out, preset)], check=True)
+    return time.perf_counter() - start
+
+
+def told(out: Path) -> dict[str, float]:
+    """What the records of the views say: seconds of refining, and of all that a worker did for them."""
+    reports = [json.loads(path.read_text())["report"] for path in sorted((out / ".work").glob("*.json"))]
+    return {"views": len(reports), "refining": sum(r.get("seconds", 0) for r in reports),
+            "at a view": sum(r["task_seconds"] for r in reports), "first view": max(r["task_seconds"] for r in reports)}
+
+
+def profile(scene: Path, out: Path, preset: str) -> None:
+    import cProfile
+    import pstats
+
+    from pagas_cl.__main__ import run
+
+    watch = cProfile.Profile()
+    watch.runcall(run, arguments(scene, out, preset))
+    pstats.Stats(watch).sort_stats("tottime").print_stats(35)
+    pstats.Stats(watch).sort_stats("cumtime").print_stats(60)
+
+
+def main() -> int:
+    parse = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parse.add_argument("--scene", type=Path)
+    parse.add_argument("--views", type=int, default=49)
+    parse.add_argument("--width", type=int, default=1600)
+    parse.add_argument("--height", type=int, default=1200)
+    parse.add_argument("--preset", default="balanced")
+    parse.add_argument("--times", type=int, default=2)
+    parse.add_argument("--profile", action="store_true")
+    ask = parse.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        scene = ask.scene or Path(temporary) / "scene"
+        if not (scene / "cameras.json").exists():
+            make(scene, ask.views, ask.width, ask.height)
+        for number in range(ask.times):
+            out = Path(temporary) / f"out{number}"
+            seconds = timed(scene, out, ask.preset)
+            parts = ", ".join(f"{name} {value:.3g}" for name, value in told(out).items())
+            print(f"{ask.preset}, run {number + 1}: {seconds:.2f} s ({parts})", flush=True)
+        if ask.profile:
+            profile(scene, Path(temporary) / "profiled", ask.preset)
+    return 0
+
+
+if __name__ == "__main__":
+    os.environ.update(ONE_THREAD)
+    sys.exit(main())
