@@ -1,0 +1,202 @@
+"""Real photos: how well refined depth predicts photos that were kept out of the refinement, view by view.
+
+    python tests/bench/real.py dtu_scan24 OUT --mesh dtu_scan24/derived/mesh_coarse.ply
+    python tests/bench/real.py sceaux_castle OUT --depth-dir DEPTHS
+    python tests/bench/real.py hololens_rgbd OUT                 # K.txt, poses.txt, depth/*.png in millimetres
+
+For each view two of the photos that it would use are held out. The others refine it as `pagas_cl.refine_views` does, which
+never sees those two; then both depths carry each held-out photo over to the view, and 7x7 patches of it are correlated with
+the view's own photo over the pixels that both depths predict (medians). OUT gets figures.json and table.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Row:
+    """One view: names of the held-out photos, (before, after) for each and for both together, and how it was refined."""
+
+    view: str
+    contexts: int
+    held: tuple[str, ...]
+    pairs: tuple[tuple[float, float], ...]
+    pooled: tuple[float, float]
+    refined: float
+    seconds: float
+    effects: tuple[str, ...]
+    reason: str
+
+    @property
+    def verdict(self) -> str:
+        return verdict(*self.pooled)
+
+
+def verdict(before: float, after: float) -> str:
+    return "better" if after > before else "worse" if after < before else "equal"
+
+
+def load(scene: Path, mesh, depth_dir, share: float):
+    """Views and initial depth maps, photos in memory, at `share` of their size."""
+    if (scene / "poses.txt").exists():
+        views, depths = _posed_frames(scene)
+    else:
+        from pagas_cl.scene.depthmap import find_depth, load_depth
+        from pagas_cl.scene.readers import read_scene
+
+        views, depths = read_scene(scene).views, None
+        if depth_dir is not None:
+            depths = [load_depth(find_depth(depth_dir, v.name), (v.camera.width, v.camera.height)) for v in views]
+    views = [_smaller(view, share) for view in views]
+    if depths is None:
+        from pagas_cl.refine import initial_depths
+        from pagas_cl.scene.mesh import to_surface
+
+        depths = initial_depths(to_surface(mesh), views)
+    return views, [_fitting(depth, view.camera) for depth, view in zip(depths, views)]
+
+
+def _posed_frames(scene: Path):
+    """RGB-D frames with camera-to-world poses, one line a file, integer pixel centres, depth in millimetres."""
+    from PIL import Image
+
+    from pagas_cl.scene.camera import Camera
+    from pagas_cl.scene.view import View
+
+    matrix, poses = np.loadtxt(scene / "K.txt").reshape(3, 3), np.loadtxt(scene / "poses.txt").reshape(-1, 4, 4)
+    views, depths = [], []
+    for path, pose in zip(sorted((scene / "images").iterdir()), poses):
+        width, height = Image.open(path).size
+        camera = Camera.from_c2w(matrix, pose, width, height, pixel_center=0.0, name=path.name)
+        views.append(View(camera, path, None, path.name))
+        depths.append(np.asarray(Image.open(scene / "depth" / f"{path.stem}.png")).astype(np.float32) / 1000)
+    return views, depths
+
+
+def _smaller(view, share: float):
+    from PIL import Image
+
+    pixels = view.load_image()
+    if share == 1:
+        return replace(view, image=pixels)
+    size = round(view.camera.width * share), round(view.camera.height * share)
+    return replace(view, image=np.asarray(Image.fromarray(pixels).resize(size, Image.BOX)), mask=None,
+                   camera=view.camera.resized(*size))
+
+
+def _fitting(depth, camera):
+    from pagas_cl.scene.depthmap import resize_depth
+
+    return resize_depth(depth, camera.width, camera.height)
+
+
+def hold_out(target: int, cameras, depths, context):
+    """Places of two photos that `target` would use, one of the best and the last; None where too few see it."""
+    from pagas_cl.scene.choice import choose_contexts
+
+    found = choose_contexts(target, cameras, depths, replace(context, number=context.number + 2)).indices
+    return (found[2], found[-1]) if len(found) > 3 else None
+
+
+def refine_without(target: int, held, views, depths, config, device, photos):
+    """The view refined as one of all views but those in `held`."""
+    from pagas_cl.refine import refine_one
+    from pagas_cl.scene.partners import PartnerChooser
+
+    left = [k for k in range(len(views)) if k not in held]
+    chooser = PartnerChooser([views[k].camera for k in left], [depths[k] for k in left], config.context)
+    return refine_one([views[k] for k in left], chooser.choose(left.index(target)), depths[target], config, device, photos)
+
+
+def judge(target: int, held, views, depths, result) -> Row:
+    """Correlations of the held-out photos through the initial depth and the refined one."""
+    from pagas_cl.evaluate import compare_predictions
+
+    both = [compare_predictions(views[target], [depths[target], result.depth], views[k], depths[k]) for k in held]
+    pooled = [np.concatenate([pair[which].correlation[np.isfinite(pair[which].correlation)] for pair in both])
+              for which in (0, 1)]
+    told, counts = result.report, result.counts
+    surface = max(1, sum(counts.values()) - counts["no surface"])
+    return Row(views[target].name, len(told.get("contexts", ())), tuple(views[k].name for k in held),
+               tuple((before.median, after.median) for before, after in both),
+               (float(np.median(pooled[0])), float(np.median(pooled[1]))), counts["refined"] / surface,
+               told.get("seconds", 0.0), tuple(e["effect"] for e in told.get("effects", ()) if e["on"]), result.reason)
+
+
+def study(views, depths, config, device, names=(), keep=None) -> list[Row]:
+    """A row a view; `keep(view, initial depth, result)` gets each result."""
+    from pagas_cl.splat import PhotoStore
+
+    photos, rows = PhotoStore(device), []
+    cameras = [view.camera for view in views]
+    with ThreadPoolExecutor(os.cpu_count()) as judges:
+        for target, view in enumerate(views):
+            held = None if names and view.stem not in names else hold_out(target, cameras, depths, config.context)
+            if held is None:
+                continue
+            result = refine_without(target, held, views, depths, config, device, photos)
+            rows.append(judges.submit(judge, target, held, views, depths, result))
+            if keep:
+                keep(view, depths[target], result)
+        return [row.result() for row in rows]
+
+
+def table(rows: list[Row]) -> str:
+    lines = ["| view | context views | first held-out photo | second | both together | refined | |", "|" + "---|" * 7]
+    for row in rows:
+        cells = [row.view, f"{row.contexts}", *(f"{a:.4f} -> {b:.4f}" for a, b in (*row.pairs, row.pooled)),
+                 f"{row.refined:.0%}", row.verdict + (f": {row.reason}" if row.reason else "")]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def summary(rows: list[Row]) -> str:
+    """Counts of views and of pairs, and the mean gain."""
+    def count(values):
+        told = [verdict(*value) for value in values]
+        return ", ".join(f"{told.count(word)} {word}" for word in ("better", "equal", "worse"))
+
+    pairs = [pair for row in rows for pair in row.pairs]
+    gains = np.array([after - before for before, after in pairs])
+    return (f"{len(rows)} views: {count(row.pooled for row in rows)}; {len(pairs)} pairs: {count(pairs)}; mean gain "
+            f"{gains.mean():+.4f}, worst {gains.min():+.4f}; median seconds a view {np.median([r.seconds for r in rows]):.3f}")
+
+
+def main() -> int:
+    parse = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parse.add_argument("scene", type=Path)
+    parse.add_argument("out", type=Path)
+    parse.add_argument("--mesh", type=Path)
+    parse.add_argument("--depth-dir", type=Path)
+    parse.add_argument("--share", type=float, default=1.0, help="of the photos' size")
+    parse.add_argument("--preset", default="balanced")
+    parse.add_argument("--set", nargs="*", default=[], metavar="STAGE.FIELD=VALUE")
+    parse.add_argument("--device")
+    parse.add_argument("--views", nargs="*", default=[], help="stems; all by default")
+    parse.add_argument("--save-depth", type=Path)
+    ask = parse.parse_args()
+    from pagas_cl.commands._settings import build_config
+    from pagas_cl.runtime.device import open_device
+    from pagas_cl.scene.depthmap import save_depth
+
+    config, device = build_config(ask.preset, ask.set), open_device(ask.device)
+    keep = ask.save_depth and (lambda view, _, result: save_depth(ask.save_depth / f"{view.stem}.npz", result.depth))
+    rows = study(*load(ask.scene, ask.mesh, ask.depth_dir, ask.share), config, device, ask.views, keep)
+    ask.out.mkdir(parents=True, exist_ok=True)
+    (ask.out / "figures.json").write_text(json.dumps([vars(row) for row in rows], indent=1))
+    (ask.out / "table.md").write_text(table(rows) + "\n")
+    print(f"{ask.scene.name}, {ask.preset}, {device.info.title}: {summary(rows)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
