@@ -211,3 +211,40 @@ void sum_costs(__global const float *before, __global const float *after, int co
         sums[3 * get_group_id(0) + lane] = sum;
     }
 }
+
+#define BINS 1024
+
+// How often each 1 - correlation occurs before and after, in BINS bins of 0 to 2, over the pixels that are seen both times.
+__kernel void count_costs(__global const float *before, __global const float *after, int count, __global uint *counts)
+{
+    const int i = get_global_id(0);
+    if (i >= count)
+        return;
+    const float3 was = vload3(i, before), is = vload3(i, after);
+    if (!(was.y > 0.0f && is.y > 0.0f))
+        return;
+    atomic_inc(counts + clamp((int)(was.x / was.y * (BINS / 2)), 0, BINS - 1));
+    atomic_inc(counts + BINS + clamp((int)(is.x / is.y * (BINS / 2)), 0, BINS - 1));
+}
+
+// By how much 1 - correlation grew, and 1; two zeros where it is not known.
+__kernel void worse_costs(__global const float *before, __global const float *after, int count, __global float *worse)
+{
+    const int i = get_global_id(0);
+    if (i >= count)
+        return;
+    const float3 was = vload3(i, before), is = vload3(i, after);
+    const bool known = was.y > 0.0f && is.y > 0.0f;
+    vstore2(known ? (float2)(is.x / is.y - was.x / was.y, 1.0f) : (float2)(0.0f), i, worse);
+}
+
+// A refined depth goes back to the initial one where the photos that took no part match worse around it.
+__kernel void refuse(__global const float *initial, __global float *depth, int count, __global const float *worse,
+                     __global uchar *status)
+{
+    const int i = get_global_id(0);
+    if (i >= count || status[i] != REFINED || !(worse[2 * i] > 0.0f))
+        return;
+    status[i] = REJECTED;
+    depth[i] = initial[i];
+}

@@ -20,6 +20,7 @@ import numpy as np
 from pagas_cl.config import Config, Context, preset
 from pagas_cl.errors import InputError
 from pagas_cl.scene.choice import ContextChooser
+from pagas_cl.scene.partners import WITNESSES
 from pagas_cl.scene.sampling import sample_depth
 
 log = logging.getLogger("pagas_cl")
@@ -70,7 +71,7 @@ def rungs() -> list[tuple[str, Config]]:
     return [*quick, ("fast", fast), *middle, ("balanced", balanced), ("accurate", accurate)]
 
 
-def probe(target, contexts, depth, config: Config, device, *, witness=None) -> Cost:
+def probe(target, contexts, depth, config: Config, device, *, witnesses=()) -> Cost:
     """Measure the cost of `config`'s kind of settings on one view: some short runs, a second or two on a GPU.
 
     Parameters
@@ -79,7 +80,7 @@ def probe(target, contexts, depth, config: Config, device, *, witness=None) -> C
     contexts : list of View
     depth : ndarray of shape (H, W)
         Initial depth of the target.
-    witness : View, optional
+    witnesses : sequence of View
         As in refine_depth.
     """
     from pagas_cl.refine import settle
@@ -93,7 +94,7 @@ def probe(target, contexts, depth, config: Config, device, *, witness=None) -> C
         settled = settle(target, contexts, depth, config, device, photos)[0]
         short = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__patience=0,
                                       solver__views_per_step=each)
-        refine_levels(target, contexts, depth, short, device, photos, witness=witness)
+        refine_levels(target, contexts, depth, short, device, photos, witnesses=witnesses)
         return time.perf_counter() - start
 
     for each in (1, min(3, len(contexts))):
@@ -156,7 +157,7 @@ class Costs:
             raise InputError("no view to be refined has a depth map with a valid pixel: nothing to time")
         self.device, self._known, self._measured = device, {}, None
         self.pixels = [views[k].camera.width * views[k].camera.height for k in asked]
-        most = max(config.context.number for _, config in rungs()) + 1
+        most = max(config.context.number for _, config in rungs()) + WITNESSES
         chooser = ContextChooser([view.camera for view in views], samples, Context(number=most))
         self._read = [(k, *chooser.choose(k).indices) for k in asked] if len(asked) <= _FEW else []
         by_size = [asked[k] for k in np.argsort(self.pixels, kind="stable")]
@@ -177,14 +178,14 @@ class Costs:
         if kind not in self._known:
             spare = self.chosen[config.context.number:]
             self._known[kind] = probe(self.target, contexts, self.depth, kind, self.device,
-                                      witness=spare[0] if spare else None)
+                                      witnesses=spare)
         cost = self._known[kind]
         photos = self._photos(config.context.number)
         return float(np.mean([cost.seconds(settled, pixels, len(contexts), photos) for pixels in self.pixels]))
 
     def _photos(self, contexts: int) -> float:
-        """Photos read per view: of the view, its context views and its witness, each read once."""
-        read = {k for group in self._read for k in group[:contexts + 2]}
+        """Photos read per view: of the view, its context views and its witnesses, each read once."""
+        read = {k for group in self._read for k in group[:1 + contexts + WITNESSES]}
         return len(read) / len(self._read) if read else 1.0
 
     def _settled(self, config: Config, contexts) -> Config:

@@ -7,10 +7,11 @@ import numpy as np
 from pagas_cl.result import REFINED, REJECTED
 
 MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not to be trusted as a whole
+LEAST_GAIN, LEAST_GAIN_SHARE = 0.002, 0.01      # of 1 - correlation in photos that took no part: less may be chance
 MISALIGNED = 0.2         # pixels by which photos may be off without a question whether the cameras harm more than they serve
 
 
-def harm_of(refined, depth, contexts: int, witness, measured) -> str:
+def harm_of(refined, depth, contexts: int, witnesses, measured) -> str:
     """Why a refinement is not to be trusted as a whole; empty where it is.
 
     Parameters
@@ -20,8 +21,8 @@ def harm_of(refined, depth, contexts: int, witness, measured) -> str:
         What it started from.
     contexts : int
         Number of context views.
-    witness : View or None
-        The view that took no part.
+    witnesses : sequence of View
+        The views that took no part.
     measured : Measurements or None
     """
     off = measured.misaligned if measured else 0.0
@@ -32,10 +33,14 @@ def harm_of(refined, depth, contexts: int, witness, measured) -> str:
     refused, accepted = (int(np.count_nonzero(refined.status == status)) for status in (REJECTED, REFINED))
     if refused > MOST_REFUSED * (refused + accepted):
         return f"the photos do not confirm the refined depth of {refused / (refused + accepted):.0%} of the pixels"
-    before, after = refined.witness or refined.cost
-    judge = f"the photo of {witness.name}, which took no part," if refined.witness else "the context photos"
+    judged = refined.witness is not None and bool(np.isfinite(refined.witness).all())
+    before, after = refined.witness if judged else refined.cost
+    judges = f"the photos that took no part ({', '.join(view.name for view in witnesses)})" if judged else "the context photos"
+    told = f"through the refined depth (1 - correlation {before:.4f} before, {after:.4f} after)"
     if np.isfinite(after) and np.isfinite(before) and after > before:
-        return f"{judge} matches worse through the refined depth (1 - correlation {before:.4f} before, {after:.4f} after)"
+        return f"{judges} match worse {told}"
+    if judged and before - after < min(LEAST_GAIN, LEAST_GAIN_SHARE * before):
+        return f"{judges} do not match better {told}"
     return ""
 
 

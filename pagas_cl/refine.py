@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from pagas_cl.config import Config
@@ -74,7 +75,7 @@ def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=Non
 
 
 def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced", config=None, device=None,
-                 progress=None, witness: View | None = None, photos=None) -> DepthResult:
+                 progress=None, witnesses: Sequence[View] = (), photos=None) -> DepthResult:
     """Refine the depth map of one view. Needs neither Open3D nor a mesh.
 
     Parameters
@@ -84,9 +85,10 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
         The views that constrain it.
     depth : array_like of shape (H, W)
         Initial z-depth in scene units; 0, negative or not finite = no surface. Of the size of the target's photo.
-    witness : View, optional
-        A view that takes no part; where its photo matches worse through the refined depth than through the initial
-        one, the view is returned as it came, with the reason.
+    witnesses : sequence of View
+        Views that take no part. Where their photos match worse through the refined depth than through the initial one,
+        the initial one stays; where they do not match better on the whole, the view is returned as it came, with the
+        reason.
     photos : PhotoStore, optional
         Photos that are on the device already.
     preset, config, device, progress
@@ -104,17 +106,17 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
     def attempt(photos):
         entered = Entered(target, depth, device)
         settled, decisions, measured = settle(target, contexts, depth, config, device, photos, entered)
-        refined = refine_levels(target, contexts, depth, settled, device, photos, steps_done, witness, measured,
+        refined = refine_levels(target, contexts, depth, settled, device, photos, steps_done, witnesses, measured,
                                 entered)
         return refined, decisions, measured
 
-    refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, witness,
+    refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, witnesses,
                                               photos or PhotoStore(device))
-    report = {"contexts": [view.name for view in contexts], "witness": witness.name if witness else None,
+    report = {"contexts": [view.name for view in contexts], "witnesses": [view.name for view in witnesses],
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "witness_cost": refined.witness, "device_bytes": refined.device_bytes,
               "planned_bytes": refined.planned_bytes, "seconds": time.perf_counter() - start}
-    harm = harm_of(refined, depth, len(contexts), witness, measured)
+    harm = harm_of(refined, depth, len(contexts), witnesses, measured)
     if harm:
         log.warning("view %s is kept as it came: %s", target.name, harm)
         return DepthResult.unrefined(target.camera, depth, harm, report)
@@ -178,9 +180,8 @@ def refine_one(views, partners: Partners, depth, config: Config, device, photos)
     if not partners.contexts:
         log.warning("view %s is kept as it came: %s", target.name, partners.reason)
         return DepthResult.unrefined(target.camera, depth, partners.reason)
-    witness = None if partners.witness is None else views[partners.witness]
     return refine_depth(target, [views[k] for k in partners.contexts], depth, config=config, device=device,
-                        photos=photos, witness=witness)
+                        photos=photos, witnesses=[views[k] for k in partners.witnesses])
 
 
 def settle(target: View, contexts: list[View], depth, config: Config, device, photos, entered=None):

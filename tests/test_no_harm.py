@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 import pytest
-from harm_scenes import figures, moving, plain, wrong_poses
+from harm_scenes import turned, figures, moving, plain, wrong_poses
 
 from pagas_cl.errors import DeviceError
 from pagas_cl.refine import refine_depth, refine_views
+from pagas_cl.result import REJECTED
 from pagas_cl.runtime.device import open_device
 
 HARMFUL = {"a plane without texture": plain, "without texture or noise": lambda: plain(0.0),
@@ -30,8 +32,8 @@ def device():
 def test_no_error_figure_gets_worse(device, name, judged):
     made, (target, *others) = HARMFUL[name]()
     initial = made.initial_depth(made.cameras[0])
-    witness = others.pop() if judged else None
-    result = refine_depth(target, others, initial, device=device, witness=witness)
+    witnesses = [others.pop()] if judged else []
+    result = refine_depth(target, others, initial, device=device, witnesses=witnesses)
     before, after = figures(made, initial), figures(made, result.depth)
     assert not {k: (before[k], after[k]) for k in before if after[k] > _MOST * before[k]}
 
@@ -58,3 +60,24 @@ def test_good_scenes_keep_their_gain(device):
     before, after = figures(made, initial), figures(made, result.depth)
     assert after["mean"] < 0.25 * before["mean"] and after["normal mean"] < 0.6 * before["normal mean"]
     assert result.counts["refined"] > 0.98 * initial.size
+
+
+def test_what_gets_worse_for_photos_that_took_no_part_goes_back(device):
+    """Context photos that all lie off alike pull the depth along; the witnesses' photos do not."""
+    made, (target, *others) = wrong_poses(1e-9, contexts=6)
+    wrong = [replace(view, camera=turned(view.camera, 2.0, 0.3)) for view in others[:4]]
+    initial = made.initial_depth(made.cameras[0])
+    alone = refine_depth(target, wrong, initial, device=device)
+    judged = refine_depth(target, wrong, initial, device=device, witnesses=others[4:])
+    assert judged.reason or judged.counts["rejected"] > alone.counts["rejected"]
+    assert figures(made, judged.depth)["mean"] <= figures(made, alone.depth)["mean"]
+    assert (judged.depth == initial)[judged.status == REJECTED].all()
+
+
+def test_photos_that_took_no_part_leave_a_good_result_alone(device):
+    made, (target, *others) = wrong_poses(1e-9, contexts=6)
+    initial = made.initial_depth(made.cameras[0])
+    result = refine_depth(target, others[:4], initial, device=device, witnesses=others[4:])
+    before, after = figures(made, initial), figures(made, result.depth)
+    assert result.report["witnesses"] == [view.name for view in others[4:]]
+    assert after["mean"] < 0.3 * before["mean"] and result.counts["refined"] > 0.9 * initial.size

@@ -1,4 +1,4 @@
-"""Who works with a view: the context views that constrain it, and one more that only judges the result."""
+"""Who works with a view: the context views that constrain it, and others that only judge the result."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.sampling import DepthSample, sample_depth
 
+WITNESSES = 3  # most views that only judge
+SPARE_ONE = 6  # with so many usable views, one is spared for that even where all could be used
 _MANY = 64  # with more views than this, planning looks at samples of their depth maps
 
 
@@ -21,21 +23,21 @@ class Partners:
     target : int
     contexts : tuple of int
         Most useful first; empty where no view is usable.
-    witness : int or None
-        One more usable view, which takes no part.
+    witnesses : tuple of int
+        Usable views that take no part.
     reason : str
         Why there are fewer context views than wanted.
     """
 
     target: int
     contexts: tuple[int, ...]
-    witness: int | None = None
+    witnesses: tuple[int, ...] = ()
     reason: str = ""
 
     @property
     def all(self) -> tuple[int, ...]:
         """Every view that is needed."""
-        return (self.target, *self.contexts, *(() if self.witness is None else (self.witness,)))
+        return (self.target, *self.contexts, *self.witnesses)
 
 
 def for_planning(depth, views: int):
@@ -49,11 +51,12 @@ class PartnerChooser:
     def __init__(self, cameras: list[Camera], depths: list, settings: Context):
         self._number = settings.number
         depths = [for_planning(depth, len(cameras)) for depth in depths]
-        one_more = min(settings.number + 1, MOST_CONTEXTS)      # to spare, for the witness
-        self._chooser = ContextChooser(cameras, depths, replace(settings, number=one_more))
+        more = min(settings.number + WITNESSES, MOST_CONTEXTS)
+        self._chooser = ContextChooser(cameras, depths, replace(settings, number=more))
 
     def choose(self, target: int) -> Partners:
         """Partners of the view `target`."""
         choice = self._chooser.choose(target)
-        spare = choice.indices[self._number:]
-        return Partners(target, choice.indices[:self._number], spare[0] if spare else None, choice.reason)
+        number = len(choice.indices)
+        used = min(self._number, number - 1 if number >= SPARE_ONE else number)
+        return Partners(target, choice.indices[:used], choice.indices[used:], choice.reason)

@@ -14,6 +14,8 @@ from pagas_cl.splat.tile import choose_tiles
 
 FOR_EVIDENCE = ("depth", "unit", "cameras", "exposure", "z_first", "rendered", "upstream")     # kept after the steps
 
+HISTOGRAM = 8192        # what evidence.py counts the witnesses' costs in
+
 log = logging.getLogger("pagas_cl")
 _told: set[Plan] = set()
 
@@ -45,8 +47,7 @@ class Plan:
 
 
 def plan_for(cameras: list[Camera], contexts: int, config: Config, device, streamed: bool = False) -> Plan:
-    """The plan of refine_levels for the cameras of the target, of `contexts` context views, and of a witness if there
-    is one; `streamed`: photos wait on the host (streamed.py)."""
+    """The plan of refine_levels for the cameras of the target, of `contexts` context views, and of the witnesses; `streamed`: photos wait on the host (streamed.py)."""
     return max((_at(scale, cameras, contexts, config, device, streamed) for scale in config.pyramid.scales),
                key=lambda plan: plan.nbytes)
 
@@ -59,11 +60,11 @@ def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, devi
     depths = 4 * full[0].pixels                                  # the initial one; that of the level before, enlarged
     if scale > config.pyramid.scales[0]:
         depths += 4 * (sizes[0].pixels + _before(scale, cameras[0], config).pixels)
-    judges = len(cameras) - contexts if scale == 1 else 0       # the context views, and the witness
+    judges = (2 if len(cameras) > 1 + contexts else 1) if scale == 1 else 0      # the context views, and the witnesses
     verdict = 12 * full[0].pixels                               # streamed: read back before the next one
     during = total_bytes(specs) + depths + verdict * (min(judges, 1) if streamed else judges)
     after = total_bytes(spec for spec in specs if spec.name in FOR_EVIDENCE) + depths
-    after += 2 * verdict * judges + 5 * full[0].pixels if scale == 1 else 0
+    after += 2 * verdict * judges + 5 * full[0].pixels + HISTOGRAM * (judges - 1) if scale == 1 else 0
     return Plan(_photos(full, sizes, streamed), max(during, after))
 
 

@@ -12,6 +12,8 @@ from pagas_cl.splat import project
 
 _SUM_GROUP, _SUM_GROUPS, _ONE = 64, 256, 2**20      # as in evidence.cl
 
+_BINS = 1024        # of 1 - correlation, as in evidence.cl
+
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
@@ -53,6 +55,16 @@ class Doubt:
 NO_DOUBT = Doubt()
 
 
+def _median(counts: np.ndarray) -> float:
+    """Median of costs that were counted in bins of 0 to 2, linear within a bin."""
+    total = int(counts.sum())
+    if not total:
+        return float("nan")
+    upto = np.cumsum(counts)
+    k = int(np.searchsorted(upto, total / 2))
+    return 2 / len(counts) * (k + (total / 2 - (upto[k] - counts[k])) / max(1, counts[k]))
+
+
 class Evidence:
     """Weighs the initial and the refined depth of one level by the photos of `views` (numbers from 1).
 
@@ -88,8 +100,35 @@ class Evidence:
         before, after, pixels = self._read(sums, np.int64).reshape(-1, 3).sum(axis=0).tolist()
         return (before / pixels / _ONE, after / pixels / _ONE) if pixels else (float("nan"), float("nan"))
 
-    def decide(self, shape) -> Verdict:
-        """Send back what the photos do not confirm; arena["depth"] holds what is accepted."""
+    def medians(self) -> tuple[float, float]:
+        """Median 1 - correlation before and after, over the pixels that are seen both times; NaN where there are none."""
+        counts = self._buffer(8 * _BINS)
+        run_once(self.level.device.queue, [
+            Fill(counts, np.uint32(0), 8 * _BINS),
+            bind(self.program, "count_costs", (self.level.target.pixels,), None, self._before, self._after,
+                 self.level.target.pixels, counts)])
+        before, after = self._read(counts, np.uint32).reshape(2, _BINS)
+        return _median(before), _median(after)
+
+    def _refuse(self, witnesses: Evidence, status: cl.Buffer):
+        """Send back too what matches worse in the witnesses' photos, seen over its surroundings."""
+        witnesses.weigh_after()
+        level, size = self.level, self.level.target
+        one, other = self._scratch()
+        launches = [bind(self.program, "worse_costs", (size.pixels,), None, witnesses._before, witnesses._after, size.pixels,
+                         one)]
+        for _ in range(2):       # twice: nearer pixels count for more
+            launches += [bind(self.program, "sum_window", size.grid, None, source, 2, size.width, size.height, dx, dy, out)
+                         for source, dx, dy, out in ((one, 1, 0, other), (other, 0, 1, one))]
+        launches.append(bind(self.program, "refuse", (size.pixels,), None, self._initial, level.arena["depth"], size.pixels,
+                             one, status))
+        run_once(level.device.queue, launches)
+
+    def decide(self, shape, witnesses: Evidence | None = None) -> Verdict:
+        """Send back what the photos do not confirm; arena["depth"] holds what is accepted.
+
+        `witnesses`, of photos that took no part, is weighed here.
+        """
         level, n = self.level, self.level.target.pixels
         solver, a = level.config.solver, level.arena
         status, deviation, size = self._buffer(n), self._buffer(4 * n), level.target
@@ -97,7 +136,10 @@ class Evidence:
         deviation_program = build(level.device, "deviation.cl", level.defines)
         run_once(level.device.queue, [
             bind(self.program, "decide", (n,), None, self._initial, a["depth"], a["unit"], n, self._before, self._after,
-                 around, float(solver.max_move), solver.tolerance * self.doubt.slack, float(solver.mismatch), status),
+                 around, float(solver.max_move), solver.tolerance * self.doubt.slack, float(solver.mismatch), status)])
+        if witnesses:
+            self._refuse(witnesses, status)
+        run_once(level.device.queue, [
             bind(self.program, "feather", size.grid, None, self._initial, a["depth"], status, *size.grid),
             bind(deviation_program, "bends", size.grid, None, a["depth"], a["unit"], *size.grid, bent),
             bind(deviation_program, "deviate", size.grid, None, status, a["unit"], *size.grid, self._before, self._after, bent,

@@ -20,7 +20,7 @@ LEANER = ({"loss__grey": True}, {"splatting__blend": "order_free"},
           {"splatting__blend": "order_free", "loss__grey": True})
 
 
-def fit_memory(attempt, target, contexts, config: Config, device, witness, photos: PhotoStore):
+def fit_memory(attempt, target, contexts, config: Config, device, witnesses, photos: PhotoStore):
     """`attempt(photos)` with a PhotoStore, or, where the device cannot hold that, with photos that wait on the host:
     the kernels read the same bytes and give the same.
 
@@ -31,7 +31,7 @@ def fit_memory(attempt, target, contexts, config: Config, device, witness, photo
     DeviceLostError
         The device failed meanwhile.
     """
-    cameras = [view.camera for view in (target, *contexts, *([] if witness is None else [witness]))]
+    cameras = [view.camera for view in (target, *contexts, *witnesses)]
     doing, given = f"the refinement of view {target.name!r}", (cameras, len(contexts), config, device)
     try:
         plan_for(*given).check(target.name, device)

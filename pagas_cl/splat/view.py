@@ -35,7 +35,8 @@ class Refinement:
     cost : tuple of two floats
         Mean 1 - correlation of patches with the context photos, before and after.
     witness : tuple of two floats or None
-        The same with a photo that took no part in the refinement.
+        Median 1 - correlation with the photos that took no part, before and after, over the pixels that they see; before
+        any depth goes back on their word.
     steps : tuple of int
         Steps done at each level.
     losses : list of float
@@ -58,7 +59,7 @@ class Refinement:
 
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
-                  progress=None, witness=None, measured=None, entered: Entered | None = None) -> Refinement:
+                  progress=None, witnesses=(), measured=None, entered: Entered | None = None) -> Refinement:
     """Run the pyramid on one view.
 
     Parameters
@@ -72,8 +73,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
         Photos already on the device (a new store by default), or on the host.
     progress : callable of (done, total), optional
         Called while the steps of the last level are enqueued.
-    witness : View, optional
-        A view that takes no part and judges the result.
+    witnesses : sequence of View
+        Views that take no part and judge the result.
     measured : Measurements, optional
         What was measured of the view: its evidence and deviations depend on it.
     entered : Entered, optional
@@ -85,13 +86,13 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
         Before the first step, where the device may not hold what is planned.
     """
     photos = photos or PhotoStore(device)
-    cameras = [view.camera for view in (target, *contexts, *([] if witness is None else [witness]))]
+    cameras = [view.camera for view in (target, *contexts, *witnesses)]
     planned = plan_for(cameras, len(contexts), config, device, isinstance(photos, StreamedPhotos))
     planned.check(target.name, device)
     planned.tell(target.name)
     photos.leave(planned.beside_photos)
     device.memory.begin()
-    run = _Run(target, contexts, depth, config, device, photos, witness, entered,
+    run = _Run(target, contexts, depth, config, device, photos, witnesses, entered,
                measured.local_gloss if measured else None)
     before, done, losses = None, [], []
     for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
@@ -111,7 +112,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
 
 def full_level(target, contexts, depth: np.ndarray, config: Config, device) -> Level:
     """The full-size level, ready for its first step from the initial depth."""
-    run = _Run(target, contexts, depth, config, device, PhotoStore(device), None)
+    run = _Run(target, contexts, depth, config, device, PhotoStore(device), ())
     level = Level(device, config, run.at(1.0))
     level.enter(run.initial_writer(level))
     level.start(run.start_writer(level, None))
@@ -121,7 +122,7 @@ def full_level(target, contexts, depth: np.ndarray, config: Config, device) -> L
 def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
                entered: Entered | None = None):
     """What the context views show under the initial depth: a measure.Found."""
-    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), None, entered)
+    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), (), entered)
     given = run.at(1.0)
     probe = Probe(device, config, given, lambda out: run.resampler.shrink_depth(run.entered, run.full, out, run.full))
     found = probe.read()
@@ -153,9 +154,9 @@ class Entered:
 class _Run:
     """One view's inputs at any level, and its way back to scene units."""
 
-    def __init__(self, target, contexts, depth, config, device, photos, witness, entered: Entered | None = None, gloss=None):
+    def __init__(self, target, contexts, depth, config, device, photos, witnesses, entered: Entered | None = None, gloss=None):
         self.views, self.config, self.device, self.photos = [target, *contexts], config, device, photos
-        self.depth, self.witness, self.gloss = depth, witness, gloss
+        self.depth, self.witnesses, self.gloss = depth, list(witnesses), gloss
         self.resampler = Resampler(device, config)
         self.full = Size(target.camera.width, target.camera.height)
         entered = entered or Entered(target, depth, device)
@@ -165,7 +166,7 @@ class _Run:
         self.distance = distance if np.isfinite(distance) else 1.0
 
     def at(self, scale: float) -> LevelInput:
-        views = self.views + ([self.witness] if self.witness is not None and scale == 1 else [])
+        views = self.views + (self.witnesses if scale == 1 else [])
         sizes = [level_size(view.camera, scale) for view in views]
         cameras = [view.camera.resized(*size.grid) for view, size in zip(views, sizes)]
         photos, host = self.photos.level(views, sizes, self.resampler)
@@ -187,26 +188,23 @@ class _Run:
         return write
 
     def weigh_initial(self, level: Level, doubt: Doubt) -> tuple[Evidence, Evidence | None]:
-        """Evidence for the depth as it came: of the context views, and of the witness."""
+        """Evidence for the depth as it came: of the context views, and of the witnesses."""
         contexts = Evidence(level, range(1, len(self.views)), self.entered, doubt)
         contexts.weigh_before()
-        if self.witness is None:
+        if not self.witnesses:
             return contexts, None
-        witness = Evidence(level, [len(self.views)], self.entered, doubt)
-        witness.weigh_before()
-        return contexts, witness
+        witnesses = Evidence(level, range(len(self.views), len(self.views) + len(self.witnesses)), self.entered, doubt)
+        witnesses.weigh_before()
+        return contexts, witnesses
 
     def finish(self, level: Level, evidence, steps, losses, planned: int) -> Refinement:
-        contexts, witness = evidence
+        contexts, witnesses = evidence
         level.release(keep=FOR_EVIDENCE)
         contexts.weigh_after()
-        verdict = contexts.decide(self.depth.shape)
+        verdict = contexts.decide(self.depth.shape, witnesses)
         refined = level.read("depth", self.depth.shape)
         parallax = level.read("unit", self.depth.shape) * np.float32(self.unit)
-        judged = None
-        if witness is not None:
-            witness.weigh_after()
-            judged = witness.costs()
+        judged = witnesses.medians() if witnesses else None
         level.release()
         return Refinement(self._back(refined, verdict.status), verdict.status,
                           verdict.deviation * np.float32(self.unit), parallax,
