@@ -266,7 +266,7 @@ def test_groups_hold_every_view_once_and_workers_have_stretches_of_their_own():
     parts = groups(list(range(400)), views, 4)
     assert sorted(k for part in parts for k in part) == list(range(400)) and 4 * 8 <= len(parts) <= 4 * 10
     photos = [{i for part in parts[k::4] for target in part for i in chooser.choose(target).all} for k in range(4)]
-    assert max(map(len, photos)) < 130  # given out in turn: 100 of its own, and some at the ends
+    assert max(map(len, photos)) < 140  # given out in turn: 100 of its own, and some at the ends
     assert groups([7], views, 64) == [[7]]
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+
 import pytest
-from harm_scenes import turned, figures, moving, plain, wrong_poses
+from harm_scenes import figures, moving, plain, turned, wrong_poses
 
 from pagas_cl.errors import DeviceError
 from pagas_cl.refine import refine_depth, refine_views
