@@ -85,7 +85,7 @@ __kernel void gather_alpha(__global const float *depth, __constant float *camera
         for (int u = -REACH; u <= REACH; ++u) {
             const float v_alpha = alphas[((v + REACH) * SIDE + u + REACH) * count + i];
             const float dx = x + u + 0.5f - s.x, dy = y + v + 0.5f - s.y;
-            sum += v_alpha * alpha_motion(slope, dx, dy, raw_alpha(s, dx, dy));
+            sum += v_alpha * alpha_motion(slope, motion, dx, dy, raw_alpha(s, dx, dy));
         }
     gradient[i] += sum;
 }

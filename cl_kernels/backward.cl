@@ -67,10 +67,11 @@ UNROLL_SPAN
             const Reach r = reach_pixel(&g, context, u, v);
             if (COLUMNS > 1 && !ANY(r.reached))
                 continue;
-            const mask_t taken = taking_part(&g, r, z_first, threshold, relative);
+            const columns_t share = share_of(&g, r, z_first, threshold, relative);
+            const mask_t taken = share > 0.0f;
             const columns_t v_alpha = slope_by_alpha(upstream, select((mask_t)(0), r.pixel, r.reached), taken, color);
-            const columns_t moved = alpha_motion(slope, r.dx, r.dy, raw_alpha(g.splat, r.dx, r.dy));
-            sum += select(ZERO, v_alpha * moved, taken);
+            const columns_t raw = raw_alpha(g.splat, r.dx, r.dy);
+            sum += select(ZERO, share * v_alpha * alpha_motion(slope, g.motion, r.dx, r.dy, raw), taken);
         }
     add_columns(gradient + i, sum, get_global_id(0) * COLUMNS - column);
 }

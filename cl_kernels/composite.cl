@@ -19,9 +19,10 @@ void add_pair(__global volatile uint *pair, uint low, uint high)
 #endif
 
 // Fixed-point weight and weighted colours of the Gaussians at the pixels they reach.
-void weigh_colors(const Gaussians *g, const Reach r, const columns_t color[CHANNELS], int parts[CHANNELS + 1][COLUMNS])
+void weigh_colors(const Gaussians *g, const Reach r, columns_t share, const columns_t color[CHANNELS],
+                  int parts[CHANNELS + 1][COLUMNS])
 {
-    const columns_t weight = fmin(raw_alpha(g->splat, r.dx, r.dy), ALPHA_MAX) * FIXED_ONE;
+    const columns_t weight = faded_alpha(g->splat, r.dx, r.dy) * (share * FIXED_ONE);
     STORE_COLUMNS(ROUND_SHORT(weight), parts[0]);
     for (int c = 0; c < CHANNELS; ++c)
         STORE_COLUMNS(ROUND_SHORT(weight * color[c]), parts[c + 1]);
@@ -63,10 +64,11 @@ UNROLL_SPAN
 UNROLL_SPAN
             for (int u = 0; u < SPAN; ++u) {
                 const Reach r = reach_pixel(&g, context, u, v);
-                if (!r.reached || !taking_part(&g, r, z_first, threshold, relative))
+                const float share = r.reached ? share_of(&g, r, z_first, threshold, relative) : 0.0f;
+                if (!(share > 0.0f))
                     continue;
                 int parts[CHANNELS + 1][1];
-                weigh_colors(&g, r, color, parts);
+                weigh_colors(&g, r, share, color, parts);
                 const int place = place_in_box(box, g.x + u, g.y + v);
                 if (place >= 0)
                     for (int c = 0; c <= CHANNELS; ++c)
@@ -107,8 +109,9 @@ UNROLL_SPAN
                 continue;
             int pixel[COLUMNS], taken[COLUMNS], parts[CHANNELS + 1][COLUMNS];
             STORE_COLUMNS(r.pixel, pixel);
-            STORE_COLUMNS(taking_part(&g, r, z_first, threshold, relative), taken);
-            weigh_colors(&g, r, color, parts);
+            const columns_t share = share_of(&g, r, z_first, threshold, relative);
+            STORE_COLUMNS(share > 0.0f, taken);
+            weigh_colors(&g, r, share, color, parts);
             for (int k = 0; k < COLUMNS; ++k) {
                 if (!taken[k])
                     continue;

@@ -97,7 +97,15 @@ void store_upstream(const Rendered r, columns_t by[CHANNELS], columns_t by_cover
 #else
     columns_t last = by_coverage;
 #endif
-#if defined(ORDER_FREE) || defined(NORMALIZE)
+#ifdef ORDER_FREE
+    // how much of a pixel is covered has no gradient: against the average of the colours, not what the photo filled up
+    const columns_t inverse = select(ZERO, 1.0f / fmax(r.weight, 1.0f), r.live);
+    const columns_t filled = select(ZERO, 1.0f / fmin(fmax(r.weight, 1e-12f), 1.0f), r.live);
+    for (int c = 0; c < CHANNELS; ++c) {
+        by[c] *= inverse;
+        last -= by[c] * (r.photo[c] + filled * (r.color[c] - r.photo[c]));
+    }
+#elif defined(NORMALIZE)
     const columns_t inverse = select(ZERO, 1.0f / fmax(r.weight, ALPHA_SEEN), r.live);
     for (int c = 0; c < CHANNELS; ++c) {
         by[c] *= inverse;
@@ -109,6 +117,26 @@ void store_upstream(const Rendered r, columns_t by[CHANNELS], columns_t by_cover
 #else
     STORE_FOUR(by[0], by[1], by[2], last, out);
 #endif
+}
+
+// |e| and its slope; quadratic up to HUBER, constant beyond a quarter of ROBUST.
+columns_t residual_size(columns_t e, columns_t *slope)
+{
+    columns_t size = fabs(e);
+#ifdef ROBUST
+    size = fmin(size, 0.25f * ROBUST);
+#endif
+#ifdef HUBER
+    const columns_t inner = fmin(size, HUBER);
+    size += inner * (inner * (0.5f / HUBER) - 1.0f);
+    *slope = clamp(e * (1.0f / HUBER), -1.0f, 1.0f);
+#else
+    *slope = sign(e);
+#endif
+#ifdef ROBUST
+    *slope = select(ZERO, *slope, fabs(e) <= 0.25f * ROBUST);
+#endif
+    return size;
 }
 
 #ifdef TRACK_LOSS
@@ -163,14 +191,8 @@ void loss_backward(__global const stored_t *rendered, __global const uchar4 *pho
 #endif
         columns_t by[CHANNELS], mean_residual = ZERO;
         for (int c = 0; c < CHANNELS; ++c) {
-            const columns_t e = r.color[c] - r.photo[c];
-#ifdef ROBUST
-            mean_residual += fmin(fabs(e), 0.25f * ROBUST) * (1.0f / CHANNELS);
-            const columns_t slope = select(ZERO, sign(e), fabs(e) <= 0.25f * ROBUST);
-#else
-            mean_residual += fabs(e) * (1.0f / CHANNELS);
-            const columns_t slope = sign(e);
-#endif
+            columns_t slope;
+            mean_residual += residual_size(r.color[c] - r.photo[c], &slope) * (1.0f / CHANNELS);
             by[c] = l1_scale * (1.0f / CHANNELS) * full_weight * slope;
 #ifdef SSIM
             if (ssim_scale > 0.0f)

@@ -1,5 +1,5 @@
 // What holds a depth map together where photos say little (method section 5): per target pixel, added to the gradient.
-//   smoothness_scale, smoothness_planar    Huber on second differences of inverse depth, in pixels of parallax
+//   smoothness_scale, smoothness_planar    second differences of inverse depth, in pixels of parallax
 //   normal_map, normal_slope, normal_vjp   the paper's angle between neighbouring normals
 //   raise_weights                          more where a surface is glossy
 //   planar_loss, normal_loss               their penalties, summed for the schedule
@@ -33,15 +33,26 @@ __kernel void raise_weights(__global const float *factors, int across, int down,
                             + b * ((1 - a) * factors[below * across + left] + a * factors[below * across + right]);
 }
 
-float huber_slope(float e, float h, float cut)
+// Slope of the penalty: Huber's, fading towards `cut`.
+float penalty_slope(float e, float h, float cut)
 {
-    return fabs(e) > cut ? 0.0f : clamp(e / h, -1.0f, 1.0f);
+    const float x = fmin(fabs(e) / cut, 1.0f), t = x * x, rest = 1.0f - t * t * t * t;
+    return clamp(e / h, -1.0f, 1.0f) * rest * rest;
 }
 
-float huber(float e, float h, float cut)
+// Integral of what fades, (1 - (t / cut)^8)^2, from 0 to e.
+float fading_integral(float e, float cut)
 {
-    const float size = fmin(fabs(e), cut);
-    return size <= h ? size * size / (2.0f * h) : size - 0.5f * h;
+    const float x = e / cut, y = x * x * x * x, y2 = y * y;
+    return e * (1.0f - y2 * (2.0f / 9.0f) + y2 * y2 * (1.0f / 17.0f));
+}
+
+float penalty(float e, float h, float cut)
+{
+    const float size = fmin(fabs(e), cut), inner = fmin(size, h);
+    const float x = inner / cut, y = x * x * x * x, y2 = y * y;
+    const float quadratic = inner * inner / (2.0f * h) * (1.0f - 0.4f * y2 + y2 * y2 * (1.0f / 9.0f));
+    return quadratic + fading_integral(size, cut) - fading_integral(inner, cut);
 }
 
 // Second difference of inverse depth centred at i along `stride`, pixels of parallax. Zero where a neighbour is missing.
@@ -62,7 +73,7 @@ float bend(__global const float *depth, __global const float *kappa, __global co
            int along, int length, float h, float cut)
 {
     const float e = second_difference(depth, kappa, i, stride, along, length);
-    return e == 0.0f ? 0.0f : weights[i] * kappa[i] * huber_slope(e, h, cut);
+    return e == 0.0f ? 0.0f : weights[i] * kappa[i] * penalty_slope(e, h, cut);
 }
 
 __kernel void smoothness_planar(__global const float *depth, __global const float *kappa,
@@ -191,7 +202,7 @@ void planar_loss(__global const float *depth, __global const float *kappa, __glo
     for (int i = get_global_id(0); i < width * height; i += get_global_size(0)) {
         const float across = second_difference(depth, kappa, i, 1, i % width, width);
         const float down = second_difference(depth, kappa, i, width, i / width, height);
-        sum += weights[i] * (huber(across, h, cut) + huber(down, h, cut));
+        sum += weights[i] * (penalty(across, h, cut) + penalty(down, h, cut));
     }
     leave_sum(scratch, sum, partials);
 }

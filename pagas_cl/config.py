@@ -46,9 +46,10 @@ class Splatting:
     Attributes
     ----------
     blend : str
-        "order_free": colours averaged by weight (Zwicker et al. 2001); "alpha": the paper's front-to-back compositing.
+        "order_free": colours averaged by weight (Zwicker et al. 2001), smooth at all its bounds; "alpha": the paper's
+        front-to-back compositing.
     radius : float
-        Radius threshold r, pixels.
+        Radius threshold r, pixels; the weights of "order_free" come to 0 there as (1 - (distance / r)^8)^2.
     final_radius : float
         r of the second half of a level's steps, at most `radius`; 0 keeps it.
     occlusion : bool
@@ -94,6 +95,9 @@ class Loss:
     ----------
     ssim : float
         lambda_c, the share of 1 - SSIM beside L1.
+    huber : float
+        Residuals up to this one, colours in 0 to 1, count quadratically in L1: where a residual is near 0 its sign is
+        that of the last bit. 0 is plain L1.
     gradient_weight : bool
         Weight L1 by w_grad (paper eq. 6).
     coverage_weight : bool
@@ -115,6 +119,7 @@ class Loss:
     """
 
     ssim: float = 0.4
+    huber: float = 0.002
     gradient_weight: bool = False
     coverage_weight: bool = False
     unseen_mask: bool = False
@@ -125,7 +130,7 @@ class Loss:
     target_view: bool = False
 
     def __post_init__(self):
-        _check("loss", ssim=_within(self.ssim, 0, 1), robust=_within(self.robust, 0, 2),
+        _check("loss", ssim=_within(self.ssim, 0, 1), huber=_within(self.huber, 0, 1), robust=_within(self.robust, 0, 2),
                **{name: _flag(getattr(self, name)) for name in
                   ("gradient_weight", "coverage_weight", "unseen_mask", "grey", "exposure", "structure", "target_view")})
 
@@ -151,7 +156,8 @@ class Smoothness:
     huber : float
         With "planar": where the penalty turns from quadratic to linear, pixels of parallax.
     cut : float
-        With "planar": a second difference beyond this, pixels of parallax, is a discontinuity and not penalised.
+        With "planar": a second difference beyond this, pixels of parallax, is a discontinuity and pulls no more; up to
+        there its pull fades as (1 - (e / cut)^8)^2.
     """
 
     kind: str = "planar"
@@ -160,7 +166,7 @@ class Smoothness:
     texture: float = 0.0
     gloss: float = 0.0
     huber: float = 1.0
-    cut: float = 0.7
+    cut: float = 0.8
 
     def __post_init__(self):
         _check("smoothness", kind=_one_of(self.kind, "none", "normal", "planar"), weight=_within(self.weight, 0, MOST_WEIGHT),
@@ -185,7 +191,11 @@ class Solver:
         "parallax": pixels of parallax of each pixel; "distance": the median distance of the cameras from the point
         they look at (the paper's).
     damping : float
-        Adam's epsilon, relative to a gradient of 1 per pixel.
+        Adam's epsilon, relative to a gradient of 1 per pixel of parallax (typical ones are 0.01 to 0.05): a gradient
+        far below it moves a depth in proportion, not by a whole step in the direction of its sign.
+    early_damping : float
+        The damping is so many times larger at a level's first step, and falls to 1 over the first fifth of them: the
+        first gradients are the ones that Adam has no measure for yet.
     beta1, beta2 : float
         Adam's decay of the mean gradient and of the mean square, per step. A beta2 near 1 remembers the large gradients
         of the first steps for ever, and every later step is short.
@@ -211,7 +221,8 @@ class Solver:
 
     rate: float = 0.035
     unit: str = "parallax"
-    damping: float = 1e-3
+    damping: float = 4e-3
+    early_damping: float = 5.0
     beta1: float = 0.9
     beta2: float = 0.9
     spread: int = 2
@@ -225,11 +236,16 @@ class Solver:
 
     def __post_init__(self):
         _check("solver", rate=_within(self.rate, 1e-12, 100), unit=_one_of(self.unit, "parallax", "distance"),
-               damping=_within(self.damping, 0, 1e3), beta1=_within(self.beta1, 0, 0.9999),
-               beta2=_within(self.beta2, 0, 0.9999), spread=_whole(self.spread, 0, 16), patience=_whole(self.patience, 0, 10**6),
+               damping=_within(self.damping, 0, 1e3), early_damping=_within(self.early_damping, 1, 1e3),
+               beta1=_within(self.beta1, 0, 0.9999), beta2=_within(self.beta2, 0, 0.9999),
+               spread=_whole(self.spread, 0, 16), patience=_whole(self.patience, 0, 10**6),
                rate_floor=_within(self.rate_floor, 0, 1), views_per_step=_whole(self.views_per_step, 0, 10**4),
                final_rate=_within(self.final_rate, 0, 1), max_move=_within(self.max_move, 0, 1e9),
                tolerance=_within(self.tolerance, 0, 2), mismatch=_within(self.mismatch, 0, 2))
+
+    def damping_at(self, step: int, steps: int) -> float:
+        """Of step 0, 1, ... of `steps`."""
+        return self.damping * (1 + (self.early_damping - 1) * max(0.0, 1 - 5 * step / steps))
 
 
 @dataclass(frozen=True)
@@ -396,9 +412,9 @@ def _nearest(key: str) -> str:
 PAPER = Config(
     splatting=Splatting(blend="alpha", radius=1.42, depth_slices=20.0, depth_footprints=0.0,
                         low_pass=0.3),
-    loss=Loss(ssim=0.2, gradient_weight=True, coverage_weight=True, unseen_mask=True, target_view=True),
+    loss=Loss(ssim=0.2, huber=0.0, gradient_weight=True, coverage_weight=True, unseen_mask=True, target_view=True),
     smoothness=Smoothness(kind="none", weight=0.0, full_views=1),
-    solver=Solver(rate=1e-5, unit="distance", damping=1e-8, beta2=0.999, spread=0, final_rate=1.0, patience=10,
+    solver=Solver(rate=1e-5, unit="distance", damping=1e-8, early_damping=1.0, beta2=0.999, spread=0, final_rate=1.0, patience=10,
                   views_per_step=0, max_move=1e9, tolerance=2.0, mismatch=2.0),
     pyramid=Pyramid(scales=(0.5, 1.0), steps=(100, 100)),
     effects=Effects.every("set"),
@@ -409,7 +425,8 @@ PAPER = Config(
 BALANCED = Config()
 # Gives up colour, most steps and the measuring of effects (photos of one exposure, a depth within a pixel or two of
 # parallax): one and a half to three times the error of "balanced" at about a quarter of its time.
-FAST = BALANCED.with_settings(loss__grey=True, solver__rate=0.16, solver__beta1=0.7, solver__spread=3,
+FAST = BALANCED.with_settings(loss__grey=True, solver__rate=0.16, solver__damping=1e-3, solver__early_damping=1.0,
+                              solver__beta1=0.7, solver__spread=3,
                               solver__final_rate=0.1, pyramid__steps=(20,),
                               **{f"effects__{f.name}": "set" for f in fields(Effects)})
 # Past the knee: 6 percent better where there is one context view, not 1 with ten, and worse beside discontinuities, for

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pagas_cl.config import Splatting
-from pagas_cl.reference.composite import ALPHA_MAX, ALPHA_MIN, candidates, nearest_surface
+from pagas_cl.reference.pairs import ALPHA_MAX, ALPHA_SEEN, candidates, nearest_surface
 from pagas_cl.reference.project import Projected
 
 # float64 twin against central differences; float32 kernels against the twin
@@ -72,16 +72,17 @@ def relative_errors(got, want, floor: float = 1e-2) -> np.ndarray:
 
 def near_thresholds(projected: Projected, width: int, height: int, splatting: Splatting, delta: float,
                     pixels: float = 1e-4, relative: float = 1e-5) -> np.ndarray:
-    """Context pixels, bool (height, width), where rounding in float32 may decide otherwise than the twin.
+    """Context pixels, bool (height, width), where rounding in float32 may decide otherwise than the twin; of the alpha
+    blend, whose weights end with a step.
 
     A pixel is near a threshold when one of its pairs is within `pixels` of the radius, or within `relative` (of z, of
     the weight) of the depth threshold, of 1/255 or of the clamp, or its total weight is that near to 1 or 1/255.
     """
-    pairs = candidates(projected, width, height, splatting.radius + pixels)
+    pairs = candidates(projected, width, height, replace(splatting, radius=splatting.radius + pixels))
     size = width * height
     doubtful = np.abs(np.hypot(*pairs.Delta.T) - splatting.radius) < pixels
     doubtful |= np.abs(pairs.raw - ALPHA_MAX) < relative
-    doubtful |= np.abs(pairs.alpha - ALPHA_MIN) < relative * ALPHA_MIN
+    doubtful |= np.abs(pairs.alpha - ALPHA_SEEN) < relative * ALPHA_SEEN
     if splatting.occlusion:
         z_first = nearest_surface(pairs, size)
         limit = np.full(size, float(delta))
@@ -91,5 +92,5 @@ def near_thresholds(projected: Projected, width: int, height: int, splatting: Sp
     near = np.zeros(size, bool)
     near[pairs.pixel[doubtful]] = True
     total = np.bincount(pairs.pixel, pairs.alpha, size)
-    near |= (np.abs(total - 1) < relative) | (np.abs(total - ALPHA_MIN) < relative)
+    near |= (np.abs(total - 1) < relative) | (np.abs(total - ALPHA_SEEN) < relative)
     return near.reshape(height, width)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+from itertools import cycle, repeat
+
 import numpy as np
 from random_scenes import random_scene
 
 from pagas_cl.config import Config, Loss, Pyramid, Smoothness, Solver, Splatting
+from pagas_cl.reference import composite, smooth
 from pagas_cl.reference import loss as losses
-from pagas_cl.reference import smooth
-from pagas_cl.reference.composite import ALPHA_MAX
 from pagas_cl.reference.level import depth_threshold, loss_and_gradient, prepare, render
+from pagas_cl.reference.pairs import ALPHA_MAX
 from pagas_cl.reference.project import is_valid, median_depth, project
 
 # Every case says what it changes from settings that no tuning of a preset moves.
 BASE = Config(splatting=Splatting(radius=1.0, depth_slices=20.0, depth_footprints=0.0),
-              loss=Loss(ssim=0.2, gradient_weight=True, coverage_weight=True),
+              loss=Loss(ssim=0.2, huber=0.02, gradient_weight=True, coverage_weight=True),
               smoothness=Smoothness(kind="none", weight=0.0, texture=0.8, huber=0.1, cut=1e9),
               solver=Solver(rate=0.02, damping=1e-8, final_rate=1.0, views_per_step=0), pyramid=Pyramid(steps=(60,)))
 CASES = {
@@ -31,6 +34,8 @@ CASES = {
     "alpha normalised low-pass": dict(splatting__blend="alpha", splatting__normalize=True, splatting__low_pass=0.3),
     "L1 only": dict(loss__ssim=0.0),
     "SSIM only": dict(loss__ssim=1.0),
+    "plain L1": dict(loss__huber=0.0),
+    "wide huber": dict(loss__huber=0.2),
     "no gradient weight": dict(loss__gradient_weight=False),
     "no coverage weight": dict(loss__coverage_weight=False),
     "no weights alpha": dict(splatting__blend="alpha", loss__gradient_weight=False, loss__coverage_weight=False),
@@ -62,12 +67,44 @@ def structure(depth, target, contexts, config, state):
     for context in contexts + [target] * config.loss.target_view:
         r = render(depth, target, context, config, state)
         photo = losses.comparable(context.image, config.loss)
+        residual = r.color - photo
         parts += [r.pairs.gaussian, r.pairs.pixel, r.pairs.raw < ALPHA_MAX, r.covered, r.total < 1,
-                  np.sign(r.color - photo)]
+                  np.sign(residual) * (np.abs(residual) > config.loss.huber)]
     if config.smoothness.kind == "planar":
         e = smooth.second_differences(depth, is_valid(depth), state.kappa)
         parts.append((e > -config.smoothness.huber).astype(int) + (e > config.smoothness.huber))
     return b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
+
+
+@contextmanager
+def participation_held(run):
+    """Inside, what takes part and has no gradient is what it was in `run()`: shares, and how much of a pixel is filled.
+
+    Views are rendered in the same order inside as by `run`.
+    """
+    shares, filled, seen, fills = composite.shares, composite.filled, [], []
+
+    def key(pairs):
+        return pairs.pixel * 2**32 + pairs.gaussian
+
+    def note_shares(pairs, *rest):
+        share = shares(pairs, *rest)
+        seen.append(dict(zip(key(pairs).tolist(), share.tolist())))
+        return share
+
+    def note_filled(S):
+        fills.append(filled(S))
+        return fills[-1]
+
+    try:
+        composite.shares, composite.filled = note_shares, note_filled
+        run()
+        again, fills_again = cycle(seen), cycle(fills)
+        composite.shares = lambda pairs, *rest: np.array([*map(next(again).get, key(pairs).tolist(), repeat(0.0))])
+        composite.filled = lambda S: next(fills_again)
+        yield
+    finally:
+        composite.shares, composite.filled = shares, filled
 
 
 def central(f, step):
@@ -75,7 +112,7 @@ def central(f, step):
     return (8 * (f(step) - f(-step)) - (f(2 * step) - f(-2 * step))) / (12 * step)
 
 
-def measured_gradient(config, seed, count=24, share=1e-3, **scene):
+def measured_gradient(config, seed, count=24, share=3e-4, **scene):
     """Analytic and differenced N dL/dd at `count` random pixels, and how many more were too near a threshold.
 
     A step moves the Gaussian by `share` pixels in the view where it moves fastest.
@@ -83,24 +120,25 @@ def measured_gradient(config, seed, count=24, share=1e-3, **scene):
     depth, target, contexts, state = prepared(seed, config, **scene)
     _, gradient = loss_and_gradient(depth, target, contexts, config, state)
     rng = np.random.default_rng(seed)
-    here = structure(depth, target, contexts, config, state)
     fastest = 1e-3 + np.max([p.valid * np.linalg.norm(p.m_d, axis=1) for p in
                              (project(depth, target.camera, c.camera, unit=state.unit) for c in contexts)], axis=0)
     got, want, skipped = [], [], 0
-    for i in rng.permutation(np.flatnonzero((depth.ravel() > 0) & (gradient.ravel() != 0))):
-        step = share / fastest[i]
+    with participation_held(lambda: loss_and_gradient(depth, target, contexts, config, state)):
+        here = structure(depth, target, contexts, config, state)
+        for i in rng.permutation(np.flatnonzero((depth.ravel() > 0) & (gradient.ravel() != 0))):
+            step = share / fastest[i]
 
-        def moved(by, i=i):
-            other = depth.copy()
-            other.ravel()[i] += by
-            return other
+            def moved(by, i=i):
+                other = depth.copy()
+                other.ravel()[i] += by
+                return other
 
-        if any(structure(moved(s * step), target, contexts, config, state) != here for s in (-2, 2)):
-            skipped += 1
-            continue
-        got.append(gradient.ravel()[i])
-        want.append(central(lambda by: depth.size * loss_and_gradient(moved(by), target, contexts, config, state)[0],
-                            step))
-        if len(got) == count:
-            break
+            if any(structure(moved(s * step), target, contexts, config, state) != here for s in (-2, 2)):
+                skipped += 1
+                continue
+            got.append(gradient.ravel()[i])
+            want.append(central(lambda by: depth.size * loss_and_gradient(moved(by), target, contexts, config, state)[0],
+                                step))
+            if len(got) == count:
+                break
     return np.array(got), np.array(want), skipped

@@ -10,7 +10,7 @@ from kernel_cases import Scene, start_level
 from pagas_cl.config import BALANCED
 from pagas_cl.errors import DeviceError
 from pagas_cl.reference import evidence as twin
-from pagas_cl.reference.composite import candidates, nearest_surface
+from pagas_cl.reference.pairs import candidates, nearest_surface
 from pagas_cl.reference.project import project
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.rig import footprint
@@ -34,10 +34,11 @@ def twin_evidence(scene: Scene, depth):
     for context in scene.contexts:
         p = project(depth, scene.target.camera, context.camera, 0.0, scene.unit)
         size = context.camera.width, context.camera.height
-        pairs = candidates(p, *size, CONFIG.splatting.radius)
+        floor = CONFIG.splatting.depth_footprints * footprint(scene.target.camera, context.camera, scene.unit)
+        delta = max(scene.delta(CONFIG), floor)
+        pairs = candidates(p, *size, CONFIG.splatting)
         z_first = nearest_surface(pairs, size[0] * size[1]).reshape(size[1], size[0])
-        value, slope, inside = twin.warped(depth, scene.target, context, z_first, max(scene.delta(CONFIG), CONFIG.splatting.depth_footprints * footprint(
-                                                   scene.target.camera, context.camera, scene.unit)), scene.unit)
+        value, slope, inside = twin.warped(depth, scene.target, context, z_first, delta, scene.unit)
         cost, information, defined = twin.weigh(value, slope, inside, twin.luma(scene.target.image), DOUBT.grain)
         total += np.where(defined[..., None], np.stack([cost, np.ones_like(cost), information], axis=-1), 0)
         edge = np.abs(p.m - np.round(p.m)).min(axis=1).reshape(depth.shape) < 1e-3   # which pixel's z_first is asked

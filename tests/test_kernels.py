@@ -29,7 +29,10 @@ CASES = {
     "exposure": (PLAIN, dict(loss__exposure=True)),
     "exposure grey": (PLAIN, dict(loss__exposure=True, loss__grey=True)),
     "structure": (PLAIN, dict(loss__structure=True)),
+    "narrow huber": (PLAIN, dict(loss__huber=2e-4)),      # plain L1: the alpha blend's
+    "wide huber": (PLAIN, dict(loss__huber=0.1)),
     "robust": (PLAIN, dict(loss__robust=0.6)),
+    "robust, wide huber": (PLAIN, dict(loss__robust=0.2, loss__huber=0.04)),
     "planar cut": (PLAIN, dict(smoothness__kind="planar", smoothness__weight=0.1, smoothness__cut=0.3)),
     "L1 only": (PLAIN, dict(loss__ssim=0.0)),
     "SSIM only": (PLAIN, dict(loss__ssim=1.0)),
@@ -45,6 +48,7 @@ CASES = {
     "alpha relative": (PAPER, dict(splatting__depth_relative=0.01)),
     "alpha wide": (PAPER, dict(splatting__radius=3.0)),
     "alpha crowded": (PAPER, dict(splatting__radius=5.0, splatting__occlusion=False)),
+    "alpha huber": (PAPER, dict(loss__huber=0.02)),
     "alpha L1 only": (PAPER, dict(loss__ssim=0.0)),
 }
 

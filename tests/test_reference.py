@@ -1,7 +1,7 @@
 """The twins' gradients against central differences in float64.
 
 Thresholds are piecewise constant: a pixel is differenced only where both sides keep the same participants, order,
-clamps, signs (see `reference_cases.structure`).
+clamps, signs (see `reference_cases.structure`); how much of a weight and of a pixel takes part is held fixed.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from close import TWIN_RELATIVE, closeness, relative_errors
 from random_scenes import random_image
 from reference_cases import BASE, CASES, central, measured_gradient, prepared
 
-from pagas_cl.config import PAPER, Smoothness
+from pagas_cl.config import PAPER, Smoothness, Splatting
 from pagas_cl.reference import loss as losses
 from pagas_cl.reference import smooth
-from pagas_cl.reference.composite import ALPHA_MAX, candidates
+from pagas_cl.reference.pairs import ALPHA_MAX, candidates
 from pagas_cl.reference.level import render
 from pagas_cl.reference.project import project
 
@@ -28,7 +28,7 @@ def test_random_scenes_meet_every_branch():
         assert r.covered.mean() > 0.3 and not r.covered.all()
         every = render(depth, target, context, BASE.with_settings(splatting__occlusion=False), state)
         assert len(every.pairs.z) > len(r.pairs.z)
-    sparse = render(depth, target, contexts[1], BASE, state)
+    sparse = render(depth, target, contexts[1], BASE.with_settings(splatting__radius=2.0), state)
     assert 0.1 < (sparse.total[sparse.covered.ravel()] < 1).mean() < 0.98
 
 
@@ -37,7 +37,7 @@ def test_random_scenes_meet_every_branch():
 def test_whole_gradient_against_central_differences(name, masks):
     got, want, skipped = measured_gradient(BASE.with_settings(**CASES[name]), seed=len(name), masks=masks,
                                            count=8 if masks else 20)
-    assert len(got) >= 8 and skipped < 40, "too few pixels away from the thresholds"
+    assert len(got) >= 8 and skipped < 60, "too few pixels away from the thresholds"
     assert relative_errors(got, want).max() <= TWIN_RELATIVE, closeness(got, want)
 
 
@@ -61,7 +61,7 @@ def test_projection_derivatives(low_pass):
             assert relative_errors(getattr(here, derivative)[v], want).max() < 1e-8, value
         want = central(lambda by: np.log(at(by).o[v]), step)
         assert np.abs(here.log_o_d[v] - want).max() < 1e-8
-        pairs = candidates(here, context.camera.width, context.camera.height, 1.0)
+        pairs = candidates(here, context.camera.width, context.camera.height, Splatting(blend="alpha", radius=1.0))
         smooth_pairs = pairs.raw < 0.99
 
         def weights(by):
@@ -77,9 +77,9 @@ def test_projection_derivatives(low_pass):
         assert (pairs.alpha_d[pairs.raw > ALPHA_MAX] == 0).all()
 
 
-@pytest.mark.parametrize("kind", ["planar", "normal"])
-def test_smoothness_gradient(kind):
-    settings = Smoothness(kind=kind, weight=0.3, huber=0.4)
+@pytest.mark.parametrize("kind, cut", [("planar", 1e9), ("planar", 0.7), ("planar", 0.2), ("normal", 1.0)])
+def test_smoothness_gradient(kind, cut):
+    settings = Smoothness(kind=kind, weight=0.3, huber=0.4, cut=cut)
     depth, target, contexts, state = prepared(8, BASE.with_settings(smoothness__kind=kind))
     rng = np.random.default_rng(0)
     direction = rng.standard_normal(depth.shape) * (depth > 0)

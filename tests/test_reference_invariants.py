@@ -64,7 +64,7 @@ def test_scale_and_place_change_nothing(scale, offset, bound):
 
 
 def test_near_thresholds_marks_what_a_perturbed_twin_decides_otherwise():
-    config = BASE.with_settings(splatting__radius=1.42)
+    config = BASE.with_settings(splatting__blend="alpha", splatting__radius=1.42)
     depth, target, contexts, state = prepared(15, config, width=48, height=40)
     context = contexts[0]
     size = context.camera.width, context.camera.height

@@ -32,7 +32,7 @@ def test_ssim_without_a_window_is_no_term():
     x, y = np.zeros((10, 30, 3)), np.ones((10, 30, 3))
     value, gradient = losses.ssim(x, y)
     assert value == 1 and (gradient == 0).all() and gradient.shape == x.shape
-    value, _, _ = losses.photometric(x, np.ones((10, 30)), y, Loss(ssim=0.5, gradient_weight=False))
+    value, _, _ = losses.photometric(x, np.ones((10, 30)), y, Loss(ssim=0.5, huber=0.0))
     assert value == pytest.approx(0.5, rel=1e-12)
 
 

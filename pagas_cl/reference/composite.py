@@ -1,7 +1,6 @@
 """Twin of splat/composite and splat/backward: Gaussians to an image, and the image's gradient back to depth.
 
-Method section 4, both blends. A *pair* is a Gaussian that may reach a pixel; all tests and sums run over the list of
-pairs sorted by (pixel, z, Gaussian).
+Method section 4, both blends. All sums run over the list of pairs sorted by (pixel, z, Gaussian); pairs.py makes it.
 """
 
 from __future__ import annotations
@@ -11,41 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pagas_cl.config import Splatting
+from pagas_cl.reference.pairs import Pairs, candidates, rank, shares
 from pagas_cl.reference.project import Projected
 
-ALPHA_MAX = 0.999  # clamp of a Gaussian's weight
-ALPHA_MIN = 1 / 255  # least weight that says "there is a surface"
-NEAREST = 128  # most participants of a pixel in the alpha blend
-
-
-@dataclass(frozen=True, eq=False)
-class Pairs:
-    """P pairs of Gaussian and pixel, sorted by (pixel, z, Gaussian).
-
-    Attributes
-    ----------
-    gaussian, pixel : ndarray of shape (P,), int64
-        Index of the target pixel, and of the context pixel (row * width + column).
-    Delta : ndarray of shape (P, 2)
-        Pixel centre minus projected mean, pixels.
-    z : ndarray of shape (P,)
-    raw, alpha : ndarray of shape (P,)
-        Weight before and after the clamp at 0.999.
-    alpha_d : ndarray of shape (P,)
-        d alpha / dd of the pair's own Gaussian; 0 where the clamp is active.
-    """
-
-    gaussian: np.ndarray
-    pixel: np.ndarray
-    Delta: np.ndarray
-    z: np.ndarray
-    raw: np.ndarray
-    alpha: np.ndarray
-    alpha_d: np.ndarray
-
-    def where(self, keep: np.ndarray) -> Pairs:
-        """The pairs where `keep` holds, order kept."""
-        return Pairs(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
+ALPHA_MIN = 1 / 255  # with "alpha" and `normalize`: least coverage that C is divided by
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +23,7 @@ class Rendered:
     Attributes
     ----------
     color : ndarray of shape (H, W, channels)
-        C as the losses see it: the photo's colour where the blend says "not covered".
+        C as the losses see it: the photo's colour where nothing covers a pixel.
     coverage : ndarray of shape (H, W)
         A.
     covered : ndarray of shape (H, W), bool
@@ -64,6 +32,7 @@ class Rendered:
         The participants only.
     colors : ndarray of shape (N, channels)
         Colours of the Gaussians.
+    photo : ndarray of shape (H * W, channels)
     total : ndarray of shape (H * W,)
         Order-free: S = sum of alpha. Alpha blend: A.
     gaussians : int
@@ -76,68 +45,10 @@ class Rendered:
     covered: np.ndarray
     pairs: Pairs
     colors: np.ndarray
+    photo: np.ndarray
     total: np.ndarray
     gaussians: int
     splatting: Splatting
-
-
-def candidates(projected: Projected, width: int, height: int, radius: float) -> Pairs:
-    """Pairs that pass the tests valid, z > near and |Delta| <= radius (method section 4), with their weights."""
-    reach = int(np.floor(radius + 0.5))
-    m = projected.m
-    inside = projected.valid & (m > -reach - 1).all(axis=1) & (m < np.array([width, height]) + reach + 1).all(axis=1)
-    g = np.flatnonzero(inside)
-    corner = np.floor(m[g]).astype(np.int64)
-    found = []
-    for dy in range(-reach, reach + 1):
-        for dx in range(-reach, reach + 1):
-            xy = corner + (dx, dy)
-            Delta = xy + 0.5 - m[g]
-            hit = ((xy >= 0) & (xy < (width, height))).all(axis=1) & (np.hypot(*Delta.T) <= radius)
-            found.append((g[hit], xy[hit, 1] * width + xy[hit, 0], Delta[hit]))
-    gaussian, pixel, Delta = (np.concatenate(part) for part in zip(*found))
-    raw, alpha, alpha_d = _weight(projected, gaussian, Delta)
-    pairs = Pairs(gaussian, pixel, Delta, projected.z[gaussian], raw, alpha, alpha_d)
-    return pairs.where(np.lexsort((gaussian, pairs.z, pixel)))
-
-
-def _weight(projected: Projected, g: np.ndarray, Delta: np.ndarray):
-    """raw = o exp(-1/2 Delta^T K Delta), alpha = min(0.999, raw), d alpha/dd (method section 4)."""
-    K, Sigma_d = projected.K[g], projected.Sigma_d[g]
-    x, y = Delta.T
-    u, v = K[:, 0] * x + K[:, 1] * y, K[:, 1] * x + K[:, 2] * y  # K Delta
-    raw = projected.o[g] * np.exp(-0.5 * (u * x + v * y))
-    alpha = np.minimum(ALPHA_MAX, raw)
-    log_d = (u * projected.m_d[g, 0] + v * projected.m_d[g, 1] + projected.log_o_d[g]
-             + 0.5 * (u * u * Sigma_d[:, 0] + 2 * u * v * Sigma_d[:, 1] + v * v * Sigma_d[:, 2]))
-    return raw, alpha, np.where(raw < ALPHA_MAX, alpha * log_d, 0.0)
-
-
-def nearest_surface(pairs: Pairs, pixels: int) -> np.ndarray:
-    """z_first of every pixel: the least z among pairs with alpha > 1/255; inf where there is none."""
-    z_first = np.full(pixels, np.inf)
-    solid = pairs.alpha > ALPHA_MIN
-    np.minimum.at(z_first, pairs.pixel[solid], pairs.z[solid])
-    return z_first
-
-
-def participants(pairs: Pairs, pixels: int, splatting: Splatting, delta: float) -> np.ndarray:
-    """Which pairs take part, bool of shape (P,): the depth threshold, and in the alpha blend the 128 nearest."""
-    keep = np.ones(len(pairs.z), bool)
-    if splatting.occlusion:
-        z_first = nearest_surface(pairs, pixels)
-        limit = np.full(pixels, float(delta))
-        if splatting.depth_relative > 0:
-            limit = np.minimum(limit, splatting.depth_relative * z_first)
-        keep = pairs.z <= (z_first + limit)[pairs.pixel]
-    if splatting.blend == "alpha":  # z_first + limit only cuts a pixel's tail, so that the rank is the same after it
-        keep &= _rank(pairs.pixel) < NEAREST
-    return keep
-
-
-def _rank(pixel: np.ndarray) -> np.ndarray:
-    """Position of each pair in its pixel's list, given the sorted pixel indices."""
-    return np.arange(len(pixel)) - np.searchsorted(pixel, pixel, side="left")
 
 
 def composite(projected: Projected, colors: np.ndarray, photo: np.ndarray, splatting: Splatting,
@@ -154,12 +65,12 @@ def composite(projected: Projected, colors: np.ndarray, photo: np.ndarray, splat
         Depth threshold, units.
     """
     height, width, channels = photo.shape
-    pairs = candidates(projected, width, height, splatting.radius)
-    pairs = pairs.where(participants(pairs, width * height, splatting, delta))
+    pairs = candidates(projected, width, height, splatting)
+    pairs = pairs.shared(shares(pairs, width * height, splatting, delta))
     blend = _order_free if splatting.blend == "order_free" else _alpha_blend
     color, A, total, covered = blend(pairs, colors, photo.reshape(-1, channels), splatting.normalize)
     return Rendered(color.reshape(photo.shape), A.reshape(height, width), covered.reshape(height, width), pairs,
-                    colors, total, len(colors), splatting)
+                    colors, photo.reshape(-1, channels), total, len(colors), splatting)
 
 
 def composite_vjp(rendered: Rendered, v_color: np.ndarray, v_coverage: np.ndarray) -> np.ndarray:
@@ -179,20 +90,29 @@ def _sum_by(index: np.ndarray, values: np.ndarray, size: int) -> np.ndarray:
 
 
 def _order_free(pairs: Pairs, colors, photo, normalize):
-    """C = sum(alpha c) / S, A = min(1, S), covered iff S >= 1/255 (Zwicker et al. 2001)."""
+    """C = A (sum(alpha c) / S) + (1 - A) photo with A = min(1, S); covered iff S > 0.
+
+    The average by weight of Zwicker et al. (2001) wherever the weights sum up to 1; below that the photo fills up, so
+    that a pixel at an edge is compared by as much of it as is covered, and a Gaussian enters it smoothly.
+    """
     S = np.bincount(pairs.pixel, pairs.alpha, len(photo))
-    covered = S >= ALPHA_MIN
     mixed = _sum_by(pairs.pixel, pairs.alpha[:, None] * colors[pairs.gaussian], len(photo))
-    C = np.where(covered[:, None], mixed / np.where(covered, S, 1.0)[:, None], photo)
-    return C, np.where(covered, np.minimum(1.0, S), 0.0), S, covered
+    average = mixed / np.where(S > 0, S, 1.0)[:, None]
+    return photo + filled(S)[:, None] * (average - photo), np.minimum(1.0, S), S, S > 0
+
+
+def filled(S: np.ndarray) -> np.ndarray:
+    """How much of a pixel its Gaussians fill: A = min(1, S). As participation it has no gradient: that would pull a
+    surface away from its edges."""
+    return np.minimum(1.0, S)
 
 
 def _order_free_vjp(rendered: Rendered, v_color, v_A):
-    """dC/dalpha_k = (c_k - C) / S; dA/dalpha_k = 1 where S < 1."""
-    pairs, S = rendered.pairs, rendered.total
-    C = rendered.color.reshape(v_color.shape)
-    v_alpha = (v_color[pairs.pixel] * (rendered.colors[pairs.gaussian] - C[pairs.pixel])).sum(axis=1)
-    v_alpha /= np.where(S > 0, S, 1.0)[pairs.pixel]
+    """dC/dalpha_k = A (c_k - sum(alpha c) / S) / S with A held fixed; dA/dalpha_k = 1 where S < 1, for L1's weight."""
+    pairs, S = rendered.pairs, np.where(rendered.total > 0, rendered.total, 1.0)
+    A = np.minimum(1, S)[:, None]
+    average = rendered.photo + (rendered.color.reshape(v_color.shape) - rendered.photo) / A
+    v_alpha = ((A / S[:, None] * v_color)[pairs.pixel] * (rendered.colors[pairs.gaussian] - average[pairs.pixel])).sum(axis=1)
     return v_alpha + np.where(S < 1, v_A, 0.0)[pairs.pixel]
 
 
@@ -200,7 +120,7 @@ def _table(pairs: Pairs, colors):
     """Front-to-back lists as arrays: alpha (M, K) and colour (M, K, channels) of M pixels, unused places with alpha
     0; the row and column of every pair; the M pixels."""
     pixels, row = np.unique(pairs.pixel, return_inverse=True)
-    place = (row, _rank(pairs.pixel))
+    place = (row, rank(pairs.pixel))
     longest = int(place[1].max(initial=0)) + 1
     alpha, c = np.zeros((len(pixels), longest)), np.zeros((len(pixels), longest, colors.shape[1]))
     alpha[place], c[place] = pairs.alpha, colors[pairs.gaussian]

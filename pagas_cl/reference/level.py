@@ -186,7 +186,8 @@ def run_level(depth, target: Photo, contexts: list[Photo], config: Config, state
         rate = schedule.next_rate(value)
         if rate == 0:
             break
-        depth = adam.step(depth, gradient, length, rate * late_share(step, steps, solver.final_rate), solver.damping)
+        depth = adam.step(depth, gradient, length, rate * late_share(step, steps, solver.final_rate),
+                          solver.damping_at(step, steps))
     return depth, history
 
 

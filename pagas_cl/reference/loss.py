@@ -51,16 +51,24 @@ def pixel_weight(photo: np.ndarray, loss: Loss, seen_mask=None, mask=None) -> np
 
 
 def l1(color: np.ndarray, coverage: np.ndarray, photo: np.ndarray, weight: np.ndarray, by_coverage: bool,
-       most: float = np.inf):
+       most: float = np.inf, huber: float = 0.0):
     """L1 = mean over all pixels of w A mean_channel min(|C - I|, most) (A only with `by_coverage`).
+
+    With `huber` h above 0, e^2 / (2h) stands for |e| up to h, and |e| - h / 2 beyond.
 
     Returns the value, dL1/dC of shape (H, W, channels), dL1/dA of shape (H, W).
     """
     residual = color - photo
     weight = weight / weight.size
-    per_pixel = np.minimum(np.abs(residual), most).mean(axis=-1)
+    size = np.minimum(np.abs(residual), most)
+    inner = np.minimum(size, huber)
+    if huber > 0:
+        size, slope = size - inner + inner**2 / (2 * huber), np.clip(residual / huber, -1, 1)
+    else:
+        slope = np.sign(residual)
+    per_pixel = size.mean(axis=-1)
     w = weight * coverage if by_coverage else weight
-    v_color = w[..., None] * np.sign(residual) * (np.abs(residual) <= most) / residual.shape[-1]
+    v_color = w[..., None] * slope * (np.abs(residual) <= most) / residual.shape[-1]
     v_coverage = weight * per_pixel if by_coverage else np.zeros_like(weight)
     return float((w * per_pixel).sum()), v_color, v_coverage
 
@@ -131,7 +139,7 @@ def photometric(color: np.ndarray, coverage: np.ndarray, photo: np.ndarray, loss
     value, v_color (H, W, channels), v_coverage (H, W)
     """
     value, v_color, v_coverage = l1(color, coverage, photo, pixel_weight(photo, loss, seen_mask, mask),
-                                    loss.coverage_weight, loss.robust / 4 if loss.robust > 0 else np.inf)
+                                    loss.coverage_weight, loss.robust / 4 if loss.robust > 0 else np.inf, loss.huber)
     value, v_color, v_coverage = (1 - loss.ssim) * value, (1 - loss.ssim) * v_color, (1 - loss.ssim) * v_coverage
     if loss.ssim > 0:
         inside = np.ones(photo.shape[:2], bool) if mask is None else np.asarray(mask, bool)

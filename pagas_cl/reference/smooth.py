@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from pagas_cl.config import Smoothness
+from pagas_cl.reference.pairs import fading
 
 
 def smoothness(depth, valid, settings: Smoothness, kappa, rays, texture):
@@ -31,11 +32,21 @@ def smoothness(depth, valid, settings: Smoothness, kappa, rays, texture):
     return normal(depth, valid, rays, 1 - texture, settings.weight)
 
 
-def huber(e: np.ndarray, h: float, cut: float = np.inf):
-    """e^2 / (2h) up to |e| = h, |e| - h/2 beyond, constant beyond |e| = cut; value and derivative."""
+def penalty(e: np.ndarray, h: float, cut: float = np.inf):
+    """What a second difference e costs, and its derivative clip(e / h, -1, 1) fading(|e| / cut): Huber's, up to |e| =
+    cut, beyond which the cost is constant: a discontinuity."""
     size = np.minimum(np.abs(e), cut)
-    value = np.where(size <= h, size * size / (2 * h), size - h / 2)
-    return value, np.where(np.abs(e) > cut, 0.0, np.clip(e / h, -1, 1))
+    inner = np.minimum(size, h)
+    y = (inner / cut) ** 8
+    value = inner**2 / (2 * h) * (1 - 2 / 5 * y + y * y / 9)
+    value = value + _fading_integral(size, cut) - _fading_integral(inner, cut)
+    return value, np.clip(e / h, -1, 1) * fading(np.abs(e) / cut)
+
+
+def _fading_integral(e, cut):
+    """Integral of fading(t / cut) from 0 to e."""
+    y = (e / cut) ** 8
+    return e * (1 - 2 / 9 * y + y * y / 17)
 
 
 def second_differences(depth, valid, kappa):
@@ -53,8 +64,8 @@ def second_differences(depth, valid, kappa):
 
 
 def planar(depth, valid, kappa, pixel_weight, weight, h, cut=np.inf):
-    """weight / N sum_i pixel_weight_i (huber(e_x) + huber(e_y)), e of `second_differences` in pixels of parallax."""
-    value, slope = huber(second_differences(depth, valid, kappa), h, cut)
+    """weight / N sum_i pixel_weight_i (penalty(e_x) + penalty(e_y)), e of `second_differences`, pixels of parallax."""
+    value, slope = penalty(second_differences(depth, valid, kappa), h, cut)
     scale = weight / depth.size * pixel_weight
     v_e = scale * slope * kappa  # e is 0 where it is not defined, and so is the slope
     v_w = np.zeros(depth.shape)

@@ -60,6 +60,8 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
     if config.solver.spread > 0:
         numbers["SPREAD"] = config.solver.spread
     numbers["RADIUS"] = f"{float(splatting.radius)!r}f"
+    if loss.huber > 0:
+        numbers["HUBER"] = f"{float(loss.huber)!r}f"
     if loss.robust > 0:
         numbers["ROBUST"] = f"{float(loss.robust)!r}f"       # 2.0f, 1e-06f: always a floating constant of C
     return tuple(name for name, on in switches.items() if on) + tuple(f"{k}={v}" for k, v in numbers.items())

@@ -43,7 +43,8 @@ class Solver:
             self._plateau.enqueue(self.queue)
         settings = self.level.config.solver
         corrections = (1 / (1 - beta ** (number + 1)) for beta in (settings.beta1, settings.beta2))
-        for argument, value in zip((7, 8, 13), (*corrections, self._share(number, steps))):
+        damping = settings.damping_at(number, steps)
+        for argument, value in zip((7, 8, 11, 13), (*corrections, damping, self._share(number, steps))):
             self._adam.kernel.set_arg(argument, np.float32(value))
         self._adam.enqueue(self.queue)
 

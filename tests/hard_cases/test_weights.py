@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from hypothesis import given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
 from pagas_cl import hard_scenes as make  # noqa: E402
-from pagas_cl.reference.composite import candidates  # noqa: E402
+from pagas_cl.reference.pairs import candidates  # noqa: E402
 from pagas_cl.reference.project import project  # noqa: E402
 from pagas_cl.scene.view import View  # noqa: E402
 from pagas_cl.selftest import BLENDS, _normalized, device_gradient, difference, twin_gradient  # noqa: E402
@@ -37,7 +39,7 @@ def heaviest(scene: make.HardScene, radius: float = 1.2) -> float:
     for view in scene.contexts:
         camera = view.camera
         pairs = candidates(project(initial.astype(np.float64), scene.target.camera, camera, 0.0, unit), camera.width,
-                           camera.height, radius)
+                           camera.height, replace(OPEN.splatting, radius=radius))
         found = max(found, np.bincount(pairs.pixel, pairs.alpha, 1).max())
     return float(found)
 
