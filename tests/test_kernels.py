@@ -81,7 +81,7 @@ def test_gradient_equals_the_twin(device, scene, name):
 @pytest.mark.parametrize("base", [PLAIN, PAPER], ids=["order-free", "alpha"])
 def test_any_image_size(device, base, size):
     """Smaller than a window, one window high, one tile, a pixel more than a tile, and large enough for vectors."""
-    scene = Scene.make(6, width=size[0], height=size[1], contexts=2)
+    scene = Scene.make(7, width=size[0], height=size[1], contexts=2)
     got, loss = device_gradient(device, base, scene)
     want, value = twin_gradient(base, scene)
     assert_kernel_close(got, want)
