@@ -16,9 +16,8 @@ from pagas_cl.reference.project import Projected, project
 from pagas_cl.scene.camera import Camera
 
 
-def part_before_threshold(alpha, z, splatting, delta):
+def part_before_threshold(solid, z, splatting, delta):
     """What the depth threshold of the order-free blend leaves of each weight."""
-    solid = alpha > 1 / 255
     if not (splatting.occlusion and solid.any()):
         return 1.0
     first = z[solid].min()
@@ -39,7 +38,7 @@ def brute_force(projected, colors, photo, splatting, delta):
             if splatting.blend == "order_free":
                 t = np.linalg.norm(Delta, axis=1) ** 2 / splatting.radius**2
                 alpha = np.where(reached, raw * (1 - t**4) ** 2, 0)
-                alpha = alpha * part_before_threshold(alpha, projected.z, splatting, delta)
+                alpha = alpha * part_before_threshold(reached & (raw > 1 / 255), projected.z, splatting, delta)
                 total, A = alpha.sum(), min(1, alpha.sum())
                 average = alpha @ colors / total if total > 0 else 0
                 color[row, col], coverage[row, col] = A * average + (1 - A) * photo[row, col], A
