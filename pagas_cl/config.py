@@ -221,7 +221,7 @@ class Solver:
 
     rate: float = 0.035
     unit: str = "parallax"
-    damping: float = 4e-3
+    damping: float = 6e-3
     early_damping: float = 5.0
     beta1: float = 0.9
     beta2: float = 0.9
