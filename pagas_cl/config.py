@@ -130,7 +130,8 @@ class Loss:
     target_view: bool = False
 
     def __post_init__(self):
-        _check("loss", ssim=_within(self.ssim, 0, 1), huber=_within(self.huber, 0, 1), robust=_within(self.robust, 0, 2),
+        _check("loss", ssim=_within(self.ssim, 0, 1), huber=_within(self.huber, 0, 1),
+               robust=_within(self.robust, 0, 2),
                **{name: _flag(getattr(self, name)) for name in
                   ("gradient_weight", "coverage_weight", "unseen_mask", "grey", "exposure", "structure", "target_view")})
 
@@ -431,7 +432,7 @@ FAST = BALANCED.with_settings(loss__grey=True, solver__rate=0.16, solver__dampin
                               **{f"effects__{f.name}": "set" for f in fields(Effects)})
 # Past the knee: 6 percent better where there is one context view, not 1 with ten, and worse beside discontinuities, for
 # less than twice the time.
-ACCURATE = BALANCED.with_settings(solver__rate=0.025, pyramid__steps=(300,))
+ACCURATE = BALANCED.with_settings(solver__rate=0.025, solver__damping=3e-3, pyramid__steps=(300,))
 PRESETS: dict[str, Config] = {"fast": FAST, "balanced": BALANCED, "accurate": ACCURATE, "paper": PAPER}
 
 

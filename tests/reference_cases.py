@@ -137,8 +137,8 @@ def measured_gradient(config, seed, count=24, share=3e-4, **scene):
                 skipped += 1
                 continue
             got.append(gradient.ravel()[i])
-            want.append(central(lambda by: depth.size * loss_and_gradient(moved(by), target, contexts, config, state)[0],
-                                step))
+            want.append(depth.size * central(
+                lambda by: loss_and_gradient(moved(by), target, contexts, config, state)[0], step))
             if len(got) == count:
                 break
     return np.array(got), np.array(want), skipped

@@ -76,7 +76,7 @@ def test_depths_rendered_from_a_mesh(made, from_mesh, scale, offset):
     both = (here.status == 1) & (there.status == 1)
     assert both.mean() > 0.3
     if scale == 1:
-        assert there.depth[both].tobytes() == here.depth[both].tobytes(), "the place is taken out before anything is rounded"
+        assert there.depth[both].tobytes() == here.depth[both].tobytes(), "the place goes before anything is rounded"
     assert_alike(there.depth[both].astype(np.float64) / scale, here.depth[both])
 
 
