@@ -79,7 +79,7 @@ _LIMITS = [
     ("splatting__depth_slices", 1e-6), ("splatting__depth_relative", 1.0),
     ("splatting__depth_footprints", 1e6), ("splatting__low_pass", 4.0),
     ("splatting__low_pass", 1e-6), ("splatting__occlusion", False), ("loss__ssim", 0.0), ("loss__ssim", 1.0),
-    ("loss__robust", 2.0), ("loss__robust", 1e-6),
+    ("loss__huber", 0.0), ("loss__huber", 1.0), ("loss__robust", 2.0), ("loss__robust", 1e-6),
 ]
 _STEP_LIMITS = [
     ("smoothness__weight", 100.0), ("smoothness__huber", 1e-6), ("smoothness__huber", 1e6), ("smoothness__cut", 1e-6),
@@ -89,7 +89,8 @@ _STEP_LIMITS = [
     ("solver__views_per_step", 10**4), ("solver__max_move", 0.0), ("solver__tolerance", 0.0),
     ("solver__unit", "distance"), ("solver__beta1", 0.0), ("solver__beta2", 0.0), ("solver__beta2", 0.9999),
     ("solver__spread", 0), ("solver__spread", 16), ("solver__mismatch", 0.0), ("solver__mismatch", 2.0),
-    ("smoothness__gloss", 0.0), ("smoothness__gloss", 1e4), ("smoothness__full_views", 1),
+    ("solver__early_damping", 1.0), ("solver__early_damping", 1e3), ("smoothness__gloss", 0.0),
+    ("smoothness__gloss", 1e4), ("smoothness__full_views", 1),
     ("smoothness__full_views", 1000), ("splatting__final_radius", 0.5),
 ]
 _SWITCHES = ("gradient_weight", "coverage_weight", "unseen_mask", "grey", "exposure", "structure", "target_view")
