@@ -162,7 +162,7 @@ def tutorial_loop(frames, K, poses):
 def test_tutorial_loop_with_and_without_the_step(data_dir):
     from PIL import Image
 
-    folder, chosen = data_dir / "hololens_rgbd", range(0, 8, 2)
+    folder, chosen = data_dir / "hololens_rgbd", range(8)
     files = sorted((folder / "images").iterdir())
     poses = np.loadtxt(folder / "poses.txt").reshape(-1, 4, 4)
     fx, fy, cx, cy = np.loadtxt(folder / "K.txt")[[0, 1, 0, 1], [0, 1, 2, 2]]
@@ -176,10 +176,14 @@ def test_tutorial_loop_with_and_without_the_step(data_dir):
             depth_scale=1000.0, depth_trunc=4.0, convert_rgb_to_intensity=False))
     extrinsics = [np.linalg.inv(poses[k]) for k in chosen]
     fine = refine_rgbd(frames, K, extrinsics, config=FEW)
+    changed = []
     for given, new in zip(frames, fine):
         given, new = np.asarray(given.depth), np.asarray(new.depth)
-        assert np.array_equal(given > 0, new > 0) and (new != given).mean() > 0.2
+        assert np.array_equal(given > 0, new > 0)
         assert np.median(np.abs(new - given)[given > 0]) < 0.3  # metres: a pixel of parallax at this size
+        changed.append((new != given).mean())
+    # a frame whose photos do not fit its depth to a fraction of a pixel is kept whole, the others are refined
+    assert all(share == 0 or share > 0.2 for share in changed) and np.count_nonzero(changed) >= 2
     sure = refine_rgbd(frames, K, extrinsics, config=FEW, agree_within=0.01)
     for given, new, all_new in zip(frames, sure, fine):  # each depth is the refined one or the sensor's
         given, new, all_new = (np.asarray(f.depth) for f in (given, new, all_new))

@@ -30,7 +30,7 @@ class StepTime:
 def time_step(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
               steps: int = 5) -> StepTime:
     """Time some steps of the full-size level; parameters as in refine_levels, every effect settled."""
-    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), None)
+    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device))
     level = Level(device, config, run.at(1.0))
     level.enter(run.initial_writer(level))
     level.start(run.start_writer(level, None))

@@ -112,7 +112,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
 
 def full_level(target, contexts, depth: np.ndarray, config: Config, device) -> Level:
     """The full-size level, ready for its first step from the initial depth."""
-    run = _Run(target, contexts, depth, config, device, PhotoStore(device), ())
+    run = _Run(target, contexts, depth, config, device, PhotoStore(device))
     level = Level(device, config, run.at(1.0))
     level.enter(run.initial_writer(level))
     level.start(run.start_writer(level, None))
@@ -122,7 +122,7 @@ def full_level(target, contexts, depth: np.ndarray, config: Config, device) -> L
 def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
                entered: Entered | None = None):
     """What the context views show under the initial depth: a measure.Found."""
-    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), (), entered)
+    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), entered=entered)
     given = run.at(1.0)
     probe = Probe(device, config, given, lambda out: run.resampler.shrink_depth(run.entered, run.full, out, run.full))
     found = probe.read()
@@ -154,7 +154,8 @@ class Entered:
 class _Run:
     """One view's inputs at any level, and its way back to scene units."""
 
-    def __init__(self, target, contexts, depth, config, device, photos, witnesses, entered: Entered | None = None, gloss=None):
+    def __init__(self, target, contexts, depth, config, device, photos, witnesses=(), entered: Entered | None = None,
+                 gloss=None):
         self.views, self.config, self.device, self.photos = [target, *contexts], config, device, photos
         self.depth, self.witnesses, self.gloss = depth, list(witnesses), gloss
         self.resampler = Resampler(device, config)
