@@ -57,8 +57,11 @@ def main(arguments: list[str] | None = None) -> None:
 def run(arguments: list[str]) -> int:
     """Run the command line; returns the exit status."""
     debug = "--debug" in arguments
-    arguments = [word for word in arguments if word != "--debug"] or ["--help"]
-    log_to_stderr(debug)
+    with log_to_stderr(debug):
+        return _run([word for word in arguments if word != "--debug"] or ["--help"], debug)
+
+
+def _run(arguments: list[str], debug: bool) -> int:
     known = command_names()
     wanted = [word for word in arguments if not word.startswith("-")][:1]
     try:

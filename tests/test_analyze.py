@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 
 import numpy as np
 import pytest
@@ -21,16 +20,6 @@ from pagas_cl.made.disk import write_scene
 @pytest.fixture(scope="module")
 def made():
     return relief_scene(96, 72, 3, held_out=0, exposure=0.3)
-
-
-@pytest.fixture(autouse=True)
-def same_logging():
-    """The command line sends messages to a standard error that is gone afterwards."""
-    logger = logging.getLogger("pagas_cl")
-    before = list(logger.handlers), logger.propagate, logger.level
-    yield
-    logger.handlers, logger.propagate = before[:2]
-    logger.setLevel(before[2])
 
 
 @pytest.fixture(scope="module")

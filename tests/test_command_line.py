@@ -1,6 +1,5 @@
 """The command line: what it writes, its exit statuses, and one sentence for everything that goes wrong."""
 
-import logging
 import shutil
 import subprocess
 import sys
@@ -16,16 +15,6 @@ from pagas_cl.errors import DeviceError, InputError, MissingExtraError
 from pagas_cl.scene.depthmap import load_depth, save_depth
 
 QUICK = ["--quiet", "--set", "pyramid.steps=3"]
-
-
-@pytest.fixture(autouse=True)
-def own_logging():
-    """The command line takes the library's messages to standard error; give them back."""
-    logger = logging.getLogger("pagas_cl")
-    before = logger.handlers, logger.propagate, logger.level
-    yield
-    logger.handlers, logger.propagate = before[:2]
-    logger.setLevel(before[2])
 
 
 @pytest.fixture(scope="module")

@@ -85,7 +85,6 @@ def test_no_match_lists_the_names(machine):
 def test_falling_back_to_the_cpu_is_said_aloud(machine, caplog):
     machine(TWO[0])
     with caplog.at_level(logging.WARNING, "pagas_cl"):
-        logging.getLogger("pagas_cl").propagate = True
         assert open_device().info.kind == "CPU"
         assert "no usable OpenCL GPU" in caplog.text
         caplog.clear()
@@ -149,7 +148,6 @@ def test_a_device_that_fails_is_passed_over_or_named(machine, caplog):
             raise ClError("build failed\nerror: no such target")
 
     machine(*TWO, build=fails)
-    logging.getLogger("pagas_cl").propagate = True
     assert open_device().info.name == "NVIDIA T4"
     assert "NVIDIA H100" in caplog.text and "passed over: error: no such target" in caplog.text
     with pytest.raises(DeviceError, match="NVIDIA H100.*error: no such target.*driver older"):

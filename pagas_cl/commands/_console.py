@@ -19,8 +19,9 @@ def console():
     return Console(stderr=True)
 
 
-def log_to_stderr(debug: bool = False) -> None:
-    """Send the messages of the logger "pagas_cl" to standard error."""
+@contextmanager
+def log_to_stderr(debug: bool = False):
+    """Context that sends the messages of the logger "pagas_cl" to standard error, and leaves it as it was."""
     if sys.stderr.isatty():
         from rich.logging import RichHandler
 
@@ -29,9 +30,14 @@ def log_to_stderr(debug: bool = False) -> None:
         handler = logging.StreamHandler()
         handler.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
     logger = logging.getLogger("pagas_cl")
-    logger.handlers = [handler]
-    logger.propagate = False
+    before = logger.handlers, logger.propagate, logger.level
+    logger.handlers, logger.propagate = [handler], False
     logger.setLevel(logging.DEBUG if debug else logging.INFO)
+    try:
+        yield
+    finally:
+        logger.handlers, logger.propagate = before[:2]
+        logger.setLevel(before[2])
 
 
 @contextmanager
