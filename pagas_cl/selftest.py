@@ -111,7 +111,7 @@ def difference(got, want, length) -> float:
 
 
 def _normalized(scene: HardScene):
-    from pagas_cl.splat.state import normalized_depth
+    from pagas_cl.splat.units import normalized_depth
 
     return normalized_depth(scene.depth, scene.target.load_mask())
 

@@ -16,9 +16,6 @@ from pagas_cl.splat import tile as tiles
 from pagas_cl.splat.options import reach
 from pagas_cl.splat.smooth import SUM_GROUPS
 
-NEAR = 1e-3               # as in constants.clh
-FAR = 1e6
-MEDIAN_SAMPLES = 65536
 PHOTO_MARGIN = 16         # pixels behind a photo that may be read
 
 
@@ -143,29 +140,6 @@ def rgba(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
     pixels[..., :3] = image
     pixels[..., 3] = 255 if mask is None else np.where(mask, 255, 0)
     return pixels
-
-
-def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.ndarray, float]:
-    """Depth in units of its median, float32, 0 where there is none, and that unit.
-
-    Depths outside NEAR to FAR units, masked out or not finite have no Gaussian.
-    """
-    depth = depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32)
-    valid = (depth > 0) & (depth < np.inf)
-    if mask is not None:
-        valid &= mask
-    unit = median_of(depth[valid])
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = (depth / np.asarray(unit, depth.dtype)).astype(np.float32, copy=False)
-        valid &= (scaled >= NEAR) & (scaled <= FAR)
-    # NumPy keeps the order of what came in, by columns too, and the device reads rows
-    return np.ascontiguousarray(np.where(valid, scaled, np.float32(0))), unit
-
-
-def median_of(depths: np.ndarray) -> float:
-    """The unit of length: the median of `depths`, of a regular sample where they are many; 1 without any."""
-    sample = depths[::max(1, depths.size // MEDIAN_SAMPLES)]
-    return float(np.median(sample.astype(np.float64))) if sample.size else 1.0
 
 
 def allocate(device, config: Config, target: Size, contexts: list[Size], masked: int,

@@ -14,8 +14,9 @@ from pagas_cl.splat.evidence import Doubt, Evidence
 from pagas_cl.splat.level import Level, LevelInput
 from pagas_cl.splat.measure import Probe
 from pagas_cl.splat.resample import Resampler
-from pagas_cl.splat.state import PhotoStore, Size, level_size, normalized_depth
+from pagas_cl.splat.state import PhotoStore, Size, level_size
 from pagas_cl.splat.streamed import StreamedPhotos
+from pagas_cl.splat.units import depth_range, normalized_depth, scene_depth
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,8 +146,7 @@ class Entered:
 
     def __init__(self, target, depth: np.ndarray, device):
         initial, self.unit = normalized_depth(depth, target.load_mask())
-        valid = initial[initial > 0]
-        self.spread = float(valid.max() - valid.min()) if valid.size else 0.0
+        self.spread = depth_range(initial)
         self.buffer = device.memory.buffer(device.context, initial.nbytes)
         cl.enqueue_copy(device.queue, self.buffer, initial)
 
@@ -203,17 +203,11 @@ class _Run:
         level.release(keep=FOR_EVIDENCE)
         contexts.weigh_after()
         verdict = contexts.decide(self.depth.shape, witnesses)
-        refined = level.read("depth", self.depth.shape)
-        parallax = level.read("unit", self.depth.shape) * np.float32(self.unit)
+        refined, parallax = (level.read(name, self.depth.shape) for name in ("depth", "unit"))
+        for lengths in (parallax, verdict.deviation):
+            lengths *= np.float32(self.unit)
         judged = witnesses.medians() if witnesses else None
         level.release()
-        return Refinement(self._back(refined, verdict.status), verdict.status,
-                          verdict.deviation * np.float32(self.unit), parallax,
-                          (verdict.cost_before, verdict.cost_after), judged, steps, losses,
+        return Refinement(scene_depth(refined, self.unit, verdict.status, self.depth), verdict.status,
+                          verdict.deviation, parallax, (verdict.cost_before, verdict.cost_after), judged, steps, losses,
                           self.device.memory.peak, planned)
-
-    def _back(self, refined: np.ndarray, status: np.ndarray) -> np.ndarray:
-        """Scene units again; a depth that was not refined comes back with the bits that it came with."""
-        given = self.depth.astype(np.float32, copy=False)
-        kept = np.where(np.isfinite(given), given, np.float32(0))
-        return np.multiply(refined, np.float32(self.unit), out=kept, where=status == 1)
