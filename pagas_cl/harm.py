@@ -40,7 +40,7 @@ def harm_of(refined, depth, contexts: int, witnesses, measured) -> str:
     if np.isfinite(after) and np.isfinite(before) and after > before:
         return f"{judges} match worse {told}"
     if judged and before - after < min(LEAST_GAIN, LEAST_GAIN_SHARE * before):
-        return f"{judges} do not match better {told}"
+        return f"{judges} do not match clearly better {told}"
     return ""
 
 
