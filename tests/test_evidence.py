@@ -118,8 +118,8 @@ def kernels(device):
 
 
 def random_evidence(rng, *shape, views=3):
-    """Evidence of some shape, float32 (..., 3): costs below 0 and above 2 too, a quarter of the pixels not seen. No cost
-    is within a tenth of a bin of the next one, so that float32 and float64 count alike."""
+    """Evidence of some shape, float32 (..., 3): costs below 0 and above 2 too, a quarter of the pixels not seen. No
+    cost is within a tenth of a bin of the next one, so that float32 and float64 count alike."""
     seen = rng.integers(0, views + 1, shape)
     cost = (rng.integers(-100, twin.BINS + 100, shape) + rng.uniform(0.1, 0.9, shape)) * (2 / twin.BINS)
     return np.stack([cost * seen, seen, rng.uniform(0, 1, shape)], axis=-1).astype(np.float32)
@@ -130,8 +130,8 @@ def test_means_of_costs_equal_the_twin(kernels, count):
     rng = np.random.default_rng(count)
     before, after = random_evidence(rng, count), random_evidence(rng, count)
     before[0, 1], after[0, 1] = 2, 1                       # seen both times, be it the only one
-    *_, sums = kernels("sum_costs", (_SUM_GROUPS * _SUM_GROUP,), before, after, count, np.zeros((_SUM_GROUPS, 3), np.int64),
-                       group=(_SUM_GROUP,))
+    *_, sums = kernels("sum_costs", (_SUM_GROUPS * _SUM_GROUP,), before, after, count,
+                       np.zeros((_SUM_GROUPS, 3), np.int64), group=(_SUM_GROUP,))
     was, now, pixels = sums.sum(axis=0).tolist()
     assert pixels == np.count_nonzero(twin.costs(before, after)[2]) > 0
     want = twin.mean_costs(before.astype(np.float64), after.astype(np.float64))

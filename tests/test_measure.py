@@ -111,7 +111,8 @@ def test_samples_of_a_view_equal_the_twin(device, scene, probe, number):
     cl.enqueue_copy(device.queue, probe.arena["z_first"], z_first)
     run_once(device.queue, probe.sample(number)[:1])
     got = rows_of(device, probe, number)
-    given = scene.initial.astype(np.float64), scene.target, context, z_first.astype(np.float64), probe.threshold(number), scene.unit
+    initial, near = (array.astype(np.float64) for array in (scene.initial, z_first))
+    given = initial, scene.target, context, near, probe.threshold(number), scene.unit
     hidden, large = twin.sampled(*given, BALANCED.splatting.low_pass)
     assert min((hidden == 0).mean(), (hidden == 1).mean(), np.isnan(hidden).mean()) > 0.05
     same = np.isclose(got["hidden"], hidden, equal_nan=True)

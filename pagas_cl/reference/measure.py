@@ -74,8 +74,8 @@ def sampled(depth, target, context, z_first, delta: float, unit: float, low_pass
 
 
 def told(costs: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """What one view adds to the totals of each sample, shape (2 + shifts, ...): whether it sees it, whether it can tell,
-    its costs (moves, ...) by shift where it can."""
+    """What one view adds to the totals of each sample, shape (2 + shifts, ...): whether it sees it, whether it can
+    tell, its costs (moves, ...) by shift where it can."""
     shifts = costs[:len(SHIFTS)]
     tells = (shifts < TEXTURED).all(axis=0)
     return np.concatenate([[seen, tells], np.where(tells, shifts, 0.0)])
@@ -110,7 +110,8 @@ def judged(depth, totals, gloss):
     far = costs[away].min(axis=0) < costs[~away].min(axis=0) - BETTER
     known = np.isfinite(gloss).sum(axis=0)
     mean = np.nansum(gloss, axis=0) / np.maximum(known, 1)
-    return (np.where(depth > 0, totals[0] > 0, np.nan), np.where(telling, far, np.nan), np.where(known > 0, mean, np.nan))
+    return (np.where(depth > 0, totals[0] > 0, np.nan), np.where(telling, far, np.nan),
+            np.where(known > 0, mean, np.nan))
 
 
 def least_at(costs: np.ndarray) -> np.ndarray:
