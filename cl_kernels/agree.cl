@@ -2,6 +2,7 @@
 // scene unit, in which the depth maps come.
 //   parallax       depth that moves a point of the target by one pixel, over the views that see it
 //   count_view     adds what one other view says of each depth
+#define CAMERA_SPACE __global const      // all views of a scene at once, more than constant memory may hold
 #include "camera.clh"
 
 #define FRONT 1e-6f                      // as in reference/agree.py
@@ -14,7 +15,7 @@ bool land(const Camera target, const Camera other, int column, int row, float d,
     return mean->z > FRONT * d && mean->x >= 0.0f && mean->x < other.width && mean->y >= 0.0f && mean->y < other.height;
 }
 
-__kernel void parallax(__global const float *depth, __constant float *cameras, int views, float scale,
+__kernel void parallax(__global const float *depth, CAMERA_SPACE float *cameras, int views, float scale,
                        __global float *unit)
 {
     const Camera target = load_camera(cameras, 0);
@@ -58,7 +59,7 @@ float difference(__global const float *map, const Camera other, float3 mean, flo
 }
 
 // counts: views that confirm a depth to within `pixels` of parallax, views that should see it.
-__kernel void count_view(__global const float *depth, __constant float *cameras, int view, float scale,
+__kernel void count_view(__global const float *depth, CAMERA_SPACE float *cameras, int view, float scale,
                          __global const float *map, __global const float *unit, float pixels, __global ushort2 *counts)
 {
     const Camera target = load_camera(cameras, 0), other = load_camera(cameras, view);

@@ -110,7 +110,7 @@ def effect_costs(target, contexts, depth, config: Config, measured: Measurements
 
     def cost(settled):
         if settled not in known:
-            known[settled] = time_step(target, contexts, depth, _one_level(settled), device, photos)
+            known[settled] = time_step(target, contexts, depth, settled, device, photos)
         return known[settled].view_seconds(settled), known[settled].device_bytes
 
     for name in RULES:
@@ -123,10 +123,6 @@ def effect_costs(target, contexts, depth, config: Config, measured: Measurements
 
 def _with(config: Config, name: str, choice: str) -> Config:
     return replace(config, effects=replace(config.effects, **{name: choice}))
-
-
-def _one_level(config: Config) -> Config:
-    return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps[-1:])
 
 
 def _array(depth) -> np.ndarray:

@@ -129,3 +129,19 @@ def test_counts_on_a_device_equal_the_twin(ring):
         assert (a == b).mean() > 0.999, name
     kept = [agree.confirmed(ring, depths, Fusion(agree_views=2), device=where) for where in (None, device)]
     assert np.mean([(a == b).mean() for a, b in zip(*kept)]) > 0.999
+
+
+def test_any_number_of_views_on_a_device(device):
+    """More cameras than the 64 kB of constant memory hold that every device has; PoCL has room for all the same, so
+    that the kernels are read too."""
+    from pagas_cl.runtime.program import source
+
+    angles = np.radians(np.linspace(-18, 18, 900))
+    cameras = [look_at((4 * np.sin(a), 0.3 * np.cos(5 * a), -4 * np.cos(a)), (0, 0, 0), 12, 10, 11.0, 6, 5)
+               for a in angles]
+    depths = [plane_depth(camera, NORMAL, 0) for camera in cameras]
+    given = cameras[0], depths[0], cameras[1:], depths[1:], 0.5
+    want, got = (agree.counts(*given, where)[0] for where in (None, device))
+    assert want.max() > 819 and np.abs(got.astype(int) - want).max() <= 2       # a tolerance that float32 may miss
+    kernels = source("agree.cl").split("__kernel ")[1:]
+    assert len(kernels) == 2 and not any("__constant" in kernel.split("{")[0] for kernel in kernels)

@@ -130,3 +130,21 @@ def test_fusion_drops_what_others_contradict(maps, made):
         near[choice] = float((z[inside] < true - 4 * made.relief.parallax).mean())
     assert "consistency off" in told[0] and "consistency on" in told[1]
     assert near["auto"] < 0.5 * near["off"]
+
+
+def test_timed_steps_have_room_for_their_losses(made, device, monkeypatch):
+    """Five steps are timed whatever the settings ask for: two of them would leave room for three losses."""
+    from pagas_cl.splat.level import Level
+    from pagas_cl.splat.step_time import time_step
+
+    plain, rooms = Level.run, []
+
+    def run_steps(level, steps, progress=None):
+        rooms.append(level.arena.specs["history"].shape[0] - steps)
+        return plain(level, steps, progress) if rooms[-1] >= 0 else steps        # never past the end, on no device
+
+    monkeypatch.setattr(Level, "run", run_steps)
+    config = BALANCED.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=(1, 2), solver__patience=5)
+    target, *contexts = made.views
+    timed = time_step(target, contexts, made.initial_depth(target.camera), config, device)
+    assert rooms and min(rooms) >= 0 and timed.seconds > 0

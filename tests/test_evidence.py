@@ -13,8 +13,10 @@ from pagas_cl.reference import evidence as twin
 from pagas_cl.reference.pairs import candidates, nearest_surface
 from pagas_cl.reference.project import project
 from pagas_cl.runtime.device import open_device
+from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.rig import footprint
-from pagas_cl.splat.evidence import Doubt, Evidence
+from pagas_cl.splat.evidence import _SUM_GROUP, _SUM_GROUPS, Doubt, Evidence, _median
+from pagas_cl.splat.options import defines
 
 DOUBT = Doubt(1.5, 0.2, 0.05)
 CONFIG = BALANCED.with_settings(solver__views_per_step=0)
@@ -88,6 +90,153 @@ def test_verdicts_equal_the_twin(device):
     want = twin.decide(initial, refined, unit, before, after, 0.5, 0.1, 0.8)
     assert (np.bincount(want.ravel(), minlength=4) > 0).all()
     assert (status == want).mean() > 0.999
+
+
+class Kernels:
+    """evidence.cl on arrays: each call runs one kernel and returns what its buffers hold then."""
+
+    def __init__(self, device):
+        self.device, self.program = device, build(device, "evidence.cl", defines(CONFIG, device, 64.0))
+
+    def __call__(self, name, size, *arguments, group=None):
+        on_device = [self._buffer(a) if isinstance(a, np.ndarray) else a for a in arguments]
+        run_once(self.device.queue, [bind(self.program, name, size, group, *on_device)])
+        out = [(a.copy(), b) for a, b in zip(arguments, on_device) if isinstance(a, np.ndarray)]
+        for array, buffer in out:
+            cl.enqueue_copy(self.device.queue, array, buffer)
+        return [array for array, _ in out]
+
+    def _buffer(self, array):
+        buffer = self.device.memory.buffer(self.device.context, array.nbytes)
+        cl.enqueue_copy(self.device.queue, buffer, array)
+        return buffer
+
+
+@pytest.fixture
+def kernels(device):
+    return Kernels(device)
+
+
+def random_evidence(rng, *shape, views=3):
+    """Evidence of some shape, float32 (..., 3): costs below 0 and above 2 too, a quarter of the pixels not seen. No
+    cost is within a tenth of a bin of the next one, so that float32 and float64 count alike."""
+    seen = rng.integers(0, views + 1, shape)
+    cost = (rng.integers(-100, twin.BINS + 100, shape) + rng.uniform(0.1, 0.9, shape)) * (2 / twin.BINS)
+    return np.stack([cost * seen, seen, rng.uniform(0, 1, shape)], axis=-1).astype(np.float32)
+
+
+@pytest.mark.parametrize("count", [1, 700, 17_001])       # fewer and more than the work-items that share them
+def test_means_of_costs_equal_the_twin(kernels, count):
+    rng = np.random.default_rng(count)
+    before, after = random_evidence(rng, count), random_evidence(rng, count)
+    before[0, 1], after[0, 1] = 2, 1                       # seen both times, be it the only one
+    *_, sums = kernels("sum_costs", (_SUM_GROUPS * _SUM_GROUP,), before, after, count,
+                       np.zeros((_SUM_GROUPS, 3), np.int64), group=(_SUM_GROUP,))
+    was, now, pixels = sums.sum(axis=0).tolist()
+    assert pixels == np.count_nonzero(twin.costs(before, after)[2]) > 0
+    want = twin.mean_costs(before.astype(np.float64), after.astype(np.float64))
+    # rounded to 2^-20 each, and a division in float32
+    assert (was / pixels / 2**20, now / pixels / 2**20) == pytest.approx(want, abs=2e-6)
+
+
+def test_means_and_medians_of_nothing_are_not_known(device):
+    level = start_level(device, CONFIG, Scene.make(3))
+    judge = Evidence(level, [1], level.arena["depth"])
+    judge._before, judge._after = (judge._buffer(12 * level.target.pixels) for _ in range(2))
+    seen = np.zeros((level.target.pixels, 3), np.float32)
+    seen[::2] = 1, 1, 0
+    for buffer, array in ((judge._before, seen), (judge._after, seen[::-1].copy())):       # never both times
+        cl.enqueue_copy(device.queue, buffer, array)
+    assert np.isnan(judge.costs()).all() and np.isnan(judge.medians()).all()
+    assert np.isnan(twin.mean_costs(seen, seen[::-1])).all()
+    level.release()
+
+
+@pytest.mark.parametrize("count", [1, 700, 17_001])
+def test_counts_of_costs_equal_the_twin(kernels, count):
+    rng = np.random.default_rng(count)
+    before, after = random_evidence(rng, count), random_evidence(rng, count)
+    before[0, 1], after[0, 1] = 2, 1
+    *_, counts = kernels("count_costs", (count,), before, after, count, np.zeros((2, twin.BINS), np.uint32))
+    assert (counts == twin.counted_costs(before, after)).all()
+    was, now, known = twin.costs(before.astype(np.float64), after.astype(np.float64))
+    for row, cost in zip(counts, (was, now)):
+        middle = np.median(np.clip(cost[known], 0, 2))
+        # between the two middle ones of an even number every value is a median; bins are 2 / 1024 wide
+        gap = np.ptp(np.sort(np.clip(cost[known], 0, 2))[[(known.sum() - 1) // 2, known.sum() // 2]])
+        assert _median(row) == pytest.approx(middle, abs=gap + 2 / twin.BINS)
+
+
+def test_growth_of_costs_equals_the_twin(kernels):
+    rng = np.random.default_rng(2)
+    before, after = random_evidence(rng, 23, 31), random_evidence(rng, 23, 31)
+    *_, grown = kernels("worse_costs", (23 * 31,), before, after, 23 * 31, np.full((23, 31, 2), np.nan, np.float32))
+    known = twin.costs(before, after)[2]
+    assert 0.4 < known.mean() < 0.8
+    assert (grown[..., 1] == known).all() and (grown[~known] == 0).all()
+    assert np.abs(grown[..., 0] - twin.worse(before.astype(np.float64), after.astype(np.float64))).max() < 1e-6
+
+
+@pytest.mark.parametrize("height, width", [(1, 1), (3, 40), (23, 31)])      # narrower than a window, and wider
+@pytest.mark.parametrize("stride", [2, 3])
+def test_sums_over_surroundings_equal_the_twin(kernels, height, width, stride):
+    rng = np.random.default_rng(height)
+    given, size = rng.normal(size=(height, width, stride)).astype(np.float32), (width, height)
+    _, rows = kernels("sum_window", size, given, stride, width, height, 1, 0, np.zeros((height, width, 2), np.float32))
+    _, around = kernels("sum_window", size, rows, 2, width, height, 0, 1, np.zeros((height, width, 2), np.float32))
+    want = np.stack([twin._patch_sum(given[..., k].astype(np.float64), twin.WINDOW) for k in (0, 1)], axis=-1)
+    assert np.abs(around - want).max() < 2e-5               # 225 numbers of order 1 in float32
+
+
+def test_refusal_equals_the_twin(kernels):
+    """Every status, growth of either sign, and exactly none, with the border in it."""
+    rng = np.random.default_rng(4)
+    height, width = shape = 37, 45
+    status = rng.integers(0, 4, shape).astype(np.uint8)
+    initial, refined = (rng.uniform(1, 2, shape).astype(np.float32) for _ in range(2))
+    growth = np.zeros(shape)
+    growth[:, :12] = rng.normal(0, 0.3, (height, 12)) + np.where(np.arange(height) < 18, 0.1, -0.1)[:, None]
+    pairs = np.stack([growth, growth != 0], axis=-1).astype(np.float32)
+    for _ in range(2):
+        for dx, dy in ((1, 0), (0, 1)):
+            _, pairs = kernels("sum_window", (width, height), pairs, 2, width, height, dx, dy, np.zeros_like(pairs))
+    _, depth, _, got = kernels("refuse", (height * width,), initial, refined, height * width, pairs, status)
+    want_depth, want = twin.refuse(initial, refined, status, growth)
+    around = twin._patch_sum(twin._patch_sum(growth, twin.WINDOW), twin.WINDOW)
+    sure = (np.abs(around) > 1e-3) | (around == 0)           # sums of 225^2 numbers in float32
+    assert sure.mean() > 0.99
+    assert ((around == 0) & (status == 1)).sum() > 50       # nothing is known near the last columns
+    assert ((around > 0) & (status == 1)).sum() > 50 and ((around < 0) & (status == 1)).sum() > 50
+    assert (got == want)[sure].all() and (depth == want_depth)[sure].all()
+
+
+def test_verdicts_with_a_witness_equal_the_twin(device):
+    """The whole way: decided by two views, refused by a third one, feathered."""
+    rng = np.random.default_rng(5)
+    scene = Scene.make(17, width=45, height=37, contexts=3, masks=True)
+    config = CONFIG.with_settings(solver__max_move=2.0, solver__mismatch=0.8, solver__tolerance=0.1)
+    level = start_level(device, config, scene)
+    unit, initial = level.read("unit", scene.moved.shape), level.read("depth", scene.moved.shape)
+    entered = device.memory.buffer(device.context, initial.nbytes)
+    cl.enqueue_copy(device.queue, entered, initial)
+    judge, witness = Evidence(level, [1, 2], entered), Evidence(level, [3], entered)
+    for each in (judge, witness):
+        each.weigh_before()
+    refined = np.where(initial > 0, initial + rng.normal(0, 0.3, initial.shape) * unit, 0).astype(np.float32)
+    cl.enqueue_copy(device.queue, level.arena["depth"], refined)
+    judge.weigh_after()
+    verdict = judge.decide(initial.shape, witness)
+    accepted = level.read("depth", initial.shape)
+    evidence = [[one._read(e).reshape(*initial.shape, 3).astype(np.float64) for e in (one._before, one._after)]
+                for one in (judge, witness)]
+    level.release()
+    alone = twin.decide(initial, refined, unit, *evidence[0], 2.0, 0.1, 0.8)
+    growth = twin.worse(*evidence[1])
+    _, want = twin.refuse(initial, refined, alone, growth)
+    assert (want != alone).sum() > 20 and (want == twin.REFINED).sum() > 20
+    assert (verdict.status == want).mean() > 0.999           # a sum next to 0 may fall either way
+    feathered = twin.feather(initial.astype(np.float64), refined.astype(np.float64), verdict.status)
+    assert np.abs(accepted - feathered).max() < 1e-6
 
 
 def _near(band):

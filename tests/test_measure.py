@@ -100,6 +100,60 @@ def test_costs_of_moved_depths_equal_the_twin(device, scene, probe, number):
     assert np.abs(np.nan_to_num(want) - aside)[seen].max() < 1e-3
 
 
+@pytest.mark.parametrize("number", [1, 2])
+def test_samples_of_a_view_equal_the_twin(device, scene, probe, number):
+    """Hidden or not, and how large, with something in front of half of the photo."""
+    context = scene.contexts[number - 1]
+    size = context.camera.width, context.camera.height
+    run_once(device.queue, project.nearest(probe, number))
+    z_first = read(device, probe.arena["z_first"], size[::-1])
+    z_first[:, :size[0] // 2] = np.minimum(z_first[:, :size[0] // 2], 0.3)
+    cl.enqueue_copy(device.queue, probe.arena["z_first"], z_first)
+    run_once(device.queue, probe.sample(number)[:1])
+    got = rows_of(device, probe, number)
+    initial, near = (array.astype(np.float64) for array in (scene.initial, z_first))
+    given = initial, scene.target, context, near, probe.threshold(number), scene.unit
+    hidden, large = twin.sampled(*given, BALANCED.splatting.low_pass)
+    assert min((hidden == 0).mean(), (hidden == 1).mean(), np.isnan(hidden).mean()) > 0.05
+    same = np.isclose(got["hidden"], hidden, equal_nan=True)
+    assert same.mean() > 0.995                             # landing next to a pixel's edge it may ask the one beside it
+    assert (np.isnan(got["size"]) == np.isnan(large))[same].all()
+    known = same & np.isfinite(large)
+    assert np.abs(got["size"] / np.where(known, large, 1) - 1)[known].max() < 1e-4
+    assert all(np.isnan(got[name]).all() for name in got if name not in ("hidden", "size"))
+
+
+def test_judgement_of_samples_equals_the_twin(device, scene, probe):
+    """Costs of all kinds in both views, added up: matching, better elsewhere, of other content, without texture."""
+    rng, shape, names = np.random.default_rng(3), scene.initial.shape, [name for name, *_ in _ROWS]
+    values = np.full((2, len(names), *shape), np.nan, np.float32)
+    values[:, names.index("hidden")] = rng.choice([0, 1, np.nan], (2, *shape))
+    values[:, names.index("gloss")] = rng.choice([0.01, 0.02, np.nan], (2, *shape))
+    costs = rng.uniform(0, 1, (2, 1, *shape)) * rng.uniform(0.9, 1.1, (2, len(MOVES), *shape))
+    costs = np.where(rng.uniform(size=costs.shape) < 0.03, twin.UNDEFINED, costs).astype(np.float32)
+    cl.enqueue_copy(device.queue, probe.views.values, values)
+    totals = np.zeros((2 + len(SHIFTS), *shape))
+    for view in (1, 2):
+        cl.enqueue_copy(device.queue, probe.arena["costs"], costs[view - 1])
+        run_once(device.queue, probe.sample(view)[2:])
+        totals += twin.told(costs[view - 1], values[view - 1, names.index("hidden")] == 0)
+    assert np.abs(read(device, probe.arena["totals"], totals.shape) - totals).max() < 1e-6
+    for view in (1, 2):
+        got, want = rows_of(device, probe, view), twin.like(costs[view - 1].astype(np.float64))
+        assert 0.1 < want.mean() < 0.9 and (got["like"] == want).mean() > 0.999
+        aside = twin.least_at(costs[view - 1][[7, 8, 3, 9, 10]])
+        below, right = (np.arange(n) * 2 >= n for n in shape)
+        for k in range(4):                                 # by quadrant of the target
+            inside = (below == k // 2)[:, None] & (right == k % 2)
+            assert np.allclose(got[f"aside {k}"], np.where(inside, aside, np.nan), atol=1e-4, equal_nan=True)
+    cl.enqueue_fill_buffer(device.queue, probe.arena["matches"], np.uint32(0), 0, probe.arena.size("matches"))
+    run_once(device.queue, probe._judge())
+    rows = read(device, probe.samples.values, (3, *shape))
+    for name, got, want in zip(("seen", "far", "gloss"), rows, twin.judged(scene.initial, totals, values[:, 9])):
+        assert len(np.unique(want[np.isfinite(want)])) > 1 and np.isnan(want).any(), name
+        assert np.isclose(got, want, atol=1e-6, equal_nan=True).mean() > 0.999, name
+
+
 def test_matched_colours_and_the_fit_equal_the_twin(device, smooth_scene, smooth_probe):
     scene, probe = smooth_scene, smooth_probe
     for view in (1, 2):

@@ -7,6 +7,7 @@ import numpy as np
 from pagas_cl.reference.project import project
 
 PATCH, WINDOW, LEAST_PIXELS, NOISE, LEAST_POSSIBLE = 2, 7, 6, 1 / 255, 0.3
+BINS = 1024         # of 1 - correlation, from 0 to 2
 NO_SURFACE, REFINED, KEPT, REJECTED = range(4)
 
 
@@ -89,6 +90,57 @@ def decide(initial, refined, unit, before, after, max_move, tolerance, mismatch)
     refused = ~(np.abs(refined - initial) <= max_move * unit) | worse & (before[..., 1] > 0) | (cost > mismatch * views)
     unseen = (unit == 0) | (after[..., 1] == 0)
     return np.select([~(initial > 0), unseen, refused], [NO_SURFACE, KEPT, REJECTED], REFINED)
+
+
+def costs(before, after):
+    """1 - correlation before and after, NaN where no view sees a pixel, and where views see it both times.
+
+    Parameters
+    ----------
+    before, after : ndarray of shape (..., 3)
+        Sum of 1 - correlation, views, information.
+
+    Returns
+    -------
+    was, now, known : ndarray of shape (...)
+    """
+    was, now = (np.where(e[..., 1] > 0, e[..., 0] / np.maximum(e[..., 1], 1), np.nan) for e in (before, after))
+    return was, now, (before[..., 1] > 0) & (after[..., 1] > 0)
+
+
+def mean_costs(before, after) -> tuple[float, float]:
+    """Mean 1 - correlation before and after over the pixels that are seen both times; NaN without any."""
+    was, now, known = costs(before, after)
+    return (float(was[known].mean()), float(now[known].mean())) if known.any() else (np.nan, np.nan)
+
+
+def counted_costs(before, after) -> np.ndarray:
+    """How often each 1 - correlation occurs before and after over the pixels that are seen both times: shape (2, BINS),
+    what lies outside 0 to 2 in the first and the last bin."""
+    was, now, known = costs(before, after)
+    place = np.clip(np.floor(np.stack([was[known], now[known]]) * (BINS / 2)), 0, BINS - 1).astype(int)
+    return np.stack([np.bincount(row, minlength=BINS) for row in place])
+
+
+def worse(before, after) -> np.ndarray:
+    """By how much 1 - correlation grew, of the shape of a map; 0 where it is not known."""
+    was, now, known = costs(before, after)
+    return np.where(known, now - was, 0.0)
+
+
+def refuse(initial, refined, status, growth):
+    """Depths and status after those that the witnesses speak against went back, each of shape (H, W).
+
+    Parameters
+    ----------
+    initial, refined, status : ndarray of shape (H, W)
+        As `decide` leaves them.
+    growth : ndarray of shape (H, W)
+        `worse` of the witnesses' evidence. Summed over the surroundings twice, so that nearer pixels count for more.
+    """
+    around = _patch_sum(_patch_sum(growth, WINDOW), WINDOW)
+    back = (status == REFINED) & (around > 0)
+    return np.where(back, initial, refined), np.where(back, REJECTED, status)
 
 
 def feather(initial, refined, status):

@@ -10,6 +10,9 @@ from pagas_cl.reference.project import project
 
 HALF, LEAST_PIXELS, NOISE, UNDEFINED = 2, 15, 1.5e-5, 2.0
 TEXTURED, OTHER = 1.5, 0.5       # costs above these are of patches without texture, and of other content
+WORSE = 0.02                     # a depth that matches worse than another by more is not the right one
+SHIFTS = np.array([-4, -2, -1, 0, 1, 2, 4])      # pixels of parallax: the first costs of a sample
+BETTER = 0.05                    # by so much a depth far away must match better
 
 
 def moved_cost(depth, parallax, target, context, shift: float, unit: float, aside: float = 0.0) -> np.ndarray:
@@ -41,6 +44,74 @@ def moved_cost(depth, parallax, target, context, shift: float, unit: float, asid
     var_w, var_t = mean[2] - mean[0] ** 2, mean[3] - mean[1] ** 2
     correlation = (mean[4] - mean[0] * mean[1]) / np.sqrt((np.maximum(var_w, 0) + NOISE) * (np.maximum(var_t, 0) + NOISE))
     return np.where((n >= LEAST_PIXELS) & (var_t >= 4 * NOISE), 1 - correlation, UNDEFINED)
+
+
+def sampled(depth, target, context, z_first, delta: float, unit: float, low_pass: float = 0.0):
+    """What a context view shows of each target pixel, arrays of shape (H, W), NaN where it is not seen.
+
+    Parameters
+    ----------
+    depth : ndarray of shape (H, W)
+        Units.
+    target, context : Photo
+    z_first : ndarray of shape (H', W')
+        Nearest depth of each context pixel, inf where there is none.
+    delta, unit, low_pass : float
+        Depth threshold in units; scene units per unit; px^2.
+
+    Returns
+    -------
+    hidden : 1 behind a nearer surface, else 0
+    size : standard deviation of the projected Gaussian, pixels; NaN too where it is hidden
+    """
+    p = project(depth, target.camera, context.camera, low_pass, unit)
+    seen = look_up(luma(context.image), p, context, depth.shape)[1].ravel()
+    column, row = np.where(seen[:, None], p.m, 0).astype(int).T
+    hidden = p.z > z_first[row, column] + delta
+    size = (p.K[:, 0] * p.K[:, 2] - p.K[:, 1] ** 2) ** -0.25
+    return (np.where(seen, hidden, np.nan).reshape(depth.shape),
+            np.where(seen & ~hidden, size, np.nan).reshape(depth.shape))
+
+
+def told(costs: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """What one view adds to the totals of each sample, shape (2 + shifts, ...): whether it sees it, whether it can
+    tell, its costs (moves, ...) by shift where it can."""
+    shifts = costs[:len(SHIFTS)]
+    tells = (shifts < TEXTURED).all(axis=0)
+    return np.concatenate([[seen, tells], np.where(tells, shifts, 0.0)])
+
+
+def like(costs: np.ndarray) -> np.ndarray:
+    """1 where the photos may show the same thing; 0 where they show other things, or another depth matches better."""
+    shifts = costs[:len(SHIFTS)]
+    here = shifts[len(SHIFTS) // 2]
+    other = (here > OTHER) | (here > np.minimum(shifts.min(axis=0), UNDEFINED) + WORSE)
+    return np.where((here < TEXTURED) & other, 0.0, 1.0)
+
+
+def judged(depth, totals, gloss):
+    """What all views say of each sample, three arrays of shape (H, W), NaN where nothing is known.
+
+    Parameters
+    ----------
+    depth : ndarray of shape (H, W)
+    totals : ndarray of shape (2 + shifts, H, W)
+        Sum of `told` over the views.
+    gloss : ndarray of shape (views, H, W)
+
+    Returns
+    -------
+    seen : 1 where some view sees the surface, else 0
+    far : 1 where the photos match clearly better two or more pixels of parallax away, else 0
+    gloss : mean over the views
+    """
+    costs, telling = totals[2:] / np.maximum(totals[1], 1), totals[1] > 0
+    away = np.abs(SHIFTS) >= 2
+    far = costs[away].min(axis=0) < costs[~away].min(axis=0) - BETTER
+    known = np.isfinite(gloss).sum(axis=0)
+    mean = np.nansum(gloss, axis=0) / np.maximum(known, 1)
+    return (np.where(depth > 0, totals[0] > 0, np.nan), np.where(telling, far, np.nan),
+            np.where(known > 0, mean, np.nan))
 
 
 def least_at(costs: np.ndarray) -> np.ndarray:

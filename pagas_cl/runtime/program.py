@@ -12,7 +12,7 @@ from importlib.resources import files
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.errors import KernelBuildError
+from pagas_cl.errors import DeviceError, KernelBuildError
 
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$')
 GROUP_1D, GROUP_2D = (128,), (32, 4)
@@ -138,18 +138,29 @@ def usual_group(global_size) -> tuple[int, ...] | None:
 
 
 def bind(program: cl.Program, name: str, global_size, local_size, *arguments) -> Launch:
-    """A Launch of `name` with its own argument set: int -> int32, float -> float32, None -> a null buffer."""
+    """A Launch of `name` with its own argument set: int -> int32, float -> float32, None -> a null buffer.
+
+    Raises
+    ------
+    DeviceError
+        A whole number does not fit into 32 bits.
+    """
+    arguments = [_argument(value, name) for value in arguments]
     source = (program.int_ptr, name)
     kernel = _idle[source].pop() if _idle[source] else cl.Kernel(program, name)
-    kernel.set_args(*(_argument(a) for a in arguments))
+    kernel.set_args(*arguments)
     local_size = tuple(local_size) if local_size else usual_group(global_size)
     if local_size:
         global_size = tuple(-(-g // l) * l for g, l in zip(global_size, local_size))
     return Launch(kernel, tuple(int(g) for g in global_size), local_size, name, source)
 
 
-def _argument(value):
-    if isinstance(value, (bool, int)):
+def _argument(value, name: str):
+    if isinstance(value, (int, np.integer)):
+        # NumPy 1 would wrap it, and OpenCL refuse one of 64 bits without saying which
+        if not -2**31 <= value < 2**31:
+            raise DeviceError(f"kernel {name} was given {value}, expected a whole number of 32 bits (-2147483648 to "
+                              "2147483647)")
         return np.int32(value)
     if isinstance(value, float):
         return np.float32(value)

@@ -30,6 +30,8 @@ class StepTime:
 def time_step(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
               steps: int = 5) -> StepTime:
     """Time some steps of the full-size level; parameters as in refine_levels, every effect settled."""
+    # a level has room for the losses of as many steps as it is made for
+    config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,))
     run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device))
     level = Level(device, config, run.at(1.0))
     level.enter(run.initial_writer(level))

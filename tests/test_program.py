@@ -1,0 +1,35 @@
+"""What a kernel may be given: whole numbers of 32 bits, or a sentence that says which one is not."""
+
+import numpy as np
+import pytest
+
+from pagas_cl.errors import DeviceError
+from pagas_cl.runtime.program import bind, build, run_once
+
+
+def rate_falls(device, patience):
+    """Whether the schedule of step.cl lowers the rate after one step without a better loss."""
+    import pyopencl as cl
+
+    state, history = np.array([1, 0, 0, 0, 5, 0, 0, 0], np.float32), np.zeros(4, np.float32)
+    buffers = [device.memory.buffer(device.context, array.nbytes) for array in (state, history)]
+    cl.enqueue_copy(device.queue, buffers[0], state)
+    run_once(device.queue, [bind(build(device, "step.cl"), "plateau", (1,), None, *buffers, 1, patience, 0.0)])
+    cl.enqueue_copy(device.queue, state, buffers[0])
+    return state[0] < 1
+
+
+@pytest.mark.parametrize("kind", [int, np.int32, np.int64, np.uint32])
+def test_whole_numbers_of_any_kind_arrive(device, kind):
+    assert rate_falls(device, kind(1)) and not rate_falls(device, kind(2)) and not rate_falls(device, kind(2**31 - 1))
+
+
+def test_the_least_number_arrives(device):
+    assert rate_falls(device, -2**31)
+
+
+@pytest.mark.parametrize("number", [2**31, -2**31 - 1, 2**32 + 1, 10**30, np.int64(2**31), np.uint32(2**31)])
+def test_a_number_that_does_not_fit_is_refused(device, number):
+    with pytest.raises(DeviceError, match=rf"kernel plateau was given {number}, expected a whole number of 32 bits"):
+        rate_falls(device, number)
+    assert rate_falls(device, 1), "the kernel is usable afterwards"
