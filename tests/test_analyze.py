@@ -12,7 +12,7 @@ from pagas_cl.commands._settings import build_config, effect_settings
 from pagas_cl.config import BALANCED, Effects
 from pagas_cl.consistency import THRESHOLD, contradicted, decide_consistency
 from pagas_cl.effects import RULES
-from pagas_cl.errors import DeviceError, InputError
+from pagas_cl.errors import InputError
 from pagas_cl.made import relief_scene
 from pagas_cl.made.disk import write_scene
 
@@ -23,13 +23,7 @@ def made():
 
 
 @pytest.fixture(scope="module")
-def scene(made, tmp_path_factory):
-    from pagas_cl.runtime.device import open_device
-
-    try:
-        open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
+def scene(made, device, tmp_path_factory):
     return write_scene(made, tmp_path_factory.mktemp("scene"))
 
 

@@ -4,7 +4,7 @@ import logging
 
 import numpy as np
 import pytest
-from conftest import look_at, plane_depth
+from conftest import plane_depth
 
 o3d = pytest.importorskip("open3d")
 

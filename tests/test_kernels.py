@@ -9,9 +9,7 @@ from close import assert_kernel_close
 from kernel_cases import SEES_LOSS, Scene, device_gradient, start_level, twin_gradient
 
 from pagas_cl.config import BALANCED, PAPER
-from pagas_cl.errors import DeviceError
 from pagas_cl.reference.level import prepare, run_level
-from pagas_cl.runtime.device import open_device
 from pagas_cl.splat.tile import SCALAR, Tile
 
 PLAIN = BALANCED.with_settings(smoothness__kind="none", smoothness__weight=0.0, splatting__radius=1.0,
@@ -51,14 +49,6 @@ CASES = {
     "alpha huber": (PAPER, dict(loss__huber=0.02)),
     "alpha L1 only": (PAPER, dict(loss__ssim=0.0)),
 }
-
-
-@pytest.fixture(scope="module")
-def device():
-    try:
-        return open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")

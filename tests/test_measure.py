@@ -8,14 +8,12 @@ import pytest
 from kernel_cases import Scene, view_of
 
 from pagas_cl.config import BALANCED
-from pagas_cl.errors import DeviceError
 from pagas_cl.made import relief_scene
 from pagas_cl.reference import exposure as exposure_twin
 from pagas_cl.reference import measure as twin
 from pagas_cl.reference.level import Photo, prepare
 from pagas_cl.reference.grain import noise_and_texture
 from pagas_cl.reference.summary import summarize
-from pagas_cl.runtime.device import open_device
 from pagas_cl.runtime.program import run_once
 from pagas_cl.splat import exposure, project
 from pagas_cl.splat.grain import Grain
@@ -25,14 +23,6 @@ from pagas_cl.splat.state import PhotoStore, Size
 from pagas_cl.splat.summary import Rows
 
 MOVES = [(float(shift), 0.0) for shift in SHIFTS] + [(0.0, aside) for aside in (-2.0, -1.0, 1.0, 2.0)]
-
-
-@pytest.fixture(scope="module")
-def device():
-    try:
-        return open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")
