@@ -111,9 +111,9 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     return run.finish(level, evidence, tuple(done), losses, planned.nbytes)
 
 
-def full_level(target, contexts, depth: np.ndarray, config: Config, device) -> Level:
+def full_level(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None) -> Level:
     """The full-size level, ready for its first step from the initial depth."""
-    run = _Run(target, contexts, depth, config, device, PhotoStore(device))
+    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device))
     level = Level(device, config, run.at(1.0))
     level.enter(run.initial_writer(level))
     level.start(run.start_writer(level, None))
