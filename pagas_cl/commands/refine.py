@@ -47,6 +47,7 @@ def command(
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
+    from pagas_cl.commands._initial import initial_depths
     from pagas_cl.commands._settings import apply_settings, build_config, effect_settings
     from pagas_cl.commands._time import check_times, config_in_time
     from pagas_cl.keep_mesh import displaced_mesh, write_whole
@@ -66,7 +67,7 @@ def command(
     place, folder = _place(device, devices, scheduler), _folder(save_depth, output)
     names = [found.views[found.index(name)].name for name in views] or None
     with shown_progress(quiet) as progress, _report(report, found, preset, settings, place) as page:
-        depths = _initial(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder)
+        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
@@ -106,11 +107,10 @@ def _folder(save_depth, output) -> Path | None:
 
 def _check_request(mesh, depth_dir, output, save_depth, report) -> None:
     """Refuse what cannot end well before any work is done."""
+    from pagas_cl.commands._initial import check_source
     from pagas_cl.scene.mesh_file import check_mesh_path
 
-    if (mesh is None) == (depth_dir is None):
-        raise InputError("expected either --mesh or --depth-dir (where the refinement starts), got "
-                         + ("neither" if mesh is None else "both"))
+    check_source(mesh, depth_dir, "where the refinement starts")
     if output is None and save_depth is None and report is None:
         raise InputError("nothing to write: give --output, --save-depth or --report")
     if depth_dir is not None and not depth_dir.is_dir():
@@ -131,34 +131,6 @@ def _check_keep(keep_mesh: bool, subdivide, mesh) -> None:
         raise InputError("--keep-mesh needs --mesh: it moves that mesh's vertices")
     if subdivide is not None and not keep_mesh:
         raise InputError("--subdivide needs --keep-mesh: a fused mesh has the voxel's fineness (--set fusion.voxel=...)")
-
-
-def _initial(found, mesh, depth_dir, depth_scale, progress, folder) -> list:
-    """Initial depth of every view, from the mesh or from files; None for a view without a file.
-
-    With a folder for the run they stay on disk, and what stands for them is given instead.
-    """
-    from pagas_cl.jobs.finished import work_folder
-    from pagas_cl.jobs.store import DepthFile, Store
-
-    if mesh is not None:
-        from pagas_cl.refine import initial_depths
-        from pagas_cl.scene.mesh import to_surface
-
-        keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
-        return initial_depths(to_surface(mesh), found.views, progress, keep)
-    from pagas_cl.scene.depthmap import find_depth
-
-    files = [find_depth(depth_dir, view.name) for view in found.views]
-    if not any(files):
-        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
-                         f"expected for instance {found.views[0].stem}.npz")
-    depths = []
-    for view, file in zip(found.views, files):
-        size = view.camera.width, view.camera.height
-        source = None if file is None else DepthFile(file.resolve(), size, depth_scale)
-        depths.append(source if source is None or folder is not None else source.load())
-    return depths
 
 
 class _Pictures:
