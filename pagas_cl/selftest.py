@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pagas_cl import hard_scenes as make
 from pagas_cl.config import BALANCED, PAPER, Config
 from pagas_cl.hard_scenes import HardScene
 
