@@ -24,6 +24,7 @@ ALLOWED = {
     "refine": {"harm", "jobs", "scene", "runtime", "surface", "splat", "result", "effects", "keep_mesh", "consistency"},
     "camera_check": {"scene", "surface"},
     "evaluate": {"scene"}, "made": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
+    "selftest": {"scene", "splat", "reference"},
 }
 WITHOUT_OPENCL = {"errors", "config", "scene", "reference", "report", "evaluate", "made", "result"}
 # Kernel files that belong to a stage of another name.

@@ -18,11 +18,11 @@ import time
 
 import numpy as np
 
-from pagas_cl import hard_scenes as make
 from pagas_cl.config import preset
 from pagas_cl.refine import refine_depth
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.view import View
+from pagas_cl.selftest import scenes as make
 
 SPREAD = 24      # pixels of parallax between target and contexts
 

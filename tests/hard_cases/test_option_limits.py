@@ -89,9 +89,9 @@ def test_fusion_at_its_limit(made, name):
 
 
 def test_every_setting_is_at_a_limit_somewhere():
-    """A setting that is added gets a case: here, in pagas_cl/hard_cases.py, or among those that the other cases vary."""
+    """A setting that is added gets a case: here, in pagas_cl/selftest/table.py, or among those that the other cases vary."""
     from pagas_cl.config import setting_names
-    from pagas_cl.hard_cases import CAMERAS, SETTINGS
+    from pagas_cl.selftest.table import CAMERAS, SETTINGS
 
     elsewhere = {"splatting.blend"} | {name for name in setting_names() if name.startswith("effects.")}   # every case
     stages = {"context": CONTEXT, "fusion": FUSION}
