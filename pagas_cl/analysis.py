@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pagas_cl.config import Config, preset
-from pagas_cl.effects import RULES, Decision, Measurements, decide, measure
+from pagas_cl.effects import Decision, decide
+from pagas_cl.measurements import RULES, Measurements, measure
 from pagas_cl.scene.inputs import asked_views, checked_depth
 from pagas_cl.scene.partners import PartnerChooser
 

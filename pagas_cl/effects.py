@@ -7,9 +7,8 @@ from dataclasses import asdict, dataclass, fields, replace
 import numpy as np
 
 from pagas_cl.config import Config, Effects
-from pagas_cl.measurements import RULES, Measurements, measure
-
-__all__ = ["Decision", "LOW_PASS", "Measurements", "RULES", "decide", "measure"]
+from pagas_cl.measurements import RULES, Measurements
+from pagas_cl.stages import MOST_WEIGHT
 
 MOST_RAISED = 40.0       # times the weight of the smoothness
 LOW_PASS = 0.06          # px^2: about what a photo's own pixel blurs; more than that blurs what is to be compared
@@ -100,7 +99,7 @@ def _noise(config, decision, measured):
     if config.smoothness.kind == "none":
         return config
     factor = float(np.clip(measured.unexplained_everywhere**2, 1.0, MOST_RAISED)) if measured else 4.0
-    return config.with_settings(smoothness__weight=min(config.smoothness.weight * factor, 100.0),
+    return config.with_settings(smoothness__weight=min(config.smoothness.weight * factor, MOST_WEIGHT),
                                 smoothness__gloss=MOST_RAISED if measured and measured.residual > 0.009 else 0.0)
 
 

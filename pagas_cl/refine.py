@@ -9,10 +9,11 @@ from pathlib import Path
 
 from pagas_cl.config import Config
 from pagas_cl.config import preset as named_preset
-from pagas_cl.effects import decide, measure
+from pagas_cl.effects import decide
 from pagas_cl.errors import InputError
 from pagas_cl.harm import harm_of
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
+from pagas_cl.measurements import measure
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.inputs import as_views, asked_views, checked_depth
 from pagas_cl.scene.mesh import from_surface, to_surface

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from pagas_cl.config import BALANCED, PAPER, Effects
-from pagas_cl.effects import LOW_PASS, RULES, Measurements, decide, measure
+from pagas_cl.effects import LOW_PASS, decide
 from pagas_cl.errors import InputError
+from pagas_cl.measurements import RULES, Measurements, measure
 from pagas_cl.reference import exposure
 
 CALM = Measurements(overlap=1.0, hidden=0.0, unseen=0.0, exposure_change=0.0, gloss=0.0, smallest=0.5, plain=0.0,
