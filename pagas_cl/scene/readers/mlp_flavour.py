@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pagas_cl.errors import InputError, MissingExtraError
-from pagas_cl.scene import consistency
+from pagas_cl.scene import patches
 from pagas_cl.scene.mesh import Surface, read_mesh
 from pagas_cl.scene.readers.meshlab import FLAVOURS, Project
 
@@ -30,7 +30,7 @@ def settle_flavour(project: Project) -> tuple[str, str]:
         return "meshlab", f"{unsettled}; photos could not settle it ({error})"
     if any(score is None for score in scores.values()):
         return "meshlab", f"{unsettled}; photos could not settle it (too few textured patches are seen by two views)"
-    better = {f: consistency.prefers(scores[f], scores[FLAVOURS[1 - i]])[0] for i, f in enumerate(FLAVOURS)}
+    better = {f: patches.prefers(scores[f], scores[FLAVOURS[1 - i]])[0] for i, f in enumerate(FLAVOURS)}
     medians = {f: _median(score) for f, score in scores.items()}
     told = f"(correlation {medians['meshlab']:.2f} from the bottom, {medians['openmvs']:.2f} from the top)"
     if better["openmvs"]:
@@ -63,11 +63,11 @@ def _score(project: Project, surface: Surface, flavour: str):
     keep = np.unique(np.linspace(0, len(project.rasters) - 1, min(_VIEWS, len(project.rasters))).astype(int))
     views = [project.scene(flavour).views[k] for k in keep]
     plain = [project.rasters[k].camera("meshlab") for k in keep]
-    samples = consistency.sample_surface(surface)
-    seen = np.array([consistency.visible(camera, samples) for camera in plain])
-    pairs = consistency.choose_pairs(plain, seen, samples)
+    samples = patches.sample_surface(surface)
+    seen = np.array([patches.visible(camera, samples) for camera in plain])
+    pairs = patches.choose_pairs(plain, seen, samples)
     if not pairs:
         return None
-    greys = [consistency.grey_of(view.load_image()) for view in views]
-    scores = consistency.patch_correlation([v.camera for v in views], greys, pairs, seen, samples)
+    greys = [patches.grey_of(view.load_image()) for view in views]
+    scores = patches.patch_correlation([v.camera for v in views], greys, pairs, seen, samples)
     return scores if np.isfinite(scores).sum() >= 30 else None
