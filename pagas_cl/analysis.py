@@ -103,7 +103,8 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
     return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement)
 
 
-def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device, photos) -> dict[str, EffectCost]:
+def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device,
+                 photos) -> dict[str, EffectCost]:
     """Steps of one view with each effect on and off, the others as decided."""
     from pagas_cl.splat.step_time import time_step
 

@@ -83,15 +83,17 @@ def _smoothness(config, decision, _):
 
 
 def _pyramid(config, decision, _):
-    if not decision.on or len(config.pyramid.scales) > 1:
-        return config if decision.on else config.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps[-1:])
+    if not decision.on:
+        return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps[-1:])
+    if len(config.pyramid.scales) > 1:
+        return config
     steps = config.pyramid.steps[0]
     return config.with_settings(pyramid__scales=(0.25, 0.5, 1.0), pyramid__steps=(steps, steps, steps))
 
 
 def _noise(config, decision, measured):
-    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree, around what gloss there
-    is, or everywhere; and where the photos are noisy, a first level of half their size, where noise has averaged out."""
+    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree, around what gloss
+    there is, or everywhere; and where the photos are noisy, a first level of half size, where noise averages out."""
     if not decision.on:
         return config
     if (measured is None or measured.grain > decision.threshold) and len(config.pyramid.scales) == 1:

@@ -214,8 +214,8 @@ def initial_depths(surface, views: list[View], progress=None, keep=None) -> list
     return depths
 
 
-def fuse_results(views: list[View], results: list[DepthResult], config: Config, progress=None, memory_mb=None, tell=None, *,
-                 executor=None, folder=None, device=None):
+def fuse_results(views: list[View], results: list[DepthResult], config: Config, progress=None, memory_mb=None,
+                 tell=None, *, executor=None, folder=None, device=None):
     """Keep what other views confirm, then TSDF: a Surface. In `memory_mb` of host memory, or what is free.
 
     `tell(text)` is told whether other views were asked, and why. Where one grid does not fit, its boxes go to
@@ -246,7 +246,8 @@ def _config(preset: str, config) -> Config:
     if config is None:
         return named_preset(preset)
     if not isinstance(config, Config):
-        raise InputError(f"config is a {type(config).__name__}, expected pagas_cl.Config (start from pagas_cl.preset({preset!r}))")
+        raise InputError(f"config is a {type(config).__name__}, expected pagas_cl.Config (start from "
+                         f"pagas_cl.preset({preset!r}))")
     return config
 
 

@@ -81,7 +81,8 @@ def test_decisions_are_settled():
 
 
 def test_noise_raises_the_weight_and_never_lowers_it():
-    weights = [decide(BALANCED, replace(CALM, plain=0.5, noise=n))[0].smoothness.weight for n in (0.001, 0.01, 0.02, 1.0)]
+    weights = [decide(BALANCED, replace(CALM, plain=0.5, noise=n))[0].smoothness.weight
+               for n in (0.001, 0.01, 0.02, 1.0)]
     assert weights[0] == BALANCED.smoothness.weight
     assert weights[0] < weights[1] < weights[2] <= weights[3] <= 100
 

@@ -12,7 +12,8 @@ from pagas_cl.result import REJECTED
 
 HARMFUL = {"a plane without texture": plain, "without texture or noise": lambda: plain(0.0),
            "wrong poses": wrong_poses, "wrong poses of eight views": lambda: wrong_poses(contexts=8),
-           "poses off by a pixel": lambda: wrong_poses(1.0), "poses off by 1.2 pixels": lambda: wrong_poses(1.2, contexts=6),
+           "poses off by a pixel": lambda: wrong_poses(1.0),
+           "poses off by 1.2 pixels": lambda: wrong_poses(1.2, contexts=6),
            "poses off by two pixels": lambda: wrong_poses(2.0),
            "moving content": moving, "moving content, coarse depth": lambda: moving(coarse_error=0.5)}
 _MOST = 1.02

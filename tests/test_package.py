@@ -15,9 +15,10 @@ SOURCES = {"pagas_cl": ROOT / "pagas_cl", "pagas_cl/cl_kernels": ROOT / "cl_kern
 SHIPPED = {".py", ".cl", ".clh", ".mlx"}
 OPTIONAL = {"open3d", "pymeshlab", "pycolmap", "matplotlib", "skimage", "scipy", "dask", "distributed"}
 
-# What each part may import of the others; the flow is one way (a part may always import itself, errors, stages, config).
+# What each part may import of the others; the flow is one way (and all may import errors, stages, config).
 ALLOWED = {
-    "errors": set(), "stages": set(), "config": set(), "scene": set(), "reference": {"scene"}, "runtime": {"scene", "cl_kernels"},
+    "errors": set(), "stages": set(), "config": set(), "scene": set(), "reference": {"scene"},
+    "runtime": {"scene", "cl_kernels"},
     "surface": {"scene", "runtime", "reference"}, "splat": {"scene", "runtime"}, "result": {"scene"},
     "jobs": {"scene", "runtime", "splat", "result"},
     "harm": {"result"},

@@ -45,7 +45,8 @@ def command(
     names = [found.views[found.index(name)].name for name in views] or None
     with shown_progress(quiet) as progress:
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress)
-        analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs, progress=progress)
+        analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
+                           progress=progress)
     show(analysis)
     told = json.dumps(analysis.as_dict(), indent=1) + "\n"
     if output is not None:
@@ -73,7 +74,8 @@ def rows(analysis) -> list[list[str]]:
 
 def cost_rows(analysis) -> list[list[str]]:
     """One row an effect, as COSTS says."""
-    return [[name, f"{1e3 * c.off:.1f}", f"{1e3 * c.on:.1f}", f"{c.device_bytes:,}"] for name, c in analysis.costs.items()]
+    return [[name, f"{1e3 * c.off:.1f}", f"{1e3 * c.on:.1f}", f"{c.device_bytes:,}"]
+            for name, c in analysis.costs.items()]
 
 
 def show(analysis) -> None:
@@ -104,5 +106,6 @@ def page(analysis, source: str) -> str:
     notes = [f"scene: {source}, {len(analysis.views)} views", f"device: {analysis.device}"]
     notes += [f"{name}: {off} ms a view without, {on} ms with it, {size} bytes on the device ({analysis.timed})"
               for name, off, on, size in cost_rows(analysis)]
-    sections = [(v.view, [], [v.reason] if v.reason else ["context views: " + ", ".join(v.contexts)]) for v in analysis.views]
+    sections = [(v.view, [], [v.reason] if v.reason else ["context views: " + ", ".join(v.contexts)])
+                for v in analysis.views]
     return html_page("pagas-cl analyze", notes, COLUMNS, rows(analysis), sections)

@@ -38,12 +38,15 @@ def command(
     format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
     depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
-    keep_mesh: bool = typer.Option(False, "--keep-mesh", help="Move the vertices of --mesh instead of fusing a new one."),
+    keep_mesh: bool = typer.Option(False, "--keep-mesh",
+                                   help="Move the vertices of --mesh instead of fusing a new one."),
     subdivide: float = typer.Option(None, "--subdivide", metavar="PIXELS",
                                     help="With --keep-mesh: first split edges longer than this many pixels."),
-    devices: str = typer.Option(None, "--devices", metavar="all|NAME,...", help="One process on each of these devices."),
+    devices: str = typer.Option(None, "--devices", metavar="all|NAME,...",
+                                help="One process on each of these devices."),
     scheduler: str = typer.Option(None, "--scheduler", metavar="tcp://HOST:PORT", help="A running Dask cluster."),
-    memory: float = typer.Option(None, "--memory", metavar="MB", help="Most host memory for fusing; what is free by default."),
+    memory: float = typer.Option(None, "--memory", metavar="MB",
+                                 help="Most host memory for fusing; what is free by default."),
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
@@ -71,8 +74,9 @@ def command(
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
-        results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder, progress=progress,
-                               on_view=page and _Pictures(page), extras=page is not None or keep_mesh)
+        results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
+                               progress=progress, on_view=page and _Pictures(page),
+                               extras=page is not None or keep_mesh)
         if output is not None and keep_mesh:
             write_whole(output, displaced_mesh(mesh, found.views, depths, results, config, subdivide))
         elif output is not None:
@@ -130,7 +134,8 @@ def _check_keep(keep_mesh: bool, subdivide, mesh) -> None:
     if keep_mesh and mesh is None:
         raise InputError("--keep-mesh needs --mesh: it moves that mesh's vertices")
     if subdivide is not None and not keep_mesh:
-        raise InputError("--subdivide needs --keep-mesh: a fused mesh has the voxel's fineness (--set fusion.voxel=...)")
+        raise InputError("--subdivide needs --keep-mesh: a fused mesh has the voxel's fineness "
+                         "(--set fusion.voxel=...)")
 
 
 class _Pictures:
@@ -144,7 +149,8 @@ class _Pictures:
         remarks = [f"kept as it came: {result.reason}"] if result.reason else []
         if told.get("contexts"):
             remarks.append("context views: " + ", ".join(told["contexts"]))
-        remarks += ["effects: " + "; ".join(_decision(effect) for effect in told["effects"])] if told.get("effects") else []
+        if told.get("effects"):
+            remarks.append("effects: " + "; ".join(_decision(effect) for effect in told["effects"]))
         figures = {"seconds": round(told["seconds"], 2)} if "seconds" in told else {}
         self.page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
                       counts={**result.counts, **figures}, remarks=remarks)
@@ -188,5 +194,5 @@ def _tell_failures(found, results) -> None:
     failed = [(by_camera[id(r.camera)], r.report["failed"]) for r in results if "failed" in r.report]
     if failed:
         names = ", ".join(name for name, _ in failed[:10]) + (", ..." if len(failed) > 10 else "")
-        raise PagasError(f"{len(failed)} of {len(results)} views failed and were left out: {names} ({failed[0][1]}); the rest is "
-                         "done, start the same command again for these")
+        raise PagasError(f"{len(failed)} of {len(results)} views failed and were left out: {names} ({failed[0][1]}); "
+                         "the rest is done, start the same command again for these")

@@ -50,7 +50,8 @@ def claim_device(names=None) -> Device:
     Raises
     ------
     DeviceError
-        All of them are taken, or cannot be opened. PAGAS_CL_SHARE=3 in the environment lets three processes work on one device.
+        All of them are taken, or cannot be opened. PAGAS_CL_SHARE=3 in the environment lets three
+        processes work on one device.
     """
     if isinstance(names, Device):
         return devices.working(names)

@@ -13,8 +13,8 @@ from pagas_cl.selftest.scenes import HardScene, base, camera, turn, waves
 
 WINDOW, BORDER = 128, 40       # pixels: of the window in the far corner, and of its border that is not compared
 TOLERANCE, MOST_PIXELS = 2e-2, 5e-3      # of all pixels together, and of 99 of 100 of them one by one
-WHY = ("a position of 4000 pixels is rounded to 2e-4: a few pixels in a thousand decide otherwise at a threshold or the "
-       "sign of a residual, and carry most of the difference")
+WHY = ("a position of 4000 pixels is rounded to 2e-4: a few pixels in a thousand decide otherwise at a threshold or "
+       "the sign of a residual, and carry most of the difference")
 SHIFT = 0.004                  # baseline: so short that the window sees all that reaches it
 SIZES = {"12 megapixels": (4000, 3000), "more than 2^24 pixels": (4128, 4120)}
 

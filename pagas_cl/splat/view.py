@@ -36,8 +36,8 @@ class Refinement:
     cost : tuple of two floats
         Mean 1 - correlation of patches with the context photos, before and after.
     witness : tuple of two floats or None
-        Median 1 - correlation with the photos that took no part, before and after, over the pixels that they see; before
-        any depth goes back on their word.
+        Median 1 - correlation with the photos that took no part, before and after, over the pixels that they see;
+        before any depth goes back on their word.
     steps : tuple of int
         Steps done at each level.
     losses : list of float
@@ -171,7 +171,8 @@ class _Run:
         sizes = [level_size(view.camera, scale) for view in views]
         cameras = [view.camera.resized(*size.grid) for view, size in zip(views, sizes)]
         photos, host = self.photos.level(views, sizes, self.resampler)
-        return LevelInput(cameras, photos, self.unit, self.threshold, self.distance, len(self.views) - 1, host, self.gloss)
+        return LevelInput(cameras, photos, self.unit, self.threshold, self.distance, len(self.views) - 1, host,
+                          self.gloss)
 
     def initial_writer(self, level: Level):
         return lambda out: self.resampler.shrink_depth(self.entered, self.full, out, level.target)

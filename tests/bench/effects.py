@@ -91,7 +91,8 @@ def main():
     parser.add_argument("--out", default=None)
     given = parser.parse_args()
     device = open_device(given.device)
-    lines = ["| scene | calls for | `auto` switches on | initial | effect off | auto | all on | time off / auto / all on, s |",
+    lines = ["| scene | calls for | `auto` switches on | initial | effect off | auto | all on | "
+             "time off / auto / all on, s |",
              "|---|---|---|---|---|---|---|---|"]
     print(device.info, flush=True)
     for name in given.scenes:
