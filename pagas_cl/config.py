@@ -14,7 +14,7 @@ __all__ = ["ACCURATE", "BALANCED", "FAST", "PAPER", "PRESETS", "Config", "Contex
 
 @dataclass(frozen=True)
 class Config:
-    """All settings of a run."""
+    """All settings of a run: one of the dataclasses in stages.py a stage, equal and hashable by value."""
 
     splatting: Splatting = field(default_factory=Splatting)
     loss: Loss = field(default_factory=Loss)
@@ -91,7 +91,7 @@ PRESETS: dict[str, Config] = {"fast": FAST, "balanced": BALANCED, "accurate": AC
 
 
 def preset(name: str) -> Config:
-    """The preset called `name`."""
+    """The preset called `name`: "fast", "balanced", "accurate" or "paper"; InputError for any other."""
     if name not in PRESETS:
         raise InputError(f"unknown preset {name!r}, expected {' or '.join(repr(p) for p in PRESETS)}")
     return PRESETS[name]

@@ -59,7 +59,7 @@ class Refinement:
     planned_bytes: int
 
 
-def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
+def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
                   progress=None, witnesses=(), measured=None, entered: Entered | None = None) -> Refinement:
     """Run the pyramid on one view.
 
@@ -93,8 +93,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     planned.tell(target.name)
     photos.leave(planned.beside_photos)
     device.memory.begin()
-    run = _Run(target, contexts, depth, config, device, photos, witnesses, entered,
-               measured.local_gloss if measured else None)
+    run = _Run(target, contexts, depth, config, device, photos, witnesses=witnesses, entered=entered,
+               gloss=measured.local_gloss if measured else None)
     before, done, losses = None, [], []
     for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
         level = Level(device, config, run.at(scale))
@@ -120,7 +120,7 @@ def full_level(target, contexts, depth: np.ndarray, config: Config, device, phot
     return level
 
 
-def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
+def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
                entered: Entered | None = None):
     """What the context views show under the initial depth: a measure.Found."""
     run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), entered=entered)
@@ -154,8 +154,8 @@ class Entered:
 class _Run:
     """One view's inputs at any level, and its way back to scene units."""
 
-    def __init__(self, target, contexts, depth, config, device, photos, witnesses=(), entered: Entered | None = None,
-                 gloss=None):
+    def __init__(self, target, contexts, depth, config, device, photos, *, witnesses=(),
+                 entered: Entered | None = None, gloss=None):
         self.views, self.config, self.device, self.photos = [target, *contexts], config, device, photos
         self.depth, self.witnesses, self.gloss = depth, list(witnesses), gloss
         self.resampler = Resampler(device, config)

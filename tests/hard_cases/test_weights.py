@@ -15,13 +15,7 @@ from hypothesis import strategies as st  # noqa: E402
 from pagas_cl.reference.pairs import candidates  # noqa: E402
 from pagas_cl.reference.project import project  # noqa: E402
 from pagas_cl.scene.view import View  # noqa: E402
-from pagas_cl.selftest import (  # noqa: E402
-    BLENDS,
-    device_gradient,
-    difference,
-    normalized,
-    twin_gradient,
-)
+from pagas_cl.selftest import BLENDS, device_gradient, difference, normalized, twin_gradient  # noqa: E402
 from pagas_cl.selftest import scenes as make  # noqa: E402
 from pagas_cl.splat.options import fixed_bits, heaviest_pixel  # noqa: E402
 
