@@ -5,14 +5,14 @@ from __future__ import annotations
 from pagas_cl.errors import InputError, MissingExtraError
 from pagas_cl.scene import patches
 from pagas_cl.scene.mesh import Surface, read_mesh
-from pagas_cl.scene.readers.meshlab import FLAVOURS, Project
 
+FLAVOURS = ("meshlab", "openmvs")
 _SAME = 1.0   # pixels: readings nearer than this need no settling
 _VIEWS = 8
 
 
-def settle_flavour(project: Project) -> tuple[str, str]:
-    """("meshlab" or "openmvs", one sentence that says why).
+def settle_flavour(project) -> tuple[str, str]:
+    """("meshlab" or "openmvs", one sentence that says why) for a meshlab.Project.
 
     Both readings are tried: patches of the project's mesh are correlated between pairs of its photos. MeshLab's own
     reading is taken where the two hardly differ, where there is no mesh or photo to compare, and where the photos do
@@ -47,7 +47,7 @@ def _median(values) -> float:
     return float(np.nanmedian(values))
 
 
-def _surface(project: Project) -> Surface:
+def _surface(project) -> Surface:
     """The first visible mesh layer in the project's world."""
     layer = next((m for m in project.meshes if m.visible and m.path is not None), None)
     if layer is None:
@@ -56,7 +56,7 @@ def _surface(project: Project) -> Surface:
     return Surface(surface.vertices @ layer.matrix[:3, :3].T + layer.matrix[:3, 3], surface.faces)
 
 
-def _score(project: Project, surface: Surface, flavour: str):
+def _score(project, surface: Surface, flavour: str):
     """Correlations of patches between pairs of views; pairs and patches are those of MeshLab's reading."""
     import numpy as np
 
