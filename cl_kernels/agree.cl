@@ -1,5 +1,5 @@
-// Which depths other views confirm, and which they should see (method section 7). Lengths in units; `scale` is units per
-// scene unit, in which the depth maps come.
+// Which depths other views confirm, and which they should see (method section 7). Lengths in units; `scale` is units
+// per scene unit, in which the depth maps come.
 //   parallax       depth that moves a point of the target by one pixel, over the views that see it
 //   count_view     adds what one other view says of each depth
 #define CAMERA_SPACE __global const      // all views of a scene at once, more than constant memory may hold
@@ -40,8 +40,8 @@ __kernel void parallax(__global const float *depth, CAMERA_SPACE float *cameras,
     unit[i] = sum > 0.0f ? sqrt(number / sum) : 0.0f;
 }
 
-// |own depth - z|: the smaller of the pixel's own and, where all four neighbours are valid, their interpolation. Inverse
-// depth is interpolated, since it is linear in the image on every plane.
+// |own depth - z|: the smaller of the pixel's own and, where all four neighbours are valid, their interpolation.
+// Inverse depth is interpolated, since it is linear in the image on every plane.
 float difference(__global const float *map, const Camera other, float3 mean, float near, float scale)
 {
     const float best = near > 0.0f ? fabs(near - mean.z) : INFINITY;
@@ -50,7 +50,8 @@ float difference(__global const float *map, const Camera other, float3 mean, flo
     float inverse = 0.0f;
     for (int v = 0; v <= 1; ++v)
         for (int u = 0; u <= 1; ++u) {
-            const float corner = map[min(top + v, other.height - 1) * other.width + min(left + u, other.width - 1)] * scale;
+            const int at = min(top + v, other.height - 1) * other.width + min(left + u, other.width - 1);
+            const float corner = map[at] * scale;
             if (!(corner > 0.0f))
                 return best;
             inverse += (u ? x - left : 1.0f - (x - left)) * (v ? y - top : 1.0f - (y - top)) / corner;

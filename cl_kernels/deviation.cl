@@ -5,7 +5,7 @@
 #include "status.clh"
 
 #define AROUND 2                     // half the width of the surroundings of a pixel
-#define MOST_BENT 1.4f               // pixels of parallax: as much as counts, at a discontinuity or where the surface ends
+#define MOST_BENT 1.4f    // pixels of parallax: as much as counts, at a discontinuity or where the surface ends
 
 // Second difference of inverse depth at i, between i - stride and i + stride, in pixels of parallax.
 float bend(__global const float *depth, int i, int stride, float u)
@@ -17,7 +17,8 @@ float bend(__global const float *depth, int i, int stride, float u)
 }
 
 // How much the surface bends at each pixel, along both directions.
-__kernel void bends(__global const float *depth, __global const float *unit, int width, int height, __global float *bent)
+__kernel void bends(__global const float *depth, __global const float *unit, int width, int height,
+                    __global float *bent)
 {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= width || row >= height)

@@ -65,10 +65,10 @@ __kernel void warp_photo(__global const float *depth, __constant float *cameras,
 // evidence per pixel: sum of 1 - correlation, number of views, sum of information (1 / variance of the depth)
 //
 // grain: variance of the photos' noise beyond NOISE. A correlation is taken as a share of what that much noise lets a
-// perfect match have; looking up between pixels leaves 4/9 of it. Without it two flat patches match; with it, nothing is
-// known of them.
-__kernel void weigh(__global const float2 *warped, __global const uchar4 *target_photo, int width, int height, float grain,
-                    __global float *evidence)
+// perfect match have; looking up between pixels leaves 4/9 of it. Without it two flat patches match; with it, nothing
+// is known of them.
+__kernel void weigh(__global const float2 *warped, __global const uchar4 *target_photo, int width, int height,
+                    float grain, __global float *evidence)
 {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= width || row >= height || warped[row * width + column].x == UNSEEN)
@@ -214,7 +214,8 @@ void sum_costs(__global const float *before, __global const float *after, int co
 
 #define BINS 1024
 
-// How often each 1 - correlation occurs before and after, in BINS bins of 0 to 2, over the pixels that are seen both times.
+// How often each 1 - correlation occurs before and after, in BINS bins of 0 to 2,
+// over the pixels that are seen both times.
 __kernel void count_costs(__global const float *before, __global const float *after, int count, __global uint *counts)
 {
     const int i = get_global_id(0);

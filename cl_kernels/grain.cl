@@ -1,5 +1,5 @@
-// Noise and texture of a photo, from pixels spread over it: three rows of one number a pixel. Grey values are sums of the
-// three channels, whole numbers from 0 to 765.
+// Noise and texture of a photo, from pixels spread over it: three rows of one number a pixel. Grey values are sums of
+// the three channels, whole numbers from 0 to 765.
 #include "constants.clh"
 
 #define SLOPE 0                          // change from the pixel before to the one after

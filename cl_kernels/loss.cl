@@ -20,7 +20,8 @@ void gather_down(__global const float *partials, int left, int top, int width, i
 #pragma unroll
         for (int j = 0; j < TAPS + RUN - 1; ++j) {
             const bool there = row + j >= 0 && row + j < height - HALO;     // read in any case: loads do not wait
-            __global const float *at = partials + clamp(row + j, 0, height - HALO - 1) * pitch + min(column, width - COLUMNS);
+            __global const float *at = partials + clamp(row + j, 0, height - HALO - 1) * pitch
+                                       + min(column, width - COLUMNS);
 #pragma unroll
             for (int q = 0; q < 3; ++q) {
                 const columns_t value = there ? LOAD_COLUMNS(at + q * plane) : ZERO;

@@ -12,7 +12,7 @@
 #define HIDDEN 0                 // 1 hidden behind a nearer surface, 0 seen
 #define SIZE 1                   // standard deviation of the projected Gaussian, pixels
 #define CHANGE 2                 // colour of the context photo less the target's, three channels
-#define ASIDE 5                  // pixels that the photo is off across the direction of depth, by quadrant of the target
+#define ASIDE 5                  // pixels that the photo is off across the direction of depth, by target's quadrant
 #define GLOSS 9                  // what the exposure fit leaves, averaged over neighbouring samples
 #define LIKE 10                  // 0 where the photos show other things there, or show that the depth is wrong; else 1
 #define ROWS 11
@@ -200,9 +200,9 @@ __kernel void compare_colors(__global const float *matches, __global const float
         row_of(values, view, GLOSS, count)[k] = fabs(sum / number);
 }
 
-// Three rows: 1 where some view sees a sample of the surface, else 0; 1 where the photos match clearly better two or more
-// pixels of parallax away, 0 where they do not; mean gloss of the views. NaN where there is no surface, and where no view
-// can tell.
+// Three rows: 1 where some view sees a sample of the surface, else 0; 1 where the photos match clearly better two or
+// more pixels of parallax away, 0 where they do not; mean gloss of the views. NaN where there is no surface, and where
+// no view can tell.
 __kernel void judge_samples(__global const float *depth, __constant float *cameras, __global const float *totals,
                             __global float *values, int views, int stride, int across, int count, __global float *rows)
 {

@@ -24,7 +24,8 @@ __kernel void nearest(__global const float *depth, __constant float *cameras, in
         return;
     float z[COLUMNS];
     STORE_COLUMNS(g.splat.z, z);
-    const columns_t visible = 2.0f / LOG2_E * log2(g.splat.opacity * (1.0f / ALPHA_SEEN));     // without an exponential a pair
+    // without an exponential a pair
+    const columns_t visible = 2.0f / LOG2_E * log2(g.splat.opacity * (1.0f / ALPHA_SEEN));
 UNROLL_SPAN
     for (int v = 0; v < SPAN; ++v)
 UNROLL_SPAN

@@ -55,7 +55,8 @@ float penalty(float e, float h, float cut)
     return quadratic + fading_integral(size, cut) - fading_integral(inner, cut);
 }
 
-// Second difference of inverse depth centred at i along `stride`, pixels of parallax. Zero where a neighbour is missing.
+// Second difference of inverse depth centred at i along `stride`, pixels of parallax.
+// Zero where a neighbour is missing.
 float second_difference(__global const float *depth, __global const float *kappa, int i, int stride, int along,
                         int length)
 {

@@ -1,5 +1,5 @@
-// The gradient averaged over neighbouring pixels before a step (method section 6): a tent of SPREAD pixels to each side, in
-// pixels of parallax, along one axis a launch. Neighbours that are off together push together; noise does not.
+// The gradient averaged over neighbouring pixels before a step (method section 6): a tent of SPREAD pixels to each
+// side, in pixels of parallax, along one axis a launch. Neighbours that are off together push together; noise does not.
 #include "constants.clh"
 
 #define SHARE(k) ((SPREAD + 1 - (k)) / (float)((SPREAD + 1) * (SPREAD + 1)))

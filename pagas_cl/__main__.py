@@ -93,8 +93,8 @@ def _explain(error: Exception) -> int:
     elif isinstance(error, PagasError):
         text, status = str(error), 2 if isinstance(error, (InputError, MissingExtraError)) else 1
     elif type(error).__module__.startswith("pyopencl"):
-        text, status = (f"the OpenCL device failed ({error}): start the same command again; where it fails again, update "
-                        "its driver or choose another device (pagas-cl devices)"), 1
+        text, status = (f"the OpenCL device failed ({error}): start the same command again; where it fails again, "
+                        "update its driver or choose another device (pagas-cl devices)"), 1
     else:
         text, status = f"{type(error).__name__}: {error} (run again with --debug to see where)", 1
     sys.stderr.write(f"pagas-cl: {' '.join(text.split())}\n")

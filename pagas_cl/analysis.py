@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pagas_cl.config import Config, preset
-from pagas_cl.effects import RULES, Decision, Measurements, decide, measure
+from pagas_cl.effects import Decision, decide
+from pagas_cl.measurements import RULES, Measurements, measure
 from pagas_cl.scene.inputs import asked_views, checked_depth
 from pagas_cl.scene.partners import PartnerChooser
 
@@ -102,7 +103,8 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
     return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement)
 
 
-def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device, photos) -> dict[str, EffectCost]:
+def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device,
+                 photos) -> dict[str, EffectCost]:
     """Steps of one view with each effect on and off, the others as decided."""
     from pagas_cl.splat.step_time import time_step
 

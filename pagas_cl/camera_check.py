@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene import consistency
+from pagas_cl.scene import patches
 from pagas_cl.scene.camera import Camera, inverse_pose
 from pagas_cl.scene.inputs import as_cameras, as_views
 from pagas_cl.scene.mesh import to_surface
@@ -121,11 +121,11 @@ def check_views(mesh, cams: list[Camera], views: list[View] | None, most: int = 
     """The same for a scene's views; at most `most` photos, evenly chosen, are decoded."""
     if not cams:
         raise InputError("no cameras were given, expected at least one")
-    samples = consistency.sample_surface(to_surface(mesh))
+    samples = patches.sample_surface(to_surface(mesh))
     if not samples.few:
         raise InputError("the mesh has no area: all its triangles are degenerate")
     keep = np.unique(np.linspace(0, len(cams) - 1, min(most, len(cams))).astype(int))
-    greys = None if views is None else [consistency.grey_of(views[k].load_image()) for k in keep]
+    greys = None if views is None else [patches.grey_of(views[k].load_image()) for k in keep]
     trials = [_Trial(entry, cams, keep, greys, samples) for entry in _POSES]
     given = trials[0]
     details = []
@@ -145,27 +145,27 @@ class _Trial:
     def __init__(self, entry, cams, keep, greys, samples, given=None):
         self.name, change, self.mend = entry
         cameras = [change(camera) for camera in cams]
-        shares = np.array([[part.mean() for part in consistency.inside(camera, samples.points)] for camera in cameras])
+        shares = np.array([[part.mean() for part in patches.inside(camera, samples.points)] for camera in cameras])
         self.front, self.inside = shares.T
         chosen = [cameras[k] for k in keep]
         self.scores, self.pairs, self.seen = None, [], None
         if greys is None:
             return
         if given is None:
-            self.seen = np.array([consistency.visible(camera, samples) for camera in chosen])
-            self.pairs = consistency.choose_pairs(chosen, self.seen, samples)
+            self.seen = np.array([patches.visible(camera, samples) for camera in chosen])
+            self.pairs = patches.choose_pairs(chosen, self.seen, samples)
         else:
             self.seen, self.pairs = given.seen, given.pairs
         if self.pairs:
-            self.scores = consistency.patch_correlation(chosen, greys, self.pairs, self.seen, samples)
+            self.scores = patches.patch_correlation(chosen, greys, self.pairs, self.seen, samples)
 
     def reading(self, given: _Trial) -> Reading:
-        patches = 0 if self.scores is None else int(np.isfinite(self.scores).sum())
-        agreement = float(np.nanmedian(self.scores)) if patches >= _LEAST_PATCHES else None
+        compared = 0 if self.scores is None else int(np.isfinite(self.scores).sum())
+        agreement = float(np.nanmedian(self.scores)) if compared >= _LEAST_PATCHES else None
         paired = self is not given and self.pairs is given.pairs and agreement is not None
-        better = paired and consistency.prefers(self.scores, given.scores)[0]
+        better = paired and patches.prefers(self.scores, given.scores)[0]
         return Reading(self.name, float(self.front.mean()), float(self.inside.mean()),
-                       int((self.inside > _SEES).sum()), agreement, patches, self.mend, better)
+                       int((self.inside > _SEES).sum()), agreement, compared, self.mend, better)
 
 
 def _best(readings) -> Reading:

@@ -189,7 +189,8 @@ class Costs:
         return len(read) / len(self._read) if read else 1.0
 
     def _settled(self, config: Config, contexts) -> Config:
-        from pagas_cl.effects import decide, measure
+        from pagas_cl.effects import decide
+        from pagas_cl.measurements import measure
 
         if set(vars(config.effects).values()) <= {"set", "off"}:
             return decide(config, None)[0]

@@ -7,9 +7,8 @@ from dataclasses import asdict, dataclass, fields, replace
 import numpy as np
 
 from pagas_cl.config import Config, Effects
-from pagas_cl.measurements import RULES, Measurements, measure
-
-__all__ = ["Decision", "LOW_PASS", "Measurements", "RULES", "decide", "measure"]
+from pagas_cl.measurements import RULES, Measurements
+from pagas_cl.stages import MOST_WEIGHT
 
 MOST_RAISED = 40.0       # times the weight of the smoothness
 LOW_PASS = 0.06          # px^2: about what a photo's own pixel blurs; more than that blurs what is to be compared
@@ -84,15 +83,17 @@ def _smoothness(config, decision, _):
 
 
 def _pyramid(config, decision, _):
-    if not decision.on or len(config.pyramid.scales) > 1:
-        return config if decision.on else config.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps[-1:])
+    if not decision.on:
+        return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps[-1:])
+    if len(config.pyramid.scales) > 1:
+        return config
     steps = config.pyramid.steps[0]
     return config.with_settings(pyramid__scales=(0.25, 0.5, 1.0), pyramid__steps=(steps, steps, steps))
 
 
 def _noise(config, decision, measured):
-    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree, around what gloss there
-    is, or everywhere; and where the photos are noisy, a first level of half their size, where noise has averaged out."""
+    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree, around what gloss
+    there is, or everywhere; and where the photos are noisy, a first level of half size, where noise averages out."""
     if not decision.on:
         return config
     if (measured is None or measured.grain > decision.threshold) and len(config.pyramid.scales) == 1:
@@ -100,7 +101,7 @@ def _noise(config, decision, measured):
     if config.smoothness.kind == "none":
         return config
     factor = float(np.clip(measured.unexplained_everywhere**2, 1.0, MOST_RAISED)) if measured else 4.0
-    return config.with_settings(smoothness__weight=min(config.smoothness.weight * factor, 100.0),
+    return config.with_settings(smoothness__weight=min(config.smoothness.weight * factor, MOST_WEIGHT),
                                 smoothness__gloss=MOST_RAISED if measured and measured.residual > 0.009 else 0.0)
 
 

@@ -8,7 +8,7 @@ from pagas_cl.result import REFINED, REJECTED
 
 MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not to be trusted as a whole
 LEAST_GAIN, LEAST_GAIN_SHARE = 0.002, 0.01      # of 1 - correlation in photos that took no part: less may be chance
-MISALIGNED = 0.2         # pixels by which photos may be off without a question whether the cameras harm more than they serve
+MISALIGNED = 0.2         # pixels; only photos that are off by more raise the question whether the cameras do harm
 
 
 def harm_of(refined, depth, contexts: int, witnesses, measured) -> str:
@@ -28,14 +28,16 @@ def harm_of(refined, depth, contexts: int, witnesses, measured) -> str:
     off = measured.misaligned if measured else 0.0
     added = off / np.sqrt(contexts)          # to a depth, by cameras that are off independently of one another
     if off > MISALIGNED and (moved := _moved(refined, depth)) < 2 * added:
-        return (f"the photos are off by {off:.1f} pixels across the direction of depth, so that {contexts} of them add errors of "
-                f"about {added:.1f} pixels of parallax to depths that moved by {moved:.1f}: are the cameras right?")
+        return (f"the photos are off by {off:.1f} pixels across the direction of depth, so that {contexts} of them add "
+                f"errors of about {added:.1f} pixels of parallax to depths that moved by {moved:.1f}: "
+                "are the cameras right?")
     refused, accepted = (int(np.count_nonzero(refined.status == status)) for status in (REJECTED, REFINED))
     if refused > MOST_REFUSED * (refused + accepted):
         return f"the photos do not confirm the refined depth of {refused / (refused + accepted):.0%} of the pixels"
     judged = refined.witness is not None and bool(np.isfinite(refined.witness).all())
     before, after = refined.witness if judged else refined.cost
-    judges = f"the photos that took no part ({', '.join(view.name for view in witnesses)})" if judged else "the context photos"
+    apart = ", ".join(view.name for view in witnesses)
+    judges = f"the photos that took no part ({apart})" if judged else "the context photos"
     told = f"through the refined depth (1 - correlation {before:.4f} before, {after:.4f} after)"
     if np.isfinite(after) and np.isfinite(before) and after > before:
         return f"{judges} match worse {told}"

@@ -108,7 +108,7 @@ class Measurements:
         return np.array(self.gains)
 
 
-def measure(target, contexts, depth, config: Config, device, photos=None, entered=None) -> Measurements:
+def measure(target, contexts, depth, config: Config, device, photos=None, *, entered=None) -> Measurements:
     """Evidence of one view, on the device under the initial depth: a few percent of a refinement.
 
     Parameters are those of refine_depth; `photos` is a PhotoStore, `entered` the depth where it is on the
@@ -116,7 +116,7 @@ def measure(target, contexts, depth, config: Config, device, photos=None, entere
     """
     from pagas_cl.splat import probe_view
 
-    found = probe_view(target, contexts, depth, config, device, photos, entered)
+    found = probe_view(target, contexts, depth, config, device, photos, entered=entered)
     views = found.views
     return Measurements(
         overlap=_number(found.seen[MEAN]), hidden=_share(views["hidden"]), unseen=_unseen(found, contexts),

@@ -9,10 +9,11 @@ from pathlib import Path
 
 from pagas_cl.config import Config
 from pagas_cl.config import preset as named_preset
-from pagas_cl.effects import decide, measure
+from pagas_cl.effects import decide
 from pagas_cl.errors import InputError
 from pagas_cl.harm import harm_of
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
+from pagas_cl.measurements import measure
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.inputs import as_views, asked_views, checked_depth
 from pagas_cl.scene.mesh import from_surface, to_surface
@@ -93,6 +94,10 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
         Photos that are on the device already.
     preset, config, device, progress
         As in refine_mesh.
+
+    Raises
+    ------
+    InputError, DeviceError
     """
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import Entered, PhotoStore, refine_levels
@@ -105,17 +110,14 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
 
     def attempt(photos):
         entered = Entered(target, depth, device)
-        settled, decisions, measured = settle(target, contexts, depth, config, device, photos, entered)
-        refined = refine_levels(target, contexts, depth, settled, device, photos, steps_done, witnesses, measured,
-                                entered)
+        settled, decisions, measured = settle(target, contexts, depth, config, device, photos, entered=entered)
+        refined = refine_levels(target, contexts, depth, settled, device, photos, progress=steps_done,
+                                witnesses=witnesses, measured=measured, entered=entered)
         return refined, decisions, measured
 
-    refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, witnesses,
-                                              photos or PhotoStore(device))
-    report = {"contexts": [view.name for view in contexts], "witnesses": [view.name for view in witnesses],
-              "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
-              "witness_cost": refined.witness, "device_bytes": refined.device_bytes,
-              "planned_bytes": refined.planned_bytes, "seconds": time.perf_counter() - start}
+    refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos or PhotoStore(device),
+                                              witnesses=witnesses)
+    report = _report(refined, decisions, contexts, witnesses, time.perf_counter() - start)
     harm = harm_of(refined, depth, len(contexts), witnesses, measured)
     if harm:
         log.warning("view %s is kept as it came: %s", target.name, harm)
@@ -147,6 +149,10 @@ def refine_views(views: list[View], depths, *, names=None, config=None, preset="
     Returns
     -------
     list of DepthResult, in the order of the views that were asked for
+
+    Raises
+    ------
+    InputError, DeviceError
     """
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import PhotoStore
@@ -184,11 +190,11 @@ def refine_one(views, partners: Partners, depth, config: Config, device, photos)
                         photos=photos, witnesses=[views[k] for k in partners.witnesses])
 
 
-def settle(target: View, contexts: list[View], depth, config: Config, device, photos, entered=None):
+def settle(target: View, contexts: list[View], depth, config: Config, device, photos, *, entered=None):
     """Decide which effects this view calls for: the settings that follow, the decisions, and what they rest on."""
     if all(choice in ("set", "off") for choice in vars(config.effects).values()):
         return *decide(config, None), None
-    measured = measure(target, contexts, depth, config, device, photos, entered)
+    measured = measure(target, contexts, depth, config, device, photos, entered=entered)
     config, decisions = decide(config, measured)
     for decision in decisions:
         log.debug("view %s: %s %s (%.4g, threshold %.4g)", target.name, decision.effect, "on" if decision.on else "off",
@@ -213,8 +219,8 @@ def initial_depths(surface, views: list[View], progress=None, keep=None) -> list
     return depths
 
 
-def fuse_results(views: list[View], results: list[DepthResult], config: Config, progress=None, memory_mb=None, tell=None, *,
-                 executor=None, folder=None, device=None):
+def fuse_results(views: list[View], results: list[DepthResult], config: Config, progress=None, memory_mb=None,
+                 tell=None, *, executor=None, folder=None, device=None):
     """Keep what other views confirm, then TSDF: a Surface. In `memory_mb` of host memory, or what is free.
 
     `tell(text)` is told whether other views were asked, and why. Where one grid does not fit, its boxes go to
@@ -245,8 +251,17 @@ def _config(preset: str, config) -> Config:
     if config is None:
         return named_preset(preset)
     if not isinstance(config, Config):
-        raise InputError(f"config is a {type(config).__name__}, expected pagas_cl.Config (start from pagas_cl.preset({preset!r}))")
+        raise InputError(f"config is a {type(config).__name__}, expected pagas_cl.Config (start from "
+                         f"pagas_cl.preset({preset!r}))")
     return config
+
+
+def _report(refined, decisions, contexts, witnesses, seconds: float) -> dict:
+    """What DepthResult.report tells of a refinement."""
+    return {"contexts": [view.name for view in contexts], "witnesses": [view.name for view in witnesses],
+            "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
+            "witness_cost": refined.witness, "device_bytes": refined.device_bytes,
+            "planned_bytes": refined.planned_bytes, "seconds": seconds}
 
 
 def _steps_of(progress, target: View):

@@ -35,7 +35,8 @@ def main():
     else:
         planned, mesh = allowed, fuse_within(views, depths, settings, allowed)
     peak = (kib("VmHWM") - before) * 1024 / 1e6
-    np.savez(folder / f"{allowed}.npz", vertices=mesh.vertices, faces=mesh.faces, normals=mesh.normals, colors=mesh.colors)
+    np.savez(folder / f"{allowed}.npz", vertices=mesh.vertices, faces=mesh.faces, normals=mesh.normals,
+             colors=mesh.colors)
     sys.stdout.write(json.dumps({"planned_mb": planned, "peak_mb": peak, "vertices": len(mesh.vertices)}) + "\n")
 
 

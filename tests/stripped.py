@@ -1,4 +1,4 @@
-"""Kernel sources as if an effect had never been written: its blocks, its parameters and what is handed to them deleted."""
+"""Kernel sources as if an effect had never been written: its blocks, its parameters, what is handed to them deleted."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ def never_had(effect: str, file: str, text: str) -> str:
 
 
 def parameters_in(effect: str, file: str) -> tuple[str, ...]:
-    """Kernel parameters of `file` that serve `effect` alone; a word may mean something else in another file, and what is
-    launched for an effect alone (nearest surfaces) needs them."""
+    """Kernel parameters of `file` that serve `effect` alone; a word may mean something else in another file, and what
+    is launched for an effect alone (nearest surfaces) needs them."""
     if file not in STEP or (effect == "unseen_mask" and file != "loss.cl"):
         return ()
     return EFFECTS[effect][1]
@@ -63,5 +63,6 @@ def parameters_in(effect: str, file: str) -> tuple[str, ...]:
 
 def parameters_of(text: str, kernel: str) -> list[str]:
     """Names of the parameters of `kernel`, in order."""
-    listed = re.search(rf"__kernel[^(]*(?:\(\([^)]*\([^)]*\)\)\)\s*)?(?:void\s+)?[^(]*\b{kernel}\s*\(([^)]*)\)", text)[1]
+    listed = re.search(rf"__kernel[^(]*(?:\(\([^)]*\([^)]*\)\)\)\s*)?(?:void\s+)?[^(]*\b{kernel}\s*\(([^)]*)\)",
+                       text)[1]
     return [re.findall(r"\w+", one)[-1] for one in listed.split(",")]

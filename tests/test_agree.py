@@ -5,7 +5,7 @@ import pytest
 from conftest import look_at, plane_depth
 
 from pagas_cl.config import Fusion
-from pagas_cl.errors import DeviceError, InputError
+from pagas_cl.errors import InputError
 from pagas_cl.reference import agree as twin
 from pagas_cl.surface import agree
 
@@ -110,13 +110,7 @@ def test_look_at_far_views_do_not_count_behind_the_camera():
     assert agree.confirmations(front, depth, [back], [np.full_like(depth, 4.0)], 2.0).max() == 0
 
 
-def test_counts_on_a_device_equal_the_twin(ring):
-    from pagas_cl.runtime.device import open_device
-
-    try:
-        device = open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
+def test_counts_on_a_device_equal_the_twin(ring, device):
     rng = np.random.default_rng(1)
     depths = [plane_depth(c, NORMAL, 0) * (1 + 0.01 * rng.normal(size=(120, 160))).astype("f4") for c in ring]
     for depth in depths:

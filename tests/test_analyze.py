@@ -11,8 +11,8 @@ from pagas_cl.__main__ import run
 from pagas_cl.commands._settings import build_config, effect_settings
 from pagas_cl.config import BALANCED, Effects
 from pagas_cl.consistency import THRESHOLD, contradicted, decide_consistency
-from pagas_cl.effects import RULES
-from pagas_cl.errors import DeviceError, InputError
+from pagas_cl.measurements import RULES
+from pagas_cl.errors import InputError
 from pagas_cl.made import relief_scene
 from pagas_cl.made.disk import write_scene
 
@@ -23,13 +23,7 @@ def made():
 
 
 @pytest.fixture(scope="module")
-def scene(made, tmp_path_factory):
-    from pagas_cl.runtime.device import open_device
-
-    try:
-        open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
+def scene(made, device, tmp_path_factory):
     return write_scene(made, tmp_path_factory.mktemp("scene"))
 
 
@@ -56,7 +50,8 @@ def test_the_command_follows_what_is_asked_for(scene, capsys):
 
 @pytest.mark.parametrize("words, sentence", [
     (["--depth-dir", "nowhere", "--mesh", "m.ply"], "got both"), (["--effect", "exposure"], "has no '='"),
-    (["--effect", "exposure=maybe"], "effects.exposure is 'maybe'"), (["--effect", "glow=on"], "unknown setting 'effects.glow'")])
+    (["--effect", "exposure=maybe"], "effects.exposure is 'maybe'"),
+    (["--effect", "glow=on"], "unknown setting 'effects.glow'")])
 def test_bad_requests_are_one_sentence(scene, capsys, words, sentence):
     more = [] if "--depth-dir" in words else ["--depth-dir", str(scene / "depth_initial")]
     assert run(["analyze", str(scene), *more, *words]) == 2
@@ -123,7 +118,8 @@ def test_fusion_drops_what_others_contradict(maps, made):
     told = []
     near = {}
     for choice in ("off", "auto"):
-        surface = fuse_results(made.views, results, BALANCED.with_settings(effects__consistency=choice), tell=told.append)
+        surface = fuse_results(made.views, results, BALANCED.with_settings(effects__consistency=choice),
+                               tell=told.append)
         uv, z = cameras[0].project(surface.vertices)
         inside = (uv >= 0).all(axis=1) & (uv < (96, 72)).all(axis=1)
         true = depths[0][uv[inside].astype(int)[:, 1], uv[inside].astype(int)[:, 0]]

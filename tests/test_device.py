@@ -78,7 +78,8 @@ def test_profiling_and_environment(machine, monkeypatch):
 def test_no_match_lists_the_names(machine):
     machine(*TWO)
     with pytest.raises(DeviceError, match="no OpenCL device matches device='radeon'; found: Portable Computing "
-                                          "Language / pthread-EPYC; NVIDIA CUDA / NVIDIA H100; NVIDIA CUDA / NVIDIA T4"):
+                                          "Language / pthread-EPYC; NVIDIA CUDA / NVIDIA H100; NVIDIA CUDA / "
+                                          "NVIDIA T4"):
         open_device("radeon")
 
 
@@ -93,7 +94,8 @@ def test_falling_back_to_the_cpu_is_said_aloud(machine, caplog):
 
 
 @pytest.mark.parametrize("fault, word", [
-    ({"available": 0}, "not available"), ({"compiler_available": 0}, "a compiler"), ({"endian_little": 0}, "byte order"),
+    ({"available": 0}, "not available"), ({"compiler_available": 0}, "a compiler"),
+    ({"endian_little": 0}, "byte order"),
     ({"opencl_c_version": "OpenCL C 1.1 x"}, "OpenCL C 1.2"), ({"local_mem_size": 1024}, "local memory"),
     ({"max_work_group_size": 1}, "work-groups")])
 def test_an_unusable_device_is_passed_over_or_named(machine, fault, word):
@@ -189,7 +191,8 @@ def test_does_without():
 @pytest.mark.parametrize("child, words", [
     (SimpleNamespace(returncode=-11, stdout="", stderr=""), "crashed while .*SIGSEGV"),
     (SimpleNamespace(returncode=1, stdout="", stderr="a\nImportError: b"), "cannot be listed: ImportError: b"),
-    (SimpleNamespace(returncode=0, stdout='noise\n{"error": "no OpenCL platform"}\n', stderr=""), "no OpenCL platform")])
+    (SimpleNamespace(returncode=0, stdout='noise\n{"error": "no OpenCL platform"}\n', stderr=""),
+     "no OpenCL platform")])
 def test_listing_survives_a_bad_driver(monkeypatch, child, words):
     monkeypatch.setattr(subprocess, "run", lambda *a, **k: child)
     with pytest.raises(DeviceError, match=words):

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from pagas_cl.config import BALANCED, PAPER, Effects
-from pagas_cl.effects import LOW_PASS, RULES, Measurements, decide, measure
-from pagas_cl.errors import DeviceError, InputError
+from pagas_cl.effects import LOW_PASS, decide
+from pagas_cl.errors import InputError
+from pagas_cl.measurements import RULES, Measurements, measure
 from pagas_cl.reference import exposure
 
 CALM = Measurements(overlap=1.0, hidden=0.0, unseen=0.0, exposure_change=0.0, gloss=0.0, smallest=0.5, plain=0.0,
@@ -80,7 +81,8 @@ def test_decisions_are_settled():
 
 
 def test_noise_raises_the_weight_and_never_lowers_it():
-    weights = [decide(BALANCED, replace(CALM, plain=0.5, noise=n))[0].smoothness.weight for n in (0.001, 0.01, 0.02, 1.0)]
+    weights = [decide(BALANCED, replace(CALM, plain=0.5, noise=n))[0].smoothness.weight
+               for n in (0.001, 0.01, 0.02, 1.0)]
     assert weights[0] == BALANCED.smoothness.weight
     assert weights[0] < weights[1] < weights[2] <= weights[3] <= 100
 
@@ -118,16 +120,6 @@ def test_exposure_fit_of_one_colour_is_the_ratio():
     a, b = exposure.fit(own, own * 1.2)[0]
     assert a * 0.4 + b == pytest.approx(0.48, abs=1e-6)
     assert 0.9 < a < 1.4
-
-
-@pytest.fixture(scope="module")
-def device():
-    from pagas_cl.runtime.device import open_device
-
-    try:
-        return open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
 
 
 def measured_of(device, **settings) -> Measurements:

@@ -1,4 +1,5 @@
-"""An effect that is off adds nothing: the program is that of a source which never had it, and no buffer is made for it."""
+"""An effect that is off adds nothing: the program is that of a source which never had it,
+and no buffer is made for it."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ from stripped import EFFECTS, STEP, never_had, parameters_in, parameters_of, wit
 from pagas_cl.config import BALANCED
 
 pytest.importorskip("pyopencl")
-ON = {"occlusion": dict(splatting__occlusion=True, splatting__depth_relative=0.5), "unseen_mask": dict(loss__unseen_mask=True),
+ON = {"occlusion": dict(splatting__occlusion=True, splatting__depth_relative=0.5),
+      "unseen_mask": dict(loss__unseen_mask=True),
       "exposure": dict(loss__exposure=True), "view_dependence": dict(loss__structure=True, loss__robust=0.5),
       "antialiasing": dict(splatting__low_pass=0.06)}
 OFF = {"occlusion": dict(splatting__occlusion=False), "unseen_mask": dict(loss__unseen_mask=False),
@@ -34,8 +36,8 @@ def tokens(source: str, config) -> list[str]:
 
     device = SimpleNamespace(has=lambda extension: True)
     options = [f"-D{define}" for define in (*defines(config, device, 300), *SCALAR[0].defines)]
-    seen = subprocess.run([shutil.which("cpp"), "-P", "-undef", "-nostdinc", *options], input=source, capture_output=True,
-                          text=True, check=True).stdout
+    seen = subprocess.run([shutil.which("cpp"), "-P", "-undef", "-nostdinc", *options], input=source,
+                          capture_output=True, text=True, check=True).stdout
     return re.findall(r"\w+|[^\w\s]", seen)
 
 
@@ -50,7 +52,8 @@ def test_the_program_is_that_of_a_source_without_the_effect(effect, file):
     text, config = source(file), all_but(effect)
     macros, parameters = EFFECTS[effect][0], parameters_in(effect, file)
     bare = without_blocks(text, macros)
-    assert not [line for line in bare.splitlines() if re.match(rf"\s*#.*\b({'|'.join(macros)})\b", line.partition("//")[0])]
+    assert not [line for line in bare.splitlines()
+                if re.match(rf"\s*#.*\b({'|'.join(macros)})\b", line.partition("//")[0])]
     assert tokens(text, config) == tokens(bare, config)
     without = tokens(never_had(effect, file, text), config)
     assert not set(parameters) & set(without)
@@ -94,5 +97,6 @@ def test_stripping():
     text = "a\n#ifdef X\nb\n#ifdef Y\nc\n#endif\n#else\nd\n#endif\n#ifdef Y\ne\n#endif"
     assert without_blocks(text, ("X",)).split() == "a d #ifdef Y e #endif".split()
     assert without_blocks(text, ("Y",)).split() == "a #ifdef X b #else d #endif".split()
-    kernel = "__kernel void f(__global const float *low_pass, int a, float low_pass2,\n  float relative) { g(low_pass, a, relative); }"
+    kernel = ("__kernel void f(__global const float *low_pass, int a, float low_pass2,\n"
+              "  float relative) { g(low_pass, a, relative); }")
     assert parameters_of(kernel, "f") == ["low_pass", "a", "low_pass2", "relative"]

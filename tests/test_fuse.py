@@ -4,7 +4,7 @@ import logging
 
 import numpy as np
 import pytest
-from conftest import look_at, plane_depth
+from conftest import plane_depth
 
 o3d = pytest.importorskip("open3d")
 
@@ -105,7 +105,8 @@ def test_origin_and_unit_do_not_matter(scene, scale, offset):
 def test_the_plan_comes_first_and_holds(scene, caplog):
     views, depths = scene
     plan = fusion_plan([view.camera for view in views], depths)
-    assert plan.voxel == pytest.approx(Fusion().voxel * 4 / 140, rel=0.15) and plan.truncation == pytest.approx(6 * plan.voxel)
+    assert plan.voxel == pytest.approx(Fusion().voxel * 4 / 140, rel=0.15)
+    assert plan.truncation == pytest.approx(6 * plan.voxel)
     low, high = plan.depth_range
     assert low == min(d.min() for d in depths) and high == max(d.max() for d in depths)
     assert plan.block_count <= sum(len(b) for b in plan.blocks) and 1 < plan.memory_mb < 200

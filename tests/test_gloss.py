@@ -8,19 +8,9 @@ from harm_scenes import figures
 from kernel_cases import Scene, start_level
 
 from pagas_cl.config import BALANCED
-from pagas_cl.errors import DeviceError
 from pagas_cl.made import relief_scene
 from pagas_cl.reference.smooth import raised
 from pagas_cl.refine import refine_depth
-from pagas_cl.runtime.device import open_device
-
-
-@pytest.fixture(scope="module")
-def device():
-    try:
-        return open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
 
 
 def weights(device, gloss, **settings):

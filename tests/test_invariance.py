@@ -10,22 +10,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pagas_cl.errors import DeviceError
 from pagas_cl.made import relief_scene
 from pagas_cl.made.layout import half_sizes
 from pagas_cl.made.mesh import solid_mesh
 from pagas_cl.refine import initial_depths, refine_depth
-from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
 
 
 @pytest.fixture(scope="module")
-def made():
-    try:
-        open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
+def made(device):
     return relief_scene(96, 72, 4)
 
 

@@ -9,9 +9,7 @@ from close import assert_kernel_close
 from kernel_cases import SEES_LOSS, Scene, device_gradient, start_level, twin_gradient
 
 from pagas_cl.config import BALANCED, PAPER
-from pagas_cl.errors import DeviceError
 from pagas_cl.reference.level import prepare, run_level
-from pagas_cl.runtime.device import open_device
 from pagas_cl.splat.tile import SCALAR, Tile
 
 PLAIN = BALANCED.with_settings(smoothness__kind="none", smoothness__weight=0.0, splatting__radius=1.0,
@@ -51,14 +49,6 @@ CASES = {
     "alpha huber": (PAPER, dict(loss__huber=0.02)),
     "alpha L1 only": (PAPER, dict(loss__ssim=0.0)),
 }
-
-
-@pytest.fixture(scope="module")
-def device():
-    try:
-        return open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")
@@ -116,12 +106,14 @@ def test_level_follows_the_twin(device, scene, base):
 @pytest.mark.parametrize("kind", ["planar", "normal"])
 def test_the_schedule_follows_the_whole_loss(device, scene, kind):
     """L = L_c + L_s, step by step (method section 5)."""
-    config = PAPER.with_settings(smoothness__kind=kind, smoothness__weight=100.0, solver__rate=1e-3, solver__damping=1e-3)
+    config = PAPER.with_settings(smoothness__kind=kind, smoothness__weight=100.0, solver__rate=1e-3,
+                                 solver__damping=1e-3)
     level = start_level(device, config, scene)
     assert level.run(4) == 4
     got = level.read("history", level.arena.specs["history"].shape)[:4]
     level.release()
-    state = prepare(scene.initial.astype(np.float64), scene.target, scene.contexts, config, scene.unit, scene.delta(config))
+    state = prepare(scene.initial.astype(np.float64), scene.target, scene.contexts, config, scene.unit,
+                    scene.delta(config))
     object.__setattr__(state, "distance", 1.0)              # what the level was given
     start = scene.moved.astype(np.float64)
     _, want = run_level(start, scene.target, scene.contexts, config, state, 4)

@@ -8,14 +8,12 @@ import pytest
 from kernel_cases import Scene, view_of
 
 from pagas_cl.config import BALANCED
-from pagas_cl.errors import DeviceError
 from pagas_cl.made import relief_scene
 from pagas_cl.reference import exposure as exposure_twin
 from pagas_cl.reference import measure as twin
 from pagas_cl.reference.level import Photo, prepare
 from pagas_cl.reference.grain import noise_and_texture
 from pagas_cl.reference.summary import summarize
-from pagas_cl.runtime.device import open_device
 from pagas_cl.runtime.program import run_once
 from pagas_cl.splat import exposure, project
 from pagas_cl.splat.grain import Grain
@@ -25,14 +23,6 @@ from pagas_cl.splat.state import PhotoStore, Size
 from pagas_cl.splat.summary import Rows
 
 MOVES = [(float(shift), 0.0) for shift in SHIFTS] + [(0.0, aside) for aside in (-2.0, -1.0, 1.0, 2.0)]
-
-
-@pytest.fixture(scope="module")
-def device():
-    try:
-        return open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")
@@ -62,9 +52,10 @@ def smooth_probe(device, smooth_scene):
 
 def probe_of(device, scene):
     views, photos = [view_of(p) for p in (scene.target, *scene.contexts)], PhotoStore(device)
-    given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.unit, scene.delta(BALANCED), 1.0, 2)
+    given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.unit, scene.delta(BALANCED),
+                       1.0, 2)
     probe = Probe(device, BALANCED, given, lambda out: cl.enqueue_copy(device.queue, out, scene.initial))
-    assert probe.grid.stride == 1 and (probe.grid.down, probe.grid.across) == scene.initial.shape    # every pixel is a sample
+    assert probe.grid.stride == 1 and (probe.grid.down, probe.grid.across) == scene.initial.shape    # every pixel
     yield probe
     probe.release()
 
@@ -91,7 +82,7 @@ def test_costs_of_moved_depths_equal_the_twin(device, scene, probe, number):
     costs = np.stack([twin.moved_cost(initial, state.parallax, scene.target, context, shift, scene.unit, aside)
                       for shift, aside in MOVES])
     same = ((costs == twin.UNDEFINED) == (got == twin.UNDEFINED))[:, seen]
-    assert same.mean() > 0.99                              # a patch pixel exactly on the photo's edge may fall either way
+    assert same.mean() > 0.99                         # a patch pixel exactly on the photo's edge may fall either way
     difference = np.abs(costs - got)[:, seen]
     assert np.quantile(difference[same], 0.99) < 1e-3
     aside = np.nansum([rows[f"aside {k}"] for k in range(4)], axis=0)
@@ -185,14 +176,16 @@ def test_states_of_matches_equal_the_twin(device, smooth_scene, smooth_probe):
     cl.enqueue_fill_buffer(device.queue, probe.arena["z_first"], np.float32(np.inf), 0, probe.arena.size("z_first"))
     run_once(device.queue, [exposure.match(probe, 1)])
     got = read(device, probe.arena["matches"], (2, *scene.initial.shape, 8))[0, ..., 3]
-    want = exposure_twin.match(scene.initial.astype(np.float64), scene.target, scene.contexts[0], None, 0.0, scene.unit)[2]
+    want = exposure_twin.match(scene.initial.astype(np.float64), scene.target, scene.contexts[0], None, 0.0,
+                               scene.unit)[2]
     inner = np.s_[3:-3, 3:-3]
     assert (got[inner] == want[inner]).mean() > 0.99 and (np.unique(want) == [0, 1, 2]).all()
 
 
 def test_summaries(device):
     rng = np.random.default_rng(0)
-    values = np.stack([rng.normal(0.3, 0.05, 5000), rng.integers(0, 2, 5000), np.full(5000, np.nan), rng.uniform(0, 1, 5000)])
+    values = np.stack([rng.normal(0.3, 0.05, 5000), rng.integers(0, 2, 5000), np.full(5000, np.nan),
+                       rng.uniform(0, 1, 5000)])
     values[0, ::3] = np.nan
     rows = Rows(device, [(0, 1, 0.95), (0, 1, 0.5), (0, 1, 0.5), (0, 0.5, 0.25)], 5000)
     cl.enqueue_copy(device.queue, rows.values, values.astype(np.float32))
@@ -209,5 +202,5 @@ def test_noise_and_texture_equal_the_twin(device, noise):
     view = relief_scene(120, 90, 1, held_out=0, noise=noise).views[0]
     got = Grain(device, PhotoStore(device).photo(view), Size(120, 90)).read()
     want = noise_and_texture(view.load_image())
-    assert got[0] == pytest.approx(want[0], abs=0.6 * 1.4826 / 6**0.5 / 765)    # a median of whole numbers, or between them
+    assert got[0] == pytest.approx(want[0], abs=0.6 * 1.4826 / 6**0.5 / 765)    # a median of whole numbers
     assert got[1] == pytest.approx(want[1], abs=0.02)

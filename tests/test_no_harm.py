@@ -7,25 +7,16 @@ from dataclasses import replace
 import pytest
 from harm_scenes import figures, moving, plain, turned, wrong_poses
 
-from pagas_cl.errors import DeviceError
 from pagas_cl.refine import refine_depth, refine_views
 from pagas_cl.result import REJECTED
-from pagas_cl.runtime.device import open_device
 
 HARMFUL = {"a plane without texture": plain, "without texture or noise": lambda: plain(0.0),
            "wrong poses": wrong_poses, "wrong poses of eight views": lambda: wrong_poses(contexts=8),
-           "poses off by a pixel": lambda: wrong_poses(1.0), "poses off by 1.2 pixels": lambda: wrong_poses(1.2, contexts=6),
+           "poses off by a pixel": lambda: wrong_poses(1.0),
+           "poses off by 1.2 pixels": lambda: wrong_poses(1.2, contexts=6),
            "poses off by two pixels": lambda: wrong_poses(2.0),
            "moving content": moving, "moving content, coarse depth": lambda: moving(coarse_error=0.5)}
 _MOST = 1.02
-
-
-@pytest.fixture(scope="module")
-def device():
-    try:
-        return open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
 
 
 @pytest.mark.parametrize("name", HARMFUL)

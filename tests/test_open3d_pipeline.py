@@ -148,7 +148,7 @@ def test_bad_input(made, change, sentence):
         refine_rgbd(list(zip(colors, depths)), K, E, depth_trunc=0, config=FEW)
 
 
-# -- Open3D's RGBD-integration tutorial on a real sequence ---------------------------------------------------------------
+# -- Open3D's RGBD-integration tutorial on a real sequence ---------------------------------------------------------
 
 def tutorial_loop(frames, K, poses):
     """The loop of Open3D's tutorial, with the volume that Open3D 0.20 does not leave empty."""

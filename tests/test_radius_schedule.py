@@ -6,20 +6,11 @@ import numpy as np
 import pytest
 
 from pagas_cl.config import BALANCED
-from pagas_cl.errors import DeviceError, InputError
+from pagas_cl.errors import InputError
 from pagas_cl.made import relief_scene
-from pagas_cl.runtime.device import open_device
 from pagas_cl.splat import refine_levels
 
 SHORT = BALANCED.with_settings(pyramid__steps=(20,), splatting__radius=1.42)
-
-
-@pytest.fixture(scope="module")
-def device():
-    try:
-        return open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
 
 
 @pytest.mark.parametrize("blend", ["order_free", "alpha"])

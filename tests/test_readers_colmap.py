@@ -5,7 +5,6 @@ import shutil
 
 import numpy as np
 import pytest
-from conftest import look_at
 from PIL import Image
 
 from pagas_cl.errors import InputError

@@ -100,7 +100,8 @@ def test_alpha_backward_survives_opaque_gaussians(normalize):
     g, g_A = rng.standard_normal((1, 1, 3)), rng.standard_normal((1, 1))
 
     def blended(alpha):
-        pairs = Pairs(np.arange(3), np.zeros(3, int), np.zeros((3, 2)), np.arange(3.0), alpha, alpha, np.ones(3), np.ones(3))
+        pairs = Pairs(np.arange(3), np.zeros(3, int), np.zeros((3, 2)), np.arange(3.0), alpha, alpha, np.ones(3),
+                      np.ones(3))
         C, A, total, covered = _alpha_blend(pairs, colors, photo.reshape(-1, 3), normalize)
         return Rendered(C.reshape(photo.shape), A.reshape(1, 1), covered.reshape(1, 1), pairs, colors,
                         photo.reshape(-1, 3), total, 3, splatting)

@@ -20,12 +20,12 @@ from pagas_cl.commands._settings import build_config
 from pagas_cl.config import PRESETS, setting_names
 from pagas_cl.errors import InputError
 from pagas_cl.filters.filter_script import check_script
-from pagas_cl.hard_cases import SETTINGS
 from pagas_cl.scene import depthmap
 from pagas_cl.scene.images import read_photo
 from pagas_cl.scene.mesh import to_surface
 from pagas_cl.scene.readers import nerfstudio, read_scene
 from pagas_cl.selftest import config_of
+from pagas_cl.selftest.table import SETTINGS
 
 HOSTILE = ("1 -D__global=", "1f -I/etc", "0x10", "1e999", "nan", "inf", "__import__('os')", "${HOME}",
            '1"', "1\n-DX", "1;X")

@@ -9,7 +9,6 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.errors import InputError
 
 MANY = ("--views", "--set", "--effect")
 COLUMNS = ["view", "effect", "evidence", "threshold", "decision", "what is measured"]
@@ -35,20 +34,19 @@ def command(
 ):
     """Measure what SCENE calls for; refines nothing. The decisions are those that refine takes."""
     from pagas_cl.analysis import analyze
+    from pagas_cl.commands._initial import check_source, initial_depths
     from pagas_cl.commands._settings import build_config, effect_settings
-    from pagas_cl.commands.refine import _initial
     from pagas_cl.report.page import write_text
     from pagas_cl.scene.readers import read_scene
 
-    if (mesh is None) == (depth_dir is None):
-        raise InputError("expected either --mesh or --depth-dir (where a refinement would start), got "
-                         + ("neither" if mesh is None else "both"))
+    check_source(mesh, depth_dir, "where a refinement would start")
     config = build_config(preset, [*settings, *effect_settings(effects)])
     found = read_scene(scene, format, **({"outside": True} if outside else {}))
     names = [found.views[found.index(name)].name for name in views] or None
     with shown_progress(quiet) as progress:
-        depths = _initial(found, mesh, depth_dir, depth_scale, progress, None)
-        analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs, progress=progress)
+        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress)
+        analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
+                           progress=progress)
     show(analysis)
     told = json.dumps(analysis.as_dict(), indent=1) + "\n"
     if output is not None:
@@ -76,7 +74,8 @@ def rows(analysis) -> list[list[str]]:
 
 def cost_rows(analysis) -> list[list[str]]:
     """One row an effect, as COSTS says."""
-    return [[name, f"{1e3 * c.off:.1f}", f"{1e3 * c.on:.1f}", f"{c.device_bytes:,}"] for name, c in analysis.costs.items()]
+    return [[name, f"{1e3 * c.off:.1f}", f"{1e3 * c.on:.1f}", f"{c.device_bytes:,}"]
+            for name, c in analysis.costs.items()]
 
 
 def show(analysis) -> None:
@@ -107,5 +106,6 @@ def page(analysis, source: str) -> str:
     notes = [f"scene: {source}, {len(analysis.views)} views", f"device: {analysis.device}"]
     notes += [f"{name}: {off} ms a view without, {on} ms with it, {size} bytes on the device ({analysis.timed})"
               for name, off, on, size in cost_rows(analysis)]
-    sections = [(v.view, [], [v.reason] if v.reason else ["context views: " + ", ".join(v.contexts)]) for v in analysis.views]
+    sections = [(v.view, [], [v.reason] if v.reason else ["context views: " + ", ".join(v.contexts)])
+                for v in analysis.views]
     return html_page("pagas-cl analyze", notes, COLUMNS, rows(analysis), sections)

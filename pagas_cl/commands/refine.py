@@ -38,15 +38,19 @@ def command(
     format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
     depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
-    keep_mesh: bool = typer.Option(False, "--keep-mesh", help="Move the vertices of --mesh instead of fusing a new one."),
+    keep_mesh: bool = typer.Option(False, "--keep-mesh",
+                                   help="Move the vertices of --mesh instead of fusing a new one."),
     subdivide: float = typer.Option(None, "--subdivide", metavar="PIXELS",
                                     help="With --keep-mesh: first split edges longer than this many pixels."),
-    devices: str = typer.Option(None, "--devices", metavar="all|NAME,...", help="One process on each of these devices."),
+    devices: str = typer.Option(None, "--devices", metavar="all|NAME,...",
+                                help="One process on each of these devices."),
     scheduler: str = typer.Option(None, "--scheduler", metavar="tcp://HOST:PORT", help="A running Dask cluster."),
-    memory: float = typer.Option(None, "--memory", metavar="MB", help="Most host memory for fusing; what is free by default."),
+    memory: float = typer.Option(None, "--memory", metavar="MB",
+                                 help="Most host memory for fusing; what is free by default."),
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
+    from pagas_cl.commands._initial import initial_depths
     from pagas_cl.commands._settings import apply_settings, build_config, effect_settings
     from pagas_cl.commands._time import check_times, config_in_time
     from pagas_cl.keep_mesh import displaced_mesh, write_whole
@@ -66,12 +70,13 @@ def command(
     place, folder = _place(device, devices, scheduler), _folder(save_depth, output)
     names = [found.views[found.index(name)].name for name in views] or None
     with shown_progress(quiet) as progress, _report(report, found, preset, settings, place) as page:
-        depths = _initial(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder)
+        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
-        results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder, progress=progress,
-                               on_view=page and _Pictures(page), extras=page is not None or keep_mesh)
+        results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
+                               progress=progress, on_view=page and _Pictures(page),
+                               extras=page is not None or keep_mesh)
         if output is not None and keep_mesh:
             write_whole(output, displaced_mesh(mesh, found.views, depths, results, config, subdivide))
         elif output is not None:
@@ -106,11 +111,10 @@ def _folder(save_depth, output) -> Path | None:
 
 def _check_request(mesh, depth_dir, output, save_depth, report) -> None:
     """Refuse what cannot end well before any work is done."""
+    from pagas_cl.commands._initial import check_source
     from pagas_cl.scene.mesh_file import check_mesh_path
 
-    if (mesh is None) == (depth_dir is None):
-        raise InputError("expected either --mesh or --depth-dir (where the refinement starts), got "
-                         + ("neither" if mesh is None else "both"))
+    check_source(mesh, depth_dir, "where the refinement starts")
     if output is None and save_depth is None and report is None:
         raise InputError("nothing to write: give --output, --save-depth or --report")
     if depth_dir is not None and not depth_dir.is_dir():
@@ -130,35 +134,8 @@ def _check_keep(keep_mesh: bool, subdivide, mesh) -> None:
     if keep_mesh and mesh is None:
         raise InputError("--keep-mesh needs --mesh: it moves that mesh's vertices")
     if subdivide is not None and not keep_mesh:
-        raise InputError("--subdivide needs --keep-mesh: a fused mesh has the voxel's fineness (--set fusion.voxel=...)")
-
-
-def _initial(found, mesh, depth_dir, depth_scale, progress, folder) -> list:
-    """Initial depth of every view, from the mesh or from files; None for a view without a file.
-
-    With a folder for the run they stay on disk, and what stands for them is given instead.
-    """
-    from pagas_cl.jobs.finished import work_folder
-    from pagas_cl.jobs.store import DepthFile, Store
-
-    if mesh is not None:
-        from pagas_cl.refine import initial_depths
-        from pagas_cl.scene.mesh import to_surface
-
-        keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
-        return initial_depths(to_surface(mesh), found.views, progress, keep)
-    from pagas_cl.scene.depthmap import find_depth
-
-    files = [find_depth(depth_dir, view.name) for view in found.views]
-    if not any(files):
-        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
-                         f"expected for instance {found.views[0].stem}.npz")
-    depths = []
-    for view, file in zip(found.views, files):
-        size = view.camera.width, view.camera.height
-        source = None if file is None else DepthFile(file.resolve(), size, depth_scale)
-        depths.append(source if source is None or folder is not None else source.load())
-    return depths
+        raise InputError("--subdivide needs --keep-mesh: a fused mesh has the voxel's fineness "
+                         "(--set fusion.voxel=...)")
 
 
 class _Pictures:
@@ -172,7 +149,8 @@ class _Pictures:
         remarks = [f"kept as it came: {result.reason}"] if result.reason else []
         if told.get("contexts"):
             remarks.append("context views: " + ", ".join(told["contexts"]))
-        remarks += ["effects: " + "; ".join(_decision(effect) for effect in told["effects"])] if told.get("effects") else []
+        if told.get("effects"):
+            remarks.append("effects: " + "; ".join(_decision(effect) for effect in told["effects"]))
         figures = {"seconds": round(told["seconds"], 2)} if "seconds" in told else {}
         self.page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
                       counts={**result.counts, **figures}, remarks=remarks)
@@ -216,5 +194,5 @@ def _tell_failures(found, results) -> None:
     failed = [(by_camera[id(r.camera)], r.report["failed"]) for r in results if "failed" in r.report]
     if failed:
         names = ", ".join(name for name, _ in failed[:10]) + (", ..." if len(failed) > 10 else "")
-        raise PagasError(f"{len(failed)} of {len(results)} views failed and were left out: {names} ({failed[0][1]}); the rest is "
-                         "done, start the same command again for these")
+        raise PagasError(f"{len(failed)} of {len(results)} views failed and were left out: {names} ({failed[0][1]}); "
+                         "the rest is done, start the same command again for these")

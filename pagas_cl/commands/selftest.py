@@ -20,7 +20,7 @@ def command(
     sys.stdout.write(f"{opened.info}\n{'case':<48}{'blend':<12}{'tolerance':>10}{'worst':>11}\n")
     outcomes = run_all(opened, _tell)
     if large:
-        from pagas_cl.large_cases import run_large
+        from pagas_cl.selftest.large import run_large
 
         outcomes += run_large(opened, _tell)
     failed = [outcome for outcome in outcomes if not outcome.ok]

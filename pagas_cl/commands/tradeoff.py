@@ -35,22 +35,20 @@ def command(
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Run a plan of settings on a sample of views: error, time and memory of each, and the front of the best."""
-    from pagas_cl.commands.refine import _initial
+    from pagas_cl.commands._initial import check_source, initial_depths
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.readers import read_scene
     from pagas_cl.tradeoffs import tradeoff
     from pagas_cl.tradeoffs.ablation import ablation_plan, ablation_table
     from pagas_cl.tradeoffs.page import markdown, notes
 
-    if (mesh is None) == (depth_dir is None):
-        raise InputError("expected either --mesh or --depth-dir (where the refinement starts), got "
-                         + ("neither" if mesh is None else "both"))
+    check_source(mesh, depth_dir, "where the refinement starts")
     found = read_scene(scene, format, **({"outside": True} if outside else {}))
     for view in found.views:
         view.check_files()
     opened = open_device(device)
     with shown_progress(quiet) as progress:
-        depths = _initial(found, mesh, depth_dir, depth_scale, progress, None)
+        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress)
         true = None if truth is None else _truth(found, truth, depth_scale, progress)
         study = tradeoff(found.views, depths, truth=true, names=views or None, held_out=held_out or None, sample=sample,
                          budget=budget, settings=ablation_plan(ablation) if ablation else None, device=opened,
@@ -63,9 +61,9 @@ def command(
 
 def _truth(found, truth: Path, depth_scale, progress) -> list:
     """True depth of every view, from files or rendered from a mesh; None where there is no file."""
-    from pagas_cl.commands.refine import _initial
+    from pagas_cl.commands._initial import initial_depths
 
     if not truth.exists():
         raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
     mesh, folder = (None, truth) if truth.is_dir() else (truth, None)
-    return _initial(found, mesh, folder, depth_scale, progress, None)
+    return initial_depths(found, mesh, folder, depth_scale, progress)

@@ -31,7 +31,8 @@ def local_pool(devices) -> ProcessPoolExecutor:
 
     Processes are spawned: an OpenCL context does not survive a fork.
     """
-    from pagas_cl.runtime.claim import known_devices, shares
+    from pagas_cl.runtime.claim import known_devices
+    from pagas_cl.runtime.device import shares
 
     number = len(known_devices(devices)) * shares()
     return ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=_ignore_interrupts)

@@ -29,6 +29,7 @@ _EXTRAS = ("status", "deviation", "parallax")
 
 
 def work_folder(folder: Path) -> Path:
+    """Where a run keeps what only it needs, inside its folder of results."""
     return Path(folder) / ".work"
 
 

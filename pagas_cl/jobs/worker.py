@@ -146,6 +146,7 @@ def close_benches() -> None:
 
 
 def worker_name() -> str:
+    """Machine and process."""
     return f"{socket.gethostname()}-{os.getpid()}"
 
 

@@ -119,7 +119,8 @@ def render(depth, target: Photo, context: Photo, config: Config, state: State) -
     projected = project(depth, target.camera, context.camera, config.splatting.low_pass, state.unit)
     photo = losses.comparable(context.image, config.loss)
     colors = losses.comparable(target.exposed_as(context), config.loss)
-    return composite(projected, colors.reshape(-1, colors.shape[-1]), photo, config.splatting, threshold_in(target, context, config, state))
+    return composite(projected, colors.reshape(-1, colors.shape[-1]), photo, config.splatting,
+                     threshold_in(target, context, config, state))
 
 
 def view_loss(depth, target: Photo, context: Photo, config: Config, state: State, seen_mask=None):

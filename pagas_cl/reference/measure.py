@@ -16,8 +16,8 @@ BETTER = 0.05                    # by so much a depth far away must match better
 
 
 def moved_cost(depth, parallax, target, context, shift: float, unit: float, aside: float = 0.0) -> np.ndarray:
-    """1 - correlation of 5x5 patches of the target with the context photo, depths moved by `shift` pixels of parallax and
-    the photo by `aside` pixels across the direction in which depth moves the middle of a patch in it.
+    """1 - correlation of 5x5 patches of the target with the context photo, depths moved by `shift` pixels of parallax
+    and the photo by `aside` pixels across the direction in which depth moves the middle of a patch in it.
 
     Parameters
     ----------
@@ -34,7 +34,8 @@ def moved_cost(depth, parallax, target, context, shift: float, unit: float, asid
     moved = np.where(depth > 0, depth + shift * parallax, 0.0)
     along = project(depth, target.camera, context.camera, 0.0, unit).m_d
     across = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.maximum(np.linalg.norm(along, axis=1), 1e-15)[:, None]
-    landed, photo, own = project(moved, target.camera, context.camera, 0.0, unit), luma(context.image), luma(target.image)
+    landed = project(moved, target.camera, context.camera, 0.0, unit)
+    photo, own = luma(context.image), luma(target.image)
     n, sums = 0, np.zeros((5, *depth.shape))
     for pixel in _patch(np.arange(depth.size).reshape(depth.shape), fill=-1):      # each pixel of all patches in turn
         value, seen = look_up(photo, landed, context, depth.shape, aside * across, pixel.ravel())
@@ -42,7 +43,8 @@ def moved_cost(depth, parallax, target, context, shift: float, unit: float, asid
         n, sums = n + seen, sums + [a, b, a * a, b * b, a * b]
     mean = sums / np.maximum(n, 1)
     var_w, var_t = mean[2] - mean[0] ** 2, mean[3] - mean[1] ** 2
-    correlation = (mean[4] - mean[0] * mean[1]) / np.sqrt((np.maximum(var_w, 0) + NOISE) * (np.maximum(var_t, 0) + NOISE))
+    spread = np.sqrt((np.maximum(var_w, 0) + NOISE) * (np.maximum(var_t, 0) + NOISE))
+    correlation = (mean[4] - mean[0] * mean[1]) / spread
     return np.where((n >= LEAST_PIXELS) & (var_t >= 4 * NOISE), 1 - correlation, UNDEFINED)
 
 
@@ -115,7 +117,8 @@ def judged(depth, totals, gloss):
 
 
 def least_at(costs: np.ndarray) -> np.ndarray:
-    """Where costs (5, ...) at -2, -1, 0, 1, 2 pixels are least, by a parabola; NaN where one is not defined or none matches."""
+    """Where costs (5, ...) at -2, -1, 0, 1, 2 pixels are least, by a parabola;
+    NaN where one is not defined or none matches."""
     best = costs.argmin(axis=0)
     least = costs.min(axis=0)
     middle = np.clip(best, 1, 3)
@@ -142,11 +145,11 @@ def gloss(own, other, state, like, gain) -> np.ndarray:
 
 
 def look_up(image, landed, context, shape, moved=0.0, pixel=slice(None)):
-    """Bilinear values of `image`, (H', W') or (H', W', C), of the context photo where target pixels landed, and where all
-    four pixels are inside and valid; arrays of `shape` (H, W).
+    """Bilinear values of `image`, (H', W') or (H', W', C), of the context photo where target pixels landed, and where
+    all four pixels are inside and valid; arrays of `shape` (H, W).
 
-    `pixel` (N,): whose landing place is asked for, -1 for none; by default each pixel's own. `moved`: pixels by which the
-    photo is moved, (N, 2) or 0.
+    `pixel` (N,): whose landing place is asked for, -1 for none; by default each pixel's own. `moved`: pixels by which
+    the photo is moved, (N, 2) or 0.
     """
     height, width = image.shape[:2]
     u, v = (landed.m[pixel] + moved - 0.5).T
@@ -160,7 +163,8 @@ def look_up(image, landed, context, shape, moved=0.0, pixel=slice(None)):
     a, b = (np.where(inside, t, 0) - whole for t, whole in ((u, x), (v, y)))
     if image.ndim == 3:
         a, b = a[:, None], b[:, None]
-    value = (1 - b) * ((1 - a) * image[y, x] + a * image[y, right]) + b * ((1 - a) * image[below, x] + a * image[below, right])
+    value = ((1 - b) * ((1 - a) * image[y, x] + a * image[y, right])
+             + b * ((1 - a) * image[below, x] + a * image[below, right]))
     return value.reshape(*shape, *image.shape[2:]), inside.reshape(shape)
 
 

@@ -28,7 +28,8 @@ def smoothness(depth, valid, settings: Smoothness, kappa, rays, texture):
     if settings.kind == "none" or settings.weight == 0:
         return 0.0, np.zeros(depth.shape)
     if settings.kind == "planar":
-        return planar(depth, valid, kappa, 1 - settings.texture * texture, settings.weight, settings.huber, settings.cut)
+        return planar(depth, valid, kappa, 1 - settings.texture * texture, settings.weight, settings.huber,
+                      settings.cut)
     return normal(depth, valid, rays, 1 - texture, settings.weight)
 
 
@@ -125,7 +126,7 @@ def normal(depth, valid, rays, pixel_weight, weight):
 
 
 def raised(weights, gloss, most: float):
-    """Pixel weights (H, W) where a surface is glossy: raised by (largest residual within 3 samples / 0.007)^2, 1 to `most`.
+    """Weights (H, W) raised where a surface is glossy: by (largest residual within 3 samples / 0.007)^2, 1 to `most`.
 
     `gloss`: residuals on a grid over the image, NaN = unknown; the factors are interpolated between its samples.
     """

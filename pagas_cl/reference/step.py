@@ -31,7 +31,8 @@ def late_share(step: int, steps: int, final: float) -> float:
 
 @dataclass
 class Adam:
-    """First and second moments of the gradient, same shape as the depth, their decay per step, and the count of steps."""
+    """First and second moments of the gradient, same shape as the depth, their decay per step,
+    and the count of steps."""
 
     m: np.ndarray
     v: np.ndarray

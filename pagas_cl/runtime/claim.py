@@ -12,11 +12,10 @@ import tempfile
 import time
 from pathlib import Path
 
-from pagas_cl.errors import DeviceError, InputError
+from pagas_cl.errors import DeviceError
 from pagas_cl.runtime import device as devices
 from pagas_cl.runtime.device import Device
 
-SHARE = "PAGAS_CL_SHARE"  # how many processes may work on one device
 WAIT = 20.0               # seconds to wait for a device that is at work for another process
 _held: dict[str, object] = {}
 
@@ -51,12 +50,13 @@ def claim_device(names=None) -> Device:
     Raises
     ------
     DeviceError
-        All of them are taken, or cannot be opened. PAGAS_CL_SHARE=3 in the environment lets three processes work on one device.
+        All of them are taken, or cannot be opened. PAGAS_CL_SHARE=3 in the environment lets three
+        processes work on one device.
     """
     if isinstance(names, Device):
         return devices.working(names)
     cl, fault = devices.import_pyopencl(), None
-    share, known, until = shares(), known_devices(names), time.monotonic() + WAIT
+    share, known, until = devices.shares(), known_devices(names), time.monotonic() + WAIT
     while True:
         for slot in range(share):
             for place, (info, cl_device) in enumerate(known):
@@ -74,21 +74,13 @@ def claim_device(names=None) -> Device:
         raise DeviceError(f"{fault}; see 'pagas-cl devices'")
     titles = ", ".join(info.title for info, _ in known)
     raise DeviceError(f"every device asked for ({titles}) is at work for another process; start one worker a device, "
-                      f"or let several share one with {SHARE}={share + 1}")
+                      f"or let several share one with {devices.SHARE}={share + 1}")
 
 
 def give_back() -> None:
     """Let other processes have what this one has claimed."""
     while _held:
         _unlock(next(iter(_held)))
-
-
-def shares() -> int:
-    """How many processes may work on one device."""
-    text = os.environ.get(SHARE, "1")
-    if not text.isdigit() or int(text) < 1:
-        raise InputError(f"environment variable {SHARE} is {text!r}, expected a whole number of at least 1")
-    return int(text)
 
 
 def _identity(info, cl_device, place: int) -> str:

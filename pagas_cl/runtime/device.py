@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from pagas_cl.errors import DeviceError
+from pagas_cl.errors import DeviceError, InputError
 from pagas_cl.runtime import icd
 from pagas_cl.runtime.info import DeviceInfo, describe
 
 log = logging.getLogger("pagas_cl")
 
 ENVIRONMENT = "PAGAS_CL_DEVICE"
+SHARE = "PAGAS_CL_SHARE"  # how many processes may work on one device
 # A driver may list a processor that its compiler does not know: believed only after a kernel has been built.
 _TRIAL = "__kernel void trial(__global float *x) { x[get_global_id(0)] = exp(x[0]); }"
 _told: set[DeviceInfo] = set()
@@ -46,7 +47,6 @@ class Device:
     @cached_property
     def memory(self):
         """The buffers that this process holds on the device, counted: a runtime.memory.Memory."""
-        from pagas_cl.runtime.claim import shares
         from pagas_cl.runtime.memory import Memory, limit_of
 
         return Memory(self.info.title, limit_of(self.info.memory, shares()))
@@ -151,6 +151,14 @@ def opened(info: DeviceInfo, cl_device, profiling: bool = False) -> Device:
     queue = cl.CommandQueue(context, cl_device, properties=properties)
     cl.Program(context, _TRIAL).build(["-cl-std=CL1.2"])
     return Device(info, cl_device, context, queue, profiling)
+
+
+def shares() -> int:
+    """How many processes may work on one device."""
+    text = os.environ.get(SHARE, "1")
+    if not text.isdigit() or int(text) < 1:
+        raise InputError(f"environment variable {SHARE} is {text!r}, expected a whole number of at least 1")
+    return int(text)
 
 
 def import_pyopencl():

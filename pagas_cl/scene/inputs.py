@@ -25,8 +25,9 @@ def as_cameras(cams) -> list[Camera]:
     cams = list(cams)
     for k, camera in enumerate(cams):
         if not isinstance(camera, Camera):
-            raise InputError(f"cams[{k}] is a {type(camera).__name__}, expected pagas_cl.Camera (see its from_... constructors), "
-                             "or an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction instead of the list")
+            raise InputError(f"cams[{k}] is a {type(camera).__name__}, expected pagas_cl.Camera (see its from_... "
+                             "constructors), or an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction "
+                             "instead of the list")
     return cams
 
 
@@ -57,15 +58,16 @@ def checked_depth(depth, view: View) -> np.ndarray:
         raise InputError(f"depth map of view {view.name!r} has shape {depth.shape}, its photo {size}; resize it with "
                          "pagas_cl.scene.depthmap.resize_depth")
     if not (np.isfinite(depth) & (depth > 0)).any():
-        raise InputError(f"depth map of view {view.name!r} has no valid pixel (all are zero, negative or not finite); expected "
-                         "z-depths in scene units")
+        raise InputError(f"depth map of view {view.name!r} has no valid pixel (all are zero, negative or not finite); "
+                         "expected z-depths in scene units")
     return depth
 
 
 def asked_views(views, depths, names) -> list[int]:
     """Places of the views called `names`; of all that have a depth map where names is None."""
     if len(depths) != len(views):
-        raise InputError(f"{len(depths)} depth maps were given for {len(views)} views, expected one each (None where there is none)")
+        raise InputError(f"{len(depths)} depth maps were given for {len(views)} views, expected one each "
+                         "(None where there is none)")
     have = [k for k, depth in enumerate(depths)
             if depth is not None and (hasattr(depth, "load") or np.any(np.asarray(depth) > 0))]
     if names is None:
@@ -75,7 +77,8 @@ def asked_views(views, depths, names) -> list[int]:
     known = {label: k for k, view in enumerate(views) for label in (view.name, view.stem)}
     unknown = [name for name in names if name not in known]
     if unknown:
-        raise InputError(f"no view is called {unknown[0]!r}; known are {', '.join(sorted({v.name for v in views})[:10])}")
+        names = ", ".join(sorted({v.name for v in views})[:10])
+        raise InputError(f"no view is called {unknown[0]!r}; known are {names}")
     return [k for k in dict.fromkeys(known[name] for name in names)]
 
 
@@ -83,8 +86,8 @@ def _matched(given, cameras: list[Camera], what: str) -> list:
     if isinstance(given, (str, Path)):
         folder = Path(given)
         if not folder.is_dir():
-            raise InputError(f"{what}: {folder} is no folder; give a folder, a list in the order of the cameras, or a dict by "
-                             "camera name")
+            raise InputError(f"{what}: {folder} is no folder; give a folder, a list in the order of the cameras, or a "
+                             "dict by camera name")
         return [folder / camera.name for camera in cameras]
     if isinstance(given, dict):
         missing = [camera.name for camera in cameras if camera.name not in given]
@@ -93,5 +96,6 @@ def _matched(given, cameras: list[Camera], what: str) -> list:
         return [given[camera.name] for camera in cameras]
     given = list(given)
     if len(given) != len(cameras):
-        raise InputError(f"{len(given)} {what} were given for {len(cameras)} cameras, expected one each, in the same order")
+        raise InputError(f"{len(given)} {what} were given for {len(cameras)} cameras, expected one each, "
+                         "in the same order")
     return given

@@ -78,7 +78,7 @@ def from_surface(surface: Surface, like):
     kind = mesh_kind(like)
     if kind == "pair":
         return surface.vertices.copy(), surface.faces.copy()
-    make = {"open3d": _to_legacy, "open3d.t": _to_tensor, "pymeshlab": _to_pymeshlab}[kind]
+    make = {"open3d": to_legacy, "open3d.t": _to_tensor, "pymeshlab": _to_pymeshlab}[kind]
     return make(surface, like)
 
 
@@ -144,7 +144,8 @@ def _from_legacy(mesh) -> Surface:
                    np.array(mesh.vertex_colors) if mesh.has_vertex_colors() else None)
 
 
-def _to_legacy(surface: Surface, like=None):
+def to_legacy(surface: Surface, like=None):
+    """A new Open3D legacy TriangleMesh; `like` is what the other ways need."""
     o3d = need("open3d", "mesh", "making an Open3D mesh")
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(surface.vertices),
                                      o3d.utility.Vector3iVector(surface.faces))

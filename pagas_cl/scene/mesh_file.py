@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, need
-from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh import Surface, to_legacy
 
 SUFFIXES = (".ply", ".obj", ".stl", ".off")
 
@@ -68,13 +68,7 @@ def _write_ply(path: Path, surface: Surface) -> None:
 
 
 def _write_by_open3d(beside: Path, surface: Surface, path: Path) -> None:
-    o3d = need("open3d", "mesh", f"writing {path.suffix} files")
-    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(surface.vertices),
-                                     o3d.utility.Vector3iVector(surface.faces))
-    if surface.normals is not None:
-        mesh.vertex_normals = o3d.utility.Vector3dVector(surface.normals)
-    if surface.colors is not None:
-        mesh.vertex_colors = o3d.utility.Vector3dVector(surface.colors)
+    o3d, mesh = need("open3d", "mesh", f"writing {path.suffix} files"), to_legacy(surface)
     if path.suffix.lower() == ".stl":
         mesh.compute_triangle_normals()  # the format is made of them
     if not o3d.io.write_triangle_mesh(str(beside), mesh):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from pagas_cl.config import MOST_CONTEXTS, Context
+from pagas_cl.config import Context
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.sampling import DepthSample, sample_depth
+from pagas_cl.stages import MOST_CONTEXTS
 
 WITNESSES = 3  # most views that only judge
 SPARE_ONE = 6  # with so many usable views, one is spared for that even where all could be used

@@ -28,7 +28,8 @@ def distance_unit(cameras: list[Camera]) -> float:
 
 
 def footprint(target: Camera, context: Camera, unit: float) -> float:
-    """Size of a pixel of `context` where it sees the middle of the target at the depth `unit`, in units; 0 behind it."""
+    """Size of a pixel of `context` where it sees the middle of the target at the depth `unit`, in units;
+    0 behind it."""
     rotation, tau = context.relative_to(target)
     z = rotation[2, 2] + tau[2] / unit
     return max(0.0, float(z)) / float(np.sqrt(context.fx * context.fy))

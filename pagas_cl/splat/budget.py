@@ -47,7 +47,8 @@ class Plan:
 
 
 def plan_for(cameras: list[Camera], contexts: int, config: Config, device, streamed: bool = False) -> Plan:
-    """The plan of refine_levels for the cameras of the target, of `contexts` context views, and of the witnesses; `streamed`: photos wait on the host (streamed.py)."""
+    """The plan of refine_levels for the cameras of the target, of `contexts` context views, and of the witnesses;
+    `streamed`: photos wait on the host (streamed.py)."""
     return max((_at(scale, cameras, contexts, config, device, streamed) for scale in config.pyramid.scales),
                key=lambda plan: plan.nbytes)
 

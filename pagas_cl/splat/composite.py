@@ -32,9 +32,9 @@ def _order_free(level, view: int) -> list:
     channels = 1 if level.config.loss.grey else 3
     return [*project.nearest(level, view),
             Fill(a["rendered"], np.uint32(0), pixels * (channels + 1) * 4),
-            bind(program, "splat_order_free", row_grid(level.target, columns), row_group(columns), a["depth"], level.given.photos[0],
-                 a["cameras"], view, float(s.low_pass), *threshold_arguments(level, view), project.z_first_argument(level),
-                 exposure_argument(level), a["rendered"])]
+            bind(program, "splat_order_free", row_grid(level.target, columns), row_group(columns), a["depth"],
+                 level.given.photos[0], a["cameras"], view, float(s.low_pass), *threshold_arguments(level, view),
+                 project.z_first_argument(level), exposure_argument(level), a["rendered"])]
 
 
 def _alpha(level, view: int) -> list:

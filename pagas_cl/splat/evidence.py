@@ -1,4 +1,4 @@
-"""Launches of evidence.cl and deviation.cl: which refined depths the photos confirm, how sure each is (method section 9)."""
+"""Launches of evidence.cl and deviation.cl: which depths the photos confirm, how sure each is (method section 9)."""
 
 from __future__ import annotations
 
@@ -101,7 +101,8 @@ class Evidence:
         return (before / pixels / _ONE, after / pixels / _ONE) if pixels else (float("nan"), float("nan"))
 
     def medians(self) -> tuple[float, float]:
-        """Median 1 - correlation before and after, over the pixels that are seen both times; NaN where there are none."""
+        """Median 1 - correlation before and after, over the pixels that are seen both times;
+        NaN where there are none."""
         counts = self._buffer(8 * _BINS)
         run_once(self.level.device.queue, [
             Fill(counts, np.uint32(0), 8 * _BINS),
@@ -115,13 +116,13 @@ class Evidence:
         witnesses.weigh_after()
         level, size = self.level, self.level.target
         one, other = self._scratch()
-        launches = [bind(self.program, "worse_costs", (size.pixels,), None, witnesses._before, witnesses._after, size.pixels,
-                         one)]
+        launches = [bind(self.program, "worse_costs", (size.pixels,), None, witnesses._before, witnesses._after,
+                         size.pixels, one)]
         for _ in range(2):       # twice: nearer pixels count for more
-            launches += [bind(self.program, "sum_window", size.grid, None, source, 2, size.width, size.height, dx, dy, out)
+            launches += [bind(self.program, "sum_window", size.grid, None, source, 2, *size.grid, dx, dy, out)
                          for source, dx, dy, out in ((one, 1, 0, other), (other, 0, 1, one))]
-        launches.append(bind(self.program, "refuse", (size.pixels,), None, self._initial, level.arena["depth"], size.pixels,
-                             one, status))
+        launches.append(bind(self.program, "refuse", (size.pixels,), None, self._initial, level.arena["depth"],
+                             size.pixels, one, status))
         run_once(level.device.queue, launches)
 
     def decide(self, shape, witnesses: Evidence | None = None) -> Verdict:
@@ -142,8 +143,8 @@ class Evidence:
         run_once(level.device.queue, [
             bind(self.program, "feather", size.grid, None, self._initial, a["depth"], status, *size.grid),
             bind(deviation_program, "bends", size.grid, None, a["depth"], a["unit"], *size.grid, bent),
-            bind(deviation_program, "deviate", size.grid, None, status, a["unit"], *size.grid, self._before, self._after, bent,
-                 self.doubt.spread, self.doubt.misaligned, deviation)])
+            bind(deviation_program, "deviate", size.grid, None, status, a["unit"], *size.grid, self._before,
+                 self._after, bent, self.doubt.spread, self.doubt.misaligned, deviation)])
         return Verdict(self._read(status, np.uint8).reshape(shape), self._read(deviation, np.float32).reshape(shape),
                        *self.costs())
 
@@ -165,8 +166,8 @@ class Evidence:
         launches = [Fill(evidence, np.uint32(0), 12 * size.pixels)]
         for view in self.views:
             launches += [*level.given.fetch(view), *project.nearest(level, view)]
-            launches += [bind(self.program, "warp_photo", size.grid, None, level.arena["depth"], level.arena["cameras"], view,
-                              float(level.threshold(view)), project.z_first_argument(level),
+            launches += [bind(self.program, "warp_photo", size.grid, None, level.arena["depth"], level.arena["cameras"],
+                              view, float(level.threshold(view)), project.z_first_argument(level),
                               level.given.photos[view], warped),
                          bind(self.program, "weigh", size.grid, None, warped, level.given.photos[0], size.width,
                               size.height, self.doubt.grain, evidence)]

@@ -20,7 +20,7 @@ LEANER = ({"loss__grey": True}, {"splatting__blend": "order_free"},
           {"splatting__blend": "order_free", "loss__grey": True})
 
 
-def fit_memory(attempt, target, contexts, config: Config, device, witnesses, photos: PhotoStore):
+def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoStore, *, witnesses=()):
     """`attempt(photos)` with a PhotoStore, or, where the device cannot hold that, with photos that wait on the host:
     the kernels read the same bytes and give the same.
 

@@ -24,7 +24,8 @@ class Grain:
         across, down = -(-(size.width - 2) // steps[0]), -(-size.height // steps[1])
         self.rows = rows = Rows(device, _RULES, across * down)
         run_once(device.queue, [
-            bind(program, "sample_grain", (rows.count,), None, photo, size.width, *steps, across, rows.count, rows.values),
+            bind(program, "sample_grain", (rows.count,), None, photo, size.width, *steps, across, rows.count,
+                 rows.values),
             rows.summarize(),
             bind(program, "keep_smooth", (rows.count,), None, rows.summary, rows.count, rows.values),
             rows.summarize()])

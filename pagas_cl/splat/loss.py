@@ -1,4 +1,4 @@
-"""Launches of ssim.cl and loss.cl: a rendered view against its photo, what each pixel passes back (method section 5)."""
+"""Launches of ssim.cl and loss.cl: a rendered view against its photo, what its pixels pass back (method section 5)."""
 
 from __future__ import annotations
 
@@ -37,5 +37,5 @@ def _sum(level, size, ssim_scale: float, l1_scale: float) -> list:
         return []
     windows = prod(level.ssim_tile.groups(*ssim.windows(size))) if ssim_scale else 0
     program = build(level.device, "step.cl", level.defines)
-    return [bind(program, "add_loss", (ADD_GROUP,), (ADD_GROUP,), a["ssim_losses"], windows, float(ssim_scale), a["losses"],
-                 prod(level.loss_tile.groups(*size.grid)), float(l1_scale), a["state"])]
+    return [bind(program, "add_loss", (ADD_GROUP,), (ADD_GROUP,), a["ssim_losses"], windows, float(ssim_scale),
+                 a["losses"], prod(level.loss_tile.groups(*size.grid)), float(l1_scale), a["state"])]

@@ -54,7 +54,8 @@ class Found:
 
 
 class Probe:
-    """The full-size level as far as measuring needs it: what `project` and `exposure` ask of a Level, and rows of samples.
+    """The full-size level as far as measuring needs it: what `project` and `exposure` ask of a Level,
+    and rows of samples.
 
     Everything is enqueued; `read` is the only wait for the device.
     """
@@ -74,7 +75,8 @@ class Probe:
             BufferSpec("z_first", (max(size.pixels for size in given.sizes),), np.uint32),
             *exposure.buffers(target, views), BufferSpec("costs", (_MOVES, count), np.float32),
             BufferSpec("totals", (len(SHIFTS) + 2, count), np.float32)])
-        cl.enqueue_copy(device.queue, self.arena["cameras"], camera_table(given.cameras[0], given.cameras[1:], given.unit))
+        cl.enqueue_copy(device.queue, self.arena["cameras"],
+                        camera_table(given.cameras[0], given.cameras[1:], given.unit))
         cl.enqueue_copy(device.queue, self.arena["exposure"], exposure.neutral(views))
         write(self.arena["depth"])
         run_once(device.queue, project.before_steps(self))
@@ -102,11 +104,12 @@ class Probe:
         """Samples of context view `view`, by the nearest surfaces that arena["z_first"] holds for it."""
         a, grid, given, low_pass = self.arena, self.grid, self.given, float(self.config.splatting.low_pass)
         place = grid.stride, grid.across, grid.count
-        return [self._bind("sample_view", (grid.count,), a["depth"], a["cameras"], view, low_pass, float(self.threshold(view)),
-                           a["z_first"], given.photos[view], *place, self.views.values),
-                self._bind("match_moved", (grid.count, _MOVES), a["depth"], a["unit"], a["cameras"], view, given.photos[0],
-                           given.photos[view], *place, self.views.values, a["costs"]),
-                self._bind("judge_view", (grid.count,), a["costs"], a["cameras"], view, *place, self.views.values, a["totals"])]
+        return [self._bind("sample_view", (grid.count,), a["depth"], a["cameras"], view, low_pass,
+                           float(self.threshold(view)), a["z_first"], given.photos[view], *place, self.views.values),
+                self._bind("match_moved", (grid.count, _MOVES), a["depth"], a["unit"], a["cameras"], view,
+                           given.photos[0], given.photos[view], *place, self.views.values, a["costs"]),
+                self._bind("judge_view", (grid.count,), a["costs"], a["cameras"], view, *place, self.views.values,
+                           a["totals"])]
 
     def _judge(self) -> list:
         a, grid = self.arena, self.grid

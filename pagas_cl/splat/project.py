@@ -34,5 +34,5 @@ def nearest(level, view: int) -> list:
     a, columns = level.arena, columns_of(level.device, level.target.width)
     program = build(level.device, "project.cl", (*level.defines, f"COLUMNS={columns}"))
     return [Fill(a["z_first"], _INFINITY, 4 * level.given.sizes[view].pixels),
-            bind(program, "nearest", row_grid(level.target, columns), row_group(columns), a["depth"], a["cameras"], view,
-                 float(level.config.splatting.low_pass), a["z_first"])]
+            bind(program, "nearest", row_grid(level.target, columns), row_group(columns), a["depth"], a["cameras"],
+                 view, float(level.config.splatting.low_pass), a["z_first"])]

@@ -26,11 +26,13 @@ def before_steps(level) -> list:
         return [scale]
     factors = factors_of(level.given.gloss, float(s.gloss))
     cl.enqueue_copy(level.device.queue, a["raised"], factors)
-    return [scale, bind(program, "raise_weights", size.grid, None, a["raised"], *factors.shape[::-1], *size.grid, a["weights"])]
+    return [scale, bind(program, "raise_weights", size.grid, None, a["raised"], *factors.shape[::-1], *size.grid,
+                        a["weights"])]
 
 
 def factors_of(gloss: np.ndarray, most: float) -> np.ndarray:
-    """By how much gloss, measured on a grid (NaN = unknown), raises the weights there and around, float32: 1 to `most`."""
+    """By how much gloss, measured on a grid (NaN = unknown), raises the weights there and around: float32, 1 to `most`.
+    """
     padded = np.pad(np.nan_to_num(gloss, nan=0.0), AROUND)
     side = range(2 * AROUND + 1)
     largest = np.max([padded[y:y + gloss.shape[0], x:x + gloss.shape[1]] for y in side for x in side], axis=0)

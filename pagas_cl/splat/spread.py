@@ -11,5 +11,6 @@ def launches(level) -> list:
         return []
     a, size = level.arena, level.target
     program = build(level.device, "spread.cl", level.defines)
-    return [bind(program, "spread_across", size.grid, None, a["gradient"], a["unit"], size.width, size.height, a["sums"]),
+    return [bind(program, "spread_across", size.grid, None, a["gradient"], a["unit"], size.width, size.height,
+                 a["sums"]),
             bind(program, "spread_down", size.grid, None, a["sums"], a["unit"], size.width, size.height, a["gradient"])]

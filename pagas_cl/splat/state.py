@@ -131,6 +131,7 @@ def photo_buffer(device, pixels: int) -> cl.Buffer:
 
 
 def photo_bytes(pixels: int) -> int:
+    """Bytes of `photo_buffer`."""
     return 4 * (pixels + PHOTO_MARGIN)
 
 

@@ -24,8 +24,8 @@ class Solver:
         common = level.given.distance_unit if solver.unit == "distance" else 0.0
         n = level.target.pixels
         self._adam = bind(program, "adam", (n,), None, a["depth"], a["gradient"], a["first"], a["second"], a["unit"],
-                          a["state"], n, 1.0, 1.0, float(solver.beta1), float(solver.beta2), float(solver.damping), float(common),
-                          1.0)
+                          a["state"], n, 1.0, 1.0, float(solver.beta1), float(solver.beta2), float(solver.damping),
+                          float(common), 1.0)
         if self.patience:
             floor = solver.rate * solver.rate_floor * 0.999      # a rate that reaches the floor still counts
             self._plateau = bind(program, "plateau", (1,), None, a["state"], a["history"], 1, self.patience,

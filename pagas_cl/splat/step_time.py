@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.splat.level import Level
 from pagas_cl.splat.state import PhotoStore
-from pagas_cl.splat.view import _Run
+from pagas_cl.splat.view import full_level
 
 _ROUNDS = 3
 
@@ -32,10 +31,7 @@ def time_step(target, contexts, depth: np.ndarray, config: Config, device, photo
     """Time some steps of the full-size level; parameters as in refine_levels, every effect settled."""
     # a level has room for the losses of as many steps as it is made for
     config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,))
-    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device))
-    level = Level(device, config, run.at(1.0))
-    level.enter(run.initial_writer(level))
-    level.start(run.start_writer(level, None))
+    level = full_level(target, contexts, depth, config, device, photos)
     level.config = level.config.with_settings(loss__exposure=False)      # fits are a few of all steps, not of these
     best = np.inf
     for _ in range(1 + _ROUNDS):          # the first one compiles

@@ -30,8 +30,8 @@ def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.nda
 
 
 def scene_depth(refined: np.ndarray, unit: float, status: np.ndarray, given: np.ndarray) -> np.ndarray:
-    """Scene units again, in place of `refined`; a depth that was not refined comes back with the bits that it came with,
-    0 = no surface."""
+    """Scene units again, in place of `refined`; a depth that was not refined comes back with the bits that it came
+    with, 0 = no surface."""
     new = status == 1
     refined *= np.float32(unit)
     kept = _only(_surface(given) & ~new, given.astype(np.float32))

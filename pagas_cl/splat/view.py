@@ -36,8 +36,8 @@ class Refinement:
     cost : tuple of two floats
         Mean 1 - correlation of patches with the context photos, before and after.
     witness : tuple of two floats or None
-        Median 1 - correlation with the photos that took no part, before and after, over the pixels that they see; before
-        any depth goes back on their word.
+        Median 1 - correlation with the photos that took no part, before and after, over the pixels that they see;
+        before any depth goes back on their word.
     steps : tuple of int
         Steps done at each level.
     losses : list of float
@@ -59,7 +59,7 @@ class Refinement:
     planned_bytes: int
 
 
-def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
+def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
                   progress=None, witnesses=(), measured=None, entered: Entered | None = None) -> Refinement:
     """Run the pyramid on one view.
 
@@ -93,8 +93,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     planned.tell(target.name)
     photos.leave(planned.beside_photos)
     device.memory.begin()
-    run = _Run(target, contexts, depth, config, device, photos, witnesses, entered,
-               measured.local_gloss if measured else None)
+    run = _Run(target, contexts, depth, config, device, photos, witnesses=witnesses, entered=entered,
+               gloss=measured.local_gloss if measured else None)
     before, done, losses = None, [], []
     for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
         level = Level(device, config, run.at(scale))
@@ -111,16 +111,16 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     return run.finish(level, evidence, tuple(done), losses, planned.nbytes)
 
 
-def full_level(target, contexts, depth: np.ndarray, config: Config, device) -> Level:
+def full_level(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None) -> Level:
     """The full-size level, ready for its first step from the initial depth."""
-    run = _Run(target, contexts, depth, config, device, PhotoStore(device))
+    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device))
     level = Level(device, config, run.at(1.0))
     level.enter(run.initial_writer(level))
     level.start(run.start_writer(level, None))
     return level
 
 
-def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None,
+def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
                entered: Entered | None = None):
     """What the context views show under the initial depth: a measure.Found."""
     run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), entered=entered)
@@ -154,8 +154,8 @@ class Entered:
 class _Run:
     """One view's inputs at any level, and its way back to scene units."""
 
-    def __init__(self, target, contexts, depth, config, device, photos, witnesses=(), entered: Entered | None = None,
-                 gloss=None):
+    def __init__(self, target, contexts, depth, config, device, photos, *, witnesses=(),
+                 entered: Entered | None = None, gloss=None):
         self.views, self.config, self.device, self.photos = [target, *contexts], config, device, photos
         self.depth, self.witnesses, self.gloss = depth, list(witnesses), gloss
         self.resampler = Resampler(device, config)
@@ -171,7 +171,8 @@ class _Run:
         sizes = [level_size(view.camera, scale) for view in views]
         cameras = [view.camera.resized(*size.grid) for view, size in zip(views, sizes)]
         photos, host = self.photos.level(views, sizes, self.resampler)
-        return LevelInput(cameras, photos, self.unit, self.threshold, self.distance, len(self.views) - 1, host, self.gloss)
+        return LevelInput(cameras, photos, self.unit, self.threshold, self.distance, len(self.views) - 1, host,
+                          self.gloss)
 
     def initial_writer(self, level: Level):
         return lambda out: self.resampler.shrink_depth(self.entered, self.full, out, level.target)

@@ -16,7 +16,8 @@ log = logging.getLogger("pagas_cl")
 
 
 class DepthMaps:
-    """Depth maps on the device, each uploaded once; the one unused for longest goes when a quarter of memory is taken."""
+    """Depth maps on the device, each uploaded once; the one unused for longest goes when a
+    quarter of memory is taken."""
 
     def __init__(self, device):
         self.device, self.limit, self._held = device, device.memory.limit // 4, {}

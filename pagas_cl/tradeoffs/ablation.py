@@ -57,8 +57,8 @@ def ablation_table(points) -> str:
     "here" compares the first of them with the base's.
     """
     base = next((p for p in points if ":" not in p.name), None)
-    figures = [(key, name) for key, name in (("depth", "depth error"), ("normal", "normal error"),
-                                             ("unpredicted", "held-out photos")) if any(key in p.errors for p in points)]
+    named = (("depth", "depth error"), ("normal", "normal error"), ("unpredicted", "held-out photos"))
+    figures = [(key, name) for key, name in named if any(key in p.errors for p in points)]
     header = ["change", *(name for _, name in figures), "here", "s per view", "device MB", "paper"]
     lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
     for p in points:

@@ -121,8 +121,6 @@ def collect(records, settings, initial: dict, device: str, left_out=()) -> Study
 
 def _fill(book, benches, settings, device, budget, repeats, workers, progress) -> list[str]:
     """Run what the book does not have; returns the names of what did not fit into the budget."""
-    from pagas_cl.splat import PhotoStore
-
     began, left_out = time.monotonic(), []
     todo = [(setting, k) for setting in settings for k, bench in enumerate(benches) if not book.has(setting, bench)]
     guess = _Guess(benches[0], device, repeats) if todo else None
@@ -138,8 +136,7 @@ def _fill(book, benches, settings, device, budget, repeats, workers, progress) -
             if budget and spent + guess.seconds(setting, benches[k]) > 60 * budget:
                 left_out.append(setting.name)
                 continue
-            photos = PhotoStore(device)  # its own, so that the memory counted is of this view alone
-            _one(book, setting, benches[k], k, device, photos, repeats, judges, guess)
+            _one(book, setting, benches[k], k, device, repeats, judges, guess)
     if progress:
         progress("measure", len(todo), len(todo))
     if left_out:
@@ -148,8 +145,11 @@ def _fill(book, benches, settings, device, budget, repeats, workers, progress) -
     return list(dict.fromkeys(left_out))
 
 
-def _one(book, setting, bench, number, device, photos, repeats, judges, guess):
-    start = time.monotonic()
+def _one(book, setting, bench, number, device, repeats, judges, guess):
+    """Run one setting on one view, have it judged, and write it into the book."""
+    from pagas_cl.splat import PhotoStore
+
+    start, photos = time.monotonic(), PhotoStore(device)  # its own: the memory counted is of this view alone
     record = {"key": setting.key, "setting": setting.name, "bench": bench.name}
     try:
         outcome = run(setting, bench, device, photos, repeats)

@@ -58,13 +58,15 @@ def main():
     parser.add_argument("--device")
     given = parser.parse_args()
     device, found = open_device(given.device), {}
-    lines = ["| scene | pixels | error, px (median) | deviation, px (median) | 68% of error / deviation | 95% | rank correlation |",
+    lines = ["| scene | pixels | error, px (median) | deviation, px (median) | 68% of error / deviation | 95% | "
+             "rank correlation |",
              "|---|---|---|---|---|---|---|"]
     for name, target, contexts, depth, truth in scenes(given.width, given.data, given.seed):
         ratio, error, deviation = ratios(refine_depth(target, contexts, depth, device=device), truth)
         found[name] = ratio
         lines.append(f"| {name} | {len(ratio)} | {np.median(error):.3f} | {np.median(deviation):.3f} | "
-                     f"{np.quantile(ratio, 0.68):.2f} | {np.quantile(ratio, 0.95):.2f} | {rank(error, deviation):.2f} |")
+                     f"{np.quantile(ratio, 0.68):.2f} | {np.quantile(ratio, 0.95):.2f} | "
+                     f"{rank(error, deviation):.2f} |")
         print(lines[-1], flush=True)
     given.out.mkdir(parents=True, exist_ok=True)
     (given.out / "calibration.md").write_text("\n".join([f"Measured on {device.info}.", "", *lines, ""]))

@@ -15,9 +15,10 @@ from dataclasses import replace
 import numpy as np
 
 from pagas_cl.config import BALANCED, Effects
-from pagas_cl.effects import RULES, decide, measure
+from pagas_cl.effects import decide
 from pagas_cl.evaluate import compare_depth
 from pagas_cl.made import relief_scene
+from pagas_cl.measurements import RULES, measure
 from pagas_cl.runtime.device import open_device
 from pagas_cl.splat import PhotoStore, refine_levels
 
@@ -90,7 +91,8 @@ def main():
     parser.add_argument("--out", default=None)
     given = parser.parse_args()
     device = open_device(given.device)
-    lines = ["| scene | calls for | `auto` switches on | initial | effect off | auto | all on | time off / auto / all on, s |",
+    lines = ["| scene | calls for | `auto` switches on | initial | effect off | auto | all on | "
+             "time off / auto / all on, s |",
              "|---|---|---|---|---|---|---|---|"]
     print(device.info, flush=True)
     for name in given.scenes:

@@ -2,8 +2,8 @@
 
     python tests/bench/effects_off.py [--width 1554] [--device NAME] [--out FILE.md]
 
-tests/test_effects_off.py shows that the programs are equal but for parameters that nothing reads; here both are timed on
-the device's own clock, in turn, so that neither has a warmer device.
+tests/test_effects_off.py shows that the programs are equal but for parameters that nothing reads; here both are timed
+on the device's own clock, in turn, so that neither has a warmer device.
 """
 
 from __future__ import annotations
@@ -94,7 +94,8 @@ def main():
         level.release()
         bare.release()
     if given.out:
-        given.out.write_text("\n".join([f"Measured on {device.info}, {given.width} x {given.width * 3 // 4} pixels.", "", *lines, ""]))
+        given.out.write_text("\n".join([f"Measured on {device.info}, {given.width} x {given.width * 3 // 4} pixels.",
+                                        "", *lines, ""]))
 
 
 if __name__ == "__main__":

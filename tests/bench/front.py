@@ -28,7 +28,8 @@ PARTS = ("front", "ablation")
 def bench_of(folder: Path) -> Bench:
     """Of a scene written by scenes.py: the first view with a depth, without truth the middle one of those."""
     scene = read_scene(folder)
-    depths, truth = ([depth_of(folder / kind, view) for view in scene.views] for kind in ("depth_initial", "depth_true"))
+    depths, truth = ([depth_of(folder / kind, view) for view in scene.views]
+                     for kind in ("depth_initial", "depth_true"))
     held_out = [view.name for view in scene.views if view.name.startswith("held_out")] or None
     have = [view.name for view, depth in zip(scene.views, depths) if depth is not None]
     chosen = have[0 if any(t is not None for t in truth) else len(have) // 2]

@@ -2,8 +2,8 @@
 
     python tests/bench/memory.py [--size 4112 3008] [--contexts 10] [--preset balanced]
 
-A made frame (ActorsHQ's size by default): one texture, seen by cameras that are moved by whole pixels of parallax over a
-plane, so that the truth is exact and nothing has to be rendered. Three runs: all photos on the device; one at a time,
+A made frame (ActorsHQ's size by default): one texture, seen by cameras that are moved by whole pixels of parallax over
+a plane, so that the truth is exact and nothing has to be rendered. Three runs: all photos on the device; one at a time,
 asked for by PAGAS_CL_MEMORY's limit; one at a time because the device is nearly full (NVIDIA with PyTorch only, which
 takes the rest). All three must give the same bytes. The driver's count needs NVIDIA and PyTorch, and the GPU alone.
 """
@@ -18,11 +18,11 @@ import time
 
 import numpy as np
 
-from pagas_cl import hard_scenes as make
 from pagas_cl.config import preset
 from pagas_cl.refine import refine_depth
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.view import View
+from pagas_cl.selftest import scenes as make
 
 SPREAD = 24      # pixels of parallax between target and contexts
 
@@ -90,8 +90,8 @@ def run(name: str, given, config, device) -> str:
     inner = (slice(64, -64),) * 2
     errors = [np.abs(d[inner] - 1).mean() / unit for d in (depth, result.depth)]
     digest = hashlib.blake2b(result.depth.tobytes(), digest_size=4).hexdigest()
-    print(f"| {name} | {planned:,.0f} | {counted:,.0f} | {taken} | {seconds:.2f} | {errors[0]:.3f} -> {errors[1]:.3f} | "
-          f"{digest} |", flush=True)
+    print(f"| {name} | {planned:,.0f} | {counted:,.0f} | {taken} | {seconds:.2f} | "
+          f"{errors[0]:.3f} -> {errors[1]:.3f} | {digest} |", flush=True)
     return digest
 
 

@@ -4,9 +4,10 @@
     python tests/bench/real.py sceaux_castle OUT --depth-dir DEPTHS
     python tests/bench/real.py hololens_rgbd OUT                 # K.txt, poses.txt, depth/*.png in millimetres
 
-For each view two of the photos that it would use are held out. The others refine it as `pagas_cl.refine_views` does, which
-never sees those two; then both depths carry each held-out photo over to the view, and 7x7 patches of it are correlated with
-the view's own photo over the pixels that both depths predict (medians). OUT gets figures.json and table.md.
+For each view two of the photos that it would use are held out. The others refine it as `pagas_cl.refine_views` does,
+which never sees those two; then both depths carry each held-out photo over to the view, and 7x7 patches of it are
+correlated with the view's own photo over the pixels that both depths predict (medians).
+OUT gets figures.json and table.md.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Row:
-    """One view: names of the held-out photos, (before, after) for each and for both together, and how it was refined."""
+    """One view: names of the held-out photos, (before, after) for each and for both together,
+    and how it was refined."""
 
     view: str
     contexts: int
@@ -114,7 +116,8 @@ def refine_without(target: int, held, views, depths, config, device, photos):
 
     left = [k for k in range(len(views)) if k not in held]
     chooser = PartnerChooser([views[k].camera for k in left], [depths[k] for k in left], config.context)
-    return refine_one([views[k] for k in left], chooser.choose(left.index(target)), depths[target], config, device, photos)
+    return refine_one([views[k] for k in left], chooser.choose(left.index(target)), depths[target], config, device,
+                      photos)
 
 
 def judge(target: int, held, views, depths, result) -> Row:
@@ -168,7 +171,8 @@ def summary(rows: list[Row]) -> str:
     pairs = [pair for row in rows for pair in row.pairs]
     gains = np.array([after - before for before, after in pairs])
     return (f"{len(rows)} views: {count(row.pooled for row in rows)}; {len(pairs)} pairs: {count(pairs)}; mean gain "
-            f"{gains.mean():+.4f}, worst {gains.min():+.4f}; median seconds a view {np.median([r.seconds for r in rows]):.3f}")
+            f"{gains.mean():+.4f}, worst {gains.min():+.4f}; "
+            f"median seconds a view {np.median([r.seconds for r in rows]):.3f}")
 
 
 def main() -> int:

@@ -3,8 +3,9 @@
     python tests/bench/scenes.py SCENES
     python tests/bench/scaling.py SCENES/relief OUT.md [--device gpu]
 
-Fits the exponent of time against each over a range of 16, the others fixed (photos are resized: for times, not for errors). "A view": from photos on the device to the depth on the host. "Its steps": that less the same with no
-step, which is what grows with steps and views.
+Fits the exponent of time against each over a range of 16, the others fixed (photos are resized: for times, not for
+errors). "A view": from photos on the device to the depth on the host. "Its steps": that less the same with no step,
+which is what grows with steps and views.
 """
 
 from __future__ import annotations

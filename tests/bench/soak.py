@@ -23,7 +23,7 @@ def resident_mb() -> float:
 
 def soak(views: int = 200) -> list[tuple[float, float, int, float]]:
     """Seconds, resident MB, open files and MB held on the device after each tenth of the views."""
-    from pagas_cl import hard_scenes as make
+    from pagas_cl.selftest import scenes as make
     from pagas_cl.config import BALANCED
     from pagas_cl.refine import refine_depth
     from pagas_cl.scene.view import View

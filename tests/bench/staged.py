@@ -4,9 +4,9 @@
     python tests/bench/staged.py SCENES OUT.md [--names relief bar motorcycle] [--device gpu]
 
 Tiles of 32 pixels each take their depth from a run of so many steps; the cost is the mean number of steps, without the
-border that a tile would need around it (6 pixels: 1.9 times the work of a tile by itself) and without any overhead. Beside
-all tiles with the same steps: the tiles that had moved most get all the steps and the others the fewest; the same with the
-tiles of most texture; and every tile the number that is best by the truth, which no guess can beat.
+border that a tile would need around it (6 pixels: 1.9 times the work of a tile by itself) and without any overhead.
+Beside all tiles with the same steps: the tiles that had moved most get all the steps and the others the fewest; the
+same with the tiles of most texture; and every tile the number that is best by the truth, which no guess can beat.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ def put_together(depths, chosen: np.ndarray) -> np.ndarray:
 def best_by_truth(errors, steps, budget: float) -> np.ndarray:
     """Which run each tile takes so that the total error is least at `budget` mean steps: (rows, columns).
 
-    errors : (runs, rows, columns), summed over each tile's pixels. The least of error + price * steps, the price found by
-    bisection.
+    errors : (runs, rows, columns), summed over each tile's pixels. The least of error + price * steps, the price found
+    by bisection.
     """
     steps = np.asarray(steps, float)[:, None, None]
     low, high = 0.0, errors.max()

@@ -50,13 +50,14 @@ def _make_view(made, k: int, size: tuple[int, int], folder: Path) -> None:
     from pagas_cl.scene.depthmap import save_depth
 
     camera = made.cameras[k]
-    Image.fromarray(made.image(k)).resize(size, Image.BICUBIC).save(folder / "images" / f"{camera.name}.jpg", quality=95)
+    Image.fromarray(made.image(k)).resize(size, Image.BICUBIC).save(folder / "images" / f"{camera.name}.jpg",
+                                                                    quality=95)
     save_depth(folder / "depth_initial" / f"{camera.name}.npz", made.initial_depth(camera.resized(*size)))
 
 
 def arguments(scene: Path, out: Path, preset: str) -> list[str]:
-    return ["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth", str(out), "--preset", preset,
-            "--quiet"]
+    return ["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth", str(out), "--preset",
+            preset, "--quiet"]
 
 
 def timed(scene: Path, out: Path, preset: str) -> float:

@@ -35,11 +35,11 @@ def command() -> list[str] | None:
 
 def inside() -> None:
     """Run every kernel once or more, two steps of each setting; print the names of the kernels."""
-    from pagas_cl import hard_scenes as make
     from pagas_cl.refine import refine_depth
     from pagas_cl.runtime import program
     from pagas_cl.runtime.device import open_device
     from pagas_cl.selftest import BLENDS
+    from pagas_cl.selftest import scenes as make
     from pagas_cl.splat import composite, options, refine_levels
     from pagas_cl.surface.agree import counts
 

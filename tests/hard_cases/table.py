@@ -21,9 +21,9 @@ NOT_RUN = "not run"
 
 def measure(path: Path, large: bool) -> int:
     """Run every case on this machine's device; figures to `path`. The number of failures."""
-    from pagas_cl.large_cases import run_large
     from pagas_cl.runtime.device import open_device
     from pagas_cl.selftest import run_all
+    from pagas_cl.selftest.large import run_large
 
     device, rows, start = open_device(), [], time.perf_counter()
 

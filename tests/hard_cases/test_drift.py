@@ -2,9 +2,9 @@
 
 Tolerance budget, in pixels of parallax: with the order-free blend EVERY refined pixel ends within 1e-3 of where the
 twin ends. Weights fade at the radius and at the depth threshold, the photo fills what is open,
-L1 is quadratic near 0, and Adam's damping keeps a gradient near 0 from counting by its sign alone. (Which surface is the
-first one in a pixel stays a step, at discontinuities.) The paper's blend has the paper's steps and plain L1: 99 of 100
-pixels end within 1e-3 there, all within 1e-2.
+L1 is quadratic near 0, and Adam's damping keeps a gradient near 0 from counting by its sign alone. (Which surface is
+the first one in a pixel stays a step, at discontinuities.) The paper's blend has the paper's steps and plain L1: 99 of
+100 pixels end within 1e-3 there, all within 1e-2.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ ALPHA = PAPER.with_settings(pyramid__scales=(1.0,), pyramid__steps=(40,), solver
 
 
 def drift(device, config, steps: int):
-    """|device - twin| of every pixel that may move, before the photos judge it, and the way that the twin went, both in pixels of parallax."""
+    """|device - twin| of every pixel that may move, before the photos judge it, and the way that the twin went,
+    both in pixels of parallax."""
     made, config = relief_scene(64, 48, 3), config.with_settings(pyramid__steps=(steps,))
     target, *contexts = made.views
     truth = made.true_depth(target.camera).astype(np.float64)

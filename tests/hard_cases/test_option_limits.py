@@ -38,7 +38,8 @@ FUSION = {
     "fusion.min_component = 0": dict(min_component=0.0),
     "fusion.min_component = 1": dict(min_component=1.0),
 }
-REFUSED = {"fusion.voxel = 1000", "fusion.truncation = 100", "fusion.min_views = 1000", "fusion.agree_views = 1000", "fusion.agree_views = 1, agree_pixels = 0"}
+REFUSED = {"fusion.voxel = 1000", "fusion.truncation = 100", "fusion.min_views = 1000", "fusion.agree_views = 1000",
+           "fusion.agree_views = 1, agree_pixels = 0"}
 
 
 @pytest.fixture(scope="module")
@@ -89,9 +90,9 @@ def test_fusion_at_its_limit(made, name):
 
 
 def test_every_setting_is_at_a_limit_somewhere():
-    """A setting that is added gets a case: here, in pagas_cl/hard_cases.py, or among those that the other cases vary."""
+    """A setting that is added gets a case: here, in selftest/table.py, or among those that the other cases vary."""
     from pagas_cl.config import setting_names
-    from pagas_cl.hard_cases import CAMERAS, SETTINGS
+    from pagas_cl.selftest.table import CAMERAS, SETTINGS
 
     elsewhere = {"splatting.blend"} | {name for name in setting_names() if name.startswith("effects.")}   # every case
     stages = {"context": CONTEXT, "fusion": FUSION}

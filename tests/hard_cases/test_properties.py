@@ -16,9 +16,9 @@ pytest.importorskip("hypothesis", reason="hypothesis is not installed: pip insta
 from hypothesis import HealthCheck, given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
-from pagas_cl import hard_scenes as make  # noqa: E402
 from pagas_cl.scene.view import View  # noqa: E402
-from pagas_cl.selftest import BLENDS, _normalized, device_gradient, difference, twin_gradient  # noqa: E402
+from pagas_cl.selftest import BLENDS, device_gradient, difference, normalized, twin_gradient  # noqa: E402
+from pagas_cl.selftest import scenes as make  # noqa: E402
 from pagas_cl.splat import refine_levels  # noqa: E402
 
 MANY = settings(max_examples=int(os.environ.get("PAGAS_CL_EXAMPLES", 5)), deadline=None,
@@ -66,7 +66,7 @@ def config_of(blend, radius, low_pass):
 @given(scene=scenes(), radius=st.sampled_from(RADII), low_pass=st.sampled_from(LOW_PASS))
 def test_gradient_is_finite_repeatable_and_near_the_twin(device, blend, scene, radius, low_pass):
     config = config_of(blend, radius, low_pass)
-    initial, unit = _normalized(scene)
+    initial, unit = normalized(scene)
     got, loss, length = device_gradient(scene, config, device, initial, initial, unit)
     again, _, _ = device_gradient(scene, config, device, initial, initial, unit)
     assert np.isfinite(got).all() and np.isfinite(loss)
@@ -130,7 +130,7 @@ def keep_promises(scene, config, device):
     """Finite, no surface made or lost, what was not refined keeps its bits, and a second run gives the same."""
     result, again = (refine_levels(scene.target, scene.contexts, scene.depth, config, device) for _ in range(2))
     assert result.depth.tobytes() == again.depth.tobytes() and result.status.tobytes() == again.status.tobytes()
-    valid = _normalized(scene)[0] > 0
+    valid = normalized(scene)[0] > 0
     assert np.isfinite(result.depth).all()
     assert not np.isnan(result.deviation).any() and not np.isnan(result.parallax).any()
     assert ((result.status > 0) == valid).all()

@@ -14,9 +14,9 @@ import pyopencl as cl
 import pytest
 from oclgrind import command
 
-from pagas_cl import hard_scenes as make
 from pagas_cl.runtime import arena, program
-from pagas_cl.selftest import BLENDS, _normalized, device_gradient
+from pagas_cl.selftest import BLENDS, device_gradient, normalized
+from pagas_cl.selftest import scenes as make
 from pagas_cl.splat import level, options, tile
 
 KERNELS = Path(program.files("pagas_cl.cl_kernels").joinpath("loss.cl")).parent
@@ -62,7 +62,7 @@ def test_no_double_and_no_newer_language():
 
 def gradients(device, config, size=(97, 51)):
     scene = make.base(3, size=size)
-    initial, unit = _normalized(scene)
+    initial, unit = normalized(scene)
     got, loss, _ = device_gradient(scene, config, device, initial, initial, unit)
     return got.tobytes(), loss
 

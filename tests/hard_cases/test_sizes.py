@@ -1,7 +1,8 @@
-"""Image sizes that crashed a driver: each runs in a process of its own, so that a crash is a failed test, not a dead one.
+"""Image sizes that crashed a driver: each runs in a process of its own, so that a crash is a failed test,
+not a dead one.
 
-PoCL's loop over several work-items that each hold vectors of 16 pixels crashed in gather_gradient at 288 x 216 and 287 x
-215 (segmentation fault); groups of one item do not have such a loop.
+PoCL's loop over several work-items that each hold vectors of 16 pixels crashed in gather_gradient at 288 x 216 and 287
+x 215 (segmentation fault); groups of one item do not have such a loop.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ print("refined", (result.status == 1).sum())
 
 @pytest.mark.parametrize("width, height", SIZES)
 def test_a_size_ends_well(device, width, height):
-    done = subprocess.run([sys.executable, "-c", RUN, str(width), str(height)], cwd=ROOT, capture_output=True, text=True,
-                          timeout=300)
+    done = subprocess.run([sys.executable, "-c", RUN, str(width), str(height)], cwd=ROOT, capture_output=True,
+                          text=True, timeout=300)
     assert done.returncode == 0, f"ended with {done.returncode}: {done.stderr[-2000:]}"
     assert "refined" in done.stdout

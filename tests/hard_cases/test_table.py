@@ -7,11 +7,11 @@ import os
 import numpy as np
 import pytest
 
-from pagas_cl import hard_scenes as make
-from pagas_cl.hard_cases import CAMERAS, DEPTHS, IMAGES, SETTINGS
-from pagas_cl.large_cases import SIZES, run_one
 from pagas_cl.refine import refine_depth
 from pagas_cl.selftest import BLENDS, run_case
+from pagas_cl.selftest import scenes as make
+from pagas_cl.selftest.large import SIZES, run_one
+from pagas_cl.selftest.table import CAMERAS, DEPTHS, IMAGES, SETTINGS
 from pagas_cl.splat import refine_levels
 
 CASES = [*CAMERAS, *DEPTHS, *IMAGES, *SETTINGS]

@@ -12,11 +12,11 @@ pytest.importorskip("hypothesis", reason="hypothesis is not installed: pip insta
 from hypothesis import given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
-from pagas_cl import hard_scenes as make  # noqa: E402
 from pagas_cl.reference.pairs import candidates  # noqa: E402
 from pagas_cl.reference.project import project  # noqa: E402
 from pagas_cl.scene.view import View  # noqa: E402
-from pagas_cl.selftest import BLENDS, _normalized, device_gradient, difference, twin_gradient  # noqa: E402
+from pagas_cl.selftest import BLENDS, device_gradient, difference, normalized, twin_gradient  # noqa: E402
+from pagas_cl.selftest import scenes as make  # noqa: E402
 from pagas_cl.splat.options import fixed_bits, heaviest_pixel  # noqa: E402
 
 OPEN = BLENDS["order-free"].with_settings(splatting__depth_slices=1e-6)     # nothing is hidden: all take part
@@ -34,7 +34,7 @@ def on_one_ray(side: int, focal, context_focal, radius_side: int = 9) -> make.Ha
 
 def heaviest(scene: make.HardScene, radius: float = 1.2) -> float:
     """Largest sum of weights in a pixel of any context view, in float64."""
-    initial, unit = _normalized(scene)
+    initial, unit = normalized(scene)
     found = 0.0
     for view in scene.contexts:
         camera = view.camera
@@ -52,7 +52,7 @@ def test_a_row_of_wide_gaussians_in_one_pixel(device, focal):
     assert weight < 2.0 ** (32 - fixed_bits(heaviest_pixel(scene.target.camera)))
     if focal[1] > 1e5:
         assert weight > 4096, "more than 20 bits of fraction leave room for: the case shows what it should"
-    initial, unit = _normalized(scene)
+    initial, unit = normalized(scene)
     got, _, length = device_gradient(scene, OPEN, device, initial, initial, unit)
     want, _ = twin_gradient(scene, OPEN, initial, initial, unit)
     assert difference(got, want, length) < 0.2          # 17 bits; sums that wrap give 1.8

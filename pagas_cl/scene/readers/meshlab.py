@@ -18,10 +18,10 @@ import numpy as np
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.readers import photos, untrusted
+from pagas_cl.scene.readers.mlp_flavour import FLAVOURS, settle_flavour
 from pagas_cl.scene.readers.safe_xml import read_xml
 from pagas_cl.scene.view import Scene, View
 
-FLAVOURS = ("meshlab", "openmvs")
 _FLIP = np.diag([1.0, -1.0, -1.0])
 log = logging.getLogger("pagas_cl")
 
@@ -99,8 +99,6 @@ def read(folder: Path, *, flavour: str | None = None, outside: bool = False) -> 
         raise InputError(f"{folder} has {len(files)} .mlp files, expected one; name the one to read")
     project = read_project(files[0], outside=outside)
     if flavour is None:
-        from pagas_cl.scene.readers.mlp_flavour import settle_flavour
-
         flavour, reason = settle_flavour(project)
         log.info("%s", reason)
     return project.scene(flavour)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from pagas_cl.errors import InputError, MissingExtraError
-from pagas_cl.scene import consistency
+from pagas_cl.scene import patches
 from pagas_cl.scene.mesh import Surface, read_mesh
-from pagas_cl.scene.readers.meshlab import FLAVOURS, Project
 
+FLAVOURS = ("meshlab", "openmvs")
 _SAME = 1.0   # pixels: readings nearer than this need no settling
 _VIEWS = 8
 
 
-def settle_flavour(project: Project) -> tuple[str, str]:
-    """("meshlab" or "openmvs", one sentence that says why).
+def settle_flavour(project) -> tuple[str, str]:
+    """("meshlab" or "openmvs", one sentence that says why) for a meshlab.Project.
 
     Both readings are tried: patches of the project's mesh are correlated between pairs of its photos. MeshLab's own
     reading is taken where the two hardly differ, where there is no mesh or photo to compare, and where the photos do
@@ -30,7 +30,7 @@ def settle_flavour(project: Project) -> tuple[str, str]:
         return "meshlab", f"{unsettled}; photos could not settle it ({error})"
     if any(score is None for score in scores.values()):
         return "meshlab", f"{unsettled}; photos could not settle it (too few textured patches are seen by two views)"
-    better = {f: consistency.prefers(scores[f], scores[FLAVOURS[1 - i]])[0] for i, f in enumerate(FLAVOURS)}
+    better = {f: patches.prefers(scores[f], scores[FLAVOURS[1 - i]])[0] for i, f in enumerate(FLAVOURS)}
     medians = {f: _median(score) for f, score in scores.items()}
     told = f"(correlation {medians['meshlab']:.2f} from the bottom, {medians['openmvs']:.2f} from the top)"
     if better["openmvs"]:
@@ -47,7 +47,7 @@ def _median(values) -> float:
     return float(np.nanmedian(values))
 
 
-def _surface(project: Project) -> Surface:
+def _surface(project) -> Surface:
     """The first visible mesh layer in the project's world."""
     layer = next((m for m in project.meshes if m.visible and m.path is not None), None)
     if layer is None:
@@ -56,18 +56,18 @@ def _surface(project: Project) -> Surface:
     return Surface(surface.vertices @ layer.matrix[:3, :3].T + layer.matrix[:3, 3], surface.faces)
 
 
-def _score(project: Project, surface: Surface, flavour: str):
+def _score(project, surface: Surface, flavour: str):
     """Correlations of patches between pairs of views; pairs and patches are those of MeshLab's reading."""
     import numpy as np
 
     keep = np.unique(np.linspace(0, len(project.rasters) - 1, min(_VIEWS, len(project.rasters))).astype(int))
     views = [project.scene(flavour).views[k] for k in keep]
     plain = [project.rasters[k].camera("meshlab") for k in keep]
-    samples = consistency.sample_surface(surface)
-    seen = np.array([consistency.visible(camera, samples) for camera in plain])
-    pairs = consistency.choose_pairs(plain, seen, samples)
+    samples = patches.sample_surface(surface)
+    seen = np.array([patches.visible(camera, samples) for camera in plain])
+    pairs = patches.choose_pairs(plain, seen, samples)
     if not pairs:
         return None
-    greys = [consistency.grey_of(view.load_image()) for view in views]
-    scores = consistency.patch_correlation([v.camera for v in views], greys, pairs, seen, samples)
+    greys = [patches.grey_of(view.load_image()) for view in views]
+    scores = patches.patch_correlation([v.camera for v in views], greys, pairs, seen, samples)
     return scores if np.isfinite(scores).sum() >= 30 else None

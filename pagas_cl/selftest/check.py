@@ -1,4 +1,4 @@
-"""Named hard cases as data, and what each must hold on a device: `pagas-cl selftest` and tests/hard_cases run them.
+"""What a hard case must hold on a device.
 
 For each case and blend: the gradient of one step against the float64 twin in pagas_cl.reference, everything finite, the
 same bits twice; then a few steps: finite, inputs without a surface stay so, fixed pixels keep their bits.
@@ -6,56 +6,17 @@ same bits twice; then a few steps: finite, inputs without a surface stay so, fix
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from pagas_cl import hard_scenes as make
-from pagas_cl.config import BALANCED, PAPER, Config
-from pagas_cl.hard_scenes import HardScene
+from pagas_cl.config import Config
+from pagas_cl.selftest.case import BOTH, Case, config_of
+from pagas_cl.selftest.scenes import HardScene
+from pagas_cl.selftest.table import CASES
 
-PLAIN = dict(smoothness__kind="none", smoothness__weight=0.0, solver__views_per_step=0, solver__patience=5)
-BLENDS = {
-    "order-free": BALANCED.with_settings(**PLAIN),
-    "alpha": PAPER.with_settings(solver__patience=5),
-}
 STEPS = dict(smoothness__kind="planar", smoothness__weight=0.12, pyramid__scales=(1.0,), pyramid__steps=(3,))
-BOTH = tuple(BLENDS)
-ONE = ("order-free",)
 DAMPED = 1e-3             # gradient per pixel of parallax below which the solver hardly moves: a floor
-
-
-@dataclass(frozen=True)
-class Case:
-    """One named case.
-
-    Attributes
-    ----------
-    name : str
-    scene : callable
-        Makes the HardScene.
-    tolerance : float
-        Most |device - twin| / |twin| of the gradient (L2 norms; the twin's is at least DAMPED per pixel of parallax).
-    settings : dict
-        On top of the blend's.
-    blends : tuple of str
-    still : bool
-        No pixel may move: no view sees parallax.
-    noise : float
-        By how much the depth differs from the initial one when the gradient is compared, share of the median.
-    why : str
-        What makes the tolerance wider than usual.
-    """
-
-    name: str
-    scene: Callable[[], HardScene]
-    tolerance: float = 1e-3
-    settings: dict = field(default_factory=dict)
-    blends: tuple[str, ...] = BOTH
-    still: bool = False
-    noise: float = 1e-3
-    why: str = ""
 
 
 @dataclass(frozen=True)
@@ -72,14 +33,10 @@ class Outcome:
         return not self.faults
 
 
-def config_of(case: Case, blend: str) -> Config:
-    return BLENDS[blend].with_settings(**case.settings)
-
-
 def run_case(case: Case, blend: str, device) -> Outcome:
     """Run one case on an open device."""
     scene, config, faults = case.scene(), config_of(case, blend), []
-    initial, unit = _normalized(scene)
+    initial, unit = normalized(scene)
     rng = np.random.default_rng(3)
     at = np.where(initial > 0, initial * (1 + case.noise * rng.standard_normal(initial.shape)), 0).astype(np.float32)
     got, loss, length = device_gradient(scene, config, device, initial, at, unit)
@@ -110,7 +67,8 @@ def difference(got, want, length) -> float:
     return float(np.linalg.norm(got - want) / max(np.linalg.norm(want), np.linalg.norm(DAMPED / length)))
 
 
-def _normalized(scene: HardScene):
+def normalized(scene: HardScene):
+    """Initial depth (H, W) in units of its median, 0 where there is none, and that unit."""
     from pagas_cl.splat.units import normalized_depth
 
     return normalized_depth(scene.depth, scene.target.load_mask())
@@ -159,7 +117,7 @@ def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> 
     steps = {key: value for key, value in STEPS.items() if key not in case.settings}
     config = config.with_settings(**steps)
     first, second = (refine_levels(scene.target, scene.contexts, scene.depth, config, device) for _ in range(2))
-    valid, faults = _normalized(scene)[0] > 0, []
+    valid, faults = normalized(scene)[0] > 0, []
     for name in ("depth", "status", "deviation", "parallax"):
         if getattr(first, name).tobytes() != getattr(second, name).tobytes():
             faults.append(f"a second refinement gives another {name}")
@@ -177,16 +135,10 @@ def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> 
     return faults
 
 
-def _cases() -> list[Case]:
-    from pagas_cl.hard_cases import CAMERAS, DEPTHS, IMAGES, SETTINGS
-
-    return [*CAMERAS, *DEPTHS, *IMAGES, *SETTINGS]
-
-
 def run_all(device, progress=None, blends=BOTH) -> list[Outcome]:
     """Every small case with each of its blends, in order; `progress(outcome)` as each one is done."""
     outcomes = []
-    for case in _cases():
+    for case in CASES:
         for blend in case.blends:
             if blend in blends:
                 outcomes.append(run_case(case, blend, device))

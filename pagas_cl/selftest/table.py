@@ -1,11 +1,11 @@
-"""The table of hard cases: see pagas_cl.selftest.Case; tests/hard_cases/README.md lists them."""
+"""The table of hard cases; tests/hard_cases/README.md lists them with their figures."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl import hard_scenes as make
-from pagas_cl.selftest import ONE, Case
+from pagas_cl.selftest import scenes as make
+from pagas_cl.selftest.case import ONE, Case
 
 NEAR_PLANE = "rounding of the projection grows with 1 / z near the camera's plane"
 WHOLE = "weights are summed in steps of 2^-20: where the true gradient is 0, a trace below the solver's damping remains"
@@ -107,3 +107,4 @@ SETTINGS = [
     Case("pyramid down to one pixel", make.base, 1e-3, dict(pyramid__scales=(0.01, 1.0), pyramid__steps=(2, 2)), ONE),
     Case("no steps", make.base, 1e-3, dict(pyramid__steps=(0,), pyramid__scales=(1.0,))),
 ]
+CASES = [*CAMERAS, *DEPTHS, *IMAGES, *SETTINGS]

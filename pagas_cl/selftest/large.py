@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pagas_cl.hard_scenes import HardScene, base, camera, turn, waves
 from pagas_cl.scene.view import View
-from pagas_cl.selftest import BLENDS, Case, Outcome, device_gradient, difference, twin_gradient
+from pagas_cl.selftest.case import BLENDS, Case
+from pagas_cl.selftest.check import Outcome, device_gradient, difference, twin_gradient
+from pagas_cl.selftest.scenes import HardScene, base, camera, turn, waves
 
 WINDOW, BORDER = 128, 40       # pixels: of the window in the far corner, and of its border that is not compared
 TOLERANCE, MOST_PIXELS = 2e-2, 5e-3      # of all pixels together, and of 99 of 100 of them one by one
-WHY = ("a position of 4000 pixels is rounded to 2e-4: a few pixels in a thousand decide otherwise at a threshold or the "
-       "sign of a residual, and carry most of the difference")
+WHY = ("a position of 4000 pixels is rounded to 2e-4: a few pixels in a thousand decide otherwise at a threshold or "
+       "the sign of a residual, and carry most of the difference")
 SHIFT = 0.004                  # baseline: so short that the window sees all that reaches it
 SIZES = {"12 megapixels": (4000, 3000), "more than 2^24 pixels": (4128, 4120)}
 

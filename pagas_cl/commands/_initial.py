@@ -1,0 +1,40 @@
+"""Where a refinement starts: the initial depth of every view, from --mesh or from --depth-dir."""
+
+from __future__ import annotations
+
+from pagas_cl.errors import InputError
+
+
+def check_source(mesh, depth_dir, what: str) -> None:
+    """Raise InputError unless exactly one of both is given; `what` says in the message what they are for."""
+    if (mesh is None) == (depth_dir is None):
+        raise InputError(f"expected either --mesh or --depth-dir ({what}), got "
+                         + ("neither" if mesh is None else "both"))
+
+
+def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None) -> list:
+    """Initial depth of every view, from the mesh or from files; None for a view without a file.
+
+    With a folder for the run they stay on disk, and what stands for them is given instead.
+    """
+    from pagas_cl.jobs.finished import work_folder
+    from pagas_cl.jobs.store import DepthFile, Store
+
+    if mesh is not None:
+        from pagas_cl import refine
+        from pagas_cl.scene.mesh import to_surface
+
+        keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
+        return refine.initial_depths(to_surface(mesh), found.views, progress, keep)
+    from pagas_cl.scene.depthmap import find_depth
+
+    files = [find_depth(depth_dir, view.name) for view in found.views]
+    if not any(files):
+        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
+                         f"expected for instance {found.views[0].stem}.npz")
+    depths = []
+    for view, file in zip(found.views, files):
+        size = view.camera.width, view.camera.height
+        source = None if file is None else DepthFile(file.resolve(), size, depth_scale)
+        depths.append(source if source is None or folder is not None else source.load())
+    return depths
