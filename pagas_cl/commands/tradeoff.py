@@ -8,6 +8,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._places import check_writable
 from pagas_cl.errors import InputError
 
 MANY = ("--views", "--held-out")
@@ -48,6 +49,7 @@ def command(
     found = read_scene(scene, format, **({"outside": True} if outside else {}))
     for view in found.views:
         view.check_files()
+    check_writable("--report", report)
     opened = open_device(device)
     with shown_progress(quiet) as progress:
         depths = _initial(found, mesh, depth_dir, depth_scale, progress, None)
