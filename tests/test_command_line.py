@@ -92,7 +92,7 @@ def test_two_runs_give_the_same_bytes(scene, tmp_path):
     assert (tmp_path / "a" / "target.npz").read_bytes() == (tmp_path / "b" / "target.npz").read_bytes()
 
 
-def test_depth_maps_of_another_size_and_missing_ones(scene, tmp_path):
+def test_depth_maps_of_another_size_and_missing_ones(scene, tmp_path, capsys, fails):
     depth = load_depth(scene / "depth_initial" / "target.npz")
     shutil.rmtree(scene / "depth_initial")
     save_depth(scene / "depth_initial" / "target.npz", depth[::2, ::2])
@@ -100,6 +100,9 @@ def test_depth_maps_of_another_size_and_missing_ones(scene, tmp_path):
                                    tmp_path / "out")) == 0
     assert load_depth(tmp_path / "out" / "target.npz").shape == (48, 64)
     assert [path.stem for path in (tmp_path / "out").glob("*.npz")] == ["target"]
+    assert "2 views have no depth map in" in capsys.readouterr().err
+    assert "no depth map of the view 'context_00.png', which was asked for" in fails(
+        2, *refine(scene, "--depth-dir", scene / "depth_initial", "--save-depth", tmp_path / "d", "--views", "context_00"))
 
 
 def test_an_interrupted_run_keeps_what_is_done(scene, tmp_path, monkeypatch, fails):
@@ -228,6 +231,11 @@ def test_every_command_says_before_the_work_that_it_cannot_write(scene, tmp_path
                   ["evaluate", scene / "depth_initial", "--json", place / "a.json"]):
         assert f"'{place}' is a file" in fails(2, *words), words
     assert [path.name for path in tmp_path.iterdir() if path != scene] == ["file"]
+
+
+def test_a_budget_too_small_for_any_setting(scene, fails):
+    assert "--budget 1e-06 minutes are too few" in fails(2, "tradeoff", scene, "--depth-dir", scene / "depth_initial",
+                                                         "--views", "target", "--budget", "1e-6")
 
 
 def spoil(scene, how):

@@ -50,7 +50,7 @@ def command(
     check_writable("--json", output and output.parent)
     check_writable("--report", report)
     with shown_progress(quiet) as progress:
-        depths = _initial(found, mesh, depth_dir, depth_scale, progress, None)
+        depths = _initial(found, mesh, depth_dir, depth_scale, progress, None, names)
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs, progress=progress)
     show(analysis)
     told = json.dumps(analysis.as_dict(), indent=1) + "\n"

@@ -69,7 +69,7 @@ def command(
     place, folder = _place(device, devices, scheduler), _folder(save_depth, output)
     names = [found.views[found.index(name)].name for name in views] or None
     with shown_progress(quiet) as progress, _report(report, found, preset, settings, place) as page:
-        depths = _initial(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder)
+        depths = _initial(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder, names)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
@@ -138,10 +138,10 @@ def _check_keep(keep_mesh: bool, subdivide, mesh) -> None:
         raise InputError("--subdivide needs --keep-mesh: a fused mesh has the voxel's fineness (--set fusion.voxel=...)")
 
 
-def _initial(found, mesh, depth_dir, depth_scale, progress, folder) -> list:
+def _initial(found, mesh, depth_dir, depth_scale, progress, folder, names=None) -> list:
     """Initial depth of every view, from the mesh or from files; None for a view without a file.
 
-    With a folder for the run they stay on disk, and what stands for them is given instead.
+    With a folder for the run they stay on disk, and what stands for them is given instead. The views `names` must have a file.
     """
     from pagas_cl.jobs.finished import work_folder
     from pagas_cl.jobs.store import DepthFile, Store
@@ -158,12 +158,24 @@ def _initial(found, mesh, depth_dir, depth_scale, progress, folder) -> list:
     if not any(files):
         raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
                          f"expected for instance {found.views[0].stem}.npz")
+    _tell_missing(depth_dir, [view for view, file in zip(found.views, files) if file is None], names)
     depths = []
     for view, file in zip(found.views, files):
         size = view.camera.width, view.camera.height
         source = None if file is None else DepthFile(file.resolve(), size, depth_scale)
         depths.append(source if source is None or folder is not None else source.load())
     return depths
+
+
+def _tell_missing(depth_dir, without, names) -> None:
+    """Refuse a view that was asked for and has no depth map; name the others."""
+    asked = [view for view in without if names and view.name in names]
+    if asked:
+        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the view {asked[0].name!r}, which was asked "
+                         f"for, expected for instance {asked[0].stem}.npz")
+    if without and not names:
+        log.warning("%d views have no depth map in %s and serve as context views only: %s", len(without), depth_dir,
+                    ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
 
 
 class _Pictures:
