@@ -13,6 +13,10 @@ class DeviceError(PagasError, RuntimeError):
     """No OpenCL device can do the work: none found, too little memory, lost during the run."""
 
 
+class NoDeviceError(DeviceError):
+    """There is no OpenCL device to begin with, or none of the name asked for. The command line ends with status 2."""
+
+
 class DeviceMemoryError(DeviceError):
     """The device cannot hold what the work needs; a plan with fewer buffers may do."""
 

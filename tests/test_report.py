@@ -82,13 +82,14 @@ def test_report_writes_pictures_page_and_numbers(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         with Report(folder, "a <title>", ["one note"]) as report:
             report.add(view, plane(4.0), plane(4.1), contexts=[camera(0.5)], confidence=plane(0.5),
-                       counts={"refined": 7})
+                       counts={"refined": 7000})
             raise KeyboardInterrupt  # the page of what was done is written all the same
     page = (folder / "index.html").read_text()
     assert "a &lt;title&gt;" in page and "&lt;b&gt;.png" in page and "<b>.png" not in page
     assert page.count("data:image/jpeg") == 7 and "http" not in page
+    assert "rejected = the input stays, since" in page and "dark grey = no value" in page
     told = json.loads((folder / "report.json").read_text())
-    assert told["views"][0]["refined"] == 7 and told["views"][0]["mean confidence"] == 0.5
+    assert told["views"][0]["refined"] == 7000 and "<td>7,000</td>" in page and told["views"][0]["mean confidence"] == 0.5
     names = sorted(path.name for path in folder.iterdir())
     assert len(names) == 9 and not any("part" in name for name in names)
     assert Image.open(folder / "b_depth_after.png").size == (WIDTH, HEIGHT)

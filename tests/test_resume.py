@@ -168,8 +168,8 @@ def test_a_small_disk_that_is_full(scene, wanted, tmp_path, capsys):
 
 def test_output_that_cannot_be_written(scene, tmp_path, capsys):
     (tmp_path / "file").write_text("")
-    assert command_line.run(command(scene, tmp_path / "file" / "out")) == 1
-    assert "cannot write" in capsys.readouterr().err
+    assert command_line.run(command(scene, tmp_path / "file" / "out")) == 2
+    assert "--save-depth: cannot write in the folder" in capsys.readouterr().err
 
 
 def test_a_photo_deleted_during_the_run(tmp_path, capsys):

@@ -151,6 +151,20 @@ def test_a_mesh_that_claims_to_be_huge(tmp_path, body):
             to_surface(tmp_path / name)
 
 
+def test_a_mesh_that_is_cut_off(tmp_path):
+    pytest.importorskip("open3d", reason="reading mesh files takes Open3D")
+    from pagas_cl.made.disk import write_ply
+
+    corners, faces = np.random.default_rng(1).random((30, 3)), np.arange(30).reshape(10, 3)
+    write_ply(tmp_path / "whole.ply", corners, faces)
+    whole = (tmp_path / "whole.ply").read_bytes()
+    assert len(to_surface(tmp_path / "whole.ply").faces) == 10
+    for cut in (1, 13, 100, 300):  # in a face, at a face's end, in the faces, in the vertices
+        (tmp_path / "cut.ply").write_bytes(whole[:-cut])
+        with pytest.raises(InputError, match="cut.ply' (has .* bytes, and what its header|claims)"):
+            to_surface(tmp_path / "cut.ply")
+
+
 def test_a_depth_map_that_claims_to_be_huge(tmp_path):
     from pagas_cl.scene.depthmap import load_depth
 

@@ -64,7 +64,7 @@ def _bars():
                                TimeRemainingColumn)
 
     return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-                    TextColumn("left"), TimeRemainingColumn(), console=console())
+                    TextColumn("gone,"), TimeRemainingColumn(), TextColumn("left"), console=console())
 
 
 class Lines:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import logging
+
 from pagas_cl.errors import InputError
+
+log = logging.getLogger("pagas_cl")
 
 
 def check_source(mesh, depth_dir, what: str) -> None:
@@ -12,10 +16,11 @@ def check_source(mesh, depth_dir, what: str) -> None:
                          + ("neither" if mesh is None else "both"))
 
 
-def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None) -> list:
+def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None) -> list:
     """Initial depth of every view, from the mesh or from files; None for a view without a file.
 
-    With a folder for the run they stay on disk, and what stands for them is given instead.
+    With a folder for the run they stay on disk, and what stands for them is given instead. The views `names` must have a
+    file.
     """
     from pagas_cl.jobs.finished import work_folder
     from pagas_cl.jobs.store import DepthFile, Store
@@ -32,9 +37,21 @@ def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None) -
     if not any(files):
         raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
                          f"expected for instance {found.views[0].stem}.npz")
+    _tell_missing(depth_dir, [view for view, file in zip(found.views, files) if file is None], names)
     depths = []
     for view, file in zip(found.views, files):
         size = view.camera.width, view.camera.height
         source = None if file is None else DepthFile(file.resolve(), size, depth_scale)
         depths.append(source if source is None or folder is not None else source.load())
     return depths
+
+
+def _tell_missing(depth_dir, without, names) -> None:
+    """Refuse a view that was asked for and has no depth map; name the others."""
+    asked = [view for view in without if names and view.name in names]
+    if asked:
+        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the view {asked[0].name!r}, which was asked "
+                         f"for, expected for instance {asked[0].stem}.npz")
+    if without and not names:
+        log.warning("%d views have no depth map in %s and serve as context views only: %s", len(without), depth_dir,
+                    ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))

@@ -9,6 +9,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._places import check_writable
 
 MANY = ("--views", "--set", "--effect")
 COLUMNS = ["view", "effect", "evidence", "threshold", "decision", "what is measured"]
@@ -43,13 +44,16 @@ def command(
     config = build_config(preset, [*settings, *effect_settings(effects)])
     found = read_scene(scene, format, **({"outside": True} if outside else {}))
     names = [found.views[found.index(name)].name for name in views] or None
+    check_writable("--json", output and output.parent)
+    check_writable("--report", report)
     with shown_progress(quiet) as progress:
-        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress)
+        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, names=names)
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
                            progress=progress)
     show(analysis)
     told = json.dumps(analysis.as_dict(), indent=1) + "\n"
     if output is not None:
+        output.parent.mkdir(parents=True, exist_ok=True)
         write_text(output, told)
     if report is not None:
         report.mkdir(parents=True, exist_ok=True)

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import typer
 
+from pagas_cl.commands._places import check_writable
+
 MANY = ("--preset", "--set")
 
 
@@ -26,6 +28,7 @@ def command(
     from pagas_cl.commands._settings import build_config
     from pagas_cl.made import relief_scene
 
+    check_writable("--json", output and output.parent)
     made = relief_scene(width, round(width * 0.7477), contexts=contexts)
     depth, results = made.initial_depth(made.cameras[0]), []
     for name in preset:
@@ -33,6 +36,7 @@ def command(
         sys.stdout.write(result.table() + "\n")
         results.append(result.as_dict())
     if output:
+        output.parent.mkdir(parents=True, exist_ok=True)
         beside = output.with_name(output.name + ".part")
         beside.write_text(json.dumps(results, indent=1) + "\n")
         os.replace(beside, output)

@@ -16,7 +16,10 @@ def command(
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
     as_json: bool = typer.Option(False, "--json", help="Print everything as JSON."),
 ):
-    """Check the cameras of SCENE against a mesh and the photos; status 2 when another reading of them fits better."""
+    """Check the cameras of SCENE against a mesh and the photos.
+
+    Status 2 when another reading of them fits better, or when none of them sees the mesh.
+    """
     from pagas_cl.camera_check import check_views
     from pagas_cl.errors import InputError
     from pagas_cl.scene.readers import read_scene
@@ -36,4 +39,5 @@ def table(report) -> str:
     for r in report.readings:
         agreement = "-" if r.agreement is None else f"{r.agreement:.3f}"
         lines.append(f"{r.name:<34}{r.seeing:>8}{r.inside:>10.1%}{agreement:>11}{r.patches:>9}")
-    return "\n".join([*lines, "", report.half_pixel, report.sentence, ""])
+    told = [report.sentence] if report.ok else []  # else it is the error's sentence, on standard error
+    return "\n".join([*lines, "", report.half_pixel, *told, ""])

@@ -8,6 +8,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._places import check_writable
 
 
 def command(
@@ -21,10 +22,13 @@ def command(
 ):
     """Make a scene, refine it, show the errors before and after, pictures and the mesh."""
     from pagas_cl.demo import run_demo
+    from pagas_cl.runtime.device import open_device
 
+    check_writable("--output", output)
+    opened = open_device(device)  # before the scene is made: no seconds of work where there is none
     with shown_progress(quiet) as progress:
         result = run_demo(output, width=width, height=round(width * 0.75), contexts=contexts, preset=preset,
-                          device=device, progress=progress, bar=bar)
+                          device=opened, progress=progress, bar=bar)
     sys.stdout.write(result.table())
     sys.stdout.write(f"refined in {result.seconds:.1f} s\npictures: {result.page}\n")
     if result.mesh is not None:

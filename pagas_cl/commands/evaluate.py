@@ -9,6 +9,7 @@ from pathlib import Path
 
 import typer
 
+from pagas_cl.commands._places import check_writable
 from pagas_cl.errors import InputError
 
 
@@ -33,6 +34,7 @@ def command(
     """
     if not result.exists():
         raise InputError(f"there is no file or folder {str(result)!r}")
+    check_writable("--json", output and output.parent)
     if result.is_dir():
         figures = _depth_figures(result, truth, scene, held_out, before, depth_scale)
     else:
@@ -40,6 +42,7 @@ def command(
     for group, rows in figures.items():
         sys.stdout.write(_table(group, rows))
     if output is not None:
+        output.parent.mkdir(parents=True, exist_ok=True)
         part = output.with_name(output.name + ".part")
         part.write_text(json.dumps(figures, indent=1))
         os.replace(part, output)

@@ -10,6 +10,7 @@ from shutil import rmtree
 import typer
 
 from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._places import check_writable
 from pagas_cl.errors import InputError, PagasError, need
 
 MANY = ("--views", "--set", "--effect")  # options that take several words: `--views a b c`
@@ -58,7 +59,7 @@ def command(
     from pagas_cl.scene.mesh_file import write_mesh
     from pagas_cl.scene.readers import read_scene
 
-    _check_request(mesh, depth_dir, output, save_depth, report)
+    _check_request(mesh, depth_dir, output, save_depth, report, memory)
     _check_keep(keep_mesh, subdivide, mesh)
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
     settings = [*settings, *effect_settings(effects)]
@@ -67,10 +68,13 @@ def command(
     found = read_scene(scene, format, **({"outside": True} if outside else {}))
     for view in found.views:
         view.check_files()
+    for option, where in (("--output", output and output.parent), ("--save-depth", save_depth), ("--report", report)):
+        check_writable(option, where)
     place, folder = _place(device, devices, scheduler), _folder(save_depth, output)
     names = [found.views[found.index(name)].name for name in views] or None
     with shown_progress(quiet) as progress, _report(report, found, preset, settings, place) as page:
-        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder)
+        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder,
+                                names)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
@@ -109,12 +113,14 @@ def _folder(save_depth, output) -> Path | None:
     return output.parent / f".{output.name}.views"
 
 
-def _check_request(mesh, depth_dir, output, save_depth, report) -> None:
+def _check_request(mesh, depth_dir, output, save_depth, report, memory) -> None:
     """Refuse what cannot end well before any work is done."""
     from pagas_cl.commands._initial import check_source
     from pagas_cl.scene.mesh_file import check_mesh_path
 
     check_source(mesh, depth_dir, "where the refinement starts")
+    if memory is not None and not memory > 0:
+        raise InputError(f"--memory is {memory:g} MB, expected more than 0")
     if output is None and save_depth is None and report is None:
         raise InputError("nothing to write: give --output, --save-depth or --report")
     if depth_dir is not None and not depth_dir.is_dir():
@@ -149,8 +155,9 @@ class _Pictures:
         remarks = [f"kept as it came: {result.reason}"] if result.reason else []
         if told.get("contexts"):
             remarks.append("context views: " + ", ".join(told["contexts"]))
-        if told.get("effects"):
-            remarks.append("effects: " + "; ".join(_decision(effect) for effect in told["effects"]))
+        for on, what in ((True, "effects simulated"), (False, "effects not called for")):
+            effects = [_decision(effect) for effect in told.get("effects", ()) if effect["on"] == on]
+            remarks += [f"{what}: " + "; ".join(effects)] if effects else []
         figures = {"seconds": round(told["seconds"], 2)} if "seconds" in told else {}
         self.page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
                       counts={**result.counts, **figures}, remarks=remarks)
@@ -180,8 +187,8 @@ def _tell(results, save_depth, report) -> None:
         for name, number in result.counts.items():
             total[name] = total.get(name, 0) + number
     kept = sum(bool(result.reason) for result in results)
-    log.info("%d views%s; pixels: %s", len(results), f", {kept} of them kept as they came" if kept else "",
-             ", ".join(f"{number} {name}" for name, number in total.items()))
+    log.info("%d view%s%s; pixels: %s", len(results), "" if len(results) == 1 else "s", f", {kept} of them kept as they came" if kept else "",
+             ", ".join(f"{number:,} {name}" for name, number in total.items()))
     if save_depth is not None:
         log.info("depth maps: %s", save_depth)
     if report is not None:

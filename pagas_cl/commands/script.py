@@ -5,12 +5,14 @@ from __future__ import annotations
 import logging
 import os
 import sys
+import tempfile
 from contextlib import contextmanager
 from pathlib import Path
 
 import typer
 
 from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._places import check_writable
 from pagas_cl.errors import InputError, need
 
 log = logging.getLogger("pagas_cl")
@@ -41,6 +43,9 @@ def command(
     if mesh is None and scene is not None:
         raise InputError("got SCENE and --project: a project brings its own photos; give one of them")
     filter_script.check_script(script, outside=outside)
+    for option, path in (("--output", output), ("--save-script", save_script)):
+        check_writable(option, path and path.parent)
+    _check_kind(pymeshlab, output)
     with _meshlab_chatter():
         meshes, found = _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside)
         with shown_progress(quiet) as progress:
@@ -50,6 +55,20 @@ def command(
             meshes.save_filter_script(str(save_script.absolute()))
     log.info("current layer: %s, %d vertices, %d faces", meshes.current_mesh().label(),
              meshes.current_mesh().vertex_number(), meshes.current_mesh().face_number())
+
+
+def _check_kind(pymeshlab, output: Path) -> None:
+    """Raise InputError for a kind of file that pymeshlab cannot write, which it tells only when it has to."""
+    if output.suffix.lower() == ".mlp":
+        return
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]))
+    with tempfile.TemporaryDirectory() as aside, _meshlab_chatter():
+        try:
+            meshes.save_current_mesh(str(Path(aside) / f"a{output.suffix}"))
+        except pymeshlab.PyMeshLabException as error:
+            raise InputError(f"--output {str(output)!r}: pymeshlab writes no {output.suffix!r} files, expected .ply, .obj, "
+                             ".stl, .off, ... or .mlp") from error
 
 
 def _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside):

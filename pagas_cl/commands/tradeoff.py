@@ -8,6 +8,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._places import check_writable
 from pagas_cl.errors import InputError
 
 MANY = ("--views", "--held-out")
@@ -46,6 +47,7 @@ def command(
     found = read_scene(scene, format, **({"outside": True} if outside else {}))
     for view in found.views:
         view.check_files()
+    check_writable("--report", report)
     opened = open_device(device)
     with shown_progress(quiet) as progress:
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress)
@@ -53,6 +55,9 @@ def command(
         study = tradeoff(found.views, depths, truth=true, names=views or None, held_out=held_out or None, sample=sample,
                          budget=budget, settings=ablation_plan(ablation) if ablation else None, device=opened,
                          report=report, repeats=repeats, progress=progress)
+    if not study.points:
+        raise InputError(f"--budget {budget:g} minutes are too few for a single setting on this device: raise it, or "
+                         "measure smaller photos")
     sys.stdout.write("\n".join(notes(study)) + "\n\n")
     sys.stdout.write(ablation_table(study.points) if ablation else markdown(study.points))
     if report is not None:

@@ -104,7 +104,8 @@ class Run:
             return
         told = self._errors.setdefault(record.name, [])
         told.append(record)
-        if len(told) >= TRIES:
+        # read by the same process again a bad file is as bad; another worker may reach what this one does not
+        if len(told) >= TRIES or record.bad_input and isinstance(self.executor, Here):
             self._give_up(record)
             return
         log.warning("view %s has failed, it is tried again: %s", record.name, record.error)
@@ -154,7 +155,8 @@ class Run:
             self._queue.append(batch.only([task]))
 
     def _give_up(self, record: Record) -> None:
-        log.error("view %s has failed %d times and is left out: %s", record.name, TRIES, record.error)
+        times = len(self._errors.get(record.name, ())) or TRIES
+        log.error("view %s has failed%s and is left out: %s", record.name, f" {times} times" if times > 1 else "", record.error)
         self._given_up += 1
         if self._given_up >= HOPELESS and not self._done:
             kind = InputError if record.bad_input else PagasError

@@ -19,6 +19,7 @@ table { border-collapse: collapse; margin: 1em 0 } td, th { padding: .25em .8em;
 td:first-child, th:first-child { text-align: left } tr:nth-child(even) { background: #f3f3f3 }
 .pictures { display: flex; flex-wrap: wrap; gap: 1em } figure { margin: 0; width: 340px }
 figure img { width: 100%; display: block } figcaption { font-size: 13px }
+.legend { font-size: 13px; color: #555; margin: .3em 0 }
 .strip { height: 6px; margin: 3px 0 } h2 { margin-top: 2em }
 """
 
@@ -50,7 +51,8 @@ def figure(picture, link: str) -> str:
             f"</a>{strip}<figcaption><b>{escape(picture.title)}</b> {escape(picture.legend)}</figcaption></figure>")
 
 
-def html_page(title: str, notes: list[str], header: list[str], rows: list[list[str]], sections: list[tuple]) -> str:
+def html_page(title: str, notes: list[str], header: list[str], rows: list[list[str]], sections: list[tuple],
+              legend: list[str] = ()) -> str:
     """The whole page.
 
     Parameters
@@ -61,11 +63,14 @@ def html_page(title: str, notes: list[str], header: list[str], rows: list[list[s
         The table, one row a view.
     sections : list of (name, figures, remarks)
         A view's pictures as HTML, and lines of text.
+    legend : list of str
+        Lines below the table.
     """
     parts = [f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
              f"<style>{_STYLE}</style><h1>{escape(title)}</h1>"]
     parts += [f"<p>{escape(note)}</p>" for note in notes]
     parts.append(_table(header, rows))
+    parts += [f'<p class="legend">{escape(line)}</p>' for line in legend]
     for name, figures, remarks in sections:
         parts.append(f'<h2 id="{escape(name)}">{escape(name)}</h2>')
         parts += [f"<p>{escape(remark)}</p>" for remark in remarks]

@@ -64,7 +64,8 @@ def view_pictures(photo, camera: Camera, before, after, *, change=None, confiden
         pictures.append(Picture("change", "change", colored(change, -most, most, known, "signed"),
                                 f"pixels of parallax, from {-most:.2g} (nearer) to {most:.2g} (farther)", "signed"))
     if confidence is not None:
-        pictures.append(Picture("confidence", "confidence", colored(confidence, 0, 1, after > 0), "from 0 to 1",
+        pictures.append(Picture("confidence", "confidence", colored(confidence, 0, 1, after > 0),
+                                "from 0 (the photos say nothing) to 1 (they fix the depth)",
                                 "sequential"))
     return pictures
 

@@ -11,6 +11,13 @@ import numpy as np
 from pagas_cl.report.page import figure, html_page, write_picture, write_text
 from pagas_cl.report.pictures import change_in_units, parallax_change, view_pictures
 
+LEGEND = ["Pixels: refined = moved by the photos; kept = the input stays, since no other photo sees the pixel, or the whole view "
+          "came back as it came; rejected = the input stays, since the photos speak against the new depth; no surface = "
+          "no depth to start from.",
+          "Change: how far the surface moved as the other photos see it, in pixels of parallax (px). Confidence: 1 = the photos "
+          "fix the depth, 0.5 = they fix it to one pixel of parallax, 0 = they say nothing.",
+          "Pictures: click for full size; dark grey = no value; the strip below a picture is its scale, from left to right."]
+
 
 class Report:
     """A folder with `index.html`, `report.json` and, for every view, `<view>_<picture>.png` (the photo as .jpg).
@@ -82,7 +89,8 @@ class Report:
         page = self.folder / "index.html"
         told = {"notes": self.notes, "views": self._views}
         write_text(self.folder / "report.json", json.dumps(told, indent=1) + "\n")
-        write_text(page, html_page(self.title, self.notes, columns, rows, self._sections))
+        legend = LEGEND if self._views else []
+        write_text(page, html_page(self.title, self.notes, columns, rows, self._sections, legend))
         return page
 
 
@@ -107,4 +115,6 @@ def _change_figures(change, confidence, after) -> dict:
 def _cell(value) -> str:
     if value is None:
         return ""
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return f"{value:,}" if isinstance(value, int) else str(value)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from pagas_cl.errors import DeviceError, InputError
+from pagas_cl.errors import DeviceError, InputError, NoDeviceError
 from pagas_cl.runtime import icd
 from pagas_cl.runtime.info import DeviceInfo, describe
 
@@ -166,7 +166,7 @@ def import_pyopencl():
     try:
         import pyopencl
     except ImportError as error:
-        raise DeviceError(icd.no_pyopencl(error)) from error
+        raise NoDeviceError(icd.no_pyopencl(error)) from error
     return pyopencl
 
 
@@ -181,9 +181,9 @@ def find_devices(cl) -> list[tuple[DeviceInfo, Any]]:
     try:
         platforms = cl.get_platforms()
     except cl.Error as error:
-        raise DeviceError(icd.no_platform(str(error))) from error
+        raise NoDeviceError(icd.no_platform(str(error))) from error
     if not platforms:
-        raise DeviceError(icd.no_platform())
+        raise NoDeviceError(icd.no_platform())
     found = []
     for platform in platforms:
         try:
@@ -193,7 +193,7 @@ def find_devices(cl) -> list[tuple[DeviceInfo, Any]]:
             continue
         found += [(describe(cl, platform, device), device) for device in devices]
     if not found:
-        raise DeviceError(icd.no_device([platform.name.strip() for platform in platforms]))
+        raise NoDeviceError(icd.no_device([platform.name.strip() for platform in platforms]))
     return found
 
 
@@ -226,11 +226,11 @@ def candidates(found, name):
     matching = [pair for pair in found if wanted == "auto" or _matches(pair[0], wanted)]
     if not matching:
         names = "; ".join(info.title for info, _ in found)
-        raise DeviceError(f"no OpenCL device matches {source}={name!r}; found: {names}")
+        raise NoDeviceError(f"no OpenCL device matches {source}={name!r}; found: {names}")
     usable = [pair for pair in matching if not pair[0].lacks]
     if not usable:
         reasons = "; ".join(f"{info.title} lacks {', '.join(info.lacks)}" for info, _ in matching)
-        raise DeviceError(f"no usable OpenCL device: {reasons}. {icd.CPU_ADVICE}")
+        raise NoDeviceError(f"no usable OpenCL device: {reasons}. {icd.CPU_ADVICE}")
     return sorted(usable, key=lambda pair: (_PREFERENCE.index(pair[0].kind), -pair[0].compute_units))
 
 

@@ -9,7 +9,7 @@ import subprocess
 import sys
 from dataclasses import asdict
 
-from pagas_cl.errors import DeviceError
+from pagas_cl.errors import DeviceError, NoDeviceError
 from pagas_cl.runtime.device import DeviceInfo, find_devices, import_pyopencl, trial_fault
 
 
@@ -37,7 +37,7 @@ def list_devices(timeout: float = 60.0) -> list[DeviceInfo]:
         last = (child.stderr.strip().splitlines() or ["no message"])[-1]
         raise DeviceError(f"the OpenCL devices cannot be listed: {last}") from error
     if "error" in answer:
-        raise DeviceError(answer["error"])
+        raise NoDeviceError(answer["error"])
     return [DeviceInfo(**{**d, "extensions": tuple(d["extensions"])}) for d in answer["devices"]]
 
 

@@ -12,6 +12,7 @@ from pagas_cl.scene.mesh import Surface
 
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 _SAMPLES = 20_000
+_CHANCE = 0.0005    # share of the mesh that a wrong reading may have in an image by chance; a city's view has more
 _WORK = 20_000_000  # camera-point pairs of one reading of the poses
 
 # reading of the pose -> (what it does to world_to_camera, what it is called, which constructor mends it)
@@ -48,7 +49,7 @@ def check_seen(surface, cameras: list[Camera]) -> np.ndarray:
     better = {}
     for name, (change, _, _) in _READINGS.items():
         changed = [replace(camera, world_to_camera=change(camera.world_to_camera)) for camera in cameras]
-        better[name] = int(np.count_nonzero(_shares(points, changed)[0]))
+        better[name] = int(np.count_nonzero(_shares(points, changed)[0] > _CHANCE))
     best = max(better, key=better.get)  # the first of equals: the simplest reading
     mends = better[best] >= 0.9 * count if seeing else better[best] >= max(1, 0.5 * count)
     if mends:

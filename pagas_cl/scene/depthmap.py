@@ -128,6 +128,8 @@ def resize_depth(depth: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def _read_npz(path: Path) -> np.ndarray:
+    if not zipfile.is_zipfile(path):   # NumPy would speak of pickled data
+        raise ValueError("it is no .npz archive; the file is damaged or cut off: write it again")
     with np.load(path, allow_pickle=False) as archive:
         if not isinstance(archive, np.lib.npyio.NpzFile) or not archive.files:
             raise ValueError("it holds no array")

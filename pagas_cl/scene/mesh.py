@@ -99,7 +99,7 @@ def read_mesh(path) -> Surface:
     """Read a mesh file (.ply, .obj, .stl, .off, .glb ...) through Open3D."""
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"mesh {str(path)!r} does not exist")
+        raise InputError(f"mesh {str(path)!r} " + ("is a folder, expected a file" if path.is_dir() else "does not exist"))
     o3d = need("open3d", "mesh", "reading a mesh file")
     check_claims(path)
     try:
@@ -110,7 +110,10 @@ def read_mesh(path) -> Surface:
     if len(mesh.vertices) == 0:
         raise InputError(f"mesh {str(path)!r} has no vertices, or is no mesh file that Open3D reads (.ply, .obj, .stl, "
                          ".off, .gltf)")
-    return _from_legacy(mesh)
+    try:
+        return _from_legacy(mesh)
+    except InputError as error:
+        raise InputError(f"{str(path)!r}: {error}") from error
 
 
 def _checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
@@ -127,7 +130,8 @@ def _checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
     if faces.dtype.kind not in "iu":
         raise InputError(f"mesh faces have dtype {faces.dtype}, expected integers")
     if len(vertices) == 0 or len(faces) == 0:
-        raise InputError(f"the mesh is empty: {len(vertices)} vertices and {len(faces)} faces")
+        cloud = "; a point cloud has to be made a mesh first (Poisson reconstruction, say)" if len(vertices) else ""
+        raise InputError(f"the mesh is empty: {len(vertices)} vertices and {len(faces)} faces{cloud}")
     bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
         raise InputError(f"mesh vertex {int(np.argmax(bad))} is not finite ({int(bad.sum())} of {len(vertices)} are "

@@ -88,9 +88,9 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
         aside = Path(aside)
         touched = touched_by_views(views, depths, settings, aside)
         plan = touched.plan
-        log.info("%s", plan)
         if plan.memory_mb <= allowed:
             return fuse(views, depths, settings, weights, progress, plan=plan, memory_mb=allowed)
+        log.info("%s", plan)
         boxes = cut(touched, settings, allowed, views)
         most = max(_memory_mb(box.blocks, settings) for box in boxes)
         log.info("fusion: %d boxes, at most %.0f MB each, %.0f MB for the mesh, %.0f MB allowed", len(boxes), most,

@@ -135,11 +135,16 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
         _integrate(grid, plan, i, view, depths[i], None if weights is None else weights[i])
         if progress:
             progress("fuse", i + 1, len(views))
+    tell = (lambda done: progress("extract the mesh", done, 2)) if progress else (lambda done: None)
+    tell(0)
     seen = grid.seen()
     log.info("fusion: voxels seen by 1, 2, 3, more views: %s", ", ".join(map(str, seen)))
     extracted = grid.extract(settings.min_views - 0.5)
     del grid  # cleaning the mesh takes memory of its own
-    return _mesh(extracted, plan, settings, seen)
+    tell(1)
+    surface = _mesh(extracted, plan, settings, seen)
+    tell(2)
+    return surface
 
 
 def _integrate(grid: Grid, plan: FusionPlan, index: int, view: View, depth, weight) -> None:

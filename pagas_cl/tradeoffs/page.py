@@ -53,7 +53,7 @@ def notes(study) -> list[str]:
         told.append(f"Held-out photos rank these settings like the true depth error does with a rank correlation of "
                     f"{study.proxy:.2f}.")
     if study.left_out:
-        told.append(f"Left out for lack of time: {', '.join(study.left_out)}.")
+        told.append(f"Left out for lack of time: {'; '.join(study.left_out)}.")
     return told
 
 

@@ -141,7 +141,7 @@ def _fill(book, benches, settings, device, budget, repeats, workers, progress) -
         progress("measure", len(todo), len(todo))
     if left_out:
         log.warning("left out, since the budget of %g minutes would not do: %s", budget,
-                    ", ".join(dict.fromkeys(left_out)))
+                    "; ".join(dict.fromkeys(left_out)))
     return list(dict.fromkeys(left_out))
 
 
