@@ -21,6 +21,7 @@ from pagas_cl.jobs.plan import Planner, along_curve, groups, on_disk
 from pagas_cl.jobs.store import DepthFile, Store
 from pagas_cl.jobs.task import Batch
 from pagas_cl.refine import refine_one, refine_views
+from pagas_cl.scene import npy
 from pagas_cl.scene.partners import PartnerChooser
 from pagas_cl.scene.view import View
 
@@ -212,6 +213,37 @@ def test_keys_follow_every_input(scene, monkeypatch):
     assert [a == b for a, b in zip(first, later)] == [k != 3 for k in range(8)]
     monkeypatch.setattr(identity, "code_version", lambda: "other")
     assert not set(first) & set(keys())
+
+
+_REFINES = """
+import sys
+from pagas_cl.made import relief_scene
+from pagas_cl import refine_depth
+made = relief_scene(48, 36, 2, held_out=0)
+seen = {name for name in sys.modules if name.startswith("pagas_cl.made")}
+refine_depth(made.views[0], made.views[1:], made.initial_depth(made.views[0].camera))
+print(*sorted(name for name in sys.modules if name.startswith("pagas_cl.") and name not in seen))
+"""
+
+
+def test_the_key_knows_all_code_that_makes_a_depth_map(device):
+    """A module that takes part in refining and is not hashed would let a run go on from another version's views."""
+    told = subprocess.run([sys.executable, "-c", _REFINES], capture_output=True, text=True, check=True).stdout.split()
+    hashed = {part.removesuffix(".py") for part in identity._CODE}
+    # settings are in the key themselves; the others have no part in a depth map
+    assert "splat" in hashed and {name.split(".")[1] for name in told} - hashed <= {"config", "errors", "keep_mesh"}
+
+
+def test_many_threads_read_arrays(tmp_path):
+    """CPython 3.11 fails now and then where two threads parse the header of a .npy file."""
+    arrays = [np.full((3, k + 1), k, np.float32) for k in range(8)]
+    for k, array in enumerate(arrays):
+        np.save(tmp_path / f"{k}.npy", array)
+        np.savez_compressed(tmp_path / f"{k}.npz", depth=array)
+    with ThreadPoolExecutor(8) as readers:
+        for read, suffix in ((npy.read_npy, "npy"), (npy.read_first, "npz")):
+            files = [tmp_path / f"{k}.{suffix}" for k in range(8)] * 50
+            assert all(np.array_equal(got, arrays[k % 8]) for k, got in enumerate(readers.map(read, files)))
 
 
 def test_a_damaged_array_is_found(tmp_path):

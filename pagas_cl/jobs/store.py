@@ -13,6 +13,7 @@ import numpy as np
 from pagas_cl.errors import InputError
 from pagas_cl.jobs.disk import written
 from pagas_cl.scene.depthmap import load_depth
+from pagas_cl.scene.npy import read_npy
 
 _CHUNK = 1 << 22
 
@@ -52,7 +53,7 @@ class StoredArray:
     def load(self) -> np.ndarray:
         """The array; InputError where the file is gone or is not what was stored."""
         try:
-            array = np.load(self.file, allow_pickle=False)
+            array = read_npy(self.file)
         except (OSError, ValueError, EOFError) as error:
             raise InputError(f"stored array {str(self.file)!r} cannot be read ({error}): start the same command again, "
                              "which writes it anew") from error

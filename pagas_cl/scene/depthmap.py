@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError
+from pagas_cl.scene.npy import read_first, read_npy
 from pagas_cl.scene.pyramid import depth_down, depth_up
 
 log = logging.getLogger("pagas_cl")
@@ -21,7 +22,6 @@ log = logging.getLogger("pagas_cl")
 _DAMAGE = (OSError, ValueError, EOFError, KeyError, IndexError, SyntaxError, MemoryError, RuntimeError, OverflowError,
            zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
 
-MOST_BYTES = 1 << 31       # of one depth map: 268 megapixels of float64
 SUFFIXES = (".npz", ".npy", ".pfm", ".png", ".geometric.bin", ".photometric.bin")
 
 
@@ -56,7 +56,7 @@ def load_depth(path, size: tuple[int, int] | None = None, *, scale: float | None
     path = Path(path)
     if not path.is_file():
         raise InputError(f"depth map {str(path)!r} does not exist")
-    readers = {".npz": _read_npz, ".npy": _read_npy, ".pfm": _read_pfm, ".png": _read_png, ".bin": _read_colmap}
+    readers = {".npz": read_first, ".npy": read_npy, ".pfm": _read_pfm, ".png": _read_png, ".bin": _read_colmap}
     read = readers.get(path.suffix.lower())
     if read is None:
         raise InputError(f"depth map {str(path)!r}: unknown kind, expected one of {', '.join(SUFFIXES)}")
@@ -125,25 +125,6 @@ def resize_depth(depth: np.ndarray, width: int, height: int) -> np.ndarray:
     columns = ((np.arange(width) + 0.5) * depth.shape[1] / width).astype(np.intp)
     valid = (depth > 0)[rows[:, None], columns[None, :]]
     return np.ascontiguousarray(np.where(valid, depth_up(depth, width, height), np.float32(0)))
-
-
-def _read_npz(path: Path) -> np.ndarray:
-    if not zipfile.is_zipfile(path):   # NumPy would speak of pickled data
-        raise ValueError("it is no .npz archive; the file is damaged or cut off: write it again")
-    with np.load(path, allow_pickle=False) as archive:
-        if not isinstance(archive, np.lib.npyio.NpzFile) or not archive.files:
-            raise ValueError("it holds no array")
-        unpacked = max(entry.file_size for entry in archive.zip.infolist())
-        if unpacked > MOST_BYTES:      # a few megabytes may unpack to any number of gigabytes
-            raise ValueError(f"it unpacks to {unpacked / 1e9:.1f} GB, a depth map has at most {MOST_BYTES / 1e9:.1f}")
-        return archive[archive.files[0]]
-
-
-def _read_npy(path: Path) -> np.ndarray:
-    values = np.load(path, allow_pickle=False)
-    if not isinstance(values, np.ndarray):
-        raise ValueError("it holds no array")
-    return values
 
 
 def _read_pfm(path: Path) -> np.ndarray:
