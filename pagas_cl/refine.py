@@ -36,7 +36,7 @@ def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=Non
     cams : list of Camera, Open3D PinholeCameraTrajectory, or pycolmap Reconstruction
     images : list of arrays (H, W, 3) (uint8, or floating point from 0 to 1) or paths, one a camera, or a folder
     masks : list of arrays (H, W) bool or paths, optional
-        True = keep; applied to the target and to the context views.
+        True = used, of the target and of the context views; what is masked out of a view keeps its depth.
     preset : str
         Name of the settings to start from; `config` (a Config) replaces them.
     device : str, optional

@@ -22,8 +22,8 @@ class DepthResult:
     depth : ndarray, float32
         z-depth in scene units, 0 = no surface.
     status : ndarray, uint8
-        NO_SURFACE (0), REFINED (1), KEPT (2: no other view sees it), REJECTED (3: the photos speak against the new
-        depth); in the last two the depth is the input's, bit for bit.
+        NO_SURFACE (0), REFINED (1), KEPT (2: no other view sees it, or it is masked out), REJECTED (3: the photos speak
+        against the new depth); in the last two the depth is the input's, bit for bit.
     deviation : ndarray, float32
         Standard deviation of the depth in scene units; infinite where the photos say nothing, 0 without a surface.
     parallax : ndarray, float32

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from harm_scenes import figures, moving, plain, turned, wrong_poses
 
 from pagas_cl.refine import refine_depth, refine_views
-from pagas_cl.result import REJECTED
+from pagas_cl.result import KEPT, NO_SURFACE, REJECTED
 
 HARMFUL = {"a plane without texture": plain, "without texture or noise": lambda: plain(0.0),
            "wrong poses": wrong_poses, "wrong poses of eight views": lambda: wrong_poses(contexts=8),
@@ -73,3 +74,17 @@ def test_photos_that_took_no_part_leave_a_good_result_alone(device):
     before, after = figures(made, initial), figures(made, result.depth)
     assert result.report["witnesses"] == [view.name for view in others[4:]]
     assert after["mean"] < 0.3 * before["mean"] and result.counts["refined"] > 0.9 * initial.size
+
+
+def test_what_is_masked_out_keeps_its_depth_and_is_told_so(device):
+    made, (target, *others) = plain()
+    initial = made.initial_depth(made.cameras[0])
+    initial[:2] = 0
+    mask = np.ones(initial.shape, bool)
+    mask[:, :20] = False
+    for masked in (mask, np.zeros_like(mask)):
+        result = refine_depth(replace(target, mask=masked), others, initial, device=device)
+        out = ~masked & (initial > 0)
+        assert (result.status[out] == KEPT).all() and np.array_equal(result.depth[out], initial[out])
+        assert np.isinf(result.deviation[out]).all() and not result.confidence[out].any()
+        assert (result.status[initial == 0] == NO_SURFACE).all() and not result.depth[initial == 0].any()

@@ -45,6 +45,7 @@ def test_what_was_not_refined_comes_back_with_its_bits():
     status = rng.integers(0, 4, given_depth.shape).astype(np.uint8)
     refined = rng.random(given_depth.shape).astype(np.float32)
     back = scene_depth(refined.copy(), 3.3, status, given_depth)
+    assert not scene_depth(refined.copy(), 3.3, np.zeros_like(status), np.full(status.shape, 1e300)).any()
     kept = np.where((given_depth > 0) & np.isfinite(given_depth), given_depth, 0)
     assert np.array_equal(back[status != 1], kept[status != 1])
     assert np.array_equal(back[status == 1], refined[status == 1] * np.float32(3.3))

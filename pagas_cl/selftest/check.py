@@ -117,18 +117,20 @@ def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> 
     steps = {key: value for key, value in STEPS.items() if key not in case.settings}
     config = config.with_settings(**steps)
     first, second = (refine_levels(scene.target, scene.contexts, scene.depth, config, device) for _ in range(2))
-    valid, faults = normalized(scene)[0] > 0, []
+    with np.errstate(over="ignore"):
+        given, faults = np.asarray(scene.depth).astype(np.float32), []
+    surface = (given > 0) & (given < np.inf)
     for name in ("depth", "status", "deviation", "parallax"):
         if getattr(first, name).tobytes() != getattr(second, name).tobytes():
             faults.append(f"a second refinement gives another {name}")
     if not np.isfinite(first.depth).all() or np.isnan(first.deviation).any() or np.isnan(first.parallax).any():
         faults.append("the refined depth is not finite")
-    if ((first.status > 0) != valid).any():
+    if ((first.status > 0) != surface).any():
         faults.append("the refinement made or lost a surface")
-    if (first.depth[valid] <= 0).any():
-        faults.append("a refined depth is not above 0")
-    kept = valid & (first.status != 1)
-    if (first.depth[kept] != scene.depth[kept].astype(np.float32)).any():
+    if (first.depth[surface] <= 0).any() or first.depth[~surface].any():
+        faults.append("a refined depth is not above 0, or one without a surface is not 0")
+    kept = surface & (first.status != 1)
+    if (first.depth[kept] != given[kept]).any():
         faults.append("a pixel that was not refined did not keep its bits")
     if case.still and (first.status == 1).any():
         faults.append("a pixel without parallax moved")

@@ -34,7 +34,9 @@ def scene_depth(refined: np.ndarray, unit: float, status: np.ndarray, given: np.
     with, 0 = no surface."""
     new = status == 1
     refined *= np.float32(unit)
-    kept = _only(_surface(given) & ~new, given.astype(np.float32))
+    with np.errstate(over="ignore"):
+        given = given.astype(np.float32)
+    kept = _only(_surface(given) & ~new, given)
     _bits(_only(new, refined))[...] |= _bits(kept)
     return refined
 

@@ -28,7 +28,8 @@ class Refinement:
     depth : ndarray of shape (H, W), float32
         Refined depth, 0 = no surface.
     status : ndarray of shape (H, W), uint8
-        0 no surface, 1 refined, 2 kept (no other view sees it), 3 rejected (the photos speak against it).
+        0 no surface, 1 refined, 2 kept (no other view sees it, or it is masked out), 3 rejected (the photos speak
+        against it).
     deviation : ndarray of shape (H, W), float32
         Standard deviation of the depth; infinite where nothing is known, 0 where there is no surface.
     parallax : ndarray of shape (H, W), float32
@@ -209,6 +210,9 @@ class _Run:
             lengths *= np.float32(self.unit)
         judged = witnesses.medians() if witnesses else None
         level.release()
-        return Refinement(scene_depth(refined, self.unit, verdict.status, self.depth), verdict.status,
-                          verdict.deviation, parallax, (verdict.cost_before, verdict.cost_after), judged, steps, losses,
-                          self.device.memory.peak, planned)
+        depth = scene_depth(refined, self.unit, verdict.status, self.depth)
+        aside = (verdict.status == 0) & (depth > 0)         # a surface without a Gaussian, masked out for instance
+        verdict.status[aside], verdict.deviation[aside] = 2, np.inf
+        return Refinement(depth, verdict.status, verdict.deviation, parallax,
+                          (verdict.cost_before, verdict.cost_after), judged, steps, losses, self.device.memory.peak,
+                          planned)
