@@ -14,6 +14,7 @@
 #define NOISE (1.0f / 255.0f)        // of a photo: what a residual never falls below
 #define LEAST_POSSIBLE 0.3f          // below this a patch is all noise
 #define UNSEEN -1.0f
+#define CHANCE 0.01f                 // growth of 1 - correlation, mean over the surroundings, that says nothing
 
 float grey_of(uchar4 p)
 {
@@ -228,7 +229,7 @@ __kernel void count_costs(__global const float *before, __global const float *af
     atomic_inc(counts + BINS + clamp((int)(is.x / is.y * (BINS / 2)), 0, BINS - 1));
 }
 
-// By how much 1 - correlation grew, and 1; two zeros where it is not known.
+// By how much 1 - correlation grew beyond chance, and 1; two zeros where it is not known.
 __kernel void worse_costs(__global const float *before, __global const float *after, int count, __global float *worse)
 {
     const int i = get_global_id(0);
@@ -236,7 +237,7 @@ __kernel void worse_costs(__global const float *before, __global const float *af
         return;
     const float3 was = vload3(i, before), is = vload3(i, after);
     const bool known = was.y > 0.0f && is.y > 0.0f;
-    vstore2(known ? (float2)(is.x / is.y - was.x / was.y, 1.0f) : (float2)(0.0f), i, worse);
+    vstore2(known ? (float2)(is.x / is.y - was.x / was.y - CHANCE, 1.0f) : (float2)(0.0f), i, worse);
 }
 
 // A refined depth goes back to the initial one where the photos that took no part match worse around it.

@@ -10,7 +10,8 @@ from dataclasses import dataclass, fields
 
 from pagas_cl.errors import InputError
 
-MOST_CONTEXTS, MOST_WEIGHT = 1000, 100.0
+# cameras of a view, its contexts and witnesses, lie in 64 kB of constant memory, which every device has
+MOST_CONTEXTS, MOST_WEIGHT = 800, 100.0
 
 
 def _check(stage: str, **rules):

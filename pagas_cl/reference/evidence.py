@@ -8,6 +8,7 @@ from pagas_cl.reference.project import project
 
 PATCH, WINDOW, LEAST_PIXELS, NOISE, LEAST_POSSIBLE = 2, 7, 6, 1 / 255, 0.3
 BINS = 1024         # of 1 - correlation, from 0 to 2
+CHANCE = 0.01       # growth of it, mean over the surroundings, that says nothing
 NO_SURFACE, REFINED, KEPT, REJECTED = range(4)
 
 
@@ -123,9 +124,9 @@ def counted_costs(before, after) -> np.ndarray:
 
 
 def worse(before, after) -> np.ndarray:
-    """By how much 1 - correlation grew, of the shape of a map; 0 where it is not known."""
+    """By how much 1 - correlation grew beyond chance, of the shape of a map; 0 where it is not known."""
     was, now, known = costs(before, after)
-    return np.where(known, now - was, 0.0)
+    return np.where(known, now - was - CHANCE, 0.0)
 
 
 def refuse(initial, refined, status, growth):

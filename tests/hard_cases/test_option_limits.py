@@ -15,7 +15,7 @@ from pagas_cl.scene.choice import choose_contexts
 
 CONTEXT = {
     "context.number = 1": dict(number=1),
-    "context.number = 1000": dict(number=1000),
+    "context.number = 800": dict(number=800),
     "context.min_angle = 0": dict(min_angle=0.0),
     "context.min_angle = 180, max_angle = 180": dict(min_angle=180.0, max_angle=180.0),
     "context.max_angle = min_angle": dict(max_angle=1.0),
