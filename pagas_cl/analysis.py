@@ -96,15 +96,16 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
         decisions = decide(config, measured)[1]
         found.append(ViewAnalysis(target.name, tuple(v.name for v in contexts), tuple(decisions), measured))
         if costs and not timed:
-            timed, measured_costs = target.name, effect_costs(target, contexts, depth, config, measured, device, photos)
+            timed, measured_costs = target.name, effect_costs(target, contexts, depth, config, measured, device, photos,
+                                                              progress)
     if progress:
         progress("analyze", len(asked), len(asked))
     agreement = decide_consistency([view.camera for view in views], depths, config, device)[1]
     return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement)
 
 
-def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device,
-                 photos) -> dict[str, EffectCost]:
+def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device, photos,
+                 progress=None) -> dict[str, EffectCost]:
     """Steps of one view with each effect on and off, the others as decided."""
     from pagas_cl.splat.step_time import time_step
 
@@ -115,11 +116,14 @@ def effect_costs(target, contexts, depth, config: Config, measured: Measurements
             known[settled] = time_step(target, contexts, depth, settled, device, photos)
         return known[settled].view_seconds(settled), known[settled].device_bytes
 
-    for name in RULES:
-        if getattr(config.effects, name) == "set":
-            continue
+    names = [name for name in RULES if getattr(config.effects, name) != "set"]
+    for done, name in enumerate(names):
+        if progress:
+            progress("time the effects", done, len(names))
         on, off = (cost(decide(_with(config, name, choice), measured)[0]) for choice in ("on", "off"))
         costs[name] = EffectCost(on[0], off[0], on[1] - off[1])
+    if progress:
+        progress("time the effects", len(names), len(names))
     return costs
 
 

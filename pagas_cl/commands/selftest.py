@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import sys
+from itertools import count
 
 import typer
 
@@ -15,14 +17,17 @@ def command(
     from pagas_cl.errors import PagasError
     from pagas_cl.runtime.device import open_device
     from pagas_cl.selftest import run_all
+    from pagas_cl.selftest.table import CASES
 
     opened = open_device(device)
-    sys.stdout.write(f"{opened.info}\n{'case':<48}{'blend':<12}{'tolerance':>10}{'worst':>11}\n")
-    outcomes = run_all(opened, _tell)
+    logging.getLogger("pagas_cl").setLevel(logging.WARNING)     # plans of views would part the table
+    tell = _told_of(sum(len(case.blends) for case in CASES))
+    sys.stdout.write(f"{opened.info}\n{'':>9}{'case':<48}{'blend':<12}{'tolerance':>10}{'worst':>11}\n")
+    outcomes = run_all(opened, tell)
     if large:
         from pagas_cl.selftest.large import run_large
 
-        outcomes += run_large(opened, _tell)
+        outcomes += run_large(opened, tell)
     failed = [outcome for outcome in outcomes if not outcome.ok]
     sys.stdout.write(f"{len(outcomes)} runs of {len({o.case.name for o in outcomes})} cases, {len(failed)} failed\n")
     if failed:
@@ -30,8 +35,16 @@ def command(
                          "results from this device; update its driver, or choose another (pagas-cl devices)")
 
 
-def _tell(outcome) -> None:
-    case = outcome.case
-    sys.stdout.write(f"{case.name:<48}{outcome.blend:<12}{case.tolerance:>10.0e}{outcome.worst:>11.1e}  "
-                     f"{'ok' if outcome.ok else 'FAILED: ' + '; '.join(outcome.faults)}\n")
-    sys.stdout.flush()
+def _told_of(total: int):
+    """What writes a line for each outcome: which of the `total` small ones it is; large ones come after them."""
+    numbers = count(1)
+
+    def tell(outcome) -> None:
+        case, number = outcome.case, next(numbers)
+        place = f"{number}/{total}" if number <= total else "large"
+        verdict = "ok" if outcome.ok else "FAILED: " + "; ".join(outcome.faults)
+        sys.stdout.write(f"{place:<9}{case.name:<48}{outcome.blend:<12}{case.tolerance:>10.0e}{outcome.worst:>11.1e}  "
+                         f"{verdict}\n")
+        sys.stdout.flush()
+
+    return tell
