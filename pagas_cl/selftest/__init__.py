@@ -5,11 +5,12 @@ from pagas_cl.selftest.check import (
                                      Outcome,
                                      device_gradient,
                                      difference,
+                                     given_surface,
                                      normalized,
                                      run_all,
                                      run_case,
                                      twin_gradient,
 )
 
-__all__ = ["BLENDS", "Case", "Outcome", "config_of", "device_gradient", "difference", "normalized", "run_all",
-           "run_case", "twin_gradient"]
+__all__ = ["BLENDS", "Case", "Outcome", "config_of", "device_gradient", "difference", "given_surface", "normalized",
+           "run_all", "run_case", "twin_gradient"]

@@ -110,6 +110,13 @@ def twin_gradient(scene: HardScene, config: Config, initial, at, unit, more: flo
     return gradient, value
 
 
+def given_surface(scene: HardScene):
+    """The initial depth as float32, as a refinement gives back what it leaves, and where it is a surface."""
+    with np.errstate(over="ignore"):
+        given = np.asarray(scene.depth).astype(np.float32)
+    return given, (given > 0) & (given < np.inf)
+
+
 def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> list[str]:
     """A few steps of a whole refinement, twice."""
     from pagas_cl.splat import refine_levels
@@ -117,9 +124,7 @@ def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> 
     steps = {key: value for key, value in STEPS.items() if key not in case.settings}
     config = config.with_settings(**steps)
     first, second = (refine_levels(scene.target, scene.contexts, scene.depth, config, device) for _ in range(2))
-    with np.errstate(over="ignore"):
-        given, faults = np.asarray(scene.depth).astype(np.float32), []
-    surface = (given > 0) & (given < np.inf)
+    (given, surface), faults = given_surface(scene), []
     for name in ("depth", "status", "deviation", "parallax"):
         if getattr(first, name).tobytes() != getattr(second, name).tobytes():
             faults.append(f"a second refinement gives another {name}")

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
 from pagas_cl.scene.view import View  # noqa: E402
-from pagas_cl.selftest import BLENDS, device_gradient, difference, normalized, twin_gradient  # noqa: E402
+from pagas_cl.selftest import BLENDS, device_gradient, difference, given_surface, normalized, twin_gradient  # noqa: E402
 from pagas_cl.selftest import scenes as make  # noqa: E402
 from pagas_cl.splat import refine_levels  # noqa: E402
 
@@ -130,10 +130,10 @@ def keep_promises(scene, config, device):
     """Finite, no surface made or lost, what was not refined keeps its bits, and a second run gives the same."""
     result, again = (refine_levels(scene.target, scene.contexts, scene.depth, config, device) for _ in range(2))
     assert result.depth.tobytes() == again.depth.tobytes() and result.status.tobytes() == again.status.tobytes()
-    valid = normalized(scene)[0] > 0
+    start, surface = given_surface(scene)
     assert np.isfinite(result.depth).all()
     assert not np.isnan(result.deviation).any() and not np.isnan(result.parallax).any()
-    assert ((result.status > 0) == valid).all()
-    assert (result.depth[valid] > 0).all()
-    kept = valid & (result.status != 1)
-    assert (result.depth[kept] == scene.depth[kept].astype(np.float32)).all()
+    assert ((result.status > 0) == surface).all()
+    assert (result.depth[surface] > 0).all() and not result.depth[~surface].any()
+    kept = surface & (result.status != 1)
+    assert (result.depth[kept] == start[kept]).all()
