@@ -230,6 +230,7 @@ def fuse_results(views: list[View], results: list[DepthResult], config: Config, 
     from pagas_cl.consistency import Later, decide_consistency, device_for
     from pagas_cl.surface.agree import confirmed
     from pagas_cl.surface.blocks import fuse_within
+    from pagas_cl.surface.weights import weights_of
 
     device, by_camera = device_for(device), {id(result.camera): result for result in results}
     used = [view for view in views if id(view.camera) in by_camera]
@@ -244,7 +245,8 @@ def fuse_results(views: list[View], results: list[DepthResult], config: Config, 
     agreed = confirmed(cameras, depths, config.fusion, device=device)
     files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
     elsewhere = executor if files and hasattr(executor, "map") else None
-    return fuse_within(used, agreed, config.fusion, memory_mb, progress=progress, executor=elsewhere, folder=folder)
+    return fuse_within(used, agreed, config.fusion, memory_mb, weights=weights_of(results, config.fusion.least_weight),
+                       progress=progress, executor=elsewhere, folder=folder)
 
 
 def _config(preset: str, config) -> Config:

@@ -315,6 +315,9 @@ class Fusion:
         Before fusion keep only depths that this many other views confirm; 0 keeps all.
     agree_pixels : float
         What "confirm" means: within this many pixels of parallax.
+    least_weight : float
+        What a depth counts, in thirds, however unsure it is: below 1 depths are weighted by their confidence, at 0 those
+        that no photo speaks for are left out. A view that is sure then counts three times for `min_views`.
     min_component : float
         Pieces with fewer triangles than this share of the largest one are dropped; 0 keeps all.
     """
@@ -324,12 +327,14 @@ class Fusion:
     min_views: int = 1
     agree_views: int = 0
     agree_pixels: float = 2.0
+    least_weight: float = 1.0
     min_component: float = 0.05
 
     def __post_init__(self):
         _check("fusion", voxel=_within(self.voxel, 0.05, 1000), truncation=_within(self.truncation, 1, 100),
                min_views=_whole(self.min_views, 1, 1000), agree_views=_whole(self.agree_views, 0, 1000),
-               agree_pixels=_within(self.agree_pixels, 0, 1e6), min_component=_within(self.min_component, 0, 1))
+               agree_pixels=_within(self.agree_pixels, 0, 1e6), least_weight=_within(self.least_weight, 0, 1),
+               min_component=_within(self.min_component, 0, 1))
 
 
 @dataclass(frozen=True)

@@ -195,6 +195,24 @@ def test_weights(scene):
         fuse(views, depths, weights=[np.ones((2, 2)), None, None])
 
 
+def test_unsure_depths_count_less_where_that_is_asked_for(scene):
+    """`fusion.least_weight`: a map that is off, and known to be unsure, has less to say, or nothing."""
+    from pagas_cl.config import preset
+    from pagas_cl.refine import fuse_results
+    from pagas_cl.result import REFINED, DepthResult
+
+    views, depths = scene
+    results = [DepthResult(view.camera, depth + np.float32(0.03 * (k == 1)) * (depth > 0),
+                           np.full(depth.shape, REFINED, np.uint8), np.full_like(depth, np.inf if k == 1 else 1e-4),
+                           np.full_like(depth, 0.1)) for k, (view, depth) in enumerate(zip(views, depths))]
+    bias = []
+    for least in (1.0, 0.3, 0.0):
+        mesh = fuse_results(views, results, preset("balanced").with_settings(fusion__least_weight=least,
+                                                                             effects__consistency="off"))
+        bias.append(np.abs((mesh.vertices @ NORMAL)[(np.abs(mesh.vertices) < 0.5).all(1)]).mean())
+    assert bias[1] < 0.6 * bias[0] and bias[2] < 0.6 * bias[1]
+
+
 def test_progress_and_interruption(scene):
     views, depths = scene
     calls = []

@@ -80,7 +80,7 @@ def command(
                                     lambda config: apply_settings(config, settings, **more))
         results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
                                progress=progress, on_view=page and _Pictures(page),
-                               extras=page is not None or keep_mesh)
+                               extras=page is not None or keep_mesh or config.fusion.least_weight < 1)
         if output is not None and keep_mesh:
             write_whole(output, displaced_mesh(mesh, found.views, depths, results, config, subdivide))
         elif output is not None:

@@ -35,6 +35,8 @@ FUSION = {
     "fusion.agree_views = 1000": dict(agree_views=1000),
     "fusion.agree_views = 1, agree_pixels = 0": dict(agree_views=1, agree_pixels=0.0),
     "fusion.agree_views = 1, agree_pixels = 1e6": dict(agree_views=1, agree_pixels=1e6),
+    "fusion.least_weight = 0": dict(least_weight=0.0),
+    "fusion.least_weight = 1": dict(least_weight=1.0),
     "fusion.min_component = 0": dict(min_component=0.0),
     "fusion.min_component = 1": dict(min_component=1.0),
 }
@@ -74,11 +76,17 @@ def test_fusion_at_its_limit(made, name):
     from pagas_cl.surface.agree import confirmed
     from pagas_cl.surface.blocks import fuse_within
 
+    from pagas_cl.result import DepthResult
+    from pagas_cl.surface.weights import weights_of
+
     views, depths = made
     settings = with_values("fusion", FUSION[name]).fusion
+    sure = [DepthResult(view.camera, depth, (depth > 0).astype(np.uint8), *[depth * np.float32(1e-3)] * 2)
+            for view, depth in zip(views, depths)]
     # A voxel of 1000 footprints is larger than the scene; 500 MB are less than a truncation of 100 voxels takes.
     try:
-        surface = fuse_within(views, confirmed([view.camera for view in views], depths, settings), settings, 500.0)
+        surface = fuse_within(views, confirmed([view.camera for view in views], depths, settings), settings, 500.0,
+                              weights=weights_of(sure, settings.least_weight))
     except InputError as error:
         assert name in REFUSED, error
         assert "fusion" in str(error) or "depth" in str(error)
