@@ -1,7 +1,7 @@
 """The command line: finds the command, runs it, and turns what went wrong into an exit status and one sentence.
 
-Exit status: 0 done; 2 bad input, bad usage, or an optional package or an OpenCL device that is missing; 1 anything else;
-130 interrupted.
+Exit status: 0 done; 2 bad input, bad usage, or an optional package or an OpenCL device that is missing; 1 anything
+else; 130 interrupted.
 """
 
 from __future__ import annotations

@@ -60,8 +60,8 @@ class Reading:
 class CameraReport:
     """What `check_cameras` found.
 
-    `ok`: the cameras as given see the mesh and are the best reading; `sentence`: what is wrong and what mends it, or that nothing is;
-    `half_pixel`: what the photos say about pixel centres; `readings`: as given first.
+    `ok`: the cameras as given see the mesh and are the best reading; `sentence`: what is wrong and what mends it, or
+    that nothing is; `half_pixel`: what the photos say about pixel centres; `readings`: as given first.
     """
 
     ok: bool
@@ -135,8 +135,8 @@ def check_views(mesh, cams: list[Camera], views: list[View] | None, most: int = 
     checks = tuple(ViewCheck(camera.name or f"view {i}", float(f), float(n))
                    for i, (camera, f, n) in enumerate(zip(cams, given.front, given.inside)))
     best = _best(readings)
-    return CameraReport(best is readings[0] and best.seeing > 0, _sentence(readings, best, len(cams)), _half_pixel(readings),
-                        best.name, readings, checks)
+    return CameraReport(best is readings[0] and best.seeing > 0, _sentence(readings, best, len(cams)),
+                        _half_pixel(readings), best.name, readings, checks)
 
 
 class _Trial:

@@ -316,8 +316,8 @@ class Fusion:
     agree_pixels : float
         What "confirm" means: within this many pixels of parallax.
     least_weight : float
-        What a depth counts, in thirds, however unsure it is: below 1 depths are weighted by their confidence, at 0 those
-        that no photo speaks for are left out. A view that is sure then counts three times for `min_views`.
+        What a depth counts, in thirds, however unsure it is: below 1 depths are weighted by their confidence, at 0
+        those that no photo speaks for are left out. A view that is sure then counts three times for `min_views`.
     min_component : float
         Pieces with fewer triangles than this share of the largest one are dropped; 0 keeps all.
     """

@@ -19,8 +19,8 @@ def check_source(mesh, depth_dir, what: str) -> None:
 def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None) -> list:
     """Initial depth of every view, from the mesh or from files; None for a view without a file.
 
-    With a folder for the run they stay on disk, and what stands for them is given instead. The views `names` must have a
-    file.
+    With a folder for the run they stay on disk, and what stands for them is given instead. The views `names` must
+    have a file.
     """
     from pagas_cl.jobs.finished import work_folder
     from pagas_cl.jobs.store import DepthFile, Store
@@ -50,8 +50,8 @@ def _tell_missing(depth_dir, without, names) -> None:
     """Refuse a view that was asked for and has no depth map; name the others."""
     asked = [view for view in without if names and view.name in names]
     if asked:
-        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the view {asked[0].name!r}, which was asked "
-                         f"for, expected for instance {asked[0].stem}.npz")
+        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the view {asked[0].name!r}, which was "
+                         f"asked for, expected for instance {asked[0].stem}.npz")
     if without and not names:
         log.warning("%d views have no depth map in %s and serve as context views only: %s", len(without), depth_dir,
                     ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))

@@ -187,8 +187,8 @@ def _tell(results, save_depth, report) -> None:
         for name, number in result.counts.items():
             total[name] = total.get(name, 0) + number
     kept = sum(bool(result.reason) for result in results)
-    log.info("%d view%s%s; pixels: %s", len(results), "" if len(results) == 1 else "s", f", {kept} of them kept as they came" if kept else "",
-             ", ".join(f"{number:,} {name}" for name, number in total.items()))
+    log.info("%d view%s%s; pixels: %s", len(results), "" if len(results) == 1 else "s",
+             f", {kept} of them kept as they came" if kept else "", ", ".join(f"{number:,} {name}" for name, number in total.items()))
     if save_depth is not None:
         log.info("depth maps: %s", save_depth)
     if report is not None:

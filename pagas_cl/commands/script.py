@@ -67,8 +67,8 @@ def _check_kind(pymeshlab, output: Path) -> None:
         try:
             meshes.save_current_mesh(str(Path(aside) / f"a{output.suffix}"))
         except pymeshlab.PyMeshLabException as error:
-            raise InputError(f"--output {str(output)!r}: pymeshlab writes no {output.suffix!r} files, expected .ply, .obj, "
-                             ".stl, .off, ... or .mlp") from error
+            raise InputError(f"--output {str(output)!r}: pymeshlab writes no {output.suffix!r} files, expected .ply, "
+                             ".obj, .stl, .off, ... or .mlp") from error
 
 
 def _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside):

@@ -16,8 +16,8 @@ from pagas_cl.scene.partners import Partners
 from pagas_cl.scene.view import View
 
 # What a refined depth map depends on. Choosing partners is left out: they are named in the key.
-_CODE = ("scene", "runtime", "splat", "cl_kernels", "refine.py", "stages.py", "effects.py", "measurements.py", "harm.py",
-         "result.py")
+_CODE = ("scene", "runtime", "splat", "cl_kernels", "refine.py", "stages.py", "effects.py", "measurements.py",
+         "harm.py", "result.py")
 _OTHER_SETTINGS = ("context", "fusion")
 
 

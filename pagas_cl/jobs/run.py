@@ -156,7 +156,8 @@ class Run:
 
     def _give_up(self, record: Record) -> None:
         times = len(self._errors.get(record.name, ())) or TRIES
-        log.error("view %s has failed%s and is left out: %s", record.name, f" {times} times" if times > 1 else "", record.error)
+        log.error("view %s has failed%s and is left out: %s", record.name, f" {times} times" if times > 1 else "",
+                  record.error)
         self._given_up += 1
         if self._given_up >= HOPELESS and not self._done:
             kind = InputError if record.bad_input else PagasError

@@ -36,13 +36,14 @@ def warped(depth, target, context, z_first, delta, unit):
     x, y = np.where(inside, u, 0).astype(int), np.where(inside, v, 0).astype(int)
     right, below = np.minimum(x + 1, width - 1), np.minimum(y + 1, height - 1)
     a, b = np.where(inside, u, 0) - x, np.where(inside, v, 0) - y
-    near = z_first[np.floor(np.where(inside, v, 0) + 0.5).astype(int), np.floor(np.where(inside, u, 0) + 0.5).astype(int)]
+    near = z_first[tuple(np.floor(np.where(inside, at, 0) + 0.5).astype(int) for at in (v, u))]
     inside &= p.z <= near + delta
     if context.mask is not None:
         inside &= context.mask[y, x] & context.mask[y, right] & context.mask[below, x] & context.mask[below, right]
     g00, g10, g01, g11 = photo[y, x], photo[y, right], photo[below, x], photo[below, right]
     value = (1 - b) * ((1 - a) * g00 + a * g10) + b * ((1 - a) * g01 + a * g11)
-    slope = ((1 - b) * (g10 - g00) + b * (g11 - g01)) * p.m_d[:, 0] + ((1 - a) * (g01 - g00) + a * (g11 - g10)) * p.m_d[:, 1]
+    slope = (((1 - b) * (g10 - g00) + b * (g11 - g01)) * p.m_d[:, 0]
+             + ((1 - a) * (g01 - g00) + a * (g11 - g10)) * p.m_d[:, 1])
     return value.reshape(depth.shape), slope.reshape(depth.shape), inside.reshape(depth.shape)
 
 
@@ -146,7 +147,8 @@ def refuse(initial, refined, status, growth):
 
 def feather(initial, refined, status):
     """Depths after `decide`: refined ones move less towards what was sent back, over 7x7 pixels."""
-    share = _patch_sum((status == REFINED) * 1.0, 3) / np.maximum(_patch_sum(np.isin(status, (REFINED, REJECTED)) * 1.0, 3), 1)
+    judged = _patch_sum(np.isin(status, (REFINED, REJECTED)) * 1.0, 3)
+    share = _patch_sum((status == REFINED) * 1.0, 3) / np.maximum(judged, 1)
     moved = initial + np.clip(2 * share - 1, 0, 1) * (refined - initial)
     return np.where(status == REFINED, moved, initial)
 

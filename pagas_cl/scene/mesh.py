@@ -99,7 +99,8 @@ def read_mesh(path) -> Surface:
     """Read a mesh file (.ply, .obj, .stl, .off, .glb ...) through Open3D."""
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"mesh {str(path)!r} " + ("is a folder, expected a file" if path.is_dir() else "does not exist"))
+        raise InputError(f"mesh {str(path)!r} "
+                         + ("is a folder, expected a file" if path.is_dir() else "does not exist"))
     o3d = need("open3d", "mesh", "reading a mesh file")
     check_claims(path)
     try:

@@ -17,7 +17,8 @@ from hypothesis import HealthCheck, given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
 from pagas_cl.scene.view import View  # noqa: E402
-from pagas_cl.selftest import BLENDS, device_gradient, difference, given_surface, normalized, twin_gradient  # noqa: E402
+from pagas_cl.selftest import (BLENDS, device_gradient, difference, given_surface, normalized,  # noqa: E402
+                               twin_gradient)
 from pagas_cl.selftest import scenes as make  # noqa: E402
 from pagas_cl.splat import refine_levels  # noqa: E402
 
