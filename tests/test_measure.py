@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pyopencl as cl
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from kernel_cases import Scene, view_of
 
 from pagas_cl.config import BALANCED
@@ -204,3 +206,10 @@ def test_noise_and_texture_equal_the_twin(device, noise):
     want = noise_and_texture(view.load_image())
     assert got[0] == pytest.approx(want[0], abs=0.6 * 1.4826 / 6**0.5 / 765)    # a median of whole numbers
     assert got[1] == pytest.approx(want[1], abs=0.02)
+
+
+@given(st.integers(1, 1 << 20), st.integers(1, 1 << 20))
+def test_samples_fit_their_buffers_whatever_the_shape(width, height):
+    grid = exposure.Grid.over(Size(width, height))
+    assert 1 <= grid.count <= 2 * exposure.MOST_SAMPLES
+    assert (grid.across - 1) * grid.stride < width and (grid.down - 1) * grid.stride < height

@@ -25,8 +25,8 @@ class Grid:
 
     @classmethod
     def over(cls, size) -> Grid:
-        """At most about MOST_SAMPLES, never twice as many."""
-        stride = max(1, ceil(sqrt(size.pixels / MOST_SAMPLES)))
+        """At most about MOST_SAMPLES, never more than twice as many, however narrow the image."""
+        stride = max(ceil(sqrt(size.pixels / MOST_SAMPLES)), ceil(max(size.width, size.height) / (2 * MOST_SAMPLES)), 1)
         return cls(stride, -(-size.width // stride), -(-size.height // stride))
 
     @property
