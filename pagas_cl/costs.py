@@ -20,7 +20,7 @@ import numpy as np
 from pagas_cl.config import Config, Context, preset
 from pagas_cl.errors import InputError
 from pagas_cl.scene.choice import ContextChooser
-from pagas_cl.scene.partners import WITNESSES
+from pagas_cl.scene.partners import WITNESSES, shared_out
 from pagas_cl.scene.sampling import sample_depth
 
 log = logging.getLogger("pagas_cl")
@@ -171,14 +171,12 @@ class Costs:
 
     def seconds(self, config: Config) -> float:
         """Expected mean time per view, with the effects that the probed view calls for."""
-        contexts = self.chosen[:config.context.number]
+        contexts, witnesses = shared_out(self.chosen, config.context.number)
         settled = self._settled(config, contexts)
         kind = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(1,), solver__views_per_step=1,
                                     solver__rate=1.0, solver__final_rate=1.0, solver__patience=0)
         if kind not in self._known:
-            spare = self.chosen[config.context.number:]
-            self._known[kind] = probe(self.target, contexts, self.depth, kind, self.device,
-                                      witnesses=spare)
+            self._known[kind] = probe(self.target, contexts, self.depth, kind, self.device, witnesses=witnesses)
         cost = self._known[kind]
         photos = self._photos(config.context.number)
         return float(np.mean([cost.seconds(settled, pixels, len(contexts), photos) for pixels in self.pixels]))

@@ -46,6 +46,12 @@ def for_planning(depth, views: int):
     return depth if depth is None or views <= _MANY or isinstance(depth, DepthSample) else sample_depth(depth)
 
 
+def shared_out(usable, number: int):
+    """Of usable views, most useful first: the context views, at most `number`, and the witnesses."""
+    used = min(number, len(usable) - 1 if len(usable) >= SPARE_ONE else len(usable))
+    return usable[:used], usable[used:number + WITNESSES]
+
+
 class PartnerChooser:
     """Chooses for one target after another; parameters as in ContextChooser."""
 
@@ -58,6 +64,4 @@ class PartnerChooser:
     def choose(self, target: int) -> Partners:
         """Partners of the view `target`."""
         choice = self._chooser.choose(target)
-        number = len(choice.indices)
-        used = min(self._number, number - 1 if number >= SPARE_ONE else number)
-        return Partners(target, choice.indices[:used], choice.indices[used:], choice.reason)
+        return Partners(target, *shared_out(choice.indices, self._number), choice.reason)
