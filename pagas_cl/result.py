@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from pagas_cl.scene.camera import Camera
-
-NO_SURFACE, REFINED, KEPT, REJECTED = range(4)
+from pagas_cl.scene.depthmap import surface_depth
+from pagas_cl.scene.status import KEPT, NO_SURFACE, REFINED, REJECTED
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class DepthResult:
     @classmethod
     def unrefined(cls, camera: Camera, depth: np.ndarray, reason: str, report: dict | None = None) -> DepthResult:
         """The input as it came, with the reason."""
-        depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
+        depth = surface_depth(np.asarray(depth))
         status = np.where(depth > 0, KEPT, NO_SURFACE).astype(np.uint8)
         deviation = np.where(depth > 0, np.inf, 0).astype(np.float32)
         return cls(camera, depth, status, deviation, np.zeros_like(depth), reason, report or {})

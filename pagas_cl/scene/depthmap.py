@@ -76,6 +76,15 @@ def load_depth(path, size: tuple[int, int] | None = None, *, scale: float | None
     return depth if size is None else resize_depth(depth, *size)
 
 
+def surface_depth(depth: np.ndarray) -> np.ndarray:
+    """A copy as float32, 0 where there is no surface: 0, negative, not finite, or too large for float32."""
+    with np.errstate(over="ignore"):
+        depth = depth.astype(np.float32)
+    bits = depth.view(np.uint32)
+    bits *= (depth > 0) & (depth < np.inf)      # times 0 or 1, on the bits: NaN and infinity end too
+    return depth
+
+
 def clean_depth(values, who: str = "depth map") -> np.ndarray:
     """Depth as (H, W) float32 with what is not finite, or below 0, set to 0 (and counted in the log)."""
     values = np.asarray(values)

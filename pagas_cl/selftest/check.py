@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pagas_cl.config import Config
+from pagas_cl.scene.status import NO_SURFACE, REFINED
 from pagas_cl.selftest.case import BOTH, Case, config_of
 from pagas_cl.selftest.scenes import HardScene
 from pagas_cl.selftest.table import CASES
@@ -112,9 +113,10 @@ def twin_gradient(scene: HardScene, config: Config, initial, at, unit, more: flo
 
 def given_surface(scene: HardScene):
     """The initial depth as float32, as a refinement gives back what it leaves, and where it is a surface."""
-    with np.errstate(over="ignore"):
-        given = np.asarray(scene.depth).astype(np.float32)
-    return given, (given > 0) & (given < np.inf)
+    from pagas_cl.scene.depthmap import surface_depth
+
+    given = surface_depth(np.asarray(scene.depth))
+    return given, given > 0
 
 
 def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> list[str]:
@@ -130,14 +132,14 @@ def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> 
             faults.append(f"a second refinement gives another {name}")
     if not np.isfinite(first.depth).all() or np.isnan(first.deviation).any() or np.isnan(first.parallax).any():
         faults.append("the refined depth is not finite")
-    if ((first.status > 0) != surface).any():
+    if ((first.status != NO_SURFACE) != surface).any():
         faults.append("the refinement made or lost a surface")
     if (first.depth[surface] <= 0).any() or first.depth[~surface].any():
         faults.append("a refined depth is not above 0, or one without a surface is not 0")
-    kept = surface & (first.status != 1)
+    kept = surface & (first.status != REFINED)
     if (first.depth[kept] != given[kept]).any():
         faults.append("a pixel that was not refined did not keep its bits")
-    if case.still and (first.status == 1).any():
+    if case.still and (first.status == REFINED).any():
         faults.append("a pixel without parallax moved")
     return faults
 

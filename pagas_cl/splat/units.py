@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from pagas_cl.scene.depthmap import surface_depth
+from pagas_cl.scene.status import REFINED
+
 NEAR = 1e-3               # units, as in constants.clh
 FAR = 1e6
 MEDIAN_SAMPLES = 65536
@@ -18,7 +21,7 @@ def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.nda
     Depths outside NEAR to FAR units, masked out or not finite have no Gaussian.
     """
     depth = depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32)
-    valid = _surface(depth)
+    valid = (depth > 0) & (depth < np.inf)
     if mask is not None:
         valid &= mask
     unit = _unit(depth, valid)
@@ -32,11 +35,9 @@ def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.nda
 def scene_depth(refined: np.ndarray, unit: float, status: np.ndarray, given: np.ndarray) -> np.ndarray:
     """Scene units again, in place of `refined`; a depth that was not refined comes back with the bits that it came
     with, 0 = no surface."""
-    new = status == 1
+    new = status == REFINED
     refined *= np.float32(unit)
-    with np.errstate(over="ignore"):
-        given = given.astype(np.float32)
-    kept = _only(_surface(given) & ~new, given)
+    kept = _only(~new, surface_depth(given))
     _bits(_only(new, refined))[...] |= _bits(kept)
     return refined
 
@@ -46,10 +47,6 @@ def depth_range(normalized: np.ndarray) -> float:
     # positive floats have the order of their bits; that of no surface, 0 - 1, is the last
     nearest = (_bits(normalized) - np.uint32(1)).min(keepdims=True) + np.uint32(1)
     return (normalized.max() - nearest.view(np.float32)).item()
-
-
-def _surface(depth: np.ndarray) -> np.ndarray:
-    return (depth > 0) & (depth < np.inf)
 
 
 def _only(mask: np.ndarray, depth: np.ndarray) -> np.ndarray:

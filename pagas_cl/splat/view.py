@@ -9,6 +9,7 @@ import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.scene.rig import distance_unit
+from pagas_cl.scene.status import KEPT, NO_SURFACE
 from pagas_cl.splat.budget import FOR_EVIDENCE, plan_for
 from pagas_cl.splat.evidence import Doubt, Evidence
 from pagas_cl.splat.level import Level, LevelInput
@@ -211,8 +212,8 @@ class _Run:
         judged = witnesses.medians() if witnesses else None
         level.release()
         depth = scene_depth(refined, self.unit, verdict.status, self.depth)
-        aside = (verdict.status == 0) & (depth > 0)         # a surface without a Gaussian, masked out for instance
-        verdict.status[aside], verdict.deviation[aside] = 2, np.inf
+        aside = (verdict.status == NO_SURFACE) & (depth > 0)         # a surface without a Gaussian, masked out for instance
+        verdict.status[aside], verdict.deviation[aside] = KEPT, np.inf
         return Refinement(depth, verdict.status, verdict.deviation, parallax,
                           (verdict.cost_before, verdict.cost_after), judged, steps, losses, self.device.memory.peak,
                           planned)
