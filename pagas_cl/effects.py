@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, fields, replace
 import numpy as np
 
 from pagas_cl.config import Config, Effects
-from pagas_cl.measurements import RULES, Measurements
+from pagas_cl.measurements import GLOSSY, RULES, Measurements
 from pagas_cl.stages import MOST_WEIGHT
 
 MOST_RAISED = 40.0       # times the weight of the smoothness
@@ -102,7 +102,7 @@ def _noise(config, decision, measured):
         return config
     factor = float(np.clip(measured.unexplained_everywhere**2, 1.0, MOST_RAISED)) if measured else 4.0
     return config.with_settings(smoothness__weight=min(config.smoothness.weight * factor, MOST_WEIGHT),
-                                smoothness__gloss=MOST_RAISED if measured and measured.residual > 0.009 else 0.0)
+                                smoothness__gloss=MOST_RAISED if measured and measured.residual > GLOSSY else 0.0)
 
 
 _SETTERS = {"occlusion": _occlusion, "unseen_mask": _unseen_mask, "exposure": _exposure,

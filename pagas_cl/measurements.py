@@ -11,6 +11,7 @@ from pagas_cl.config import Config
 NUMBER, MEAN, QUANTILE, MEAN_SQUARE = range(4)      # as in splat/summary.py
 _QUANTISATION = 0.0012   # noise that rounding to 8 bits alone leaves
 _MISALIGNED = 0.4        # pixels by which cameras may be off for colours to be compared through them
+GLOSSY = 0.009           # residual (0 to 1) that the default weight of the smoothness allows for
 _LEAST = 50              # samples from which a share or a median is taken
 
 # effect: (evidence, threshold, whether above it calls for the effect, what is measured)
@@ -80,7 +81,7 @@ class Measurements:
     @property
     def unexplained(self) -> float:
         """What the photos show that no depth explains, against what the default smoothness is made for."""
-        return max(self.unexplained_everywhere, min(self.residual, 0.1) / 0.009)
+        return max(self.unexplained_everywhere, min(self.residual, 0.1) / GLOSSY)
 
     @property
     def unexplained_everywhere(self) -> float:

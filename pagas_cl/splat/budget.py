@@ -9,12 +9,11 @@ from pagas_cl.config import Config
 from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.runtime.arena import total_bytes
 from pagas_cl.scene.camera import Camera
+from pagas_cl.splat.evidence import HISTOGRAM
 from pagas_cl.splat.state import Size, level_buffers, level_size, photo_bytes
 from pagas_cl.splat.tile import choose_tiles
 
 FOR_EVIDENCE = ("depth", "unit", "cameras", "exposure", "z_first", "rendered", "upstream")     # kept after the steps
-
-HISTOGRAM = 8192        # what evidence.py counts the witnesses' costs in
 
 log = logging.getLogger("pagas_cl")
 _told: set[Plan] = set()

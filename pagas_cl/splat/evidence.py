@@ -13,6 +13,7 @@ from pagas_cl.splat import project
 _SUM_GROUP, _SUM_GROUPS, _ONE = 64, 256, 2**20      # as in evidence.cl
 
 _BINS = 1024        # of 1 - correlation, as in evidence.cl
+HISTOGRAM = 8 * _BINS       # bytes that count them, before and after
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +104,9 @@ class Evidence:
     def medians(self) -> tuple[float, float]:
         """Median 1 - correlation before and after, over the pixels that are seen both times;
         NaN where there are none."""
-        counts = self._buffer(8 * _BINS)
+        counts = self._buffer(HISTOGRAM)
         run_once(self.level.device.queue, [
-            Fill(counts, np.uint32(0), 8 * _BINS),
+            Fill(counts, np.uint32(0), HISTOGRAM),
             bind(self.program, "count_costs", (self.level.target.pixels,), None, self._before, self._after,
                  self.level.target.pixels, counts)])
         before, after = self._read(counts, np.uint32).reshape(2, _BINS)
@@ -119,8 +120,7 @@ class Evidence:
         launches = [bind(self.program, "worse_costs", (size.pixels,), None, witnesses._before, witnesses._after,
                          size.pixels, one)]
         for _ in range(2):       # twice: nearer pixels count for more
-            launches += [bind(self.program, "sum_window", size.grid, None, source, 2, *size.grid, dx, dy, out)
-                         for source, dx, dy, out in ((one, 1, 0, other), (other, 0, 1, one))]
+            launches += self._sum_around(one, 2, other, one)
         launches.append(bind(self.program, "refuse", (size.pixels,), None, self._initial, level.arena["depth"],
                              size.pixels, one, status))
         run_once(level.device.queue, launches)
@@ -150,11 +150,15 @@ class Evidence:
 
     def _surroundings(self) -> cl.Buffer:
         """1 - correlation and views under the refined depth, summed over the surroundings of each pixel."""
-        size, (rows, around) = self.level.target, self._scratch()
-        run_once(self.level.device.queue, [
-            bind(self.program, "sum_window", size.grid, None, source, stride, size.width, size.height, dx, dy, out)
-            for source, stride, dx, dy, out in ((self._after, 3, 1, 0, rows), (rows, 2, 0, 1, around))])
+        rows, around = self._scratch()
+        run_once(self.level.device.queue, self._sum_around(self._after, 3, rows, around))
         return around
+
+    def _sum_around(self, values: cl.Buffer, stride: int, rows: cl.Buffer, sums: cl.Buffer) -> list:
+        """Two floats of each pixel, `stride` apart in `values`, summed over the surroundings: by rows, then columns."""
+        grid = self.level.target.grid
+        return [bind(self.program, "sum_window", grid, None, source, step, *grid, dx, dy, out)
+                for source, step, dx, dy, out in ((values, stride, 1, 0, rows), (rows, 2, 0, 1, sums))]
 
     def _scratch(self) -> list[cl.Buffer]:
         """Two buffers of two floats a pixel, of those that serve the steps."""
