@@ -49,7 +49,7 @@ def twin_evidence(scene: Scene, depth):
 
 
 def test_evidence_equals_the_twin(device):
-    scene = Scene.make(15, width=45, height=37, contexts=3, masks=True)
+    scene = Scene.make(17, width=45, height=37, contexts=3, masks=True)
     level = start_level(device, CONFIG, scene)
     judge = Evidence(level, [1, 2, 3], level.arena["depth"], DOUBT)
     judge.weigh_before()
@@ -64,17 +64,23 @@ def test_evidence_equals_the_twin(device):
     assert np.median(np.abs(got / np.maximum(want, 1e-12) - 1)[informed][:, 2]) < 1e-3
 
 
-def test_verdicts_equal_the_twin(device):
-    rng = np.random.default_rng(5)
-    scene = Scene.make(15, width=45, height=37, contexts=3, masks=True)
-    config = CONFIG.with_settings(solver__max_move=0.5, solver__mismatch=0.8, solver__tolerance=0.1)
+def entered_level(device, config, scene):
+    """A level that is ready for its steps, its unit and depth, and a buffer that keeps that depth."""
     level = start_level(device, config, scene)
     unit, initial = level.read("unit", scene.moved.shape), level.read("depth", scene.moved.shape)
     entered = device.memory.buffer(device.context, initial.nbytes)
     cl.enqueue_copy(device.queue, entered, initial)
+    return level, unit, initial, entered
+
+
+def test_verdicts_equal_the_twin(device):
+    rng = np.random.default_rng(5)
+    scene = Scene.make(17, width=45, height=37, contexts=3, masks=True)
+    config = CONFIG.with_settings(solver__max_move=0.5, solver__mismatch=0.8, solver__tolerance=0.1)
+    level, unit, initial, entered = entered_level(device, config, scene)
     judge = Evidence(level, [1, 2, 3], entered, Doubt(1.5, 0.2))
     judge.weigh_before()
-    refined = np.where(initial > 0, initial + rng.normal(0, 0.5, initial.shape) * unit, 0).astype(np.float32)
+    refined = np.where(initial > 0, initial + rng.normal(0, 0.3, initial.shape) * unit, 0).astype(np.float32)
     cl.enqueue_copy(device.queue, level.arena["depth"], refined)
     judge.weigh_after()
     before, after = (judge._read(e).reshape(*initial.shape, 3).astype(np.float64) for e in (judge._before, judge._after))
@@ -215,10 +221,7 @@ def test_verdicts_with_a_witness_equal_the_twin(device):
     rng = np.random.default_rng(5)
     scene = Scene.make(15, width=45, height=37, contexts=3, masks=True)
     config = CONFIG.with_settings(solver__max_move=2.0, solver__mismatch=0.8, solver__tolerance=0.1)
-    level = start_level(device, config, scene)
-    unit, initial = level.read("unit", scene.moved.shape), level.read("depth", scene.moved.shape)
-    entered = device.memory.buffer(device.context, initial.nbytes)
-    cl.enqueue_copy(device.queue, entered, initial)
+    level, unit, initial, entered = entered_level(device, config, scene)
     judge, witness = Evidence(level, [1, 2], entered), Evidence(level, [3], entered)
     for each in (judge, witness):
         each.weigh_before()
