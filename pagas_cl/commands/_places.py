@@ -1,4 +1,4 @@
-"""Folders that a command will write to, tried before the work and not after it."""
+"""Places that a command writes to: tried before the work, written whole after it."""
 
 from __future__ import annotations
 
@@ -21,6 +21,14 @@ def check_writable(option: str, folder: Path | None) -> None:
     finally:
         for path in made:
             path.rmdir()
+
+
+def write_file(path: Path, text: str) -> None:
+    """Write text beside its name and rename it; its folder is made."""
+    from pagas_cl.report.page import write_text
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, text)
 
 
 def _made(option: str, folder: Path) -> list[Path]:

@@ -9,7 +9,8 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.commands._places import check_writable
+from pagas_cl.commands._initial import check_source, initial_depths
+from pagas_cl.commands._places import check_writable, write_file
 
 MANY = ("--views", "--set", "--effect")
 COLUMNS = ["view", "effect", "evidence", "threshold", "decision", "what is measured"]
@@ -35,7 +36,6 @@ def command(
 ):
     """Measure what SCENE calls for; refines nothing. The decisions are those that refine takes."""
     from pagas_cl.analysis import analyze
-    from pagas_cl.commands._initial import check_source, initial_depths
     from pagas_cl.commands._settings import build_config, effect_settings
     from pagas_cl.report.page import write_text
     from pagas_cl.scene.readers import read_scene
@@ -53,8 +53,7 @@ def command(
     show(analysis)
     told = json.dumps(analysis.as_dict(), indent=1) + "\n"
     if output is not None:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        write_text(output, told)
+        write_file(output, told)
     if report is not None:
         report.mkdir(parents=True, exist_ok=True)
         write_text(report / "analysis.json", told)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from pathlib import Path
 
 import typer
 
-from pagas_cl.commands._places import check_writable
+from pagas_cl.commands._places import check_writable, write_file
 
 MANY = ("--preset", "--set")
 
@@ -36,7 +35,4 @@ def command(
         sys.stdout.write(result.table() + "\n")
         results.append(result.as_dict())
     if output:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        beside = output.with_name(output.name + ".part")
-        beside.write_text(json.dumps(results, indent=1) + "\n")
-        os.replace(beside, output)
+        write_file(output, json.dumps(results, indent=1) + "\n")

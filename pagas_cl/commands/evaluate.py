@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from pathlib import Path
 
 import typer
 
-from pagas_cl.commands._places import check_writable
+from pagas_cl.commands._places import check_writable, write_file
 from pagas_cl.errors import InputError
 
 
@@ -42,10 +41,7 @@ def command(
     for group, rows in figures.items():
         sys.stdout.write(_table(group, rows))
     if output is not None:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        part = output.with_name(output.name + ".part")
-        part.write_text(json.dumps(figures, indent=1))
-        os.replace(part, output)
+        write_file(output, json.dumps(figures, indent=1))
 
 
 def _depth_figures(folder, truth, scene, held_out, before, scale):

@@ -10,6 +10,7 @@ from shutil import rmtree
 import typer
 
 from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._initial import check_source, initial_depths
 from pagas_cl.commands._places import check_writable
 from pagas_cl.errors import InputError, PagasError, need
 
@@ -51,7 +52,6 @@ def command(
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
-    from pagas_cl.commands._initial import initial_depths
     from pagas_cl.commands._settings import apply_settings, build_config, effect_settings
     from pagas_cl.commands._time import check_times, config_in_time
     from pagas_cl.keep_mesh import displaced_mesh, write_whole
@@ -115,7 +115,6 @@ def _folder(save_depth, output) -> Path | None:
 
 def _check_request(mesh, depth_dir, output, save_depth, report, memory) -> None:
     """Refuse what cannot end well before any work is done."""
-    from pagas_cl.commands._initial import check_source
     from pagas_cl.scene.mesh_file import check_mesh_path
 
     check_source(mesh, depth_dir, "where the refinement starts")
@@ -188,7 +187,8 @@ def _tell(results, save_depth, report) -> None:
             total[name] = total.get(name, 0) + number
     kept = sum(bool(result.reason) for result in results)
     log.info("%d view%s%s; pixels: %s", len(results), "" if len(results) == 1 else "s",
-             f", {kept} of them kept as they came" if kept else "", ", ".join(f"{number:,} {name}" for name, number in total.items()))
+             f", {kept} of them kept as they came" if kept else "",
+             ", ".join(f"{number:,} {name}" for name, number in total.items()))
     if save_depth is not None:
         log.info("depth maps: %s", save_depth)
     if report is not None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._initial import check_source, initial_depths
 from pagas_cl.commands._places import check_writable
 from pagas_cl.errors import InputError
 
@@ -36,7 +37,6 @@ def command(
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Run a plan of settings on a sample of views: error, time and memory of each, and the front of the best."""
-    from pagas_cl.commands._initial import check_source, initial_depths
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.readers import read_scene
     from pagas_cl.tradeoffs import tradeoff
@@ -66,8 +66,6 @@ def command(
 
 def _truth(found, truth: Path, depth_scale, progress) -> list:
     """True depth of every view, from files or rendered from a mesh; None where there is no file."""
-    from pagas_cl.commands._initial import initial_depths
-
     if not truth.exists():
         raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
     mesh, folder = (None, truth) if truth.is_dir() else (truth, None)
