@@ -1,6 +1,5 @@
 """The demo's flow with a refinement that is faked, and the scene folder that it writes; then the real one."""
 
-import importlib.util
 import re
 import sys
 from types import ModuleType, SimpleNamespace
@@ -73,8 +72,6 @@ def test_demo_with_a_faked_refinement(tmp_path, capsys, monkeypatch):
 
 
 def test_demo_on_a_device(tmp_path):
-    if importlib.util.find_spec("pagas_cl.refine") is None:
-        pytest.skip("pagas_cl.refine is not there yet")
     from pagas_cl.demo import run_demo
 
     result = run_demo(tmp_path, width=200, height=150, contexts=4)

@@ -8,11 +8,9 @@ import pytest
 from kernel_cases import Scene, start_level
 
 from pagas_cl.config import BALANCED
-from pagas_cl.errors import DeviceError
 from pagas_cl.reference import evidence as twin
 from pagas_cl.reference.pairs import candidates, nearest_surface
 from pagas_cl.reference.project import project
-from pagas_cl.runtime.device import open_device
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.rig import footprint
 from pagas_cl.splat.evidence import _SUM_GROUP, _SUM_GROUPS, Doubt, Evidence, _median
@@ -20,14 +18,6 @@ from pagas_cl.splat.options import defines
 
 DOUBT = Doubt(1.5, 0.2, 0.05)
 CONFIG = BALANCED.with_settings(solver__views_per_step=0)
-
-
-@pytest.fixture(scope="module")
-def device():
-    try:
-        return open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
 
 
 def twin_evidence(scene: Scene, depth):
