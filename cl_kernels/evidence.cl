@@ -14,7 +14,7 @@
 #define NOISE (1.0f / 255.0f)        // of a photo: what a residual never falls below
 #define LEAST_POSSIBLE 0.3f          // below this a patch is all noise
 #define UNSEEN -1.0f
-#define CHANCE 0.01f                 // growth of 1 - correlation, mean over the surroundings, that says nothing
+#define CHANCE 0.02f                 // growth of 1 - correlation in a photo, mean around a pixel, that says nothing
 
 float grey_of(uchar4 p)
 {
@@ -161,8 +161,8 @@ __kernel void decide(__global const float *initial, __global float *depth, __glo
 
 #define SEAM 3                       // half the width of the surroundings that a seam spreads over
 
-// A refined depth moves all the way where everything around it is refined, and less towards what was sent back, so
-// that no seam is left between the two. (What no view sees was held in place all along.)
+// What was rejected goes back. A refined depth moves all the way where everything around it is refined, and less
+// towards what went back, so that no seam is left between the two. (What no view sees was held in place all along.)
 __kernel void feather(__global const float *initial, __global float *depth, __global const uchar *status, int width,
                       int height)
 {
@@ -170,6 +170,8 @@ __kernel void feather(__global const float *initial, __global float *depth, __gl
     if (column >= width || row >= height)
         return;
     const int i = row * width + column;
+    if (status[i] == REJECTED)
+        depth[i] = initial[i];
     if (status[i] != REFINED)
         return;
     float refined = 0.0f, all = 0.0f;
@@ -240,13 +242,10 @@ __kernel void worse_costs(__global const float *before, __global const float *af
     vstore2(known ? (float2)(is.x / is.y - was.x / was.y - CHANCE, 1.0f) : (float2)(0.0f), i, worse);
 }
 
-// A refined depth goes back to the initial one where the photos that took no part match worse around it.
-__kernel void refuse(__global const float *initial, __global float *depth, int count, __global const float *worse,
-                     __global uchar *status)
+// A refined depth is rejected where a photo that took no part matches worse around it.
+__kernel void refuse(int count, __global const float *worse, __global uchar *status)
 {
     const int i = get_global_id(0);
-    if (i >= count || status[i] != REFINED || !(worse[2 * i] > 0.0f))
-        return;
-    status[i] = REJECTED;
-    depth[i] = initial[i];
+    if (i < count && status[i] == REFINED && worse[2 * i] > 0.0f)
+        status[i] = REJECTED;
 }

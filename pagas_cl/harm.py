@@ -7,12 +7,15 @@ import numpy as np
 from pagas_cl.result import REFINED, REJECTED
 
 MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not to be trusted as a whole
-LEAST_GAIN, LEAST_GAIN_SHARE = 0.002, 0.01      # of 1 - correlation in photos that took no part: less may be chance
+LEAST_GAIN = 0.01        # of 1 - correlation in photos that took no part: less may be chance
 MISALIGNED = 0.2         # pixels; only photos that are off by more raise the question whether the cameras do harm
+ENOUGH = 3               # photos that took no part: cameras that are off agree by chance, n of them one time in 2^n
 
 
 def harm_of(refined, depth, contexts: int, witnesses, measured) -> str:
     """Why a refinement is not to be trusted as a whole; empty where it is.
+
+    Enough photos that took no part are a measurement; with fewer of them, what is likely to do harm counts too.
 
     Parameters
     ----------
@@ -25,6 +28,21 @@ def harm_of(refined, depth, contexts: int, witnesses, measured) -> str:
         The views that took no part.
     measured : Measurements or None
     """
+    seen = [(view.name, cost) for view, cost in zip(witnesses, refined.witnesses) if np.isfinite(cost).all()]
+    if len(seen) < ENOUGH and (doubt := _doubt(refined, depth, contexts, measured)):
+        return doubt
+    before, after = np.mean([cost for _, cost in seen], axis=0) if seen else refined.cost
+    judges = f"the photos that took no part ({', '.join(name for name, _ in seen)})" if seen else "the context photos"
+    told = f"through the refined depth (1 - correlation {before:.4f} before, {after:.4f} after)"
+    if np.isfinite(after) and np.isfinite(before) and after > before:
+        return f"{judges} match worse {told}"
+    if seen and before - after < LEAST_GAIN * before:
+        return f"{judges} do not match clearly better {told}"
+    return ""
+
+
+def _doubt(refined, depth, contexts: int, measured) -> str:
+    """What speaks for harm without looking at it: cameras that are off, and depths that were rejected."""
     off = measured.misaligned if measured else 0.0
     added = off / np.sqrt(contexts)          # to a depth, by cameras that are off independently of one another
     if off > MISALIGNED and (moved := _moved(refined, depth)) < 2 * added:
@@ -34,15 +52,6 @@ def harm_of(refined, depth, contexts: int, witnesses, measured) -> str:
     refused, accepted = (int(np.count_nonzero(refined.status == status)) for status in (REJECTED, REFINED))
     if refused > MOST_REFUSED * (refused + accepted):
         return f"the photos do not confirm the refined depth of {refused / (refused + accepted):.0%} of the pixels"
-    judged = refined.witness is not None and bool(np.isfinite(refined.witness).all())
-    before, after = refined.witness if judged else refined.cost
-    apart = ", ".join(view.name for view in witnesses)
-    judges = f"the photos that took no part ({apart})" if judged else "the context photos"
-    told = f"through the refined depth (1 - correlation {before:.4f} before, {after:.4f} after)"
-    if np.isfinite(after) and np.isfinite(before) and after > before:
-        return f"{judges} match worse {told}"
-    if judged and before - after < min(LEAST_GAIN, LEAST_GAIN_SHARE * before):
-        return f"{judges} do not match clearly better {told}"
     return ""
 
 

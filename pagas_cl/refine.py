@@ -87,9 +87,9 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
     depth : array_like of shape (H, W)
         Initial z-depth in scene units; 0, negative or not finite = no surface. Of the size of the target's photo.
     witnesses : sequence of View
-        Views that take no part. Where their photos match worse through the refined depth than through the initial one,
-        the initial one stays; where they do not match better on the whole, the view is returned as it came, with the
-        reason.
+        Views that take no part. Where one of their photos matches worse through the refined depth than through the
+        initial one, the initial one stays; where what is left does not match them better on the whole, the view is
+        returned as it came, with the reason.
     photos : PhotoStore, optional
         Photos that are on the device already.
     preset, config, device, progress
@@ -192,7 +192,7 @@ def refine_one(views, partners: Partners, depth, config: Config, device, photos)
 
 def settle(target: View, contexts: list[View], depth, config: Config, device, photos, *, entered=None):
     """Decide which effects this view calls for: the settings that follow, the decisions, and what they rest on."""
-    if all(choice in ("set", "off") for choice in vars(config.effects).values()):
+    if not config.effects.measured:
         return *decide(config, None), None
     measured = measure(target, contexts, depth, config, device, photos, entered=entered)
     config, decisions = decide(config, measured)
@@ -262,7 +262,7 @@ def _report(refined, decisions, contexts, witnesses, seconds: float) -> dict:
     """What DepthResult.report tells of a refinement."""
     return {"contexts": [view.name for view in contexts], "witnesses": [view.name for view in witnesses],
             "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
-            "witness_cost": refined.witness, "device_bytes": refined.device_bytes,
+            "witness_costs": refined.witnesses, "device_bytes": refined.device_bytes,
             "planned_bytes": refined.planned_bytes, "seconds": seconds}
 
 

@@ -361,6 +361,11 @@ class Effects:
     def __post_init__(self):
         _check("effects", **{f.name: _one_of(getattr(self, f.name), "auto", "on", "off", "set") for f in fields(self)})
 
+    @property
+    def measured(self) -> bool:
+        """Whether a view is measured for them; the consistency check rests on other measurements."""
+        return any(getattr(self, f.name) not in ("set", "off") for f in fields(self) if f.name != "consistency")
+
     @classmethod
     def every(cls, choice: str) -> Effects:
         """The same choice for all."""

@@ -42,7 +42,7 @@ def test_evidence_equals_the_twin(device):
     scene = Scene.make(17, width=45, height=37, contexts=3, masks=True)
     level = start_level(device, CONFIG, scene)
     judge = Evidence(level, [1, 2, 3], level.arena["depth"], DOUBT)
-    judge.weigh_before()
+    judge.weigh()
     got = judge._read(judge._before).reshape(*scene.moved.shape, 3)
     want, band = twin_evidence(scene, scene.moved)
     level.release()
@@ -69,12 +69,10 @@ def test_verdicts_equal_the_twin(device):
     config = CONFIG.with_settings(solver__max_move=0.5, solver__mismatch=0.8, solver__tolerance=0.1)
     level, unit, initial, entered = entered_level(device, config, scene)
     judge = Evidence(level, [1, 2, 3], entered, Doubt(1.5, 0.2))
-    judge.weigh_before()
     refined = np.where(initial > 0, initial + rng.normal(0, 0.3, initial.shape) * unit, 0).astype(np.float32)
     cl.enqueue_copy(device.queue, level.arena["depth"], refined)
-    judge.weigh_after()
-    before, after = (judge._read(e).reshape(*initial.shape, 3).astype(np.float64) for e in (judge._before, judge._after))
     verdict = judge.decide(initial.shape)
+    before, after = (judge._read(e).reshape(*initial.shape, 3).astype(np.float64) for e in (judge._before, judge._after))
     status, accepted = verdict.status, level.read("depth", initial.shape).astype(np.float64)
     level.release()
     feathered = twin.feather(initial.astype(np.float64), refined.astype(np.float64), status)
@@ -189,47 +187,51 @@ def test_refusal_equals_the_twin(kernels):
     rng = np.random.default_rng(4)
     height, width = shape = 37, 45
     status = rng.integers(0, 4, shape).astype(np.uint8)
-    initial, refined = (rng.uniform(1, 2, shape).astype(np.float32) for _ in range(2))
     growth = np.zeros(shape)
     growth[:, :12] = rng.normal(0, 0.3, (height, 12)) + np.where(np.arange(height) < 18, 0.1, -0.1)[:, None]
     pairs = np.stack([growth, growth != 0], axis=-1).astype(np.float32)
     for _ in range(2):
         for dx, dy in ((1, 0), (0, 1)):
             _, pairs = kernels("sum_window", (width, height), pairs, 2, width, height, dx, dy, np.zeros_like(pairs))
-    _, depth, _, got = kernels("refuse", (height * width,), initial, refined, height * width, pairs, status)
-    want_depth, want = twin.refuse(initial, refined, status, growth)
+    _, got = kernels("refuse", (height * width,), height * width, pairs, status)
     around = twin._patch_sum(twin._patch_sum(growth, twin.WINDOW), twin.WINDOW)
     sure = (np.abs(around) > 1e-3) | (around == 0)           # sums of 225^2 numbers in float32
     assert sure.mean() > 0.99
     assert ((around == 0) & (status == 1)).sum() > 50       # nothing is known near the last columns
     assert ((around > 0) & (status == 1)).sum() > 50 and ((around < 0) & (status == 1)).sum() > 50
-    assert (got == want)[sure].all() and (depth == want_depth)[sure].all()
+    assert (got == twin.refuse(status, growth))[sure].all()
 
 
-def test_verdicts_with_a_witness_equal_the_twin(device):
-    """The whole way: decided by two views, refused by a third one, feathered."""
+def test_verdicts_with_witnesses_equal_the_twin(device):
+    """The whole way: decided by two views, refused by either of two others, feathered, and judged by those."""
     rng = np.random.default_rng(5)
-    scene = Scene.make(15, width=45, height=37, contexts=3, masks=True)
+    scene = Scene.make(17, width=45, height=37, contexts=4, masks=True)
     config = CONFIG.with_settings(solver__max_move=2.0, solver__mismatch=0.8, solver__tolerance=0.1)
     level, unit, initial, entered = entered_level(device, config, scene)
-    judge, witness = Evidence(level, [1, 2], entered), Evidence(level, [3], entered)
-    for each in (judge, witness):
-        each.weigh_before()
+    judge, *witnesses = (Evidence(level, views, entered) for views in ([1, 2], [3], [4]))
     refined = np.where(initial > 0, initial + rng.normal(0, 0.5, initial.shape) * unit, 0).astype(np.float32)
+
+    def weighed(one):
+        one.weigh()
+        return [one._read(e).reshape(*initial.shape, 3).astype(np.float64) for e in (one._before, one._after)]
+
     cl.enqueue_copy(device.queue, level.arena["depth"], refined)
-    judge.weigh_after()
-    verdict = judge.decide(initial.shape, witness)
-    accepted = level.read("depth", initial.shape)
-    evidence = [[one._read(e).reshape(*initial.shape, 3).astype(np.float64) for e in (one._before, one._after)]
-                for one in (judge, witness)]
+    alone = twin.decide(initial, refined, unit, *weighed(judge), 2.0, 0.1, 0.8)
+    cl.enqueue_copy(device.queue, level.arena["depth"], np.where(alone == twin.REFINED, refined, initial))
+    grown = [twin.worse(*weighed(one)) for one in witnesses]
+    cl.enqueue_copy(device.queue, level.arena["depth"], refined)
+    verdict = judge.decide(initial.shape, witnesses)
+    accepted, judged = level.read("depth", initial.shape), [weighed(one) for one in witnesses]
     level.release()
-    alone = twin.decide(initial, refined, unit, *evidence[0], 2.0, 0.1, 0.8)
-    growth = twin.worse(*evidence[1])
-    _, want = twin.refuse(initial, refined, alone, growth)
-    assert (want != alone).sum() > 20 and (want == twin.REFINED).sum() > 20
-    assert (verdict.status == want).mean() > 0.999           # a sum next to 0 may fall either way
+    one, other = (twin.refuse(alone, growth) for growth in grown)
+    want = twin.refuse(one, grown[1])
+    assert (want == twin.REFINED).sum() > 20 and all((want != fewer).sum() > 10 for fewer in (alone, one, other))
+    assert (verdict.status == want).mean() > 0.998           # a sum next to 0 may fall either way
     feathered = twin.feather(initial.astype(np.float64), refined.astype(np.float64), verdict.status)
     assert np.abs(accepted - feathered).max() < 1e-6
+    for medians, (before, after) in zip(verdict.witnesses, judged, strict=True):
+        was, now, known = twin.costs(before, after)
+        assert medians == pytest.approx((np.median(was[known]), np.median(now[known])), abs=0.01)
 
 
 def _near(band):

@@ -67,6 +67,30 @@ def test_what_gets_worse_for_photos_that_took_no_part_goes_back(device):
     assert (judged.depth == initial)[judged.status == REJECTED].all()
 
 
+def test_photos_that_err_as_the_context_photos_do_hide_no_other(device):
+    """Two of the witnesses lie off as all context photos do, the third one does not."""
+    made, (target, *others, right) = wrong_poses(1e-9, contexts=7)
+    wrong = [replace(view, camera=turned(view.camera, 1.0, 0.3)) for view in others]
+    initial = made.initial_depth(made.cameras[0])
+    result = refine_depth(target, wrong[:4], initial, device=device, witnesses=[*wrong[4:], right])
+    before, after = figures(made, initial), figures(made, result.depth)
+    assert after["mean"] < 0.95 * before["mean"]
+    assert not {k: (before[k], after[k]) for k in before if after[k] > _MOST * before[k]}
+
+
+def test_three_photos_that_took_no_part_tell_whether_cameras_that_are_off_do_harm(device):
+    """With fewer such photos the view comes back for fear of them."""
+    made, (target, *others) = wrong_poses(0.8, contexts=7, seed=0)
+    initial = made.initial_depth(made.cameras[0])
+    alone, judged = (refine_depth(target, others[:4], initial, device=device, witnesses=others[4:4 + number])
+                     for number in (0, 3))
+    assert "are the cameras right" in alone.reason and not judged.reason
+    assert figures(made, judged.depth)["mean"] < 0.7 * figures(made, initial)["mean"]
+    made, (target, *others) = wrong_poses(1.7, contexts=7, seed=2)
+    harmed = refine_depth(target, others[:4], made.initial_depth(made.cameras[0]), device=device, witnesses=others[4:])
+    assert "took no part" in harmed.reason
+
+
 def test_photos_that_took_no_part_leave_a_good_result_alone(device):
     made, (target, *others) = wrong_poses(1e-9, contexts=6)
     initial = made.initial_depth(made.cameras[0])

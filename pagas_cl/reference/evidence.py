@@ -9,7 +9,7 @@ from pagas_cl.scene.status import KEPT, NO_SURFACE, REFINED, REJECTED
 
 PATCH, WINDOW, LEAST_PIXELS, NOISE, LEAST_POSSIBLE = 2, 7, 6, 1 / 255, 0.3
 BINS = 1024         # of 1 - correlation, from 0 to 2
-CHANCE = 0.01       # growth of it, mean over the surroundings, that says nothing
+CHANCE = 0.02       # growth of it in a photo, mean around a pixel, that says nothing
 
 
 def luma(image: np.ndarray) -> np.ndarray:
@@ -130,23 +130,22 @@ def worse(before, after) -> np.ndarray:
     return np.where(known, now - was - CHANCE, 0.0)
 
 
-def refuse(initial, refined, status, growth):
-    """Depths and status after those that the witnesses speak against went back, each of shape (H, W).
+def refuse(status, growth):
+    """Status of shape (H, W) after what a witness speaks against was rejected.
 
     Parameters
     ----------
-    initial, refined, status : ndarray of shape (H, W)
-        As `decide` leaves them.
+    status : ndarray of shape (H, W)
+        As `decide` leaves it.
     growth : ndarray of shape (H, W)
-        `worse` of the witnesses' evidence. Summed over the surroundings twice, so that nearer pixels count for more.
+        `worse` of the witness' evidence. Summed over the surroundings twice, so that nearer pixels count for more.
     """
     around = _patch_sum(_patch_sum(growth, WINDOW), WINDOW)
-    back = (status == REFINED) & (around > 0)
-    return np.where(back, initial, refined), np.where(back, REJECTED, status)
+    return np.where((status == REFINED) & (around > 0), REJECTED, status)
 
 
 def feather(initial, refined, status):
-    """Depths after `decide`: refined ones move less towards what was sent back, over 7x7 pixels."""
+    """Depths accepted: rejected ones go back, refined ones move less towards those, over 7x7 pixels."""
     judged = _patch_sum(np.isin(status, (REFINED, REJECTED)) * 1.0, 3)
     share = _patch_sum((status == REFINED) * 1.0, 3) / np.maximum(judged, 1)
     moved = initial + np.clip(2 * share - 1, 0, 1) * (refined - initial)

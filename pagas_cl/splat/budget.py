@@ -10,6 +10,7 @@ from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.runtime.arena import total_bytes
 from pagas_cl.scene.camera import Camera
 from pagas_cl.splat.evidence import HISTOGRAM
+from pagas_cl.splat.measure import probe_bytes
 from pagas_cl.splat.state import Size, level_buffers, level_size, photo_bytes
 from pagas_cl.splat.tile import choose_tiles
 
@@ -46,10 +47,18 @@ class Plan:
 
 
 def plan_for(cameras: list[Camera], contexts: int, config: Config, device, streamed: bool = False) -> Plan:
-    """The plan of refine_levels for the cameras of the target, of `contexts` context views, and of the witnesses;
+    """The plan of a refinement for the cameras of the target, of `contexts` context views, and of the witnesses;
     `streamed`: photos wait on the host (streamed.py)."""
-    return max((_at(scale, cameras, contexts, config, device, streamed) for scale in config.pyramid.scales),
-               key=lambda plan: plan.nbytes)
+    plans = [_at(scale, cameras, contexts, config, device, streamed) for scale in config.pyramid.scales]
+    if config.effects.measured:
+        plans.append(_measuring(cameras[:1 + contexts], streamed))
+    return max(plans, key=lambda plan: plan.nbytes)
+
+
+def _measuring(cameras: list[Camera], streamed: bool) -> Plan:
+    """The plan of measuring a view beforehand, beside its initial depth."""
+    sizes = [level_size(camera, 1.0) for camera in cameras]
+    return Plan(_photos(sizes, sizes, streamed), probe_bytes(sizes, len(cameras) - 1) + 4 * sizes[0].pixels)
 
 
 def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, device, streamed: bool) -> Plan:
@@ -60,11 +69,11 @@ def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, devi
     depths = 4 * full[0].pixels                                  # the initial one; that of the level before, enlarged
     if scale > config.pyramid.scales[0]:
         depths += 4 * (sizes[0].pixels + _before(scale, cameras[0], config).pixels)
-    judges = (2 if len(cameras) > 1 + contexts else 1) if scale == 1 else 0      # the context views, and the witnesses
-    verdict = 12 * full[0].pixels                               # streamed: read back before the next one
-    during = total_bytes(specs) + depths + verdict * (min(judges, 1) if streamed else judges)
-    after = total_bytes(spec for spec in specs if spec.name in FOR_EVIDENCE) + depths
-    after += 2 * verdict * judges + 5 * full[0].pixels + HISTOGRAM * (judges - 1) if scale == 1 else 0
+    during = after = total_bytes(specs) + depths
+    if scale == 1:           # evidence before and after: of the context views, and of one witness at a time
+        judges = 2 if len(cameras) > 1 + contexts else 1
+        after = total_bytes(spec for spec in specs if spec.name in FOR_EVIDENCE) + depths
+        after += (24 * judges + 5) * full[0].pixels + HISTOGRAM * (judges - 1)
     return Plan(_photos(full, sizes, streamed), max(during, after))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,13 +20,14 @@ HISTOGRAM = 8 * _BINS       # bytes that count them, before and after
 @dataclass(frozen=True, eq=False)
 class Verdict:
     """Per pixel of shape (H, W): status uint8 (0 no surface, 1 refined, 2 kept, 3 rejected); standard deviation of
-    the depth, float32, device units, infinite where nothing is known; and the mean 1 - correlation over the pixels
-    that views see, before and after."""
+    the depth, float32, device units, infinite where nothing is known. Before and after, over the pixels that are seen:
+    mean 1 - correlation with the views' photos, of all refined depth, and median with each witness' photo, of what is
+    accepted."""
 
     status: np.ndarray
     deviation: np.ndarray
-    cost_before: float
-    cost_after: float
+    cost: tuple[float, float]
+    witnesses: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
@@ -69,28 +71,36 @@ def _median(counts: np.ndarray) -> float:
 class Evidence:
     """Weighs the initial and the refined depth of one level by the photos of `views` (numbers from 1).
 
-    `initial` is a buffer that holds the initial depth for as long as this lives. While the steps run, what was found
-    of it waits on the host where the photos do.
+    `initial` is a buffer that holds the initial depth for as long as this lives.
     """
 
     def __init__(self, level, views, initial: cl.Buffer, doubt: Doubt = NO_DOUBT):
         self.level, self.views, self._initial = level, list(views), initial
         self.program, self.doubt = build(level.device, "evidence.cl", level.defines), doubt
-        self._before = self._after = self._waiting = None
+        self._before = self._after = None
 
-    def weigh_before(self):
-        """Weigh the depth that is in the level now, the initial one."""
-        self._before = self._weigh()
-        if self.level.given.host:
-            self._waiting = self._read(self._before)
-            self._before.release()
+    def weigh(self):
+        """Weigh the initial depth, and the depth as it is now."""
+        self.release()
+        pixels, queue = self.level.target.pixels, self.level.device.queue
+        self._before, self._after = (self._buffer(12 * pixels) for _ in range(2))
+        run_once(queue, [Fill(evidence, np.uint32(0), 12 * pixels) for evidence in (self._before, self._after)])
+        for view in self.views:
+            run_once(queue, [*self.level.given.fetch(view), *self._add(view, self._initial, self._before),
+                             *self._add(view, self.level.arena["depth"], self._after)])
 
-    def weigh_after(self):
-        """Weigh the depth as it is now."""
-        if self._waiting is not None:
-            self._before = self._buffer(self._waiting.nbytes)
-            cl.enqueue_copy(self.level.device.queue, self._before, self._waiting)
-        self._after = self._weigh()
+    def _add(self, view: int, depth: cl.Buffer, evidence: cl.Buffer) -> list:
+        """What the photo of `view` says of `depth`, added to `evidence`."""
+        level, size, warped = self.level, self.level.target, self._scratch()[0]
+        return [*project.nearest(level, view, depth),
+                bind(self.program, "warp_photo", size.grid, None, depth, level.arena["cameras"], view,
+                     float(level.threshold(view)), project.z_first_argument(level), level.given.photos[view], warped),
+                bind(self.program, "weigh", size.grid, None, warped, level.given.photos[0], size.width, size.height,
+                     self.doubt.grain, evidence)]
+
+    def release(self):
+        """Give back what was weighed."""
+        self._before = self._after = None
 
     def costs(self) -> tuple[float, float]:
         """Mean 1 - correlation before and after, over the pixels that are seen both times."""
@@ -112,24 +122,24 @@ class Evidence:
         before, after = self._read(counts, np.uint32).reshape(2, _BINS)
         return _median(before), _median(after)
 
-    def _refuse(self, witnesses: Evidence, status: cl.Buffer):
-        """Send back too what matches worse in the witnesses' photos, seen over its surroundings."""
-        witnesses.weigh_after()
-        level, size = self.level, self.level.target
-        one, other = self._scratch()
-        launches = [bind(self.program, "worse_costs", (size.pixels,), None, witnesses._before, witnesses._after,
+    def _refuse(self, witness: Evidence, status: cl.Buffer):
+        """Reject too what matches worse in the witness' photo, seen over its surroundings."""
+        witness.weigh()
+        size, (one, other) = self.level.target, self._scratch()
+        launches = [bind(self.program, "worse_costs", (size.pixels,), None, witness._before, witness._after,
                          size.pixels, one)]
         for _ in range(2):       # twice: nearer pixels count for more
             launches += self._sum_around(one, 2, other, one)
-        launches.append(bind(self.program, "refuse", (size.pixels,), None, self._initial, level.arena["depth"],
-                             size.pixels, one, status))
-        run_once(level.device.queue, launches)
+        launches.append(bind(self.program, "refuse", (size.pixels,), None, size.pixels, one, status))
+        run_once(self.level.device.queue, launches)
+        witness.release()
 
-    def decide(self, shape, witnesses: Evidence | None = None) -> Verdict:
+    def decide(self, shape, witnesses: Sequence[Evidence] = ()) -> Verdict:
         """Send back what the photos do not confirm; arena["depth"] holds what is accepted.
 
-        `witnesses`, of photos that took no part, is weighed here.
+        `witnesses`, each of a photo that took no part, are weighed here.
         """
+        self.weigh()
         level, n = self.level, self.level.target.pixels
         solver, a = level.config.solver, level.arena
         status, deviation, size = self._buffer(n), self._buffer(4 * n), level.target
@@ -138,15 +148,22 @@ class Evidence:
         run_once(level.device.queue, [
             bind(self.program, "decide", (n,), None, self._initial, a["depth"], a["unit"], n, self._before, self._after,
                  around, float(solver.max_move), solver.tolerance * self.doubt.slack, float(solver.mismatch), status)])
-        if witnesses:
-            self._refuse(witnesses, status)
+        for witness in witnesses:       # each by itself: in a mean, one that errs as the context views do hides another
+            self._refuse(witness, status)
         run_once(level.device.queue, [
             bind(self.program, "feather", size.grid, None, self._initial, a["depth"], status, *size.grid),
             bind(deviation_program, "bends", size.grid, None, a["depth"], a["unit"], *size.grid, bent),
             bind(deviation_program, "deviate", size.grid, None, status, a["unit"], *size.grid, self._before,
                  self._after, bent, self.doubt.spread, self.doubt.misaligned, deviation)])
         return Verdict(self._read(status, np.uint8).reshape(shape), self._read(deviation, np.float32).reshape(shape),
-                       *self.costs())
+                       self.costs(), tuple(witness.judge() for witness in witnesses))
+
+    def judge(self) -> tuple[float, float]:
+        """Medians under the depth as it is now."""
+        self.weigh()
+        medians = self.medians()
+        self.release()
+        return medians
 
     def _surroundings(self) -> cl.Buffer:
         """1 - correlation and views under the refined depth, summed over the surroundings of each pixel."""
@@ -163,20 +180,6 @@ class Evidence:
     def _scratch(self) -> list[cl.Buffer]:
         """Two buffers of two floats a pixel, of those that serve the steps."""
         return [self.level.arena[name] for name in ("upstream", "rendered")]
-
-    def _weigh(self) -> cl.Buffer:
-        level, size, warped = self.level, self.level.target, self._scratch()[0]
-        evidence = self._buffer(12 * size.pixels)
-        launches = [Fill(evidence, np.uint32(0), 12 * size.pixels)]
-        for view in self.views:
-            launches += [*level.given.fetch(view), *project.nearest(level, view)]
-            launches += [bind(self.program, "warp_photo", size.grid, None, level.arena["depth"], level.arena["cameras"],
-                              view, float(level.threshold(view)), project.z_first_argument(level),
-                              level.given.photos[view], warped),
-                         bind(self.program, "weigh", size.grid, None, warped, level.given.photos[0], size.width,
-                              size.height, self.doubt.grain, evidence)]
-        run_once(level.device.queue, launches)
-        return evidence
 
     def _buffer(self, nbytes: int) -> cl.Buffer:
         return self.level.device.memory.buffer(self.level.device.context, nbytes)

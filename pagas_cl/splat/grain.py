@@ -12,6 +12,12 @@ _GREYS = 765              # grey values are sums of three channels
 _RULES = [(-0.5, 2047.5, 0.25), (-0.5, 2047.5, 0.5), (-0.5, 2047.5, 0.5)]     # bins of one grey value
 
 
+def _samples(size):
+    """Pixels between samples, along x and y, and how many there are along each."""
+    steps = max(1, (size.width - 2) // _SIDE), max(1, size.height // _SIDE)
+    return steps, -(-(size.width - 2) // steps[0]), -(-size.height // steps[1])
+
+
 class Grain:
     """Measures a photo, a buffer of uchar4; nothing waits for the device until `read`."""
 
@@ -19,9 +25,7 @@ class Grain:
         self.rows = None
         if size.width < 8:
             return
-        program = build(device, "grain.cl")
-        steps = max(1, (size.width - 2) // _SIDE), max(1, size.height // _SIDE)
-        across, down = -(-(size.width - 2) // steps[0]), -(-size.height // steps[1])
+        program, (steps, across, down) = build(device, "grain.cl"), _samples(size)
         self.rows = rows = Rows(device, _RULES, across * down)
         run_once(device.queue, [
             bind(program, "sample_grain", (rows.count,), None, photo, size.width, *steps, across, rows.count,
@@ -29,6 +33,12 @@ class Grain:
             rows.summarize(),
             bind(program, "keep_smooth", (rows.count,), None, rows.summary, rows.count, rows.values),
             rows.summarize()])
+
+    @staticmethod
+    def nbytes(size) -> int:
+        """Bytes of the device that it takes."""
+        _, across, down = _samples(size)
+        return Rows.nbytes(len(_RULES), max(0, across * down))
 
     def read(self) -> tuple[float, float]:
         """Standard deviation of the noise (0 to 1), from the second differences of the smoothest quarter of the pixels,

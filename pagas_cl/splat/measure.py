@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.runtime.arena import Arena, BufferSpec
+from pagas_cl.runtime.arena import Arena, BufferSpec, total_bytes
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.rig import camera_table
 from pagas_cl.splat import exposure, project
@@ -53,6 +53,22 @@ class Found:
     local_gloss: np.ndarray
 
 
+def _buffers(sizes, views: int) -> list[BufferSpec]:
+    """For the photos of the target and of `views` context views."""
+    target, count = sizes[0], exposure.Grid.over(sizes[0]).count
+    return [BufferSpec("depth", (target.pixels,), np.float32), BufferSpec("unit", (target.pixels,), np.float32),
+            BufferSpec("cameras", (len(sizes), 20), np.float32),
+            BufferSpec("z_first", (max(size.pixels for size in sizes),), np.uint32), *exposure.buffers(target, views),
+            BufferSpec("costs", (_MOVES, count), np.float32),
+            BufferSpec("totals", (len(SHIFTS) + 2, count), np.float32)]
+
+
+def probe_bytes(sizes, views: int) -> int:
+    """Bytes of the device that a Probe takes."""
+    rows = Rows.nbytes(len(_ROWS) * views + 3, exposure.Grid.over(sizes[0]).count)
+    return total_bytes(_buffers(sizes, views)) + rows + Grain.nbytes(sizes[0])
+
+
 class Probe:
     """The full-size level as far as measuring needs it: what `project` and `exposure` ask of a Level,
     and rows of samples.
@@ -69,12 +85,7 @@ class Probe:
         views, count = len(self.contexts), self.grid.count
         self.views = Rows(device, [rule for _, *rule in _ROWS] * views, count)
         self.samples = Rows(device, [(0, 1, 0.5)] * 3, count)
-        self.arena = Arena(device, [
-            BufferSpec("depth", (target.pixels,), np.float32), BufferSpec("unit", (target.pixels,), np.float32),
-            BufferSpec("cameras", (len(given.cameras), 20), np.float32),
-            BufferSpec("z_first", (max(size.pixels for size in given.sizes),), np.uint32),
-            *exposure.buffers(target, views), BufferSpec("costs", (_MOVES, count), np.float32),
-            BufferSpec("totals", (len(SHIFTS) + 2, count), np.float32)])
+        self.arena = Arena(device, _buffers(given.sizes, views))
         cl.enqueue_copy(device.queue, self.arena["cameras"],
                         camera_table(given.cameras[0], given.cameras[1:], given.unit))
         cl.enqueue_copy(device.queue, self.arena["exposure"], exposure.neutral(views))

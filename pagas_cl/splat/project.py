@@ -27,12 +27,13 @@ def z_first_argument(level):
     return level.arena["z_first"] if "z_first" in level.arena else None
 
 
-def nearest(level, view: int) -> list:
-    """z_first of every pixel of a context view; nothing where occlusion is off."""
+def nearest(level, view: int, depth=None) -> list:
+    """z_first of every pixel of a context view under `depth`, the level's by default; nothing without occlusion."""
     if not level.config.splatting.occlusion:
         return []
     a, columns = level.arena, columns_of(level.device, level.target.width)
     program = build(level.device, "project.cl", (*level.defines, f"COLUMNS={columns}"))
     return [Fill(a["z_first"], _INFINITY, 4 * level.given.sizes[view].pixels),
-            bind(program, "nearest", row_grid(level.target, columns), row_group(columns), a["depth"], a["cameras"],
-                 view, float(level.config.splatting.low_pass), a["z_first"])]
+            bind(program, "nearest", row_grid(level.target, columns), row_group(columns),
+                 a["depth"] if depth is None else depth, a["cameras"], view, float(level.config.splatting.low_pass),
+                 a["z_first"])]

@@ -29,6 +29,11 @@ class Rows:
         self._rules = device.memory.buffer(device.context, table.nbytes)
         cl.enqueue_copy(device.queue, self._rules, table)
 
+    @staticmethod
+    def nbytes(rows: int, count: int) -> int:
+        """Bytes of the device that they take."""
+        return rows * (4 * count + 32)
+
     def summarize(self):
         """The launch that fills `summary`."""
         return bind(build(self.device, "summary.cl"), "summarize", (self.rows * _GROUP,), (_GROUP,), self.values,

@@ -37,9 +37,9 @@ class Refinement:
         Depth change that moves a pixel by one pixel in the context views; 0 where none sees it.
     cost : tuple of two floats
         Mean 1 - correlation of patches with the context photos, before and after.
-    witness : tuple of two floats or None
-        Median 1 - correlation with the photos that took no part, before and after, over the pixels that they see;
-        before any depth goes back on their word.
+    witnesses : tuple of (float, float)
+        Median 1 - correlation with each photo that took no part, before and after, over the pixels that it sees; NaN
+        where there are none.
     steps : tuple of int
         Steps done at each level.
     losses : list of float
@@ -54,7 +54,7 @@ class Refinement:
     deviation: np.ndarray
     parallax: np.ndarray
     cost: tuple[float, float]
-    witness: tuple[float, float] | None
+    witnesses: tuple[tuple[float, float], ...]
     steps: tuple[int, ...]
     losses: list[float]
     device_bytes: int
@@ -101,7 +101,6 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
         level = Level(device, config, run.at(scale))
         level.enter(run.initial_writer(level))
-        evidence = run.weigh_initial(level, Doubt.of(measured)) if scale == 1 else None
         level.start(run.start_writer(level, before))
         done.append(level.run(steps, progress))
         if "history" in level.arena:
@@ -110,7 +109,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
             before = level.arena.take("depth"), level.target
             level.release()
             del level            # its photos too, before those of the next one
-    return run.finish(level, evidence, tuple(done), losses, planned.nbytes)
+    return run.finish(level, Doubt.of(measured), tuple(done), losses, planned.nbytes)
 
 
 def full_level(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None) -> Level:
@@ -191,29 +190,17 @@ class _Run:
 
         return write
 
-    def weigh_initial(self, level: Level, doubt: Doubt) -> tuple[Evidence, Evidence | None]:
-        """Evidence for the depth as it came: of the context views, and of the witnesses."""
-        contexts = Evidence(level, range(1, len(self.views)), self.entered, doubt)
-        contexts.weigh_before()
-        if not self.witnesses:
-            return contexts, None
-        witnesses = Evidence(level, range(len(self.views), len(self.views) + len(self.witnesses)), self.entered, doubt)
-        witnesses.weigh_before()
-        return contexts, witnesses
-
-    def finish(self, level: Level, evidence, steps, losses, planned: int) -> Refinement:
-        contexts, witnesses = evidence
+    def finish(self, level: Level, doubt: Doubt, steps, losses, planned: int) -> Refinement:
         level.release(keep=FOR_EVIDENCE)
-        contexts.weigh_after()
+        contexts = Evidence(level, range(1, len(self.views)), self.entered, doubt)
+        witnesses = [Evidence(level, [len(self.views) + k], self.entered, doubt) for k in range(len(self.witnesses))]
         verdict = contexts.decide(self.depth.shape, witnesses)
         refined, parallax = (level.read(name, self.depth.shape) for name in ("depth", "unit"))
         for lengths in (parallax, verdict.deviation):
             lengths *= np.float32(self.unit)
-        judged = witnesses.medians() if witnesses else None
         level.release()
         depth = scene_depth(refined, self.unit, verdict.status, self.depth)
         aside = (verdict.status == NO_SURFACE) & (depth > 0)         # a surface without a Gaussian, masked out for instance
         verdict.status[aside], verdict.deviation[aside] = KEPT, np.inf
-        return Refinement(depth, verdict.status, verdict.deviation, parallax,
-                          (verdict.cost_before, verdict.cost_after), judged, steps, losses, self.device.memory.peak,
-                          planned)
+        return Refinement(depth, verdict.status, verdict.deviation, parallax, verdict.cost, verdict.witnesses, steps,
+                          losses, self.device.memory.peak, planned)

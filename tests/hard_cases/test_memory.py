@@ -97,7 +97,7 @@ def refined(device, config, size=(97, 75), witness=True):
 def bytes_of(result):
     assert result.counts["refined"] > 10, result.reason
     arrays = tuple(getattr(result, name).tobytes() for name in ARRAYS)
-    return arrays, result.report["cost"], result.report["witness_cost"]
+    return arrays, result.report["cost"], result.report["witness_costs"]
 
 
 @pytest.fixture
