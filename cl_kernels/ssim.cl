@@ -5,45 +5,67 @@
 #define C1 1e-4f
 #define C2 9e-4f
 
-#define SUMS (4 * TILE_H * STRIDE)                      // of a channel: four planes
+// 8-bit photos fit into bytes; grey ones are no longer whole numbers.
+#ifdef GREY
+typedef float shade_t;
+#define LOAD_SHADES(p) LOAD_COLUMNS(p)
+#define STORE_SHADES(v, p) STORE_COLUMNS(v, p)
+#elif COLUMNS == 1
+typedef uchar shade_t;
+#define LOAD_SHADES(p) (*(p) * (1.0f / 255.0f))
+#define STORE_SHADES(v, p) (*(p) = convert_uchar_rte((v) * 255.0f))
+#else
+typedef uchar shade_t;
+#define LOAD_SHADES(p) (TO_COLUMNS(LOAD_COLUMNS(p)) * (1.0f / 255.0f))
+#define STORE_SHADES(v, p) STORE_COLUMNS(JOIN(JOIN(convert_uchar, COLUMNS), _rte)((v) * 255.0f), p)
+#endif
 
-// Vertical windows of x, y, xx + yy and xy of each channel, x rendered and y of the photo.
-void blur_down(__global const stored_t *rendered, __global const uchar4 *photo, int left, int top, int width,
-               int height, __local float *sums)
+// The tile's colours, x rendered and y of the photo, to local memory.
+void load_tile(__global const stored_t *rendered, __global const uchar4 *photo, int left, int top, int width,
+               int height, __local float *xs, __local shade_t *ys)
+{
+    for (int t = get_local_id(0); t < TALL * ACROSS; t += LOSS_GROUP) {
+        const int y = t / ACROSS, x = span_start(t % ACROSS, COLUMNS, WIDE), place = y * STRIDE + x;
+        const int pixel = min(top + y, height - 1) * width + min(left + x, width - COLUMNS);
+        const Rendered r = load_rendered(rendered, photo, pixel);
+        for (int c = 0; c < CHANNELS; ++c) {
+            STORE_COLUMNS(r.color[c], xs + c * TALL * STRIDE + place);
+            STORE_SHADES(r.photo[c], ys + c * TALL * STRIDE + place);
+        }
+    }
+}
+
+// Vertical windows of x, y, xx + yy and xy.
+void blur_down(__local const float *xs, __local const shade_t *ys, __local float *sums)
 {
     for (int t = get_local_id(0); t < (TILE_H / RUN) * ACROSS; t += LOSS_GROUP) {
-        const int y = t / ACROSS * RUN, x = span_start(t % ACROSS, COLUMNS, WIDE);
-        columns_t sum[CHANNELS][4][RUN];
+        const int y = t / ACROSS * RUN, x = span_start(t % ACROSS, COLUMNS, WIDE), place = y * STRIDE + x;
+        columns_t sum_x[RUN], sum_y[RUN], sum_squares[RUN], sum_product[RUN];
 #pragma unroll
         for (int k = 0; k < RUN; ++k)
-#pragma unroll
-            for (int c = 0; c < CHANNELS; ++c)
-                sum[c][0][k] = sum[c][1][k] = sum[c][2][k] = sum[c][3][k] = ZERO;
+            sum_x[k] = sum_y[k] = sum_squares[k] = sum_product[k] = ZERO;
 #pragma unroll
         for (int j = 0; j < TAPS + RUN - 1; ++j) {
-            const int pixel = min(top + y + j, height - 1) * width + min(left + x, width - COLUMNS);
-            const Rendered r = load_rendered(rendered, photo, pixel);
+            const columns_t a = LOAD_COLUMNS(xs + place + j * STRIDE), b = LOAD_SHADES(ys + place + j * STRIDE);
+            const columns_t squares = a * a + b * b, product = a * b;
 #pragma unroll
-            for (int c = 0; c < CHANNELS; ++c) {
-                const columns_t a = r.color[c], b = r.photo[c], squares = a * a + b * b, product = a * b;
-#pragma unroll
-                for (int k = 0; k < RUN; ++k)
-                    if (j >= k && j - k < TAPS) {
-                        const float w = WINDOW[j - k];
-                        sum[c][0][k] += w * a;
-                        sum[c][1][k] += w * b;
-                        sum[c][2][k] += w * squares;
-                        sum[c][3][k] += w * product;
-                    }
-            }
+            for (int k = 0; k < RUN; ++k)
+                if (j >= k && j - k < TAPS) {
+                    const float w = WINDOW[j - k];
+                    sum_x[k] += w * a;
+                    sum_y[k] += w * b;
+                    sum_squares[k] += w * squares;
+                    sum_product[k] += w * product;
+                }
         }
 #pragma unroll
-        for (int k = 0; k < RUN; ++k)
-#pragma unroll
-            for (int c = 0; c < CHANNELS; ++c)
-#pragma unroll
-                for (int q = 0; q < 4; ++q)
-                    STORE_COLUMNS(sum[c][q][k], sums + c * SUMS + (q * TILE_H + y + k) * STRIDE + x);
+        for (int k = 0; k < RUN; ++k) {
+            __local float *out = sums + place + k * STRIDE;
+            STORE_COLUMNS(sum_x[k], out);
+            STORE_COLUMNS(sum_y[k], out + TILE_H * STRIDE);
+            STORE_COLUMNS(sum_squares[k], out + 2 * TILE_H * STRIDE);
+            STORE_COLUMNS(sum_product[k], out + 3 * TILE_H * STRIDE);
+        }
     }
 }
 
@@ -97,29 +119,36 @@ __kernel TILE_LOOP
 void ssim_forward(__global const stored_t *rendered, __global const uchar4 *photo, int width, int height, int pitch,
                   __global float *partials, __global long *losses)
 {
-    __local float sums[CHANNELS * SUMS] __attribute__((aligned(16)));
+    __local float xs[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));
+    __local shade_t ys[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));
+    __local float sums[4 * TILE_H * STRIDE] __attribute__((aligned(16)));
 #ifdef TRACK_LOSS
     __local long scratch[LOSS_GROUP];
     long loss = 0;
 #endif
     const int columns = width - HALO, rows = height - HALO, plane = pitch * height;
-    const int left = tile_start(get_group_id(0), TILE_W, columns), top = get_group_id(1) * TILE_H;
-    blur_down(rendered, photo, left, top, width, height, sums);
+    const int left = tile_start(get_group_id(0), TILE_W, columns), top = tile_start(get_group_id(1), TILE_H, rows);
+    load_tile(rendered, photo, left, top, width, height, xs, ys);
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int t = get_local_id(0); t < CHANNELS * TILE_H * CHUNKS; t += LOSS_GROUP) {
-        const int c = t / (TILE_H * CHUNKS), y = t / CHUNKS % TILE_H, x = span_start(t % CHUNKS, LANES, TILE_W);
-        const int row = top + y;
-        if (row >= rows || left + x >= columns)
-            continue;
-        __local const float *at = sums + c * SUMS + y * STRIDE + x;
-        __global float *out = partials + MARGIN + c * 3 * plane + row * pitch + left + x;
-        const lanes_t similar = similarity(
-            blur_across(at), blur_across(at + TILE_H * STRIDE), blur_across(at + 2 * TILE_H * STRIDE),
-            blur_across(at + 3 * TILE_H * STRIDE), out, plane);
+    for (int c = 0; c < CHANNELS; ++c) {
+        blur_down(xs + c * TALL * STRIDE, ys + c * TALL * STRIDE, sums);
+        barrier(CLK_LOCAL_MEM_FENCE);
+        for (int t = get_local_id(0); t < TILE_H * CHUNKS; t += LOSS_GROUP) {
+            const int y = t / CHUNKS, x = span_start(t % CHUNKS, LANES, TILE_W), row = top + y;
+            if (row >= rows || left + x >= columns)
+                continue;
+            __local const float *at = sums + y * STRIDE + x;
+            __global float *out = partials + MARGIN + c * 3 * plane + row * pitch + left + x;
+            const lanes_t similar = similarity(
+                blur_across(at), blur_across(at + TILE_H * STRIDE), blur_across(at + 2 * TILE_H * STRIDE),
+                blur_across(at + 3 * TILE_H * STRIDE), out, plane);
 #ifdef TRACK_LOSS
-        const int from = max((int)get_group_id(0) * TILE_W, left + t % CHUNKS * LANES);
-        loss += dissimilarity(similar, left + x, from, columns);
+            const int from = max((int)get_group_id(0) * TILE_W, left + t % CHUNKS * LANES);
+            if (row >= (int)get_group_id(1) * TILE_H)
+                loss += dissimilarity(similar, left + x, from, columns);
 #endif
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
     }
 #ifdef TRACK_LOSS
     sum_into(scratch, loss, losses);
