@@ -16,18 +16,6 @@ _BINS = 1024        # of 1 - correlation, as in evidence.cl
 HISTOGRAM = 8 * _BINS       # bytes that count them, before and after
 
 
-@dataclass(frozen=True, eq=False)
-class Verdict:
-    """Per pixel of shape (H, W): status uint8 (0 no surface, 1 refined, 2 kept, 3 rejected); standard deviation of
-    the depth, float32, device units, infinite where nothing is known; and the mean 1 - correlation over the pixels
-    that views see, before and after."""
-
-    status: np.ndarray
-    deviation: np.ndarray
-    cost_before: float
-    cost_after: float
-
-
 @dataclass(frozen=True)
 class Doubt:
     """What was measured of a view beforehand (Measurements), as far as its evidence depends on it: by how much errors
@@ -99,6 +87,7 @@ class Evidence:
             bind(self.program, "sum_costs", (_SUM_GROUPS * _SUM_GROUP,), (_SUM_GROUP,), self._before, self._after,
                  self.level.target.pixels, sums)])
         before, after, pixels = self._read(sums, np.int64).reshape(-1, 3).sum(axis=0).tolist()
+        sums.release()
         return (before / pixels / _ONE, after / pixels / _ONE) if pixels else (float("nan"), float("nan"))
 
     def medians(self) -> tuple[float, float]:
@@ -110,7 +99,13 @@ class Evidence:
             bind(self.program, "count_costs", (self.level.target.pixels,), None, self._before, self._after,
                  self.level.target.pixels, counts)])
         before, after = self._read(counts, np.uint32).reshape(2, _BINS)
+        counts.release()
         return _median(before), _median(after)
+
+    def release(self):
+        """Give back what was found."""
+        for buffer in filter(None, (self._before, self._after)):
+            buffer.release()
 
     def _refuse(self, witnesses: Evidence, status: cl.Buffer):
         """Send back too what matches worse in the witnesses' photos, seen over its surroundings."""
@@ -125,10 +120,16 @@ class Evidence:
                              size.pixels, one, status))
         run_once(level.device.queue, launches)
 
-    def decide(self, shape, witnesses: Evidence | None = None) -> Verdict:
+    def decide(self, witnesses: Evidence | None = None) -> tuple[cl.Buffer, cl.Buffer]:
         """Send back what the photos do not confirm; arena["depth"] holds what is accepted.
 
         `witnesses`, of photos that took no part, is weighed here.
+
+        Returns
+        -------
+        status : uint8 a pixel, as in scene/status.py
+        deviation : float32 a pixel
+            Standard deviation of the depth, device units; infinite where nothing is known.
         """
         level, n = self.level, self.level.target.pixels
         solver, a = level.config.solver, level.arena
@@ -145,8 +146,7 @@ class Evidence:
             bind(deviation_program, "bends", size.grid, None, a["depth"], a["unit"], *size.grid, bent),
             bind(deviation_program, "deviate", size.grid, None, status, a["unit"], *size.grid, self._before,
                  self._after, bent, self.doubt.spread, self.doubt.misaligned, deviation)])
-        return Verdict(self._read(status, np.uint8).reshape(shape), self._read(deviation, np.float32).reshape(shape),
-                       *self.costs())
+        return status, deviation
 
     def _surroundings(self) -> cl.Buffer:
         """1 - correlation and views under the refined depth, summed over the surroundings of each pixel."""
