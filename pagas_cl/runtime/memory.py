@@ -1,13 +1,13 @@
 """What a device holds of ours: every buffer is counted while it lives, and none is made beyond what is allowed.
 
-Buffers that are given back wait for the next of their size: a driver takes a third of a millisecond for each that it
-frees, and views of one size need the same ones again.
+Buffers that are given back wait for the next of their size and role: a driver takes a third of a millisecond for each
+that it frees, and views of one size need the same ones again.
 """
 
 from __future__ import annotations
 
 import os
-from collections import defaultdict
+from collections import defaultdict, deque
 
 import pyopencl as cl
 
@@ -31,10 +31,12 @@ class Memory:
 
     def __init__(self, title: str, limit: int):
         self.title, self.limit, self.held, self.peak, self.waiting = title, limit, 0, 0, 0
-        self._planned, self._kept = 0, defaultdict(list)
+        self._planned, self._kept = 0, defaultdict(deque)
 
-    def buffer(self, context, nbytes: int) -> cl.Buffer:
+    def buffer(self, context, nbytes: int, role: str = "") -> cl.Buffer:
         """A buffer for reading and writing; what is in it is left over from whatever it served before.
+
+        One that has served in the `role` is taken again, so that kernels find it where it was.
 
         Raises
         ------
@@ -44,15 +46,15 @@ class Memory:
         if self.held + nbytes > self.limit:
             raise DeviceMemoryError(f"{self.title} may hold {_mb(self.limit)} MB, {_mb(self.held)} MB are taken and "
                                     f"{_mb(nbytes)} MB more are needed")
-        if self._kept[nbytes]:
-            return self._take(nbytes)
+        if self._kept[role, nbytes]:
+            return self._take(role, nbytes)
         self._free(self._planned - nbytes)
         try:
-            return _Counted(self, context, nbytes)
+            return _Counted(self, context, nbytes, role)
         except cl.Error:
             self._free(0)
         try:
-            return _Counted(self, context, nbytes)
+            return _Counted(self, context, nbytes, role)
         except cl.Error as error:
             raise DeviceMemoryError(f"{self.title} refused {_mb(nbytes)} MB ({error}) beside the {_mb(self.held)} MB "
                                     "that it holds") from error
@@ -68,28 +70,28 @@ class Memory:
 
     def keep(self, buffer: _Counted) -> None:
         """Take back a buffer that nothing enqueued later will use."""
-        self._kept[buffer.size].append(buffer)
+        self._kept[buffer.role, buffer.size].append(buffer)
         self.waiting += buffer.size
 
-    def _take(self, nbytes: int) -> cl.Buffer:
-        buffer = self._kept[nbytes].pop()
+    def _take(self, role: str, nbytes: int) -> cl.Buffer:
+        buffer = self._kept[role, nbytes].popleft()
         self.waiting -= nbytes
         buffer.count()
         return buffer
 
     def _free(self, most: int) -> None:
         """Let the driver have kept buffers, until no more than `most` bytes are held and kept."""
-        for size in [size for size, kept in self._kept.items() if kept]:
-            while self._kept[size] and self.held + self.waiting > most:
-                self._kept[size].pop()
-                self.waiting -= size
+        for (_, nbytes), kept in self._kept.items():
+            while kept and self.held + self.waiting > most:
+                kept.popleft()
+                self.waiting -= nbytes
 
 
 class _Counted(cl.Buffer):
     """A buffer that is counted from its making until it is released or dropped."""
 
-    def __init__(self, memory: Memory, context, nbytes: int):
-        self._memory, self._counted = memory, 0
+    def __init__(self, memory: Memory, context, nbytes: int, role: str):
+        self._memory, self._counted, self.role = memory, 0, role
         super().__init__(context, cl.mem_flags.READ_WRITE, nbytes)
         self.count()
 
