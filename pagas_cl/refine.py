@@ -173,6 +173,7 @@ def refine_views(views: list[View], depths, *, names=None, config=None, preset="
         results.append(result)
         if on_view:
             on_view(views[index], depths[index], result)
+    photos.clear()
     if progress:
         progress("refine", len(asked), len(asked))
     return results

@@ -73,6 +73,10 @@ class Memory:
         self._kept[buffer.role, buffer.size].append(buffer)
         self.waiting += buffer.size
 
+    def clear(self) -> None:
+        """Let the driver have every buffer that waits."""
+        self._free(0)
+
     def _take(self, role: str, nbytes: int) -> cl.Buffer:
         buffer = self._kept[role, nbytes].popleft()
         self.waiting -= nbytes
