@@ -4,15 +4,17 @@
 
 #define TILE_ACROSS (TILE_W / COLUMNS)                   // tiles are whole vectors wide: none is repeated
 
+#define SUMS (3 * TILE_H * STRIDE)                      // of a channel: three planes
+
 #ifdef SSIM
-// Vertical windows of the three partials of channel c, over the windows that hold a pixel of the tile.
+// Vertical windows of the three partials of each channel, over the windows that hold a pixel of the tile.
 void gather_down(__global const float *partials, int left, int top, int width, int height, int pitch,
                  __local float *sums)
 {
     const int plane = pitch * height;
-    for (int t = get_local_id(0); t < (TILE_H / RUN) * ACROSS; t += LOSS_GROUP) {
-        const int y = t / ACROSS * RUN, x = span_start(t % ACROSS, COLUMNS, WIDE), column = left + x - HALO;
-        const int row = top + y - HALO;
+    for (int t = get_local_id(0); t < CHANNELS * (TILE_H / RUN) * ACROSS; t += LOSS_GROUP) {
+        const int y = t / ACROSS % (TILE_H / RUN) * RUN, x = span_start(t % ACROSS, COLUMNS, WIDE);
+        const int c = t / (TILE_H / RUN * ACROSS), column = left + x - HALO, row = top + y - HALO;
         columns_t sum[3][RUN];
 #pragma unroll
         for (int k = 0; k < RUN; ++k)
@@ -20,7 +22,7 @@ void gather_down(__global const float *partials, int left, int top, int width, i
 #pragma unroll
         for (int j = 0; j < TAPS + RUN - 1; ++j) {
             const bool there = row + j >= 0 && row + j < height - HALO;     // read in any case: loads do not wait
-            __global const float *at = partials + clamp(row + j, 0, height - HALO - 1) * pitch
+            __global const float *at = partials + 3 * c * plane + clamp(row + j, 0, height - HALO - 1) * pitch
                                        + min(column, width - COLUMNS);
 #pragma unroll
             for (int q = 0; q < 3; ++q) {
@@ -36,39 +38,37 @@ void gather_down(__global const float *partials, int left, int top, int width, i
         for (int k = 0; k < RUN; ++k)
 #pragma unroll
             for (int q = 0; q < 3; ++q)
-                STORE_COLUMNS(select(ZERO, sum[q][k], inside), sums + q * TILE_H * STRIDE + (y + k) * STRIDE + x);
+                STORE_COLUMNS(select(ZERO, sum[q][k], inside),
+                              sums + c * SUMS + q * TILE_H * STRIDE + (y + k) * STRIDE + x);
     }
 }
 
-// -scale dSSIM/dx of channel c at the tile's pixels, from its partials; takes the place of x.
-void ssim_backward(__global const float *partials, int left, int top, int width, int height, int pitch, float scale,
-                   __local float *sums, __local float *xs, __local const float *ys)
+// Windows across take the place of what they are made of: a window begins at its own place and reads to the right, so
+// that of a row only what is done later must wait.
+void gather_across(__local float *sums)
 {
-    gather_down(partials, left, top, width, height, pitch, sums);
-    barrier(CLK_LOCAL_MEM_FENCE);
-    for (int t = get_local_id(0); t < TILE_H * CHUNKS; t += LOSS_GROUP) {
-        const int y = t / CHUNKS, x = t % CHUNKS * LANES, place = y * TILE_W + x;
-        __local const float *at = sums + y * STRIDE + x;
-        const lanes_t by = blur_across(at) + 2.0f * LOAD_ROW(xs + place) * blur_across(at + TILE_H * STRIDE)
-                           + LOAD_ROW(ys + place) * blur_across(at + 2 * TILE_H * STRIDE);
-        STORE_ROW(-scale * by, xs + place);
+    for (int from = 0; from < TILE_H * CHUNKS; from += LOSS_GROUP) {
+        const int t = from + get_local_id(0), place = t / CHUNKS * STRIDE + t % CHUNKS * LANES;
+        lanes_t across[3 * CHANNELS];
+#pragma unroll
+        for (int q = 0; q < 3 * CHANNELS; ++q)
+            if (t < TILE_H * CHUNKS)
+                across[q] = blur_across(sums + q * TILE_H * STRIDE + place);
+#if LOSS_GROUP > 1
+        barrier(CLK_LOCAL_MEM_FENCE);
+#endif
+#pragma unroll
+        for (int q = 0; q < 3 * CHANNELS; ++q)
+            if (t < TILE_H * CHUNKS)
+                STORE_ROW(across[q], sums + q * TILE_H * STRIDE + place);
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
 }
 
-// Colours of the tile's pixels, rendered and of the photo, to local memory.
-void load_colors(__global const stored_t *rendered, __global const uchar4 *photo, int left, int top, int width,
-                 int height, __local float *xs, __local float *ys)
+// dSSIM/dx of channel c at a place of the tile.
+columns_t by_similarity(__local const float *sums, int c, int place, columns_t x, columns_t y)
 {
-    for (int t = get_local_id(0); t < TILE_H * TILE_ACROSS; t += LOSS_GROUP) {
-        const int y = t / TILE_ACROSS, x = t % TILE_ACROSS * COLUMNS;
-        const int pixel = min(top + y, height - 1) * width + min(left + x, width - COLUMNS);
-        const Rendered r = load_rendered(rendered, photo, pixel);
-        for (int c = 0; c < CHANNELS; ++c) {
-            STORE_COLUMNS(r.color[c], xs + (c * TILE_H + y) * TILE_W + x);
-            STORE_COLUMNS(r.photo[c], ys + (c * TILE_H + y) * TILE_W + x);
-        }
-    }
+    __local const float *at = sums + c * SUMS + place;
+    return LOAD_COLUMNS(at) + 2.0f * x * LOAD_COLUMNS(at + TILE_H * STRIDE) + y * LOAD_COLUMNS(at + 2 * TILE_H * STRIDE);
 }
 #endif
 
@@ -160,22 +160,16 @@ void loss_backward(__global const stored_t *rendered, __global const uchar4 *pho
 {
     const int left = tile_start(get_group_id(0), TILE_W, width), top = tile_start(get_group_id(1), TILE_H, height);
 #ifdef SSIM
-    __local float xs[CHANNELS * TILE_H * TILE_W] __attribute__((aligned(16)));
-    __local float ys[CHANNELS * TILE_H * TILE_W] __attribute__((aligned(16)));
-    __local float sums[3 * TILE_H * STRIDE] __attribute__((aligned(16)));
-    load_colors(rendered, photo, left, top, width, height, xs, ys);
-    for (int c = 0; c < CHANNELS && ssim_scale > 0.0f; ++c) {
-        const int place = c * TILE_H * TILE_W;
-        ssim_backward(partials + MARGIN + c * 3 * pitch * height, left, top, width, height, pitch, ssim_scale, sums,
-                      xs + place, ys + place);
+    __local float sums[CHANNELS * SUMS] __attribute__((aligned(16)));
+    if (ssim_scale > 0.0f) {
+        gather_down(partials + MARGIN, left, top, width, height, pitch, sums);
+        barrier(CLK_LOCAL_MEM_FENCE);
+        gather_across(sums);
+        barrier(CLK_LOCAL_MEM_FENCE);
     }
 #endif
 #ifdef TRACK_LOSS
-#ifdef SSIM
-    __local long *scratch = (__local long *)sums;      // no longer needed
-#else
     __local long scratch[LOSS_GROUP];
-#endif
     long loss = 0;
 #endif
     for (int t = get_local_id(0); t < TILE_H * TILE_ACROSS; t += LOSS_GROUP) {
@@ -197,7 +191,7 @@ void loss_backward(__global const stored_t *rendered, __global const uchar4 *pho
             by[c] = l1_scale * (1.0f / CHANNELS) * full_weight * slope;
 #ifdef SSIM
             if (ssim_scale > 0.0f)
-                by[c] += LOAD_COLUMNS(xs + (c * TILE_H + row) * TILE_W + column);
+                by[c] -= ssim_scale * by_similarity(sums, c, row * STRIDE + column, r.color[c], r.photo[c]);
 #endif
             by[c] = select(ZERO, by[c], r.live);
         }

@@ -140,6 +140,8 @@ def close_benches() -> None:
     from pagas_cl.runtime.claim import give_back
 
     with _one_at_a_time:
+        for bench in _benches.values():
+            bench.photos.clear()
         _benches.clear()
         _lost.clear()
         give_back()

@@ -55,7 +55,7 @@ class Arena:
         self._buffers: dict[str, cl.Buffer] = {}
         try:
             for spec in specs:
-                self._buffers[spec.name] = device.memory.buffer(device.context, spec.nbytes)
+                self._buffers[spec.name] = device.memory.buffer(device.context, spec.nbytes, spec.name)
         except DeviceMemoryError:
             self.release()
             raise

@@ -1,8 +1,13 @@
-"""What a device holds of ours: every buffer is counted while it lives, and none is made beyond what is allowed."""
+"""What a device holds of ours: every buffer is counted while it lives, and none is made beyond what is allowed.
+
+Buffers that are given back wait for the next of their size and role: a driver takes a third of a millisecond for each
+that it frees, and views of one size need the same ones again.
+"""
 
 from __future__ import annotations
 
 import os
+from collections import defaultdict, deque
 
 import pyopencl as cl
 
@@ -20,13 +25,18 @@ class Memory:
         The device's name, for messages.
     limit, held, peak : int
         Bytes allowed, held now, and held at most since `begin`.
+    waiting : int
+        Bytes of buffers that were given back and are kept.
     """
 
     def __init__(self, title: str, limit: int):
-        self.title, self.limit, self.held, self.peak = title, limit, 0, 0
+        self.title, self.limit, self.held, self.peak, self.waiting = title, limit, 0, 0, 0
+        self._planned, self._kept = 0, defaultdict(deque)
 
-    def buffer(self, context, nbytes: int) -> cl.Buffer:
-        """A buffer for reading and writing.
+    def buffer(self, context, nbytes: int, role: str = "") -> cl.Buffer:
+        """A buffer for reading and writing; what is in it is left over from whatever it served before.
+
+        One that has served in the `role` is taken again, so that kernels find it where it was.
 
         Raises
         ------
@@ -36,33 +46,68 @@ class Memory:
         if self.held + nbytes > self.limit:
             raise DeviceMemoryError(f"{self.title} may hold {_mb(self.limit)} MB, {_mb(self.held)} MB are taken and "
                                     f"{_mb(nbytes)} MB more are needed")
+        if self._kept[role, nbytes]:
+            return self._take(role, nbytes)
+        self._free(self._planned - nbytes)
         try:
-            return _Counted(self, context, nbytes)
+            return _Counted(self, context, nbytes, role)
+        except cl.Error:
+            self._free(0)
+        try:
+            return _Counted(self, context, nbytes, role)
         except cl.Error as error:
             raise DeviceMemoryError(f"{self.title} refused {_mb(nbytes)} MB ({error}) beside the {_mb(self.held)} MB "
                                     "that it holds") from error
 
-    def begin(self) -> None:
-        """Count the peak from here on."""
-        self.peak = self.held
+    def begin(self, planned: int = 0) -> None:
+        """Count the peak from here on, where no more than `planned` bytes beside those held now will be needed."""
+        self.peak, self._planned = self.held, min(self.limit, self.held + planned)
+        self._free(self._planned)
 
     def count(self, nbytes: int) -> None:
         self.held += nbytes
         self.peak = max(self.peak, self.held)
 
+    def keep(self, buffer: _Counted) -> None:
+        """Take back a buffer that nothing enqueued later will use."""
+        self._kept[buffer.role, buffer.size].append(buffer)
+        self.waiting += buffer.size
+
+    def clear(self) -> None:
+        """Let the driver have every buffer that waits."""
+        self._free(0)
+
+    def _take(self, role: str, nbytes: int) -> cl.Buffer:
+        buffer = self._kept[role, nbytes].popleft()
+        self.waiting -= nbytes
+        buffer.count()
+        return buffer
+
+    def _free(self, most: int) -> None:
+        """Let the driver have kept buffers, until no more than `most` bytes are held and kept."""
+        for (_, nbytes), kept in self._kept.items():
+            while kept and self.held + self.waiting > most:
+                kept.popleft()
+                self.waiting -= nbytes
+
 
 class _Counted(cl.Buffer):
     """A buffer that is counted from its making until it is released or dropped."""
 
-    def __init__(self, memory: Memory, context, nbytes: int):
-        self._memory, self._counted = memory, 0
+    def __init__(self, memory: Memory, context, nbytes: int, role: str):
+        self._memory, self._counted, self.role = memory, 0, role
         super().__init__(context, cl.mem_flags.READ_WRITE, nbytes)
-        self._counted = nbytes
-        memory.count(nbytes)
+        self.count()
+
+    def count(self):
+        self._counted = self.size
+        self._memory.count(self._counted)
 
     def release(self):
-        self._forget()
-        super().release()
+        """Give it back; once, however often it is asked for."""
+        if self._counted:
+            self._forget()
+            self._memory.keep(self)
 
     def __del__(self):
         self._forget()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections import defaultdict
+import weakref
+from collections import defaultdict, deque
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
@@ -67,22 +68,61 @@ def _first_line(log: str) -> str:
     return told[0] if told else log.strip().splitlines()[0]
 
 
+class _Kernel:
+    """A kernel that remembers its arguments: most are the same view after view, and setting one costs as much as
+    looking at ten."""
+
+    def __init__(self, program: cl.Program, name: str):
+        self.cl_kernel, self._arguments = cl.Kernel(program, name), None
+
+    def set_args(self, arguments: list):
+        known, self._arguments = self._arguments, None       # should one of them be refused
+        remembered = [_remembered(value) for value in arguments]
+        if known is None:
+            self.cl_kernel.set_args(*arguments)
+        else:
+            for index, value in enumerate(arguments):
+                if known[index] != remembered[index]:
+                    self.cl_kernel.set_arg(index, value)
+        self._arguments = remembered
+
+    def set_arg(self, index: int, value):
+        self.cl_kernel.set_arg(index, value)
+        self._arguments[index] = _remembered(value)
+
+
+def _remembered(value):
+    """What tells an argument from another one: the bits of a number; of a buffer, which must not be kept alive here, the
+    very object."""
+    if isinstance(value, np.generic):
+        return value.dtype, value.tobytes()
+    return value if value is None else weakref.ref(value)
+
+
 @dataclass(frozen=True)
 class Launch:
     """A kernel with its arguments bound, ready to be enqueued any number of times."""
 
-    kernel: cl.Kernel
+    bound: _Kernel
     global_size: tuple[int, ...]
     local_size: tuple[int, ...] | None = None
     stage: str = ""
     source: tuple = ()
 
+    @property
+    def kernel(self) -> cl.Kernel:
+        return self.bound.cl_kernel
+
+    def set_arg(self, index: int, value: np.generic):
+        """Another value for one argument."""
+        self.bound.set_arg(index, value)
+
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
-        return cl.enqueue_nd_range_kernel(queue, self.kernel, self.global_size, self.local_size)
+        return cl.enqueue_nd_range_kernel(queue, self.bound.cl_kernel, self.global_size, self.local_size)
 
     def release(self):
         """Give the kernel back for other arguments; what is enqueued keeps those that it was enqueued with."""
-        _idle[self.source].append(self.kernel)
+        _idle[self.source].append(self.bound)
 
 
 @dataclass(frozen=True)
@@ -123,8 +163,9 @@ def run_once(queue: cl.CommandQueue, launches):
         launch.release()
 
 
-# Kernels that wait for arguments, by (program, name): making one takes ten times as long as setting its arguments.
-_idle: dict[tuple, list[cl.Kernel]] = defaultdict(list)
+# Kernels that wait for arguments, by (program, name): making one takes ten times as long as setting its arguments. The
+# one that has waited longest goes first, so that each comes back to the view that it served.
+_idle: dict[tuple, deque[_Kernel]] = defaultdict(deque)
 
 
 def usual_group(global_size) -> tuple[int, ...] | None:
@@ -147,8 +188,8 @@ def bind(program: cl.Program, name: str, global_size, local_size, *arguments) ->
     """
     arguments = [_argument(value, name) for value in arguments]
     source = (program.int_ptr, name)
-    kernel = _idle[source].pop() if _idle[source] else cl.Kernel(program, name)
-    kernel.set_args(*arguments)
+    kernel = _idle[source].popleft() if _idle[source] else _Kernel(program, name)
+    kernel.set_args(arguments)
     local_size = tuple(local_size) if local_size else usual_group(global_size)
     if local_size:
         global_size = tuple(-(-g // l) * l for g, l in zip(global_size, local_size))

@@ -58,7 +58,7 @@ def plan_for(cameras: list[Camera], contexts: int, config: Config, device, strea
 def _measuring(cameras: list[Camera], streamed: bool) -> Plan:
     """The plan of measuring a view beforehand, beside its initial depth."""
     sizes = [level_size(camera, 1.0) for camera in cameras]
-    return Plan(_photos(sizes, sizes, streamed), probe_bytes(sizes, len(cameras) - 1) + 4 * sizes[0].pixels)
+    return Plan(_photos(sizes, sizes, streamed), probe_bytes(sizes, len(cameras) - 1) + 8 * sizes[0].pixels)
 
 
 def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, device, streamed: bool) -> Plan:
@@ -66,7 +66,7 @@ def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, devi
     cameras = cameras if scale == 1 else cameras[:1 + contexts]
     full, sizes = [level_size(camera, 1.0) for camera in cameras], [level_size(camera, scale) for camera in cameras]
     specs = level_buffers(config, sizes[0], sizes[1:], contexts, choose_tiles(device, [size.grid for size in sizes]))
-    depths = 4 * full[0].pixels                                  # the initial one; that of the level before, enlarged
+    depths = 8 * full[0].pixels          # the initial one, as it came and in units; that of the level before, enlarged
     if scale > config.pyramid.scales[0]:
         depths += 4 * (sizes[0].pixels + _before(scale, cameras[0], config).pixels)
     during = after = total_bytes(specs) + depths

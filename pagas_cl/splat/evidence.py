@@ -19,15 +19,19 @@ HISTOGRAM = 8 * _BINS       # bytes that count them, before and after
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Per pixel of shape (H, W): status uint8 (0 no surface, 1 refined, 2 kept, 3 rejected); standard deviation of
-    the depth, float32, device units, infinite where nothing is known. Before and after, over the pixels that are seen:
-    mean 1 - correlation with the views' photos, of all refined depth, and median with each witness' photo, of what is
-    accepted."""
+    """On the device, per pixel: status uint8, as in scene/status.py; standard deviation of the depth, float32, device
+    units, infinite where nothing is known. Before and after, over the pixels that are seen: mean 1 - correlation with
+    the views' photos, of all refined depth, and median with each witness' photo, of what is accepted."""
 
-    status: np.ndarray
-    deviation: np.ndarray
+    status: cl.Buffer
+    deviation: cl.Buffer
     cost: tuple[float, float]
     witnesses: tuple[tuple[float, float], ...]
+
+    def release(self):
+        """Give the buffers back."""
+        self.status.release()
+        self.deviation.release()
 
 
 @dataclass(frozen=True)
@@ -100,6 +104,8 @@ class Evidence:
 
     def release(self):
         """Give back what was weighed."""
+        for buffer in filter(None, (self._before, self._after)):
+            buffer.release()
         self._before = self._after = None
 
     def costs(self) -> tuple[float, float]:
@@ -109,6 +115,7 @@ class Evidence:
             bind(self.program, "sum_costs", (_SUM_GROUPS * _SUM_GROUP,), (_SUM_GROUP,), self._before, self._after,
                  self.level.target.pixels, sums)])
         before, after, pixels = self._read(sums, np.int64).reshape(-1, 3).sum(axis=0).tolist()
+        sums.release()
         return (before / pixels / _ONE, after / pixels / _ONE) if pixels else (float("nan"), float("nan"))
 
     def medians(self) -> tuple[float, float]:
@@ -120,6 +127,7 @@ class Evidence:
             bind(self.program, "count_costs", (self.level.target.pixels,), None, self._before, self._after,
                  self.level.target.pixels, counts)])
         before, after = self._read(counts, np.uint32).reshape(2, _BINS)
+        counts.release()
         return _median(before), _median(after)
 
     def _refuse(self, witness: Evidence, status: cl.Buffer):
@@ -134,7 +142,7 @@ class Evidence:
         run_once(self.level.device.queue, launches)
         witness.release()
 
-    def decide(self, shape, witnesses: Sequence[Evidence] = ()) -> Verdict:
+    def decide(self, witnesses: Sequence[Evidence] = ()) -> Verdict:
         """Send back what the photos do not confirm; arena["depth"] holds what is accepted.
 
         `witnesses`, each of a photo that took no part, are weighed here.
@@ -155,8 +163,7 @@ class Evidence:
             bind(deviation_program, "bends", size.grid, None, a["depth"], a["unit"], *size.grid, bent),
             bind(deviation_program, "deviate", size.grid, None, status, a["unit"], *size.grid, self._before,
                  self._after, bent, self.doubt.spread, self.doubt.misaligned, deviation)])
-        return Verdict(self._read(status, np.uint8).reshape(shape), self._read(deviation, np.float32).reshape(shape),
-                       self.costs(), tuple(witness.judge() for witness in witnesses))
+        return Verdict(status, deviation, self.costs(), tuple(witness.judge() for witness in witnesses))
 
     def judge(self) -> tuple[float, float]:
         """Medians under the depth as it is now."""

@@ -112,8 +112,9 @@ class PhotoStore:
                 for view, size in zip(views, sizes)], ()
 
     def clear(self):
-        """Forget every photo."""
+        """Forget every photo, and the buffers that wait for another view."""
         self._photos.clear()
+        self.device.memory.clear()
 
     def leave(self, nbytes: int):
         """Keep no more photos than leave room for `nbytes` of other buffers."""

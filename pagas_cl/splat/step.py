@@ -39,13 +39,13 @@ class Solver:
     def enqueue(self, number: int, steps: int):
         """Step `number` (from 0) of `steps`."""
         if self.patience:
-            self._plateau.kernel.set_arg(2, np.int32(number + 1))
+            self._plateau.set_arg(2, np.int32(number + 1))
             self._plateau.enqueue(self.queue)
         settings = self.level.config.solver
         corrections = (1 / (1 - beta ** (number + 1)) for beta in (settings.beta1, settings.beta2))
         damping = settings.damping_at(number, steps)
         for argument, value in zip((7, 8, 11, 13), (*corrections, damping, self._share(number, steps))):
-            self._adam.kernel.set_arg(argument, np.float32(value))
+            self._adam.set_arg(argument, np.float32(value))
         self._adam.enqueue(self.queue)
 
     def _share(self, number: int, steps: int) -> float:

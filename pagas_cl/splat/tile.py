@@ -22,6 +22,8 @@ class Tile:
         Pixels that a work-item handles side by side where all are handled alike.
     lanes : int
         The same in a horizontal blur.
+    run : int
+        Rows that it handles in a vertical blur; `height` is a multiple.
     """
 
     width: int
@@ -29,12 +31,13 @@ class Tile:
     group: int
     columns: int
     lanes: int
+    run: int = 4
 
     @property
     def defines(self) -> tuple[str, ...]:
         """The -D defines of lanes.clh and window.clh."""
         return (f"TILE_W={self.width}", f"TILE_H={self.height}", f"LOSS_GROUP={self.group}", f"COLUMNS={self.columns}",
-                f"LANES={self.lanes}")
+                f"LANES={self.lanes}", f"RUN={self.run}")
 
     def groups(self, width: int, height: int) -> tuple[int, int]:
         """Tiles across and down that cover `width` x `height` pixels."""
@@ -46,9 +49,9 @@ class Tile:
         return across * self.group, down
 
 
-# For ssim.cl and loss.cl: what fits into 32 kB of local memory. 31 of 32 work-items are busy in the vertical pass, 26
-# in the horizontal one; rows start on 16 bytes.
-SCALAR = Tile(52, 8, 128, 1, 4), Tile(52, 16, 256, 1, 4)
+# For ssim.cl and loss.cl: what fits into 32 kB of local memory, with few work-items that are idle in either pass; rows
+# start on 16 bytes.
+SCALAR = Tile(48, 10, 128, 1, 4, run=5), Tile(52, 12, 192, 1, 4, run=4)
 
 
 def columns_of(device, width: int) -> int:

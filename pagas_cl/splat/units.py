@@ -1,69 +1,83 @@
-"""Depths from scene units to the device's units and back.
-
-These passes over whole maps are all that the host does for a view: no branch per pixel, and few new pages of memory.
-"""
+"""Launches of units.cl: depths from scene units to the device's units, and back."""
 
 from __future__ import annotations
 
 import numpy as np
+import pyopencl as cl
 
-from pagas_cl.scene.depthmap import surface_depth
-from pagas_cl.scene.status import REFINED
+from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.scene.unit import unit_of
 
-NEAR = 1e-3               # units, as in constants.clh
-FAR = 1e6
-MEDIAN_SAMPLES = 65536
+_NONE_YET = np.array([np.inf, 0], np.float32)
 
 
-def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.ndarray, float]:
-    """Depth in units of its median, float32, 0 where there is none, and that unit.
+class Entered:
+    """The initial depth of a view on the device, in units of its median: made once for measuring and for refining.
 
     Depths outside NEAR to FAR units, masked out or not finite have no Gaussian.
+
+    Attributes
+    ----------
+    unit : float
+        Scene units per unit.
+    spread : float
+        Range of the valid depths, units.
+    given : pyopencl.Buffer
+        float32 of shape (H, W), scene units, as it came.
+    buffer : pyopencl.Buffer
+        float32 of shape (H, W), units, 0 = no surface.
     """
-    depth = depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32)
-    valid = (depth > 0) & (depth < np.inf)
-    if mask is not None:
-        valid &= mask
-    unit = _unit(depth, valid)
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = (depth / np.asarray(unit, depth.dtype)).astype(np.float32, copy=False)
-        valid &= (scaled >= NEAR) & (scaled <= FAR)
-    # NumPy keeps the order of what came in, by columns too, and the device reads rows
-    return np.ascontiguousarray(_only(valid, scaled)), unit
 
+    def __init__(self, target, depth: np.ndarray, device):
+        depth = np.ascontiguousarray(depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32))
+        mask = target.load_mask()
+        self.unit, self._device = unit_of(depth, mask), device
+        with np.errstate(over="ignore"):
+            self.given = self._upload(depth.astype(np.float32, copy=False))
+        doubles = depth.dtype == np.float64          # what they say beyond float32 is not lost in the division
+        with np.errstate(over="ignore", invalid="ignore"):
+            self.buffer = self._upload((depth / self.unit).astype(np.float32)) if doubles else self._room(4 * depth.size)
+        visible = None if mask is None else self._upload(np.ascontiguousarray(mask, bool))
+        bounds = self._upload(_NONE_YET)
+        run_once(device.queue, [
+            bind(build(device, "units.cl"), "enter", (depth.size,), None, self.given, visible, depth.size, self._unit(),
+                 int(doubles), self.buffer, bounds)])
+        nearest, farthest = self._read(bounds, 2, np.float32)
+        self.spread = max(0.0, float(farthest - nearest))
+        for buffer in filter(None, (visible, bounds)):
+            buffer.release()
 
-def scene_depth(refined: np.ndarray, unit: float, status: np.ndarray, given: np.ndarray) -> np.ndarray:
-    """Scene units again, in place of `refined`; a depth that was not refined comes back with the bits that it came
-    with, 0 = no surface."""
-    new = status == REFINED
-    refined *= np.float32(unit)
-    kept = _only(~new, surface_depth(given))
-    _bits(_only(new, refined))[...] |= _bits(kept)
-    return refined
+    def leave(self, refined, parallax, status, deviation, shape):
+        """(depth, parallax, deviation, status) on the host, scene units, from the buffers of `shape` in units.
 
+        A depth that was not refined comes back with the bits that it came with; a surface without a Gaussian counts as
+        kept.
+        """
+        n = shape[0] * shape[1]
+        run_once(self._device.queue, [
+            bind(build(self._device, "units.cl"), "leave", (n,), None, self.given, n, self._unit(), refined, parallax,
+                 status, deviation)])
+        return tuple(self._read(buffer, shape, dtype) for buffer, dtype in (
+            (refined, np.float32), (parallax, np.float32), (deviation, np.float32), (status, np.uint8)))
 
-def depth_range(normalized: np.ndarray) -> float:
-    """From the nearest to the farthest surface, units; 0 without any."""
-    # positive floats have the order of their bits; that of no surface, 0 - 1, is the last
-    nearest = (_bits(normalized) - np.uint32(1)).min(keepdims=True) + np.uint32(1)
-    return (normalized.max() - nearest.view(np.float32)).item()
+    def release(self):
+        """Give the buffers back; this is of no more use."""
+        self.given.release()
+        self.buffer.release()
 
+    def _unit(self) -> float:
+        """As the device counts: where it is too large for that, so is every depth."""
+        return min(self.unit, float(np.finfo(np.float32).max))
 
-def _only(mask: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """0 outside `mask`, in place: the bits of a float32 times 0 or 1, so that NaN and infinity end too."""
-    bits = _bits(depth)
-    bits *= mask
-    return depth
+    def _room(self, nbytes: int) -> cl.Buffer:
+        return self._device.memory.buffer(self._device.context, nbytes)
 
+    def _upload(self, array: np.ndarray) -> cl.Buffer:
+        buffer = self._room(array.nbytes)
+        cl.enqueue_copy(self._device.queue, buffer, array)
+        return buffer
 
-def _bits(depth: np.ndarray) -> np.ndarray:
-    return depth.view(np.uint32)
-
-
-def _unit(depth: np.ndarray, valid: np.ndarray) -> float:
-    """The unit of length: the median of the valid depths, of a regular sample of a large map; 1 without any."""
-    every = max(1, depth.size // MEDIAN_SAMPLES)
-    sample = depth.ravel()[::every][valid.ravel()[::every]]
-    if every > 1 and sample.size < MEDIAN_SAMPLES // 16:        # a small object in a large photo
-        sample = depth[valid]
-    return float(np.median(sample.astype(np.float64))) if sample.size else 1.0
+    def _read(self, buffer: cl.Buffer, shape, dtype) -> np.ndarray:
+        out = np.empty(shape, dtype)
+        cl.enqueue_copy(self._device.queue, out, buffer)
+        return out

@@ -9,7 +9,6 @@ import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.scene.rig import distance_unit
-from pagas_cl.scene.status import KEPT, NO_SURFACE
 from pagas_cl.splat.budget import FOR_EVIDENCE, plan_for
 from pagas_cl.splat.evidence import Doubt, Evidence
 from pagas_cl.splat.level import Level, LevelInput
@@ -17,7 +16,7 @@ from pagas_cl.splat.measure import Probe
 from pagas_cl.splat.resample import Resampler
 from pagas_cl.splat.state import PhotoStore, Size, level_size
 from pagas_cl.splat.streamed import StreamedPhotos
-from pagas_cl.splat.units import depth_range, normalized_depth, scene_depth
+from pagas_cl.splat.units import Entered
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +93,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     planned.check(target.name, device)
     planned.tell(target.name)
     photos.leave(planned.beside_photos)
-    device.memory.begin()
+    device.memory.begin(planned.nbytes)
     run = _Run(target, contexts, depth, config, device, photos, witnesses=witnesses, entered=entered,
                gloss=measured.local_gloss if measured else None)
     before, done, losses = None, [], []
@@ -126,30 +125,10 @@ def probe_view(target, contexts, depth: np.ndarray, config: Config, device, phot
     """What the context views show under the initial depth: a measure.Found."""
     run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), entered=entered)
     given = run.at(1.0)
-    probe = Probe(device, config, given, lambda out: run.resampler.shrink_depth(run.entered, run.full, out, run.full))
+    probe = Probe(device, config, given, lambda out: run.resampler.shrink_depth(run.entered.buffer, run.full, out, run.full))
     found = probe.read()
     probe.release()
     return found
-
-
-class Entered:
-    """The initial depth of a view on the device, in units of its median: made once for measuring and for refining.
-
-    Attributes
-    ----------
-    unit : float
-        Scene units per unit.
-    spread : float
-        Range of the valid depths, units.
-    buffer : pyopencl.Buffer
-        float32 of shape (H, W), 0 = no surface.
-    """
-
-    def __init__(self, target, depth: np.ndarray, device):
-        initial, self.unit = normalized_depth(depth, target.load_mask())
-        self.spread = depth_range(initial)
-        self.buffer = device.memory.buffer(device.context, initial.nbytes)
-        cl.enqueue_copy(device.queue, self.buffer, initial)
 
 
 class _Run:
@@ -162,7 +141,7 @@ class _Run:
         self.resampler = Resampler(device, config)
         self.full = Size(target.camera.width, target.camera.height)
         entered = entered or Entered(target, depth, device)
-        self.unit, self.entered = entered.unit, entered.buffer
+        self.unit, self.entered = entered.unit, entered
         self.threshold = entered.spread / config.splatting.depth_slices
         distance = distance_unit([view.camera for view in self.views]) / self.unit
         self.distance = distance if np.isfinite(distance) else 1.0
@@ -176,7 +155,7 @@ class _Run:
                           self.gloss)
 
     def initial_writer(self, level: Level):
-        return lambda out: self.resampler.shrink_depth(self.entered, self.full, out, level.target)
+        return lambda out: self.resampler.shrink_depth(self.entered.buffer, self.full, out, level.target)
 
     def start_writer(self, level: Level, before: tuple[cl.Buffer, Size] | None):
         """`before`: depth of the level before, and its size."""
@@ -185,22 +164,20 @@ class _Run:
 
         def write(out):
             at_size = self.device.memory.buffer(self.device.context, 4 * level.target.pixels)
-            self.resampler.shrink_depth(self.entered, self.full, at_size, level.target)
+            self.resampler.shrink_depth(self.entered.buffer, self.full, at_size, level.target)
             self.resampler.enlarge_depth(*before, at_size, out, level.target)
 
         return write
 
     def finish(self, level: Level, doubt: Doubt, steps, losses, planned: int) -> Refinement:
         level.release(keep=FOR_EVIDENCE)
-        contexts = Evidence(level, range(1, len(self.views)), self.entered, doubt)
-        witnesses = [Evidence(level, [len(self.views) + k], self.entered, doubt) for k in range(len(self.witnesses))]
-        verdict = contexts.decide(self.depth.shape, witnesses)
-        refined, parallax = (level.read(name, self.depth.shape) for name in ("depth", "unit"))
-        for lengths in (parallax, verdict.deviation):
-            lengths *= np.float32(self.unit)
-        level.release()
-        depth = scene_depth(refined, self.unit, verdict.status, self.depth)
-        aside = (verdict.status == NO_SURFACE) & (depth > 0)         # a surface without a Gaussian, masked out for instance
-        verdict.status[aside], verdict.deviation[aside] = KEPT, np.inf
-        return Refinement(depth, verdict.status, verdict.deviation, parallax, verdict.cost, verdict.witnesses, steps,
-                          losses, self.device.memory.peak, planned)
+        initial = self.entered.buffer
+        contexts = Evidence(level, range(1, len(self.views)), initial, doubt)
+        witnesses = [Evidence(level, [len(self.views) + k], initial, doubt) for k in range(len(self.witnesses))]
+        verdict = contexts.decide(witnesses)
+        depth, parallax, deviation, status = self.entered.leave(level.arena["depth"], level.arena["unit"],
+                                                                verdict.status, verdict.deviation, self.depth.shape)
+        for held in (level, contexts, verdict):
+            held.release()
+        return Refinement(depth, status, deviation, parallax, verdict.cost, verdict.witnesses, steps, losses,
+                          self.device.memory.peak, planned)

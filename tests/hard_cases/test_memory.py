@@ -55,7 +55,7 @@ def test_refused_before_anything_is_allocated(monkeypatch, info, shape, kind, se
 def test_an_allocation_that_fails_gives_the_others_back(monkeypatch):
     released = []
 
-    def buffer(counter, context, nbytes):
+    def buffer(counter, context, nbytes, role):
         if nbytes == 12:
             raise cl.MemoryError("clCreateBuffer failed: MEM_OBJECT_ALLOCATION_FAILURE")
         return SimpleNamespace(release=lambda: released.append(nbytes))

@@ -1,0 +1,62 @@
+// Depths from scene units to the device's units, and back (splat/units.py).
+#include "constants.clh"
+#include "status.clh"
+
+#define FAR 1e6f
+#define INFINITE 0x7f800000u
+
+// A surface: a number above 0 that is finite. By its bits, which a device may not flush to 0.
+bool is_surface(float d)
+{
+    return as_uint(d) - 1u < INFINITE - 1u;
+}
+
+// a / b as it is rounded, where the device's own division may be off by its last bits.
+float quotient(float a, float b)
+{
+    const float near = a / b;
+    return near + fma(-near, b, a) / b;
+}
+
+// Depth in units, 0 = no Gaussian; `depth` holds it already where it is `scaled`. bounds: the nearest and the farthest.
+__kernel void enter(__global const float *given, __global const uchar *visible, int count, float unit, int scaled,
+                    __global float *depth, __global volatile uint *bounds)
+{
+    __local uint nearest, farthest;
+    const int i = get_global_id(0);
+    if (get_local_id(0) == 0) {
+        nearest = INFINITE;
+        farthest = 0;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (i < count) {
+        const float d = scaled ? depth[i] : quotient(given[i], unit);
+        const bool valid = is_surface(given[i]) && d >= NEAR && d <= FAR && (!visible || visible[i]);
+        depth[i] = valid ? d : 0.0f;
+        if (valid) {
+            atomic_min(&nearest, as_uint(d));
+            atomic_max(&farthest, as_uint(d));
+        }
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (get_local_id(0) == 0 && farthest > 0) {
+        atomic_min(&bounds[0], nearest);
+        atomic_max(&bounds[1], farthest);
+    }
+}
+
+// What is given back of a view, in place; status as in status.clh.
+__kernel void leave(__global const float *given, int count, float unit, __global float *depth, __global float *parallax,
+                    __global uchar *status, __global float *deviation)
+{
+    const int i = get_global_id(0);
+    if (i >= count)
+        return;
+    const uint kept = is_surface(given[i]) ? as_uint(given[i]) : 0u;
+    const bool aside = status[i] == NO_SURFACE && kept;
+    ((__global uint *)depth)[i] = status[i] == REFINED ? as_uint(depth[i] * unit) : kept;
+    parallax[i] *= unit;
+    deviation[i] = aside ? INFINITY : deviation[i] * unit;
+    if (aside)
+        status[i] = KEPT;
+}
