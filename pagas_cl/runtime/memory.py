@@ -59,9 +59,9 @@ class Memory:
             raise DeviceMemoryError(f"{self.title} refused {_mb(nbytes)} MB ({error}) beside the {_mb(self.held)} MB "
                                     "that it holds") from error
 
-    def begin(self, planned: int = 0) -> None:
-        """Count the peak from here on, where no more than `planned` bytes beside those held now will be needed."""
-        self.peak, self._planned = self.held, min(self.limit, self.held + planned)
+    def begin(self, planned: int) -> None:
+        """Count the peak from here on; `planned` bytes in all will do, what waits included."""
+        self.peak, self._planned = self.held, min(self.limit, planned)
         self._free(self._planned)
 
     def count(self, nbytes: int) -> None:

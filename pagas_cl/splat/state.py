@@ -116,6 +116,11 @@ class PhotoStore:
         self._photos.clear()
         self.device.memory.clear()
 
+    def beside(self, views) -> int:
+        """Bytes of the photos that are here and are not of `views`."""
+        own = {id(view) for view in views}
+        return sum(buffer.size for view, buffer in self._photos.values() if id(view) not in own)
+
     def leave(self, nbytes: int):
         """Keep no more photos than leave room for `nbytes` of other buffers."""
         self.limit = max(0, min(self.limit, self.device.memory.limit - nbytes))

@@ -22,6 +22,10 @@ class StreamedPhotos:
         host = tuple(self._on_host(view, size, resampler) for view, size in zip(views[1:], sizes[1:]))
         return [target, *[place] * len(host)], host
 
+    def beside(self, views) -> int:
+        """No photos are kept."""
+        return 0
+
     def leave(self, nbytes: int):
         """No photos are kept."""
 

@@ -93,7 +93,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     planned.check(target.name, device)
     planned.tell(target.name)
     photos.leave(planned.beside_photos)
-    device.memory.begin(planned.nbytes)
+    device.memory.begin(planned.nbytes + photos.beside((target, *contexts, *witnesses)))
     run = _Run(target, contexts, depth, config, device, photos, witnesses=witnesses, entered=entered,
                gloss=measured.local_gloss if measured else None)
     before, done, losses = None, [], []
