@@ -1,4 +1,5 @@
-"""What a kernel may be given: whole numbers of 32 bits, or a sentence that says which one is not."""
+"""What a kernel may be given: whole numbers of 32 bits, or a sentence that says which one is not; and that a kernel which
+is used again has the arguments of now."""
 
 import numpy as np
 import pytest
@@ -33,3 +34,22 @@ def test_a_number_that_does_not_fit_is_refused(device, number):
     with pytest.raises(DeviceError, match=rf"kernel plateau was given {number}, expected a whole number of 32 bits"):
         rate_falls(device, number)
     assert rate_falls(device, 1), "the kernel is usable afterwards"
+
+
+def test_a_kernel_that_is_used_again_has_the_arguments_of_now(device):
+    """Buffers that come and go at the same addresses, numbers changed behind bind's back."""
+    import pyopencl as cl
+
+    program, source = build(device, "step.cl"), np.full(4, 5, np.float32)
+    for repeat in range(6):
+        state, history = (device.memory.buffer(device.context, nbytes) if repeat < 4 else
+                          cl.Buffer(device.context, cl.mem_flags.READ_WRITE, nbytes) for nbytes in (32, source.nbytes))
+        cl.enqueue_copy(device.queue, state, np.array([1, 0, 0, 0, 5 + repeat, 0, 0, 0], np.float32))
+        launch = bind(program, "plateau", (1,), None, state, history, 1, 9, 0.0)
+        if repeat % 2:
+            launch.set_arg(2, np.int32(3))                # the place in the history
+        run_once(device.queue, [launch])
+        found = np.zeros(4, np.float32)
+        cl.enqueue_copy(device.queue, found, history)
+        assert found[2 if repeat % 2 else 0] == 5 + repeat
+        del launch, state, history

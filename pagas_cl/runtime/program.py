@@ -93,10 +93,13 @@ class _Kernel:
 
 def _remembered(value):
     """What tells an argument from another one: the bits of a number; of a buffer, which must not be kept alive here, the
-    very object."""
+    very object. Equal to nothing where that cannot be told."""
     if isinstance(value, np.generic):
         return value.dtype, value.tobytes()
-    return value if value is None else weakref.ref(value)
+    try:
+        return value if value is None else weakref.ref(value)
+    except TypeError:
+        return object()
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,10 @@ import pytest
 from pagas_cl.config import BALANCED, FAST, PAPER
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError
 from pagas_cl.made import relief_scene
-from pagas_cl.refine import refine_depth
+from pagas_cl.refine import refine_depth, refine_views
 from pagas_cl.runtime import memory
 from pagas_cl.runtime.arena import Arena, BufferSpec
+from pagas_cl.runtime.device import open_device
 from pagas_cl.runtime.memory import Memory, limit_of
 from pagas_cl.scene.view import View
 from pagas_cl.splat import budget, fit
@@ -202,3 +203,32 @@ def test_memory_that_the_environment_allows(monkeypatch):
         monkeypatch.setenv("PAGAS_CL_MEMORY", text)
         with pytest.raises(InputError, match="PAGAS_CL_MEMORY"):
             limit_of(2**30)
+
+
+def test_what_is_given_back_waits_for_its_role_and_never_beyond_the_plan():
+    device = open_device()
+    counter = Memory("a device", 1000)
+    counter.begin(600)
+    first, other = counter.buffer(device.context, 200, "depth"), counter.buffer(device.context, 200, "unit")
+    first.release()
+    first.release()                                      # once is enough
+    assert (counter.held, counter.waiting, counter.peak) == (200, 200, 400)
+    assert counter.buffer(device.context, 200, "depth") is first and counter.waiting == 0
+    first.release()
+    counter.buffer(device.context, 300, "unit")          # 700 with what waits: more than was planned
+    assert counter.waiting == 0
+    other.release()
+    counter.begin(0)
+    assert counter.waiting == 0
+    kept = counter.buffer(device.context, 100, "x")
+    kept.release()
+    counter.clear()
+    assert (counter.held, counter.waiting) == (0, 0)     # nobody holds the 300 any more
+
+
+def test_a_run_leaves_nothing_waiting():
+    made = relief_scene(48, 36, contexts=2)
+    device = open_device()
+    refine_views(made.views, [made.initial_depth(camera) for camera in made.cameras[:len(made.views)]],
+                 config=BALANCED.with_settings(pyramid__steps=(2,)), device=device)
+    assert device.memory.waiting == 0
