@@ -149,11 +149,12 @@ class Smoothness:
         lambda_s.
     full_views : int
         With fewer context views than this the weight is larger, by (full_views / context views)^(2/3): fewer photos
-        average less noise. 1 keeps it.
+        average less noise. 1 keeps it. Only once the photos have moved the depth (Solver.photos_first).
     texture : float
         How much w_grad lowers the weight: 1 - texture * w_grad.
     gloss : float
-        Most by which the gloss that was measured around a pixel raises its weight; 0 leaves it out.
+        Most by which the gloss that was measured around a pixel raises its weight; 0 leaves it out. Only once the
+        photos have moved the depth, too.
     huber : float
         With "planar": where the penalty turns from quadratic to linear, pixels of parallax.
     cut : float
@@ -247,6 +248,12 @@ class Solver:
     def damping_at(self, step: int, steps: int) -> float:
         """Of step 0, 1, ... of `steps`."""
         return self.damping * (1 + (self.early_damping - 1) * max(0.0, 1 - 5 * step / steps))
+
+    def photos_first(self, steps: int) -> int:
+        """Steps of a level before smoothness is raised for few context views and gloss: half of them, in which the
+        photos move the depth. Much smoothness takes out what the photos disagree on in tens of steps, but would let a
+        depth that is far off follow them only over hundreds. 0 where the loss may end the level at any step."""
+        return 0 if self.patience else steps // 2
 
 
 @dataclass(frozen=True)

@@ -46,14 +46,16 @@ class Scene:
         return depth_threshold(self.initial.astype(np.float64), config.splatting.depth_slices)
 
 
-def start_level(device, config, scene: Scene, gloss=None) -> Level:
-    """The level under the scene's initial depth; its buffer then holds the moved one."""
+def start_level(device, config, scene: Scene, gloss=None, raised=True) -> Level:
+    """The level under the scene's initial depth; its buffer then holds the moved one; `raised`: as late steps see it."""
     photos, views = PhotoStore(device), [view_of(p) for p in (scene.target, *scene.contexts)]
     given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.unit, scene.delta(config),
                        1.0, len(scene.contexts), gloss=gloss)
     level = Level(device, config, given)
     level.enter(lambda out: cl.enqueue_copy(device.queue, out, scene.initial))
     level.start(lambda out: None)
+    if raised:
+        level.raise_smoothness()
     if config.loss.exposure:
         table = exposure.neutral(len(scene.contexts))
         table[1:] = gains(len(scene.contexts)).transpose(0, 2, 1)

@@ -153,15 +153,17 @@ def loss_and_gradient(depth, target: Photo, contexts: list[Photo], config: Confi
     return photos[0] + smooth[0], photos[1] + smooth[1]
 
 
-def parts_of_loss(depth, target: Photo, contexts: list[Photo], config: Config, state: State, views=None):
-    """Value and gradient of `loss_and_gradient`, of the photos and of the smoothness by themselves."""
+def parts_of_loss(depth, target: Photo, contexts: list[Photo], config: Config, state: State, views=None, raised=True):
+    """Value and gradient of `loss_and_gradient`, of the photos and of the smoothness by themselves; `raised`: whether
+    smoothness weighs what few context views call for."""
     views = range(len(contexts)) if views is None else views
     parts = [view_loss(depth, target, contexts[v], config, state, state.seen[v]) for v in views]
     if config.loss.target_view:
         parts.append(view_loss(depth, target, target, config, state))
-    holding = replace(config.smoothness, weight=config.smoothness.weight_with(len(contexts)))
-    value, gradient = smoothness(depth, is_valid(depth), holding, state.kappa, target.camera.rays(),
-                                 state.texture)
+    held = config.smoothness
+    if raised:
+        held = replace(held, weight=held.weight_with(len(contexts)))
+    value, gradient = smoothness(depth, is_valid(depth), held, state.kappa, target.camera.rays(), state.texture)
     photos = tuple(sum(part[k] for part in parts) / len(parts) for k in (0, 1))
     return (float(photos[0]), depth.size * photos[1]), (float(value), depth.size * gradient)
 
@@ -181,7 +183,8 @@ def run_level(depth, target: Photo, contexts: list[Photo], config: Config, state
     schedule = Plateau(solver.rate, solver.patience, solver.rate_floor)
     for step in range(steps):
         views = views_of_step(step, len(contexts), solver.views_per_step)
-        photos, smooth = parts_of_loss(depth, target, contexts, config, state, views)
+        photos, smooth = parts_of_loss(depth, target, contexts, config, state, views,
+                                       raised=step >= solver.photos_first(steps))
         value, gradient = photos[0] + smooth[0], spread(photos[1], state.parallax, solver.spread) + smooth[1]
         history.append(value)
         rate = schedule.next_rate(value)

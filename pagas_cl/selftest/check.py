@@ -92,6 +92,7 @@ def device_gradient(scene: HardScene, config: Config, device, initial, at, unit)
                                              _threshold(initial, config), 1.0, len(scene.contexts)))
     level.enter(lambda out: cl.enqueue_copy(device.queue, out, initial))
     level.start(lambda out: None)
+    level.raise_smoothness()
     cl.enqueue_copy(device.queue, level.arena["depth"], at)
     for launch in level.gradient_launches(0):
         launch.enqueue(device.queue)

@@ -91,11 +91,19 @@ class Level:
         """The depth that the steps start from."""
         self._once(write, smooth.before_steps)
         self._bind_views()
-        self.spread, self.smooth, self.ending = spread.launches(self), smooth.launches(self), []
+        self.spread, self.ending = spread.launches(self), []
+        self.smooth = smooth.launches(self, float(self.config.smoothness.weight))
 
     def _bind_views(self):
         self.views = [self._view(v) for v in range(1, 1 + len(self.contexts))]
         self.target_view = self._target_view() if self.config.loss.target_view and self.config.solver.patience else []
+
+    def raise_smoothness(self):
+        """From here on smoothness weighs what few context views and gloss call for."""
+        run_once(self.device.queue, smooth.raising(self))
+        for launch in self.smooth:
+            launch.release()
+        self.smooth = smooth.launches(self, self.config.smoothness.weight_with(len(self.contexts)))
 
     def _narrow(self):
         """Go on with the radius of the last steps: other programs, the same buffers."""
@@ -156,6 +164,8 @@ class Level:
         for number in range(steps):
             if number in fitted:
                 run_once(queue, exposure.launches(self))
+            if number == self.config.solver.photos_first(steps):
+                self.raise_smoothness()
             if self.config.splatting.final_radius and number == steps // 2:
                 self._narrow()
             for launch in self.step_launches(number):

@@ -22,12 +22,23 @@ def before_steps(level) -> list:
     program = build(level.device, "smooth.cl", level.defines)
     scale = bind(program, "smoothness_scale", size.grid, None, a["depth"], a["unit"], level.given.photos[0], size.width,
                  size.height, texture, a["kappa"], a["weights"])
-    if not s.gloss or level.given.gloss is None:
-        return [scale]
-    factors = factors_of(level.given.gloss, float(s.gloss))
-    cl.enqueue_copy(level.device.queue, a["raised"], factors)
-    return [scale, bind(program, "raise_weights", size.grid, None, a["raised"], *factors.shape[::-1], *size.grid,
-                        a["weights"])]
+    if _glossy(level):
+        cl.enqueue_copy(level.device.queue, a["raised"], factors_of(level.given.gloss, float(s.gloss)))
+    return [scale]
+
+
+def raising(level) -> list:
+    """Once a level, after `before_steps`: more weight where a surface is glossy."""
+    a, size = level.arena, level.target
+    if not _glossy(level):
+        return []
+    return [bind(build(level.device, "smooth.cl", level.defines), "raise_weights", size.grid, None, a["raised"],
+                 *level.given.gloss.shape[::-1], *size.grid, a["weights"])]
+
+
+def _glossy(level) -> bool:
+    s = level.config.smoothness
+    return s.kind != "none" and s.gloss > 0 and level.given.gloss is not None
 
 
 def factors_of(gloss: np.ndarray, most: float) -> np.ndarray:
@@ -39,7 +50,7 @@ def factors_of(gloss: np.ndarray, most: float) -> np.ndarray:
     return np.clip((largest / GLOSS) ** 2, 1.0, most).astype(np.float32)
 
 
-def launches(level) -> list:
+def launches(level, weight: float) -> list:
     """Add N dL_s/dd to arena["gradient"], and L_s to the loss where the schedule follows it; once a step."""
     s, a, size = level.config.smoothness, level.arena, level.target
     if s.kind == "none" or s.weight == 0:
@@ -47,19 +58,15 @@ def launches(level) -> list:
     program = build(level.device, "smooth.cl", level.defines)
     if s.kind == "planar":
         return [bind(program, "smoothness_planar", size.grid, None, a["depth"], a["kappa"], a["weights"], size.width,
-                     size.height, _weight(level), float(s.huber), float(s.cut), a["gradient"]), *_loss(level)]
+                     size.height, weight, float(s.huber), float(s.cut), a["gradient"]), *_loss(level, weight)]
     return [bind(program, "normal_map", size.grid, None, a["depth"], a["cameras"], a["normals"]),
             bind(program, "normal_slope", size.grid, None, a["normals"], a["weights"], size.width, size.height,
-                 _weight(level), a["slopes"]),
+                 weight, a["slopes"]),
             bind(program, "normal_vjp", size.grid, None, a["depth"], a["cameras"], a["slopes"], a["gradient"]),
-            *_loss(level)]
+            *_loss(level, weight)]
 
 
-def _weight(level) -> float:
-    return level.config.smoothness.weight_with(len(level.contexts))
-
-
-def _loss(level) -> list:
+def _loss(level, weight: float) -> list:
     """L_s to the schedule's loss."""
     s, a, size = level.config.smoothness, level.arena, level.target
     if "smooth_losses" not in a:
@@ -70,4 +77,4 @@ def _loss(level) -> list:
                    float(s.cut), a["smooth_losses"]) if s.kind == "planar" else
               bind(program, "normal_loss", grid, (SUM_GROUP,), a["normals"], *shared, a["smooth_losses"]))
     return [summed, bind(build(level.device, "step.cl", level.defines), "add_smoothness", (1,), None,
-                         a["smooth_losses"], SUM_GROUPS, _weight(level) / size.pixels, a["state"])]
+                         a["smooth_losses"], SUM_GROUPS, weight / size.pixels, a["state"])]
