@@ -83,7 +83,7 @@ BALANCED = Config()
 # parallax): 1.2 to 2.5 times the error of "balanced" at about a third of its time.
 FAST = BALANCED.with_settings(loss__grey=True, solver__rate=0.16, solver__damping=1e-3, solver__early_damping=1.0,
                               solver__beta1=0.7, solver__spread=3, solver__final_rate=0.1, pyramid__steps=(20,),
-                              context__number=7, **{f"effects__{f.name}": "set" for f in fields(Effects)})
+                              context__number=8, **{f"effects__{f.name}": "set" for f in fields(Effects)})
 # Past the knee: 5 percent better where there is one context view, not 1 with ten, and worse beside discontinuities, for
 # less than twice the time.
 ACCURATE = BALANCED.with_settings(solver__rate=0.025, solver__damping=3e-3, pyramid__steps=(300,))

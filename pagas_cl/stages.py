@@ -269,7 +269,7 @@ class Pyramid:
     """
 
     scales: tuple[float, ...] = (1.0,)
-    steps: tuple[int, ...] = (150,)
+    steps: tuple[int, ...] = (180,)
 
     def __post_init__(self):
         object.__setattr__(self, "scales", tuple(float(s) for s in self.scales))

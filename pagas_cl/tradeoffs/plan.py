@@ -119,7 +119,7 @@ def _steps(base) -> list[Setting]:
 def _views(base) -> list[Setting]:
     return [changed(f"{k or 'all'} views a step, {n} steps", "views a step", base, solver__views_per_step=k,
                     pyramid__steps=(n,), solver__rate=0.02 if n > 200 else base.solver.rate)
-            for k, n in ((2, 75), (2, 150), (3, 50), (3, 150), (5, 400), (0, 50), (0, 150))]
+            for k, n in ((2, 90), (2, 180), (3, 60), (3, 180), (5, 400), (0, 60), (0, 180))]
 
 
 def _contexts(base) -> list[Setting]:
