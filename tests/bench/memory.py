@@ -81,6 +81,7 @@ class Driver:
 def run(name: str, given, config, device) -> str:
     target, contexts, depth, unit = given
     gc.collect()
+    device.memory.clear()
     with Driver() as driver:
         start = time.perf_counter()
         result = refine_depth(target, contexts, depth, config=config, device=device)
