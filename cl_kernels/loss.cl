@@ -68,7 +68,8 @@ void gather_across(__local float *sums)
 columns_t by_similarity(__local const float *sums, int c, int place, columns_t x, columns_t y)
 {
     __local const float *at = sums + c * SUMS + place;
-    return LOAD_COLUMNS(at) + 2.0f * x * LOAD_COLUMNS(at + TILE_H * STRIDE) + y * LOAD_COLUMNS(at + 2 * TILE_H * STRIDE);
+    return LOAD_COLUMNS(at) + 2.0f * x * LOAD_COLUMNS(at + TILE_H * STRIDE)
+           + y * LOAD_COLUMNS(at + 2 * TILE_H * STRIDE);
 }
 #endif
 

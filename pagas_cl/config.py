@@ -84,8 +84,8 @@ BALANCED = Config()
 FAST = BALANCED.with_settings(loss__grey=True, solver__rate=0.16, solver__damping=1e-3, solver__early_damping=1.0,
                               solver__beta1=0.7, solver__spread=3, solver__final_rate=0.1, pyramid__steps=(20,),
                               context__number=8, **{f"effects__{f.name}": "set" for f in fields(Effects)})
-# Past the knee: 4 percent better where there is one context view, 1 or 2 with ten, and worse beside discontinuities, for
-# half as much time again.
+# Past the knee: 4 percent better where there is one context view, 1 or 2 with ten, and worse beside discontinuities,
+# for half as much time again.
 ACCURATE = BALANCED.with_settings(solver__rate=0.025, solver__damping=3e-3, pyramid__steps=(300,))
 PRESETS: dict[str, Config] = {"fast": FAST, "balanced": BALANCED, "accurate": ACCURATE, "paper": PAPER}
 

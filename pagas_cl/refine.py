@@ -113,7 +113,6 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
         settled, decisions, measured = settle(target, contexts, depth, config, device, photos, entered=entered)
         refined = refine_levels(target, contexts, depth, settled, device, photos, progress=steps_done,
                                 witnesses=witnesses, measured=measured, entered=entered)
-        entered.release()
         return refined, decisions, measured
 
     refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos or PhotoStore(device),

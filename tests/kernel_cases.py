@@ -47,7 +47,7 @@ class Scene:
 
 
 def start_level(device, config, scene: Scene, gloss=None, raised=True) -> Level:
-    """The level under the scene's initial depth; its buffer then holds the moved one; `raised`: as late steps see it."""
+    """The level under the scene's initial depth; its buffer then holds the moved one. `raised`: as in late steps."""
     photos, views = PhotoStore(device), [view_of(p) for p in (scene.target, *scene.contexts)]
     given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.unit, scene.delta(config),
                        1.0, len(scene.contexts), gloss=gloss)

@@ -1,5 +1,5 @@
-"""What a kernel may be given: whole numbers of 32 bits, or a sentence that says which one is not; and that a kernel which
-is used again has the arguments of now."""
+"""What a kernel may be given: whole numbers of 32 bits, or a sentence that says which one is not; and that a kernel
+which is used again has the arguments of now."""
 
 import numpy as np
 import pytest

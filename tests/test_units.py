@@ -6,26 +6,21 @@ import numpy as np
 import pytest
 
 from pagas_cl.reference import units as twin
-from pagas_cl.runtime.device import open_device
+from pagas_cl.runtime.transfer import download, upload
 from pagas_cl.scene.unit import FAR, MEDIAN_SAMPLES, NEAR, unit_of
 from pagas_cl.splat.units import Entered
 
 SPECIAL = np.array([0, -0.0, 1, -1, np.nan, np.inf, -np.inf, 1e-45, 1e-38, 3e38], np.float32)
 
 
-@pytest.fixture(scope="module")
-def device():
-    return open_device()
-
-
 def enter(device, depth, mask=None):
     """Depth in units as the device holds it, and what it was entered as."""
     entered = Entered(SimpleNamespace(load_mask=lambda: mask), depth, device)
-    return entered._read(entered.buffer, depth.shape, np.float32), entered
+    return download(device, entered.buffer, depth.shape), entered
 
 
 def leave(device, entered, refined, parallax, deviation, status):
-    buffers = [entered._upload(a) for a in (refined, parallax, status, deviation)]
+    buffers = [upload(device, a) for a in (refined, parallax, status, deviation)]
     return entered.leave(*buffers, refined.shape)
 
 
@@ -42,12 +37,11 @@ def test_normalized_by_the_median_in_rows(device, dtype):
         assert entered.spread == twin.depth_range(want) > 0.1
 
 
-def test_what_a_float64_says_is_not_lost(device):
-    """Depths that are one number in float32 stay apart in units."""
-    depth = 1e9 + np.arange(12.0).reshape(3, 4)
-    assert len(np.unique(depth.astype(np.float32))) == 1
-    unit, scaled = unit_of(depth, None), enter(device, depth - 1e9 + 1e-3)[0]
-    assert unit == 1e9 + 5.5 and len(np.unique(scaled)) == 12
+def test_what_a_float64_says_is_rounded_once(device):
+    depth = np.random.default_rng(4).uniform(500, 600, (30, 40))
+    scaled, entered = enter(device, depth)
+    assert np.array_equal(scaled, (depth / entered.unit).astype(np.float32))
+    assert not np.array_equal(scaled, enter(device, depth.astype(np.float32))[0])
 
 
 def test_what_has_no_gaussian_is_zero(device):

@@ -31,7 +31,7 @@ class Memory:
 
     def __init__(self, title: str, limit: int):
         self.title, self.limit, self.held, self.peak, self.waiting = title, limit, 0, 0, 0
-        self._planned, self._kept = 0, defaultdict(deque)
+        self._planned, self._kept = 0, defaultdict(deque)      # never an empty one
 
     def buffer(self, context, nbytes: int, role: str = "") -> cl.Buffer:
         """A buffer for reading and writing; what is in it is left over from whatever it served before.
@@ -46,8 +46,10 @@ class Memory:
         if self.held + nbytes > self.limit:
             raise DeviceMemoryError(f"{self.title} may hold {_mb(self.limit)} MB, {_mb(self.held)} MB are taken and "
                                     f"{_mb(nbytes)} MB more are needed")
-        if self._kept[role, nbytes]:
-            return self._take(role, nbytes)
+        if (role, nbytes) in self._kept:
+            buffer = self._pop(role, nbytes)
+            buffer.count()
+            return buffer
         self._free(self._planned - nbytes)
         try:
             return _Counted(self, context, nbytes, role)
@@ -77,18 +79,18 @@ class Memory:
         """Let the driver have every buffer that waits."""
         self._free(0)
 
-    def _take(self, role: str, nbytes: int) -> cl.Buffer:
-        buffer = self._kept[role, nbytes].popleft()
+    def _pop(self, role: str, nbytes: int) -> _Counted:
+        kept = self._kept[role, nbytes]
+        buffer = kept.popleft()
+        if not kept:
+            del self._kept[role, nbytes]
         self.waiting -= nbytes
-        buffer.count()
         return buffer
 
     def _free(self, most: int) -> None:
         """Let the driver have kept buffers, until no more than `most` bytes are held and kept."""
-        for (_, nbytes), kept in self._kept.items():
-            while kept and self.held + self.waiting > most:
-                kept.popleft()
-                self.waiting -= nbytes
+        while self._kept and self.held + self.waiting > most:
+            self._pop(*next(iter(self._kept)))
 
 
 class _Counted(cl.Buffer):

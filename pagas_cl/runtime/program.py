@@ -92,8 +92,8 @@ class _Kernel:
 
 
 def _remembered(value):
-    """What tells an argument from another one: the bits of a number; of a buffer, which must not be kept alive here, the
-    very object. Equal to nothing where that cannot be told."""
+    """What tells an argument from another one: the bits of a number; of a buffer, which must not be kept alive here,
+    the very object. Equal to nothing where that cannot be told."""
     if isinstance(value, np.generic):
         return value.dtype, value.tobytes()
     try:

@@ -9,6 +9,7 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.runtime.program import Fill, bind, build, run_once
+from pagas_cl.runtime.transfer import download
 from pagas_cl.splat import project
 
 _SUM_GROUP, _SUM_GROUPS, _ONE = 64, 256, 2**20      # as in evidence.cl
@@ -114,7 +115,7 @@ class Evidence:
         run_once(self.level.device.queue, [
             bind(self.program, "sum_costs", (_SUM_GROUPS * _SUM_GROUP,), (_SUM_GROUP,), self._before, self._after,
                  self.level.target.pixels, sums)])
-        before, after, pixels = self._read(sums, np.int64).reshape(-1, 3).sum(axis=0).tolist()
+        before, after, pixels = download(self.level.device, sums, (_SUM_GROUPS, 3), np.int64).sum(axis=0).tolist()
         sums.release()
         return (before / pixels / _ONE, after / pixels / _ONE) if pixels else (float("nan"), float("nan"))
 
@@ -126,7 +127,7 @@ class Evidence:
             Fill(counts, np.uint32(0), HISTOGRAM),
             bind(self.program, "count_costs", (self.level.target.pixels,), None, self._before, self._after,
                  self.level.target.pixels, counts)])
-        before, after = self._read(counts, np.uint32).reshape(2, _BINS)
+        before, after = download(self.level.device, counts, (2, _BINS), np.uint32)
         counts.release()
         return _median(before), _median(after)
 
@@ -190,8 +191,3 @@ class Evidence:
 
     def _buffer(self, nbytes: int) -> cl.Buffer:
         return self.level.device.memory.buffer(self.level.device.context, nbytes)
-
-    def _read(self, buffer: cl.Buffer, dtype=np.float32) -> np.ndarray:
-        out = np.empty(buffer.size // np.dtype(dtype).itemsize, dtype)
-        cl.enqueue_copy(self.level.device.queue, out, buffer)
-        return out

@@ -10,6 +10,7 @@ import pyopencl as cl
 from pagas_cl.config import Config
 from pagas_cl.runtime.arena import Arena
 from pagas_cl.runtime.program import Upload, run_once
+from pagas_cl.runtime.transfer import download
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import camera_table, footprint
 from pagas_cl.splat import backward, composite, exposure, loss, project, smooth, spread, step
@@ -180,9 +181,7 @@ class Level:
 
     def read(self, name: str, shape, dtype=np.float32) -> np.ndarray:
         """Copy of the buffer `name` on the host."""
-        out = np.empty(shape, dtype)
-        cl.enqueue_copy(self.device.queue, out, self.arena[name])
-        return out
+        return download(self.device, self.arena[name], shape, dtype)
 
     def release(self, keep=()):
         """Give everything back but the buffers named in `keep`."""

@@ -9,6 +9,7 @@ import pyopencl as cl
 
 from pagas_cl.runtime.arena import Arena, BufferSpec, total_bytes
 from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.runtime.transfer import download
 from pagas_cl.scene.rig import camera_table
 from pagas_cl.splat import exposure, project
 from pagas_cl.splat.grain import Grain
@@ -106,8 +107,7 @@ class Probe:
         views, samples = self.views.read().reshape(-1, len(_ROWS), 4), self.samples.read()
         gloss = np.empty((self.grid.down, self.grid.across), np.float32)
         cl.enqueue_copy(self.device.queue, gloss, self.samples.values, src_offset=8 * self.grid.count)
-        table = np.empty((1 + len(self.contexts), 2, 3), np.float32)
-        cl.enqueue_copy(self.device.queue, table, self.arena["exposure"])
+        table = download(self.device, self.arena["exposure"], (1 + len(self.contexts), 2, 3))
         return Found({name: views[:, row] for row, (name, *_) in enumerate(_ROWS)}, samples[0], samples[1],
                      table[1:].transpose(0, 2, 1).astype(np.float64), *grain.read(), self.grid.stride, gloss)
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pyopencl as cl
 
 from pagas_cl.runtime.program import bind, build
+from pagas_cl.runtime.transfer import download, upload
 
 _GROUP = 64               # as in summary.cl
 NUMBER, MEAN, QUANTILE, MEAN_SQUARE = range(4)
@@ -26,8 +26,7 @@ class Rows:
         self.summary = device.memory.buffer(device.context, 16 * self.rows)
         table = np.zeros((self.rows, 4), np.float32)
         table[:, :3] = rules
-        self._rules = device.memory.buffer(device.context, table.nbytes)
-        cl.enqueue_copy(device.queue, self._rules, table)
+        self._rules = upload(device, table)
 
     @staticmethod
     def nbytes(rows: int, count: int) -> int:
@@ -41,6 +40,4 @@ class Rows:
 
     def read(self) -> np.ndarray:
         """`summary` on the host: (rows, 4) of number, mean, quantile, mean square; NaN in a row without values."""
-        out = np.empty((self.rows, 4), np.float32)
-        cl.enqueue_copy(self.device.queue, out, self.summary)
-        return out.astype(np.float64)
+        return download(self.device, self.summary, (self.rows, 4)).astype(np.float64)

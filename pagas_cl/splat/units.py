@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pyopencl as cl
 
 from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.runtime.transfer import download, upload
 from pagas_cl.scene.unit import unit_of
 
 _NONE_YET = np.array([np.inf, 0], np.float32)
@@ -33,16 +33,19 @@ class Entered:
         mask = target.load_mask()
         self.unit, self._device = unit_of(depth, mask), device
         with np.errstate(over="ignore"):
-            self.given = self._upload(depth.astype(np.float32, copy=False))
-        doubles = depth.dtype == np.float64          # what they say beyond float32 is not lost in the division
-        with np.errstate(over="ignore", invalid="ignore"):
-            self.buffer = self._upload((depth / self.unit).astype(np.float32)) if doubles else self._room(4 * depth.size)
-        visible = None if mask is None else self._upload(np.ascontiguousarray(mask, bool))
-        bounds = self._upload(_NONE_YET)
+            self.given = upload(device, depth.astype(np.float32, copy=False))
+        doubles = depth.dtype == np.float64          # rounded once, after the division
+        if doubles:
+            with np.errstate(over="ignore", invalid="ignore"):
+                self.buffer = upload(device, (depth / self.unit).astype(np.float32))
+        else:
+            self.buffer = device.memory.buffer(device.context, 4 * depth.size)
+        visible = None if mask is None else upload(device, mask.astype(bool, copy=False))
+        bounds = upload(device, _NONE_YET)
         run_once(device.queue, [
             bind(build(device, "units.cl"), "enter", (depth.size,), None, self.given, visible, depth.size, self._unit(),
                  int(doubles), self.buffer, bounds)])
-        nearest, farthest = self._read(bounds, 2, np.float32)
+        nearest, farthest = download(device, bounds, 2)
         self.spread = max(0.0, float(farthest - nearest))
         for buffer in filter(None, (visible, bounds)):
             buffer.release()
@@ -57,7 +60,7 @@ class Entered:
         run_once(self._device.queue, [
             bind(build(self._device, "units.cl"), "leave", (n,), None, self.given, n, self._unit(), refined, parallax,
                  status, deviation)])
-        return tuple(self._read(buffer, shape, dtype) for buffer, dtype in (
+        return tuple(download(self._device, buffer, shape, dtype) for buffer, dtype in (
             (refined, np.float32), (parallax, np.float32), (deviation, np.float32), (status, np.uint8)))
 
     def release(self):
@@ -68,16 +71,3 @@ class Entered:
     def _unit(self) -> float:
         """As the device counts: where it is too large for that, so is every depth."""
         return min(self.unit, float(np.finfo(np.float32).max))
-
-    def _room(self, nbytes: int) -> cl.Buffer:
-        return self._device.memory.buffer(self._device.context, nbytes)
-
-    def _upload(self, array: np.ndarray) -> cl.Buffer:
-        buffer = self._room(array.nbytes)
-        cl.enqueue_copy(self._device.queue, buffer, array)
-        return buffer
-
-    def _read(self, buffer: cl.Buffer, shape, dtype) -> np.ndarray:
-        out = np.empty(shape, dtype)
-        cl.enqueue_copy(self._device.queue, out, buffer)
-        return out

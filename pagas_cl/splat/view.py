@@ -80,7 +80,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     measured : Measurements, optional
         What was measured of the view: its evidence and deviations depend on it.
     entered : Entered, optional
-        `depth`, where it is on the device already.
+        `depth`, where it is on the device already; used up.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def probe_view(target, contexts, depth: np.ndarray, config: Config, device, phot
     """What the context views show under the initial depth: a measure.Found."""
     run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), entered=entered)
     given = run.at(1.0)
-    probe = Probe(device, config, given, lambda out: run.resampler.shrink_depth(run.entered.buffer, run.full, out, run.full))
+    probe = Probe(device, config, given, lambda out: run.write_initial(out, run.full))
     found = probe.read()
     probe.release()
     return found
@@ -154,8 +154,12 @@ class _Run:
         return LevelInput(cameras, photos, self.unit, self.threshold, self.distance, len(self.views) - 1, host,
                           self.gloss)
 
+    def write_initial(self, out: cl.Buffer, size: Size):
+        """The initial depth at `size`."""
+        self.resampler.shrink_depth(self.entered.buffer, self.full, out, size)
+
     def initial_writer(self, level: Level):
-        return lambda out: self.resampler.shrink_depth(self.entered.buffer, self.full, out, level.target)
+        return lambda out: self.write_initial(out, level.target)
 
     def start_writer(self, level: Level, before: tuple[cl.Buffer, Size] | None):
         """`before`: depth of the level before, and its size."""
@@ -164,7 +168,7 @@ class _Run:
 
         def write(out):
             at_size = self.device.memory.buffer(self.device.context, 4 * level.target.pixels)
-            self.resampler.shrink_depth(self.entered.buffer, self.full, at_size, level.target)
+            self.write_initial(at_size, level.target)
             self.resampler.enlarge_depth(*before, at_size, out, level.target)
 
         return write
@@ -177,7 +181,7 @@ class _Run:
         verdict = contexts.decide(witnesses)
         depth, parallax, deviation, status = self.entered.leave(level.arena["depth"], level.arena["unit"],
                                                                 verdict.status, verdict.deviation, self.depth.shape)
-        for held in (level, contexts, verdict):
+        for held in (level, contexts, verdict, self.entered):
             held.release()
         return Refinement(depth, status, deviation, parallax, verdict.cost, verdict.witnesses, steps, losses,
                           self.device.memory.peak, planned)

@@ -24,12 +24,14 @@ class DepthMaps:
 
     def map(self, depth: np.ndarray):
         """Buffer of float32 of `depth`."""
+        from pagas_cl.runtime.transfer import upload
+
         held = self._held.pop(id(depth), None)
         if held is None:
             pixels = np.ascontiguousarray(depth, np.float32)
             while self._held and sum(buffer.size for _, buffer in self._held.values()) + pixels.nbytes > self.limit:
                 self._held.pop(next(iter(self._held)))
-            held = depth, _uploaded(self.device, pixels)
+            held = depth, upload(self.device, pixels)
         self._held[id(depth)] = held       # the array is held so that its id stays its own
         return held[1]
 
@@ -79,11 +81,12 @@ def _on_device(target, depth, used, pixels: float, device, maps) -> tuple[np.nda
     import pyopencl as cl
 
     from pagas_cl.runtime.program import bind, build, run_once
+    from pagas_cl.runtime.transfer import download, upload
 
     sample = depth[::8, ::8]
     unit = float(np.median(sample[sample > 0])) if (sample > 0).any() else float(np.max(depth, initial=0.0)) or 1.0
     table = camera_table(target, [camera for camera, _ in used], unit)
-    cameras, n = _uploaded(device, table), depth.size
+    cameras, n = upload(device, table), depth.size
     parallax, found = (device.memory.buffer(device.context, 4 * n) for _ in range(2))
     cl.enqueue_fill_buffer(device.queue, found, np.uint32(0), 0, 4 * n)
     program, own, size, scale = build(device, "agree.cl"), maps.map(depth), (target.width, target.height), 1 / unit
@@ -91,17 +94,8 @@ def _on_device(target, depth, used, pixels: float, device, maps) -> tuple[np.nda
     for view, (_, other) in enumerate(used, start=1):
         run_once(device.queue, [bind(program, "count_view", size, None, own, cameras, view, scale, maps.map(other),
                                      parallax, float(pixels), found)])
-    out = np.empty((*depth.shape, 2), np.uint16)
-    cl.enqueue_copy(device.queue, out, found)
+    out = download(device, found, (*depth.shape, 2), np.uint16)
     return out[..., 0], out[..., 1]
-
-
-def _uploaded(device, array: np.ndarray):
-    import pyopencl as cl
-
-    buffer = device.memory.buffer(device.context, array.nbytes)
-    cl.enqueue_copy(device.queue, buffer, np.ascontiguousarray(array))  # by rows, as the kernels read it
-    return buffer
 
 
 def confirmations(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: list[np.ndarray | None],

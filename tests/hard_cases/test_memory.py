@@ -224,6 +224,7 @@ def test_what_is_given_back_waits_for_its_role_and_never_beyond_the_plan():
     kept.release()
     counter.clear()
     assert (counter.held, counter.waiting) == (0, 0)     # nobody holds the 300 any more
+    assert not counter._kept                             # nor is there anything for sizes that never come again
 
 
 def test_a_run_leaves_nothing_waiting():

@@ -1,0 +1,20 @@
+"""Arrays from the host to a device and back, one at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyopencl as cl
+
+
+def upload(device, array: np.ndarray) -> cl.Buffer:
+    """A buffer that holds `array`, by rows, as the kernels read it."""
+    buffer = device.memory.buffer(device.context, array.nbytes)
+    cl.enqueue_copy(device.queue, buffer, np.ascontiguousarray(array))
+    return buffer
+
+
+def download(device, buffer: cl.Buffer, shape, dtype=np.float32) -> np.ndarray:
+    """A copy of `buffer` as an array of `shape`; waits for what is enqueued before it."""
+    out = np.empty(shape, dtype)
+    cl.enqueue_copy(device.queue, out, buffer)
+    return out
