@@ -81,12 +81,13 @@ PAPER = Config(
 BALANCED = Config()
 # Gives up colour, most steps, two context views and the measuring of effects (photos of one exposure, a depth within a
 # pixel or two of parallax): 1.2 to 2.5 times the error of "balanced" in a quarter of its time or less.
-FAST = BALANCED.with_settings(loss__grey=True, solver__rate=0.16, solver__damping=1e-3, solver__early_damping=1.0,
-                              solver__beta1=0.7, solver__spread=3, solver__final_rate=0.1, pyramid__steps=(20,),
-                              context__number=8, **{f"effects__{f.name}": "set" for f in fields(Effects)})
-# Past the knee: 4 percent better where there is one context view, 1 or 2 with ten, and worse beside discontinuities,
-# for half as much time again.
-ACCURATE = BALANCED.with_settings(solver__rate=0.025, solver__damping=3e-3, pyramid__steps=(300,))
+FAST = BALANCED.with_settings(loss__grey=True, smoothness__cut=0.5, solver__rate=0.16, solver__damping=1e-3,
+                              solver__early_damping=1.0, solver__beta1=0.7, solver__spread=3, solver__final_rate=0.1,
+                              pyramid__steps=(20,), context__number=8,
+                              **{f"effects__{f.name}": "set" for f in fields(Effects)})
+# Past the knee: three times the steps, shorter ones, and less smoothing.
+ACCURATE = BALANCED.with_settings(smoothness__weight=0.1, smoothness__cut=0.25, solver__rate=0.01, solver__damping=3e-3,
+                                  solver__early_damping=1.0, pyramid__steps=(600,))
 PRESETS: dict[str, Config] = {"fast": FAST, "balanced": BALANCED, "accurate": ACCURATE, "paper": PAPER}
 
 

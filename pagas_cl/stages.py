@@ -168,7 +168,7 @@ class Smoothness:
     texture: float = 0.0
     gloss: float = 0.0
     huber: float = 1.0
-    cut: float = 0.8
+    cut: float = 0.3
 
     def __post_init__(self):
         _check("smoothness", kind=_one_of(self.kind, "none", "normal", "planar"),

@@ -112,7 +112,8 @@ def _steps(base) -> list[Setting]:
     grey = [changed(f"grey, {n} steps", "steps", quick, pyramid__steps=(n,), solver__rate=rate, solver__beta1=beta1)
             for n, rate, beta1 in ((6, 0.2, 0.7), (12, 0.16, 0.7), (30, 0.1, 0.7), (50, 0.07, 0.9), (100, 0.045, 0.9))]
     color = [changed(f"{n} steps", "steps", base, pyramid__steps=(n,), solver__rate=rate)
-             for n, rate in ((20, 0.1), (35, 0.08), (50, 0.07), (75, 0.06), (100, 0.045), (200, 0.03), (400, 0.02))]
+             for n, rate in ((20, 0.1), (35, 0.08), (50, 0.07), (75, 0.06), (100, 0.045), (200, 0.03), (400, 0.02),
+                              (1000, 0.006))]
     return color[1:4] + grey[2:] + color[4:] + color[:1] + grey[:2]
 
 
