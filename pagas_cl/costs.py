@@ -25,10 +25,12 @@ from pagas_cl.scene.sampling import sample_depth
 
 log = logging.getLogger("pagas_cl")
 
-_SHORT, _MOST = 1, 4000   # steps of the short run, and most of the long one
+_SHORT, _MOST = 8, 4000   # steps of the short run, enough that colours are fitted as often; and most of the long one
 _FEW = 64                 # views that are looked at one by one
 _REPEATS = 3
-_LEAST = 0.3              # seconds that the long run must take longer than the short one
+_RATE = 0.01              # of the runs that are timed, whatever rate is asked for
+_PHOTOS = 4               # that are read to know how long one takes: they differ
+_LEAST = 0.5              # seconds that the long run must take longer than the short one
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ def rungs() -> list[tuple[str, Config]]:
     return [*quick, ("fast", fast), *middle, ("balanced", balanced), ("accurate", accurate)]
 
 
-def probe(target, contexts, depth, config: Config, device, *, witnesses=()) -> Cost:
+def probe(target, contexts, depth, config: Config, device, *, witnesses=(), photo: float | None = None) -> Cost:
     """Measure the cost of `config`'s kind of settings on one view: some short runs, a second or two on a GPU.
 
     Parameters
@@ -82,6 +84,8 @@ def probe(target, contexts, depth, config: Config, device, *, witnesses=()) -> C
         Initial depth of the target.
     witnesses : sequence of View
         As in refine_depth.
+    photo : float, optional
+        Seconds to read a photo, where that is known (`photo_seconds`).
     """
     from pagas_cl.refine import settle
     from pagas_cl.splat import PhotoStore, refine_levels
@@ -99,7 +103,9 @@ def probe(target, contexts, depth, config: Config, device, *, witnesses=()) -> C
 
     for each in (1, min(3, len(contexts))):
         measure(_SHORT, each)  # compiles and uploads
-    return _solve(measure, len(contexts), target.camera.width * target.camera.height, _photo_seconds(target, device))
+    if photo is None:
+        photo = photo_seconds((target, *contexts), device)
+    return _solve(measure, len(contexts), target.camera.width * target.camera.height, photo)
 
 
 def _solve(measure, contexts: int, pixels: int, photo: float) -> Cost:
@@ -107,7 +113,7 @@ def _solve(measure, contexts: int, pixels: int, photo: float) -> Cost:
     def least(steps, each):
         return min(measure(steps, each) for _ in range(_REPEATS))
 
-    short, long, steps = least(_SHORT, 1), 0.0, 8
+    short, long, steps = least(_SHORT, 1), 0.0, 3 * _SHORT
     while steps <= _MOST:
         long = least(steps, 1)
         if long - short >= _LEAST:
@@ -125,16 +131,17 @@ def _solve(measure, contexts: int, pixels: int, photo: float) -> Cost:
     return Cost(photo, setup / pixels / (1 + contexts), (one - view) / pixels, view / pixels)
 
 
-def _photo_seconds(view, device) -> float:
+def photo_seconds(views, device) -> float:
+    """Seconds to read and upload one photo: the mean over the first few of `views`, the least of some times each."""
     from pagas_cl.splat import PhotoStore
 
-    def once():
+    def once(view):
         start = time.perf_counter()
         PhotoStore(device).photo(view)
         device.queue.finish()
         return time.perf_counter() - start
 
-    return min(once() for _ in range(_REPEATS))
+    return float(np.mean([min(once(view) for _ in range(_REPEATS)) for view in views[:_PHOTOS]]))
 
 
 class Costs:
@@ -155,7 +162,7 @@ class Costs:
                  and (names is None or views[k].name in names or views[k].stem in names)]
         if not asked:
             raise InputError("no view to be refined has a depth map with a valid pixel: nothing to time")
-        self.device, self._known, self._measured = device, {}, None
+        self.device, self._known, self._measured, self._photo = device, {}, None, None
         self.pixels = [views[k].camera.width * views[k].camera.height for k in asked]
         most = max(config.context.number for _, config in rungs()) + WITNESSES
         chooser = ContextChooser([view.camera for view in views], samples, Context(number=most))
@@ -173,10 +180,14 @@ class Costs:
         """Expected mean time per view, with the effects that the probed view calls for."""
         contexts, witnesses = shared_out(self.chosen, config.context.number)
         settled = self._settled(config, contexts)
+        # depths that stay about where they are, as in a run: Gaussians that are torn apart take longer
         kind = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(1,), solver__views_per_step=1,
-                                    solver__rate=1.0, solver__final_rate=1.0, solver__patience=0)
+                                    solver__rate=_RATE, solver__final_rate=1.0, solver__patience=0)
+        if self._photo is None:
+            self._photo = photo_seconds((self.target, *self.chosen), self.device)
         if kind not in self._known:
-            self._known[kind] = probe(self.target, contexts, self.depth, kind, self.device, witnesses=witnesses)
+            self._known[kind] = probe(self.target, contexts, self.depth, kind, self.device, witnesses=witnesses,
+                                      photo=self._photo)
         cost = self._known[kind]
         photos = self._photos(config.context.number)
         return float(np.mean([cost.seconds(settled, pixels, len(contexts), photos) for pixels in self.pixels]))
