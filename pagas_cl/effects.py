@@ -11,6 +11,7 @@ from pagas_cl.measurements import GLOSSY, RULES, Measurements
 from pagas_cl.stages import MOST_WEIGHT
 
 MOST_RAISED = 40.0       # times the weight of the smoothness
+SHINY_CUT = 0.6          # smoothness.cut at least: what a highlight bends is no discontinuity
 LOW_PASS = 0.06          # px^2: about what a photo's own pixel blurs; more than that blurs what is to be compared
 
 
@@ -70,7 +71,8 @@ def _exposure(config, decision, _):
 def _view_dependence(config, decision, _):
     if not decision.on:
         return config.with_settings(loss__structure=False)
-    return config.with_settings(loss__structure=True, loss__ssim=1.0)
+    return config.with_settings(loss__structure=True, loss__ssim=1.0,
+                                smoothness__cut=max(config.smoothness.cut, SHINY_CUT))
 
 
 def _antialiasing(config, decision, _):
