@@ -14,6 +14,7 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -28,7 +29,7 @@ log = logging.getLogger("pagas_cl")
 _SHORT, _MOST = 8, 4000   # steps of the short run, enough that colours are fitted as often; and most of the long one
 _FEW = 64                 # views that are looked at one by one
 _REPEATS = 3
-_RATE = 0.01              # of the runs that are timed, whatever rate is asked for
+_RATE = 1e-5              # of the runs that are timed: depths stay, for Gaussians that are torn apart take longer
 _PHOTOS = 4               # that are read to know how long one takes: they differ
 _LEAST = 0.5              # seconds that the long run must take longer than the short one
 
@@ -73,7 +74,7 @@ def rungs() -> list[tuple[str, Config]]:
     return [*quick, ("fast", fast), *middle, ("balanced", balanced), ("accurate", accurate)]
 
 
-def probe(target, contexts, depth, config: Config, device, *, witnesses=(), photo: float | None = None) -> Cost:
+def probe(target, contexts, depth, config: Config, device, *, photo: float, witnesses=()) -> Cost:
     """Measure the cost of `config`'s kind of settings on one view: some short runs, a second or two on a GPU.
 
     Parameters
@@ -82,10 +83,10 @@ def probe(target, contexts, depth, config: Config, device, *, witnesses=(), phot
     contexts : list of View
     depth : ndarray of shape (H, W)
         Initial depth of the target.
+    photo : float
+        What `photo_seconds` found.
     witnesses : sequence of View
         As in refine_depth.
-    photo : float, optional
-        Seconds to read a photo, where that is known (`photo_seconds`).
     """
     from pagas_cl.refine import settle
     from pagas_cl.splat import PhotoStore, refine_levels
@@ -97,14 +98,12 @@ def probe(target, contexts, depth, config: Config, device, *, witnesses=(), phot
         start = time.perf_counter()
         settled = settle(target, contexts, depth, config, device, photos)[0]
         short = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__patience=0,
-                                      solver__views_per_step=each)
+                                      solver__views_per_step=each, solver__rate=_RATE)
         refine_levels(target, contexts, depth, short, device, photos, witnesses=witnesses)
         return time.perf_counter() - start
 
     for each in (1, min(3, len(contexts))):
         measure(_SHORT, each)  # compiles and uploads
-    if photo is None:
-        photo = photo_seconds((target, *contexts), device)
     return _solve(measure, len(contexts), target.camera.width * target.camera.height, photo)
 
 
@@ -162,7 +161,7 @@ class Costs:
                  and (names is None or views[k].name in names or views[k].stem in names)]
         if not asked:
             raise InputError("no view to be refined has a depth map with a valid pixel: nothing to time")
-        self.device, self._known, self._measured, self._photo = device, {}, None, None
+        self.device, self._known, self._measured = device, {}, None
         self.pixels = [views[k].camera.width * views[k].camera.height for k in asked]
         most = max(config.context.number for _, config in rungs()) + WITNESSES
         chooser = ContextChooser([view.camera for view in views], samples, Context(number=most))
@@ -180,17 +179,18 @@ class Costs:
         """Expected mean time per view, with the effects that the probed view calls for."""
         contexts, witnesses = shared_out(self.chosen, config.context.number)
         settled = self._settled(config, contexts)
-        # depths that stay about where they are, as in a run: Gaussians that are torn apart take longer
         kind = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(1,), solver__views_per_step=1,
-                                    solver__rate=_RATE, solver__final_rate=1.0, solver__patience=0)
-        if self._photo is None:
-            self._photo = photo_seconds((self.target, *self.chosen), self.device)
+                                    solver__rate=1.0, solver__final_rate=1.0, solver__patience=0)
         if kind not in self._known:
-            self._known[kind] = probe(self.target, contexts, self.depth, kind, self.device, witnesses=witnesses,
-                                      photo=self._photo)
+            self._known[kind] = probe(self.target, contexts, self.depth, kind, self.device, photo=self._photo,
+                                      witnesses=witnesses)
         cost = self._known[kind]
         photos = self._photos(config.context.number)
         return float(np.mean([cost.seconds(settled, pixels, len(contexts), photos) for pixels in self.pixels]))
+
+    @cached_property
+    def _photo(self) -> float:
+        return photo_seconds((self.target, *self.chosen), self.device)
 
     def _photos(self, contexts: int) -> float:
         """Photos read per view: of the view, its context views and its witnesses, each read once."""

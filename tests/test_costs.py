@@ -12,6 +12,7 @@ from pagas_cl.made import relief_scene
 from pagas_cl.made.disk import write_scene
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device
+from pagas_cl.splat.exposure import fitted_before
 
 
 @pytest.fixture(autouse=True)
@@ -39,6 +40,11 @@ def test_linear_times_are_found_again():
     config = preset("balanced").with_settings(pyramid__steps=(300,), solver__views_per_step=2)
     assert cost.seconds(config, pixels, contexts) == pytest.approx(0.1 + setup + 300 * (step + 2 * view))
     assert cost.seconds(config, pixels, contexts, photos=5) == pytest.approx(0.5 + setup + 300 * (step + 2 * view))
+
+
+def test_colours_are_fitted_as_often_in_a_short_run_as_in_a_long_one():
+    """Else their fits would count as steps."""
+    assert len(fitted_before(costs._SHORT)) == len(fitted_before(costs._MOST))
 
 
 def test_levels_count_by_their_share_of_the_pixels():

@@ -167,9 +167,10 @@ class _Guess:
     """How long a run will take: by its work, corrected by how long the ones before it took."""
 
     def __init__(self, bench, device, repeats):
-        from pagas_cl.costs import probe
+        from pagas_cl.costs import photo_seconds, probe
 
-        self.cost = probe(bench.target, bench.contexts, bench.initial, preset("balanced"), device)
+        self.cost = probe(bench.target, bench.contexts, bench.initial, preset("balanced"), device,
+                          photo=photo_seconds((bench.target,), device))
         self.repeats, self.factor = max(1, repeats), 1.3
 
     def seconds(self, setting, bench) -> float:
