@@ -40,7 +40,7 @@ void composite_alpha(__global const uchar4 *target_photo, __global const float *
                      __global const int *heads, __global const int2 *links, __global float *alphas, int count,
                      int width, int height, float threshold, float relative, __global float *rendered)
 {
-    __local uint2 lists[SLOTS * GROUP];
+    __local ulong lists[SLOTS * GROUP];
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= width || row >= height)
         return;
@@ -54,15 +54,16 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
                          __global const int *heads, __global const int2 *links, __global float *alphas, int count,
                          int width, int height, float threshold, float relative, __global const float *upstream)
 {
-    __local uint2 lists[SLOTS * GROUP];
+    __local ulong lists[SLOTS * GROUP];
+    __local float held[SLOTS * GROUP];
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= width || row >= height)
         return;
     float v_coverage;
     const color_t v_color = load_upstream(upstream, row * width + column, &v_coverage);
-    blend_vjp(look_around(heads, links, alphas, count, column, row, width),
-              lists + get_local_id(1) * LIST_GROUP_W + get_local_id(0), target_photo, exposure, view, threshold,
-              relative, v_color, v_coverage);
+    const int item = get_local_id(1) * LIST_GROUP_W + get_local_id(0);
+    blend_vjp(look_around(heads, links, alphas, count, column, row, width), lists + item, held + item, target_photo,
+              exposure, view, threshold, relative, v_color, v_coverage);
 }
 
 __kernel void gather_alpha(__global const float *depth, __constant float *cameras, int view, float low_pass,

@@ -149,7 +149,7 @@ long whole_loss(columns_t loss, int repeated)
     long sum = 0;
     STORE_COLUMNS(loss, lane);
     for (int k = max(repeated, 0); k < COLUMNS; ++k)
-        sum += convert_long_rte(lane[k] * LOSS_ONE);
+        sum += convert_long_rte(lane[k] * TILE_ONE);
     return sum;
 }
 #endif
@@ -157,7 +157,7 @@ long whole_loss(columns_t loss, int repeated)
 __kernel TILE_LOOP
 void loss_backward(__global const stored_t *rendered, __global const uchar4 *photo, int width, int height, int pitch,
                    __global const float *partials, __global const uint *seen, float l1_scale, float ssim_scale,
-                   __global float *upstream, __global long *losses)
+                   __global float *upstream, float loss_scale, __global uint *total)
 {
     const int left = tile_start(get_group_id(0), TILE_W, width), top = tile_start(get_group_id(1), TILE_H, height);
 #ifdef SSIM
@@ -208,6 +208,6 @@ void loss_backward(__global const stored_t *rendered, __global const uchar4 *pho
 #endif
     }
 #ifdef TRACK_LOSS
-    sum_into(scratch, loss, losses);
+    add_losses(scratch, loss, loss_scale, total);
 #endif
 }

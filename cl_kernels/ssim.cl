@@ -111,13 +111,13 @@ long dissimilarity(lanes_t similar, int first, int from, int end)
     JOIN(vstore, LANES)(similar, 0, lane);
     for (int k = 0; k < LANES; ++k)
         if (first + k >= from && first + k < end)
-            sum += convert_long_rte((1.0f - lane[k]) * LOSS_ONE);
+            sum += convert_long_rte((1.0f - lane[k]) * TILE_ONE);
     return sum;
 }
 
 __kernel TILE_LOOP
 void ssim_forward(__global const stored_t *rendered, __global const uchar4 *photo, int width, int height, int pitch,
-                  __global float *partials, __global long *losses)
+                  __global float *partials, float loss_scale, __global uint *total)
 {
     __local float xs[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));
     __local shade_t ys[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));
@@ -151,6 +151,6 @@ void ssim_forward(__global const stored_t *rendered, __global const uchar4 *phot
         barrier(CLK_LOCAL_MEM_FENCE);
     }
 #ifdef TRACK_LOSS
-    sum_into(scratch, loss, losses);
+    add_losses(scratch, loss, loss_scale, total);
 #endif
 }

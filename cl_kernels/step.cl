@@ -32,36 +32,6 @@ __kernel void adam(__global float *restrict depth, __global float *restrict grad
     depth[i] = moving && v > 0.0f ? fmax(d - change, NEAR) : d;
 }
 
-#define ADD_GROUP 256                    // as in splat/loss.py
-
-// Sum of partial losses over the work-group, for its first work-item.
-long sum_partials(__global const long *partials, int count, __local long *scratch)
-{
-    const int lane = get_local_id(0);
-    long sum = 0;
-    for (int k = lane; k < count; k += ADD_GROUP)
-        sum += partials[k];
-    for (int apart = ADD_GROUP / 2; apart > 0; apart /= 2) {
-        scratch[lane] = sum;
-        barrier(CLK_LOCAL_MEM_FENCE);
-        if (lane < apart)
-            sum += scratch[lane + apart];
-        barrier(CLK_LOCAL_MEM_FENCE);
-    }
-    return sum;
-}
-
-// Add the loss of one view, SSIM and L1; in whole numbers, so that the order does not matter.
-__kernel __attribute__((reqd_work_group_size(ADD_GROUP, 1, 1)))
-void add_loss(__global const long *ssim, int ssim_count, float ssim_scale, __global const long *l1, int l1_count,
-              float l1_scale, __global float *state)
-{
-    __local long scratch[ADD_GROUP];
-    const long ssim_sum = sum_partials(ssim, ssim_count, scratch), l1_sum = sum_partials(l1, l1_count, scratch);
-    if (get_local_id(0) == 0)
-        state[LOSS] += ((float)ssim_sum * ssim_scale + (float)l1_sum * l1_scale) * (1.0f / 4294967296.0f);
-}
-
 // Add the smoothness, the sum of `count` partial sums.
 __kernel void add_smoothness(__global const float *partials, int count, float scale, __global float *state)
 {
@@ -71,11 +41,16 @@ __kernel void add_smoothness(__global const float *partials, int count, float sc
     state[LOSS] += scale * sum;
 }
 
-// The rate falls by 10 when the loss has not improved for `patience` steps; the level ends at `floor`.
-__kernel void plateau(__global float *state, __global float *history, int pass, int patience, float floor_rate)
+#define LOSS_ONE 1.0995116e12f           // 2^40: a loss of 1, as splat/loss.py has it
+
+// The photos' loss is a sum of its own, that of smoothness is in the state. The rate falls by 10 when the loss has not
+// improved for `patience` steps; the level ends at `floor`.
+__kernel void plateau(__global float *state, __global long *photo_loss, __global float *history, int pass, int patience,
+                      float floor_rate)
 {
-    const float loss = state[LOSS];
+    const float loss = (float)photo_loss[0] * (1.0f / LOSS_ONE) + state[LOSS];
     history[pass - 1] = loss;
+    photo_loss[0] = 0;
     state[LOSS] = 0.0f;
     if (loss < state[BEST]) {
         state[BEST] = loss;

@@ -14,6 +14,7 @@ from pagas_cl.scene.view import View
 from pagas_cl.splat import exposure
 from pagas_cl.splat.level import Level, LevelInput
 from pagas_cl.splat.state import PhotoStore
+from pagas_cl.splat.step import loss_of
 
 GAINS = np.array([[[0.8, 0.05], [0.9, 0.02], [1.1, -0.03]], [[1.3, -0.1], [1.0, 0.0], [0.7, 0.1]]])
 SEES_LOSS = dict(solver__patience=5)          # the loss is summed only where the schedule follows it
@@ -75,7 +76,7 @@ def device_gradient(device, config, scene: Scene) -> tuple[np.ndarray, float]:
     for launch in level.gradient_launches(0):
         launch.enqueue(device.queue)
     gradient = level.read("gradient", scene.moved.shape)
-    loss = float(level.read("state", 8)[4])
+    loss = loss_of(level)
     level.release()
     return gradient, loss
 

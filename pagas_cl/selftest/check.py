@@ -86,6 +86,7 @@ def device_gradient(scene: HardScene, config: Config, device, initial, at, unit)
 
     from pagas_cl.splat.level import Level, LevelInput
     from pagas_cl.splat.state import PhotoStore
+    from pagas_cl.splat.step import loss_of
 
     photos, views = PhotoStore(device), [scene.target, *scene.contexts]
     level = Level(device, config, LevelInput([v.camera for v in views], [photos.photo(v) for v in views], unit,
@@ -96,7 +97,7 @@ def device_gradient(scene: HardScene, config: Config, device, initial, at, unit)
     cl.enqueue_copy(device.queue, level.arena["depth"], at)
     for launch in level.gradient_launches(0):
         launch.enqueue(device.queue)
-    found = level.read("gradient", at.shape), float(level.read("state", 8)[4]), level.read("unit", at.shape)
+    found = level.read("gradient", at.shape), loss_of(level), level.read("unit", at.shape)
     level.release()
     return found
 

@@ -12,7 +12,6 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.splat.evidence import HISTOGRAM
 from pagas_cl.splat.measure import probe_bytes
 from pagas_cl.splat.state import Size, level_buffers, level_size, photo_bytes
-from pagas_cl.splat.tile import choose_tiles
 
 FOR_EVIDENCE = ("depth", "unit", "cameras", "exposure", "z_first", "rendered", "upstream")     # kept after the steps
 
@@ -46,10 +45,10 @@ class Plan:
                                     f"{limit / 1e6:,.0f} MB")
 
 
-def plan_for(cameras: list[Camera], contexts: int, config: Config, device, streamed: bool = False) -> Plan:
+def plan_for(cameras: list[Camera], contexts: int, config: Config, streamed: bool = False) -> Plan:
     """The plan of a refinement for the cameras of the target, of `contexts` context views, and of the witnesses;
     `streamed`: photos wait on the host (streamed.py)."""
-    plans = [_at(scale, cameras, contexts, config, device, streamed) for scale in config.pyramid.scales]
+    plans = [_at(scale, cameras, contexts, config, streamed) for scale in config.pyramid.scales]
     if config.effects.measured:
         plans.append(_measuring(cameras[:1 + contexts], streamed))
     return max(plans, key=lambda plan: plan.nbytes)
@@ -61,11 +60,11 @@ def _measuring(cameras: list[Camera], streamed: bool) -> Plan:
     return Plan(_photos(sizes, sizes, streamed), probe_bytes(sizes, len(cameras) - 1) + 8 * sizes[0].pixels)
 
 
-def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, device, streamed: bool) -> Plan:
+def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, streamed: bool) -> Plan:
     """The plan of one level."""
     cameras = cameras if scale == 1 else cameras[:1 + contexts]
     full, sizes = [level_size(camera, 1.0) for camera in cameras], [level_size(camera, scale) for camera in cameras]
-    specs = level_buffers(config, sizes[0], sizes[1:], contexts, choose_tiles(device, [size.grid for size in sizes]))
+    specs = level_buffers(config, sizes[0], sizes[1:], contexts)
     depths = 8 * full[0].pixels          # the initial one, as it came and in units; that of the level before, enlarged
     if scale > config.pyramid.scales[0]:
         depths += 4 * (sizes[0].pixels + _before(scale, cameras[0], config).pixels)

@@ -32,7 +32,7 @@ def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoS
         The device failed meanwhile.
     """
     cameras = [view.camera for view in (target, *contexts, *witnesses)]
-    doing, given = f"the refinement of view {target.name!r}", (cameras, len(contexts), config, device)
+    doing, given = f"the refinement of view {target.name!r}", (cameras, len(contexts), config)
     try:
         plan_for(*given).check(target.name, device)
         with told_as_device_error(device, doing):
@@ -46,13 +46,13 @@ def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoS
         with told_as_device_error(device, doing):
             return attempt(StreamedPhotos(device))
     except DeviceMemoryError as error:
-        raise DeviceMemoryError(f"{error}, even with one photo at a time; {what_fits(*given)}") from error
+        raise DeviceMemoryError(f"{error}, even with one photo at a time; {what_fits(*given, device)}") from error
 
 
 def what_fits(cameras: list[Camera], contexts: int, config: Config, device) -> str:
     """What to change so that the view fits: a setting, or the size of the photos."""
     def fits(changed: Config, share: float = 1.0) -> bool:
-        return plan_for([_shrunk(camera, share) for camera in cameras], contexts, changed, device,
+        return plan_for([_shrunk(camera, share) for camera in cameras], contexts, changed,
                         streamed=True).nbytes <= device.memory.limit
 
     if fits(config):

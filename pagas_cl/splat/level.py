@@ -77,8 +77,7 @@ class Level:
         self.defines = defines(config, device, heaviest_pixel(given.cameras[0]))
         self.target, self.contexts = target, contexts[:given.contexts]
         self.ssim_tile, self.loss_tile = choose_tiles(device, [size.grid for size in given.sizes])
-        self.arena: Arena = allocate(device, config, target, contexts, given.contexts,
-                                    (self.ssim_tile, self.loss_tile))
+        self.arena: Arena = allocate(device, config, target, contexts, given.contexts)
         cl.enqueue_copy(device.queue, self.arena["cameras"],
                         camera_table(given.cameras[0], given.cameras[1:], given.unit))
         if config.loss.exposure:

@@ -6,9 +6,10 @@ from math import prod
 
 from pagas_cl.runtime.program import bind, build
 from pagas_cl.splat import ssim
+from pagas_cl.splat.step import LOSS_ONE
 from pagas_cl.splat.tile import pitch
 
-ADD_GROUP = 256           # as in step.cl
+_TO_LOSS = LOSS_ONE / 2.0**32      # from the sums of a tile (window.clh)
 
 
 def launches(level, view: int) -> list:
@@ -25,17 +26,7 @@ def launches(level, view: int) -> list:
     # the target's own view has no gradient: nothing of SSIM is passed back
     backward = bind(program, "loss_backward", tile.grid(*size.grid), (tile.group, 1), a["rendered"], photo, size.width,
                     size.height, pitch(size.width), a["partials"] if share > 0 else None, seen, float(l1_scale),
-                    float(ssim_scale if view else 0.0), a["upstream"], a["losses"] if "losses" in a else None)
-    forward = ssim.launches(level, view) if share > 0 else []
-    return [*forward, backward, *_sum(level, size, ssim_scale / n if forward else 0.0, l1_scale / n)]
+                    float(ssim_scale if view else 0.0), a["upstream"], _TO_LOSS * l1_scale / n,
+                    a["loss"] if "loss" in a else None)
+    return [*(ssim.launches(level, view, _TO_LOSS * ssim_scale / n) if share > 0 else []), backward]
 
-
-def _sum(level, size, ssim_scale: float, l1_scale: float) -> list:
-    """Add the tiles' losses to the schedule's, where it follows the loss."""
-    a = level.arena
-    if "losses" not in a:
-        return []
-    windows = prod(level.ssim_tile.groups(*ssim.windows(size))) if ssim_scale else 0
-    program = build(level.device, "step.cl", level.defines)
-    return [bind(program, "add_loss", (ADD_GROUP,), (ADD_GROUP,), a["ssim_losses"], windows, float(ssim_scale),
-                 a["losses"], prod(level.loss_tile.groups(*size.grid)), float(l1_scale), a["state"])]

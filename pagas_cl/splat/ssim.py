@@ -11,12 +11,15 @@ def windows(size) -> tuple[int, int]:
     return max(size.width - HALO, 0), max(size.height - HALO, 0)
 
 
-def launches(level, view: int) -> list:
-    """Derivatives by the windows' means to arena["partials"] for context view `view` (0: the target's own)."""
+def launches(level, view: int, loss_scale: float) -> list:
+    """Derivatives by the windows' means to arena["partials"] for context view `view` (0: the target's own).
+
+    `loss_scale`: what its sum over the windows is multiplied by on its way to the loss.
+    """
     size, photo, a, tile = level.given.sizes[view], level.given.photos[view], level.arena, level.ssim_tile
     if 0 in windows(size):
         return []
     program = build(level.device, "ssim.cl", (*level.defines, *tile.defines))
-    losses = a["ssim_losses"] if "losses" in a else None
     return [bind(program, "ssim_forward", tile.grid(*windows(size)), (tile.group, 1), a["rendered"], photo, size.width,
-                 size.height, pitch(size.width), a["partials"], losses)]
+                 size.height, pitch(size.width), a["partials"], loss_scale,
+                 a["loss"] if "loss" in a else None)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import prod
 
 import numpy as np
 import pyopencl as cl
@@ -40,8 +39,7 @@ def level_size(camera: Camera, scale: float) -> Size:
     return Size(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
 
 
-def level_buffers(config: Config, target: Size, contexts: list[Size], masked: int,
-                  used: tuple[tiles.Tile, ...]) -> list[BufferSpec]:
+def level_buffers(config: Config, target: Size, contexts: list[Size], masked: int) -> list[BufferSpec]:
     """Every buffer of a level except photos: per target pixel, one view's scratch, `masked` unseen masks."""
     n, m = target.pixels, max(size.pixels for size in (*contexts, target))
     channels = 1 if config.loss.grey else 3
@@ -69,8 +67,7 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
         specs += [BufferSpec(f"seen{k}", (size.pixels // 32 + 2,), np.uint32)
                   for k, size in enumerate(contexts[:masked])]
     if config.solver.patience > 0:
-        groups = max(prod(tile.groups(*size.grid)) for size in (*contexts, target) for tile in used)
-        specs += [BufferSpec(name, (groups,), np.int64) for name in ("losses", "ssim_losses")]
+        specs.append(BufferSpec("loss", (1,), np.int64))
         if config.smoothness.kind != "none":
             specs.append(BufferSpec("smooth_losses", (SUM_GROUPS,), np.float32))
         specs += [BufferSpec("history", (max(config.pyramid.steps) + 1,), np.float32)]
@@ -149,11 +146,10 @@ def rgba(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
     return pixels
 
 
-def allocate(device, config: Config, target: Size, contexts: list[Size], masked: int,
-             used: tuple[tiles.Tile, ...]) -> Arena:
+def allocate(device, config: Config, target: Size, contexts: list[Size], masked: int) -> Arena:
     """The level's arena, every buffer zeroed where the kernels add to it."""
-    arena = Arena(device, level_buffers(config, target, contexts, masked, used))
-    for name in ("gradient", "first", "second", "state"):
+    arena = Arena(device, level_buffers(config, target, contexts, masked))
+    for name in ("gradient", "first", "second", "state", "loss"):
         if name in arena:
             cl.enqueue_fill_buffer(device.queue, arena[name], np.uint32(0), 0, arena.size(name))
     return arena

@@ -8,7 +8,13 @@ import pyopencl as cl
 from pagas_cl.runtime.program import bind, build
 
 _LOOK_EVERY = 10          # steps between two looks of the host at the schedule
-_RATE, _BEST, _DONE = 0, 1, 3
+_RATE, _BEST, _DONE, _LOSS = 0, 1, 3, 4
+LOSS_ONE = 2.0**40         # of the photos' loss, a whole number; as in step.cl
+
+
+def loss_of(level) -> float:
+    """What the schedule follows, of the gradient made last; it has to be followed (solver.patience)."""
+    return float(level.read("loss", 1, np.int64)[0] / LOSS_ONE + level.read("state", 8)[_LOSS])
 
 
 class Solver:
@@ -28,7 +34,7 @@ class Solver:
                           float(common), 1.0)
         if self.patience:
             floor = solver.rate * solver.rate_floor * 0.999      # a rate that reaches the floor still counts
-            self._plateau = bind(program, "plateau", (1,), None, a["state"], a["history"], 1, self.patience,
+            self._plateau = bind(program, "plateau", (1,), None, a["state"], a["loss"], a["history"], 1, self.patience,
                                  float(floor))
 
     @property
@@ -39,7 +45,7 @@ class Solver:
     def enqueue(self, number: int, steps: int):
         """Step `number` (from 0) of `steps`."""
         if self.patience:
-            self._plateau.set_arg(2, np.int32(number + 1))
+            self._plateau.set_arg(3, np.int32(number + 1))
             self._plateau.enqueue(self.queue)
         settings = self.level.config.solver
         corrections = (1 / (1 - beta ** (number + 1)) for beta in (settings.beta1, settings.beta2))

@@ -89,7 +89,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     """
     photos = photos or PhotoStore(device)
     cameras = [view.camera for view in (target, *contexts, *witnesses)]
-    planned = plan_for(cameras, len(contexts), config, device, isinstance(photos, StreamedPhotos))
+    planned = plan_for(cameras, len(contexts), config, isinstance(photos, StreamedPhotos))
     planned.check(target.name, device)
     planned.tell(target.name)
     photos.leave(planned.beside_photos)

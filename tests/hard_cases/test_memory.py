@@ -169,7 +169,7 @@ def test_refused_with_a_setting_or_a_size_that_fits(device, limited, name):
     cameras = [view.camera for view in (target, *contexts, judge)]
     config = CONFIGS[name]
     for share in (0.9, 0.6, 0.1):
-        limited(int(share * fit.plan_for(cameras, 3, config, device, streamed=True).nbytes))
+        limited(int(share * fit.plan_for(cameras, 3, config, streamed=True).nbytes))
         with pytest.raises(DeviceMemoryError, match="even with one photo at a time; it fits with"):
             refine_depth(target, contexts, depth, config=config, device=device, witnesses=[judge])
         told = fit.what_fits(cameras, 3, config, device)
@@ -181,7 +181,7 @@ def test_refused_with_a_setting_or_a_size_that_fits(device, limited, name):
         else:
             width, height = (int(word) for word in told.split("photos of ")[1].split(" (")[0].split(" x "))
             small = [camera.resized(width, height) for camera in cameras]
-            assert fit.plan_for(small, 3, config, device, streamed=True).nbytes <= device.memory.limit
+            assert fit.plan_for(small, 3, config, streamed=True).nbytes <= device.memory.limit
 
 
 def test_views_are_compared_on_the_host_where_the_device_is_too_small(device, limited, caplog):
