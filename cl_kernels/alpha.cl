@@ -4,7 +4,7 @@
 //                        alpha for each of the pixels around that bin
 //   composite_alpha      per context pixel: gather the few bins around, sorted, and composite
 //   composite_alpha_vjp  the same again, back to front without division; dL/dalpha takes the place of alpha
-//   gather_alpha         per Gaussian: from the dL/dalpha in its places to dL/dd
+//   gather_alpha         per Gaussian: from the dL/dalpha in its places to dL/dd; leaves the bins empty
 //
 // Each pair of a Gaussian and a pixel has a place of its own, so that no two work-items ever write to the same one.
 #include "lists.clh"
@@ -67,13 +67,15 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
 }
 
 __kernel void gather_alpha(__global const float *depth, __constant float *cameras, int view, float low_pass,
-                           __global const float *alphas, __global float *gradient)
+                           __global const float *alphas, __global float *gradient, __global int *heads, int bins)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= target.width || row >= target.height)
         return;
     const int i = row * target.width + column, count = target.width * target.height;
+    for (int bin = i; bin < bins; bin += count)
+        heads[bin] = -1;
     const float d = depth[i];
     Splat s;
     Motion motion;

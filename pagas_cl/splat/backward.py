@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from pagas_cl.runtime.program import bind, build
-from pagas_cl.splat.tile import columns_of, row_grid, row_group
+from pagas_cl.runtime.program import Fill, bind, build
 from pagas_cl.splat.composite import blend_launch, exposure_argument, threshold_arguments
 from pagas_cl.splat.project import z_first_argument
+from pagas_cl.splat.state import NO_HEAD
+from pagas_cl.splat.tile import columns_of, row_grid, row_group
 
 
 def launches(level, view: int) -> list:
-    """Add what context view `view` says of each depth to arena["gradient"]."""
+    """Add what context view `view` says of each depth to arena["gradient"]; the target's own (0) says nothing."""
     a, s, photo = level.arena, level.config.splatting, level.given.photos[0]
+    if view == 0:
+        return [Fill(a["heads"], NO_HEAD, a.size("heads"))] if s.blend == "alpha" else []
     if s.blend == "order_free":
         columns = columns_of(level.device, level.target.width)
         program = build(level.device, "backward.cl", (*level.defines, f"COLUMNS={columns}"))
@@ -19,4 +22,4 @@ def launches(level, view: int) -> list:
                      exposure_argument(level), a["upstream"], a["gradient"])]
     return [blend_launch(level, view, "composite_alpha_vjp", a["upstream"]),
             bind(build(level.device, "alpha.cl", level.defines), "gather_alpha", level.target.grid, None, a["depth"],
-                 a["cameras"], view, float(s.low_pass), a["alphas"], a["gradient"])]
+                 a["cameras"], view, float(s.low_pass), a["alphas"], a["gradient"], a["heads"], a.specs["heads"].shape[0])]

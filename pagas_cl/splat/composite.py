@@ -6,7 +6,7 @@ import numpy as np
 
 from pagas_cl.runtime.program import Fill, bind, build
 from pagas_cl.splat import project
-from pagas_cl.splat.options import LIST_GROUP, reach
+from pagas_cl.splat.options import LIST_GROUP
 from pagas_cl.splat.tile import columns_of, row_grid, row_group
 
 
@@ -39,13 +39,9 @@ def _order_free(level, view: int) -> list:
 
 def _alpha(level, view: int) -> list:
     program, a, s = build(level.device, "alpha.cl", level.defines), level.arena, level.config.splatting
-    size = level.given.sizes[view]
-    border = 2 * reach(s.radius) + 1
-    bins = (size.width + border) * (size.height + border)
-    clear = Fill(a["heads"], np.int32(-1), 4 * bins)
     link = bind(program, "link_bins", level.target.grid, None, a["depth"], a["cameras"], view,
                 float(s.low_pass), a["heads"], a["links"], a["alphas"])
-    return [clear, link, blend_launch(level, view, "composite_alpha", a["rendered"])]
+    return [link, blend_launch(level, view, "composite_alpha", a["rendered"])]
 
 
 def blend_launch(level, view: int, name: str, image):

@@ -96,7 +96,8 @@ class Level:
 
     def _bind_views(self):
         self.views = [self._view(v) for v in range(1, 1 + len(self.contexts))]
-        self.target_view = self._target_view() if self.config.loss.target_view and self.config.solver.patience else []
+        # the target's own view has no gradient; it counts in the loss alone
+        self.target_view = self._view(0) if self.config.loss.target_view and self.config.solver.patience else []
 
     def raise_smoothness(self):
         """From here on smoothness weighs what few context views and gloss call for."""
@@ -120,13 +121,9 @@ class Level:
         run_once(self.device.queue, launches(self))
 
     def _view(self, view: int) -> list:
-        """All launches of one context view in one step."""
+        """All launches of one context view, or of the target's own (0), in one step."""
         return [*self.given.fetch(view), *composite.launches(self, view), *loss.launches(self, view),
                 *backward.launches(self, view)]
-
-    def _target_view(self) -> list:
-        """The target's own view has no gradient; it counts in the loss alone."""
-        return [*composite.launches(self, 0), *loss.launches(self, 0)]
 
     def threshold(self, view: int) -> float:
         """Depth threshold in context view `view`: at least some of its footprints, or a slope would hide itself."""

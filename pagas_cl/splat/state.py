@@ -15,6 +15,7 @@ from pagas_cl.splat import tile as tiles
 from pagas_cl.splat.options import reach
 from pagas_cl.splat.smooth import SUM_GROUPS
 
+NO_HEAD = np.int32(-1)    # of an empty bin (alpha.cl)
 PHOTO_MARGIN = 16         # pixels behind a photo that may be read
 
 
@@ -147,9 +148,11 @@ def rgba(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
 
 
 def allocate(device, config: Config, target: Size, contexts: list[Size], masked: int) -> Arena:
-    """The level's arena, every buffer zeroed where the kernels add to it."""
+    """The level's arena, every buffer zeroed where the kernels add to it, bins empty."""
     arena = Arena(device, level_buffers(config, target, contexts, masked))
     for name in ("gradient", "first", "second", "state", "loss"):
         if name in arena:
             cl.enqueue_fill_buffer(device.queue, arena[name], np.uint32(0), 0, arena.size(name))
+    if "heads" in arena:
+        cl.enqueue_fill_buffer(device.queue, arena["heads"], NO_HEAD, 0, arena.size("heads"))
     return arena
