@@ -12,9 +12,10 @@ def rate_falls(device, patience):
     """Whether the schedule of step.cl lowers the rate after one step without a better loss."""
     import pyopencl as cl
 
-    state, history = np.array([1, 0, 0, 0, 5, 0, 0, 0], np.float32), np.zeros(4, np.float32)
-    buffers = [device.memory.buffer(device.context, array.nbytes) for array in (state, history)]
-    cl.enqueue_copy(device.queue, buffers[0], state)
+    state, loss, history = np.array([1, 0, 0, 0, 5, 0, 0, 0], np.float32), np.zeros(1, np.int64), np.zeros(4, np.float32)
+    buffers = [device.memory.buffer(device.context, array.nbytes) for array in (state, loss, history)]
+    for buffer, array in zip(buffers, (state, loss, history)):
+        cl.enqueue_copy(device.queue, buffer, array)
     run_once(device.queue, [bind(build(device, "step.cl"), "plateau", (1,), None, *buffers, 1, patience, 0.0)])
     cl.enqueue_copy(device.queue, state, buffers[0])
     return state[0] < 1
@@ -42,14 +43,16 @@ def test_a_kernel_that_is_used_again_has_the_arguments_of_now(device):
 
     program, source = build(device, "step.cl"), np.full(4, 5, np.float32)
     for repeat in range(6):
-        state, history = (device.memory.buffer(device.context, nbytes) if repeat < 4 else
-                          cl.Buffer(device.context, cl.mem_flags.READ_WRITE, nbytes) for nbytes in (32, source.nbytes))
-        cl.enqueue_copy(device.queue, state, np.array([1, 0, 0, 0, 5 + repeat, 0, 0, 0], np.float32))
-        launch = bind(program, "plateau", (1,), None, state, history, 1, 9, 0.0)
+        state, loss, history = (
+            device.memory.buffer(device.context, nbytes) if repeat < 4 else
+            cl.Buffer(device.context, cl.mem_flags.READ_WRITE, nbytes) for nbytes in (32, 8, source.nbytes))
+        cl.enqueue_copy(device.queue, state, np.array([1, 0, 0, 0, 2, 0, 0, 0], np.float32))
+        cl.enqueue_copy(device.queue, loss, np.array([(3 + repeat) * 2**40], np.int64))
+        launch = bind(program, "plateau", (1,), None, state, loss, history, 1, 9, 0.0)
         if repeat % 2:
-            launch.set_arg(2, np.int32(3))                # the place in the history
+            launch.set_arg(3, np.int32(3))                # the place in the history
         run_once(device.queue, [launch])
         found = np.zeros(4, np.float32)
         cl.enqueue_copy(device.queue, found, history)
         assert found[2 if repeat % 2 else 0] == 5 + repeat
-        del launch, state, history
+        del launch, state, loss, history

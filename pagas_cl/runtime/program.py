@@ -82,13 +82,15 @@ class _Kernel:
             self.cl_kernel.set_args(*arguments)
         else:
             for index, value in enumerate(arguments):
-                if known[index] != remembered[index]:
+                if known[index] is not remembered[index] and known[index] != remembered[index]:
                     self.cl_kernel.set_arg(index, value)
         self._arguments = remembered
 
     def set_arg(self, index: int, value):
-        self.cl_kernel.set_arg(index, value)
-        self._arguments[index] = _remembered(value)
+        remembered = _remembered(value)
+        if self._arguments[index] != remembered:
+            self.cl_kernel.set_arg(index, value)
+            self._arguments[index] = remembered
 
 
 def _remembered(value):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pyopencl as cl
@@ -57,15 +58,19 @@ class LevelInput:
         """What brings the photo of `view` to its buffer; nothing where it is there."""
         return [Upload(self.photos[view], self.host[view - 1])] if self.host and view else []
 
-    @property
+    @cached_property
     def sizes(self) -> list[Size]:
         return [Size(camera.width, camera.height) for camera in self.cameras]
+
+    @cached_property
+    def footprints(self) -> list[float]:
+        """Of a pixel of each view (scene.rig.footprint), device units."""
+        return [footprint(self.cameras[0], camera, self.unit) for camera in self.cameras]
 
 
 def threshold_in(given: LevelInput, config: Config, view: int) -> float:
     """delta of context view `view`, device units."""
-    floor = config.splatting.depth_footprints * footprint(given.cameras[0], given.cameras[view], given.unit)
-    return max(given.threshold, floor)
+    return max(given.threshold, config.splatting.depth_footprints * given.footprints[view])
 
 
 class Level:
