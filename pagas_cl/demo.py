@@ -9,6 +9,7 @@ from pathlib import Path
 
 from pagas_cl.evaluate import DepthReport, compare_depth, compare_predictions
 from pagas_cl.made import MadeScene, relief_scene
+from pagas_cl.progress import inside_of
 
 _log = logging.getLogger("pagas_cl")
 
@@ -103,7 +104,7 @@ def _refined(made: MadeScene, preset, config, device, progress):
         progress("refine", number, len(made.views))
         others = [other for other in made.views if other is not view]
         results.append(refine_depth(view, others, made.initial_depth(view.camera), preset=preset, config=config,
-                                    device=device))
+                                    device=device, progress=inside_of(progress, number, len(made.views))))
     progress("refine", len(made.views), len(made.views))
     return results
 

@@ -14,6 +14,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.harm import harm_of
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
 from pagas_cl.measurements import measure
+from pagas_cl.progress import inside_of
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.inputs import as_views, asked_views, checked_depth
 from pagas_cl.scene.mesh import from_surface, to_surface
@@ -43,6 +44,7 @@ def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=Non
         Part of the name of an OpenCL device; a GPU before a CPU by default. "all", or a list of names: one process on
         each of these devices of this machine.
     progress : callable of (stage, done, total), optional
+        `done` is a fraction within a view.
     output : str
         "tsdf": a new mesh, fused from the refined depth maps. "displace": the given mesh with its vertices moved onto
         depths that at least two views agree on; topology, texture coordinates and attributes stay.
@@ -168,7 +170,8 @@ def refine_views(views: list[View], depths, *, names=None, config=None, preset="
     for done, index in enumerate(asked):
         if progress:
             progress("refine", done, len(asked))
-        result = refine_one(views, chooser.choose(index), depths[index], config, device, photos)
+        result = refine_one(views, chooser.choose(index), depths[index], config, device, photos,
+                            progress=inside_of(progress, done, len(asked)))
         results.append(result)
         if on_view:
             on_view(views[index], depths[index], result)
@@ -178,17 +181,17 @@ def refine_views(views: list[View], depths, *, names=None, config=None, preset="
     return results
 
 
-def refine_one(views, partners: Partners, depth, config: Config, device, photos) -> DepthResult:
+def refine_one(views, partners: Partners, depth, config: Config, device, photos, progress=None) -> DepthResult:
     """One of many views, with the partners chosen for it: a pure function, which any worker may run.
 
-    `views` by place: a list, or a dict with those that are needed.
+    `views` by place: a list, or a dict with those that are needed. `progress` as in refine_depth.
     """
     target, depth = views[partners.target], checked_depth(depth, views[partners.target])
     if not partners.contexts:
         log.warning("view %s is kept as it came: %s", target.name, partners.reason)
         return DepthResult.unrefined(target.camera, depth, partners.reason)
     return refine_depth(target, [views[k] for k in partners.contexts], depth, config=config, device=device,
-                        photos=photos, witnesses=[views[k] for k in partners.witnesses])
+                        progress=progress, photos=photos, witnesses=[views[k] for k in partners.witnesses])
 
 
 def settle(target: View, contexts: list[View], depth, config: Config, device, photos, *, entered=None):

@@ -48,18 +48,18 @@ def said(folder, what: str) -> list[str]:
 # -- work ----------------------------------------------------------------------------------------------------------
 
 
-def copy_depth(views, partners, depth, config, device, photos) -> DepthResult:
+def copy_depth(views, partners, depth, config, device, photos, progress=None) -> DepthResult:
     """No refinement at all: the depth as it came."""
     return DepthResult.unrefined(views[partners.target].camera, depth, "copied")
 
 
-def slow_refine(views, partners, depth, config, device, photos) -> DepthResult:
+def slow_refine(views, partners, depth, config, device, photos, progress=None) -> DepthResult:
     """The real refinement, half a second later."""
     time.sleep(0.5)
     return refine_one(views, partners, depth, config, device, photos)
 
 
-def killed_once(views, partners, depth, config, device, photos) -> DepthResult:
+def killed_once(views, partners, depth, config, device, photos, progress=None) -> DepthResult:
     """Kills its process at the third view, the first time."""
     path = Path(os.environ["PAGAS_CL_TEST_MARK"])
     if partners.target == 2 and not path.exists():
@@ -68,14 +68,14 @@ def killed_once(views, partners, depth, config, device, photos) -> DepthResult:
     return copy_depth(views, partners, depth, config, device, photos)
 
 
-def killed_always(views, partners, depth, config, device, photos) -> DepthResult:
+def killed_always(views, partners, depth, config, device, photos, progress=None) -> DepthResult:
     """Kills its process at the third view."""
     if partners.target == 2:
         os.kill(os.getpid(), signal.SIGKILL)
     return copy_depth(views, partners, depth, config, device, photos)
 
 
-def fails_twice(views, partners, depth, config, device, photos) -> DepthResult:
+def fails_twice(views, partners, depth, config, device, photos, progress=None) -> DepthResult:
     """Fails at the second view, two times."""
     mark = Path(os.environ["PAGAS_CL_TEST_MARK"])
     count = int(mark.read_text()) if mark.exists() else 0
@@ -85,7 +85,7 @@ def fails_twice(views, partners, depth, config, device, photos) -> DepthResult:
     return copy_depth(views, partners, depth, config, device, photos)
 
 
-def fails_always(views, partners, depth, config, device, photos) -> DepthResult:
+def fails_always(views, partners, depth, config, device, photos, progress=None) -> DepthResult:
     """Fails at the second view."""
     if partners.target == 1:
         raise np.linalg.LinAlgError("never")

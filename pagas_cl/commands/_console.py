@@ -83,8 +83,8 @@ class Lines:
         finished = done >= total
         if finished:
             self._began.pop(stage), self._told.pop(stage)
-            self._write(f"{stage}: {done} of {total} in {now - began:.0f} s\n")
+            self._write(f"{stage}: {total} of {total} in {now - began:.0f} s\n")
         elif done and now - told >= _LINE_EVERY:
             self._told[stage] = now
             left = (now - began) * (total - done) / done
-            self._write(f"{stage}: {done} of {total}, about {left:.0f} s left\n")
+            self._write(f"{stage}: {int(done)} of {total}, about {left:.0f} s left\n")

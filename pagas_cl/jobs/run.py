@@ -35,10 +35,13 @@ class Run:
         Makes a new one when the present one has broken (a process of a pool was killed).
     on_record : callable(Record)
         Called for each view, done or given up.
+    inside : callable of (stage, done, total), optional
+        Progress among the views of the present batch, where they are refined in this process.
     """
 
-    def __init__(self, executor: Executor, folder: Path, renew, on_record):
+    def __init__(self, executor: Executor, folder: Path, renew, on_record, inside=None):
         self.executor, self.folder, self.renew, self.on_record = executor, folder, renew, on_record
+        self._inside = (inside,) if isinstance(executor, Here) else ()
         self._queue: deque[Batch] = deque()
         self._waiting: dict = {}
         self._errors: dict[str, list[Record]] = {}
@@ -76,7 +79,7 @@ class Run:
 
     def _send(self, batch: Batch) -> None:
         try:
-            self._waiting[self.executor.submit(run_batch, batch)] = batch
+            self._waiting[self.executor.submit(run_batch, batch, *self._inside)] = batch
         except BrokenExecutor as error:
             self._queue.appendleft(batch)
             self._broken(error)

@@ -69,7 +69,7 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
     template = Batch(work, {}, {}, (), config, folder, _sent_device(device, pipeline), code_version(), extras)
     collect = _Collect(asked, views, folder, progress, on_view)
     _make_ready(folder)
-    run = Run(pipeline, folder, renew, collect)
+    run = Run(pipeline, folder, renew, collect, progress and collect.inside)
     try:
         run.finish(_unfinished(planner, groups(asked, views, worker_count(pipeline)), template, collect))
     finally:
@@ -128,6 +128,10 @@ class _Collect:
             self._told += 1
             if index in self.tasks:
                 self.on_view(self.views[index], self.tasks[index].depth.load(), self._result(index))
+
+    def inside(self, stage, done, total) -> None:
+        """`done` views of the batch at hand beside those that have come."""
+        self.progress("refine", len(self.records) + done, len(self.asked))
 
     def results(self) -> list:
         failed = [record for record in self.records.values() if record.error]

@@ -16,6 +16,7 @@ from pagas_cl.jobs.finished import find_finished, work_folder, write_finished
 from pagas_cl.jobs.identity import code_version
 from pagas_cl.jobs.photos import PhotoMemory
 from pagas_cl.jobs.task import Batch, Record, ViewTask
+from pagas_cl.progress import inside_of
 
 log = logging.getLogger("pagas_cl")
 
@@ -43,8 +44,8 @@ class Bench:
         return {k: self._views[batch.digests[k]] for k in batch.views}
 
 
-def run_batch(batch: Batch) -> list[Record]:
-    """Refine the views of `batch` that are not finished; one record each.
+def run_batch(batch: Batch, progress=None) -> list[Record]:
+    """Refine the views of `batch` that are not finished; one record each. `progress` is of its views.
 
     The device refines one view while the files of the next are read and those of the one before are written.
 
@@ -66,7 +67,7 @@ def run_batch(batch: Batch) -> list[Record]:
             depth = ahead.pop(task.name, None) or _read_ahead(readers, task, views)
             if following is not None:
                 ahead[following.name] = _read_ahead(readers, following, views)
-            ended.append(_attempt(batch, task, views, depth, writer))
+            ended.append(_attempt(batch, task, views, depth, writer, inside_of(progress, len(ended), len(batch.tasks))))
             if len(ended) > 1 and isinstance(ended[-2], Future):
                 ended[-2] = ended[-2].result()  # no more than one result waits to be written
         return [record.result() if isinstance(record, Future) else record for record in ended]
@@ -80,12 +81,13 @@ def _read_ahead(readers: ThreadPoolExecutor, task: ViewTask, views: dict) -> Fut
     return depth
 
 
-def _attempt(batch: Batch, task: ViewTask, views: dict, depth: Future, writer: ThreadPoolExecutor):
+def _attempt(batch: Batch, task: ViewTask, views: dict, depth: Future, writer: ThreadPoolExecutor, progress):
     """The record of `task` if it fails, else what promises it: `writer` is to write the result."""
     bench, start = _bench(batch.device), time.perf_counter()
     note_down(batch.folder, "began", task.name)
     try:
-        result = batch.work(views, task.partners, depth.result(), batch.config, bench.device, bench.photos)
+        told = {"progress": progress} if progress else {}
+        result = batch.work(views, task.partners, depth.result(), batch.config, bench.device, bench.photos, **told)
     except OutputError:
         raise
     except DeviceLostError as error:

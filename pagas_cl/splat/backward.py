@@ -22,4 +22,5 @@ def launches(level, view: int) -> list:
                      exposure_argument(level), a["upstream"], a["gradient"])]
     return [blend_launch(level, view, "composite_alpha_vjp", a["upstream"]),
             bind(build(level.device, "alpha.cl", level.defines), "gather_alpha", level.target.grid, None, a["depth"],
-                 a["cameras"], view, float(s.low_pass), a["alphas"], a["gradient"], a["heads"], a.specs["heads"].shape[0])]
+                 a["cameras"], view, float(s.low_pass), a["alphas"], a["gradient"], a["heads"],
+                 a.specs["heads"].shape[0])]

@@ -18,6 +18,7 @@ from pagas_cl.splat import backward, composite, exposure, loss, project, smooth,
 from pagas_cl.splat.options import defines, heaviest_pixel
 from pagas_cl.splat.state import Size, allocate
 from pagas_cl.splat.tile import choose_tiles
+from pagas_cl.splat.told import Told
 
 
 @dataclass(frozen=True)
@@ -159,8 +160,9 @@ class Level:
         return [launch for view in (self.target_view, *chosen) for launch in view]
 
     def run(self, steps: int, progress=None) -> int:
-        """At most `steps` steps; returns how many were enqueued."""
-        queue, solver = self.device.queue, step.Solver(self)
+        """At most `steps` steps; returns how many were enqueued. `progress(done, total)` is told of those that are
+        done."""
+        queue, solver, told = self.device.queue, step.Solver(self), Told(progress, steps)
         self.ending = solver.launches
         fitted = exposure.fitted_before(steps) if self.config.loss.exposure else ()
         for number in range(steps):
@@ -172,12 +174,13 @@ class Level:
                 self._narrow()
             for launch in self.step_launches(number):
                 launch.enqueue(queue)
-            solver.enqueue(number, steps)
-            if solver.finished(number):
-                return number + 1
+            ended = solver.enqueue(number, steps)
             queue.flush()
-            if progress:
-                progress(number + 1, steps)
+            told.enqueued(number + 1, ended)
+            if solver.finished(number):
+                steps = number + 1
+                break
+        told.finish()
         return steps
 
     def read(self, name: str, shape, dtype=np.float32) -> np.ndarray:

@@ -43,7 +43,7 @@ class Solver:
         return [self._plateau, self._adam] if self.patience else [self._adam]
 
     def enqueue(self, number: int, steps: int):
-        """Step `number` (from 0) of `steps`."""
+        """Step `number` (from 0) of `steps`; returns the event that ends it."""
         if self.patience:
             self._plateau.set_arg(3, np.int32(number + 1))
             self._plateau.enqueue(self.queue)
@@ -52,7 +52,7 @@ class Solver:
         damping = settings.damping_at(number, steps)
         for argument, value in zip((7, 8, 11, 13), (*corrections, damping, self._share(number, steps))):
             self._adam.set_arg(argument, np.float32(value))
-        self._adam.enqueue(self.queue)
+        return self._adam.enqueue(self.queue)
 
     def _share(self, number: int, steps: int) -> float:
         """Of the rate, at step `number`: 1 over the first half, then linearly down to final_rate."""

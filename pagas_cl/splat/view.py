@@ -74,7 +74,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     photos : PhotoStore or StreamedPhotos
         Photos already on the device (a new store by default), or on the host.
     progress : callable of (done, total), optional
-        Called while the steps of the last level are enqueued.
+        Called with the steps that the device has done, of those of all levels.
     witnesses : sequence of View
         Views that take no part and judge the result.
     measured : Measurements, optional
@@ -97,11 +97,11 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     run = _Run(target, contexts, depth, config, device, photos, witnesses=witnesses, entered=entered,
                gloss=measured.local_gloss if measured else None)
     before, done, losses = None, [], []
-    for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
+    for number, (scale, steps) in enumerate(zip(config.pyramid.scales, config.pyramid.steps)):
         level = Level(device, config, run.at(scale))
         level.enter(run.initial_writer(level))
         level.start(run.start_writer(level, before))
-        done.append(level.run(steps, progress))
+        done.append(level.run(steps, _of_all(progress, config.pyramid.steps, number)))
         if "history" in level.arena:
             losses += level.read("history", level.arena.specs["history"].shape)[:done[-1]].tolist()
         if scale < 1:
@@ -109,6 +109,11 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
             level.release()
             del level            # its photos too, before those of the next one
     return run.finish(level, Doubt.of(measured), tuple(done), losses, planned.nbytes)
+
+
+def _of_all(progress, steps: tuple[int, ...], level: int):
+    """`progress` for the steps of one level among those of all."""
+    return progress and (lambda done, _: progress(sum(steps[:level]) + done, sum(steps)))
 
 
 def full_level(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None) -> Level:

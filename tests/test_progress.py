@@ -1,0 +1,88 @@
+"""Progress tells what the device has done, inside a view too, and never runs backwards."""
+
+from __future__ import annotations
+
+import pytest
+from job_scenes import QUICK, load_small_scene, write_small_scene
+
+pytest.importorskip("pyopencl")
+from pagas_cl.progress import inside_of
+from pagas_cl.refine import refine_depth, refine_one, refine_views
+from pagas_cl.splat.told import AHEAD, Told
+
+VIEWS = 8
+
+
+class Event:
+    def __init__(self, waited: list, number: int):
+        self.wait = lambda: waited.append(number)
+
+
+def test_steps_are_told_of_when_they_have_ended():
+    """Each one after a wait for it, the last AHEAD at the end: the device always has some to go on with."""
+    waited, told = [], []
+    steps = Told(lambda done, total: told.append((done, total, list(waited))), 12)
+    for number in range(1, 13):
+        steps.enqueued(number, Event(waited, number))
+        assert len(waited) == max(0, number - AHEAD)
+    steps.finish()
+    assert told == [(k, 12, list(range(1, k + 1))) for k in range(1, 13)]
+
+
+def test_nobody_asks_and_nothing_waits():
+    waited, steps = [], Told(None, 3)
+    for number in range(20):
+        steps.enqueued(number, Event(waited, number))
+    steps.finish()
+    assert not waited
+
+
+def test_a_view_is_not_finished_with_its_steps():
+    told = []
+    inside = inside_of(lambda *given: told.append(given), 3, 7)
+    inside("refine left.png", 5, 10)
+    inside("refine left.png", 10, 10)
+    assert told[0] == ("refine", pytest.approx(3.475), 7) and 3.9 < told[1][1] < 4
+    assert inside_of(None, 3, 7) is None
+
+
+def test_steps_of_all_levels(device, made):
+    """One count over the pyramid."""
+    told, config = [], QUICK.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=(3, 5),
+                                             effects__pyramid="set")
+    refine_depth(made.views[0], made.views[1:], made.initial_depth(made.views[0].camera), config=config, device=device,
+                 progress=lambda *given: told.append(given))
+    assert told == [(f"refine {made.views[0].name}", k, 8) for k in range(1, 9)]
+
+
+@pytest.fixture(scope="module")
+def made():
+    from pagas_cl.made import relief_scene
+
+    return relief_scene(48, 36, 2, held_out=0)
+
+
+@pytest.mark.parametrize("kept", [False, True], ids=["here", "in a folder"])
+def test_progress_within_views(tmp_path, device, kept):
+    views, depths = load_small_scene(write_small_scene(tmp_path / "scene"))
+    told = []
+    refine_views(views, depths, config=QUICK, device=device, folder=tmp_path / "out" if kept else None,
+                 progress=lambda *given: told.append(given))
+    done = [given[1] for given in told]
+    assert {(stage, total) for stage, _, total in told} == {("refine", VIEWS)}
+    assert done == sorted(done) and done[0] == 0 and done[-1] == VIEWS
+    assert all(any(k < value < k + 1 for value in done) for k in range(VIEWS))      # something within every view
+
+
+def test_work_that_tells_nothing(tmp_path, device):
+    """Workers of their own process are not asked to."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    from pagas_cl.jobs import refine_all
+
+    views, depths = load_small_scene(write_small_scene(tmp_path / "scene"))
+    told = []
+    with ThreadPoolExecutor(1) as executor:
+        refine_all(refine_one, views, depths, range(VIEWS), QUICK, executor=executor, folder=tmp_path / "out",
+                   progress=lambda *given: told.append(given))
+    assert [given[1] for given in told] == list(range(VIEWS + 1))
