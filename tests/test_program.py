@@ -12,13 +12,13 @@ def rate_falls(device, patience):
     """Whether the schedule of step.cl lowers the rate after one step without a better loss."""
     import pyopencl as cl
 
-    state, loss, history = np.array([1, 0, 0, 0, 5, 0, 0, 0], np.float32), np.zeros(1, np.int64), np.zeros(4, np.float32)
-    buffers = [device.memory.buffer(device.context, array.nbytes) for array in (state, loss, history)]
-    for buffer, array in zip(buffers, (state, loss, history)):
+    arrays = np.array([1, 0, 0, 0, 5, 0, 0, 0], np.float32), np.zeros(1, np.int64), np.zeros(4, np.float32)
+    buffers = [device.memory.buffer(device.context, array.nbytes) for array in arrays]
+    for buffer, array in zip(buffers, arrays):
         cl.enqueue_copy(device.queue, buffer, array)
     run_once(device.queue, [bind(build(device, "step.cl"), "plateau", (1,), None, *buffers, 1, patience, 0.0)])
-    cl.enqueue_copy(device.queue, state, buffers[0])
-    return state[0] < 1
+    cl.enqueue_copy(device.queue, arrays[0], buffers[0])
+    return arrays[0][0] < 1
 
 
 @pytest.mark.parametrize("kind", [int, np.int32, np.int64, np.uint32])
