@@ -41,7 +41,7 @@ __kernel void add_smoothness(__global const float *partials, int count, float sc
     state[LOSS] += scale * sum;
 }
 
-#define LOSS_ONE 1.0995116e12f           // 2^40: a loss of 1, as splat/loss.py has it
+#define LOSS_ONE 1.0995116e12f           // 2^40: a loss of 1, as splat/step.py has it
 
 // The photos' loss is a sum of its own, that of smoothness is in the state. The rate falls by 10 when the loss has not
 // improved for `patience` steps; the level ends at `floor`.

@@ -155,7 +155,7 @@ def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:
         "nearest": 4 * n + 8 * m, "splat_order_free": 8 * n + (first + 2 * image) * m,
         "gather_gradient": 16 * n + (first + image) * m,
         "link_bins": (12 + places) * n + 8 * m, "composite_alpha": (12 + places) * n + (4 + image) * m,
-        "composite_alpha_vjp": (12 + 2 * places) * n + (4 + image) * m, "gather_alpha": (12 + places) * n,
+        "composite_alpha_vjp": (12 + 2 * places) * n + (4 + image) * m, "gather_alpha": (12 + places) * n + 4 * m,
         "ssim_forward": (image + 4 + partials) * m, "loss_backward": (2 * image + 4 + partials) * m,
         "smoothness_planar": 20 * n, "spread_across": 12 * n, "spread_down": 12 * n, "adam": 36 * n,
     }

@@ -76,8 +76,8 @@ PAPER = Config(
     effects=Effects.every("set"),
 )
 # The knee of the front of error against time (`pagas-cl tradeoff`; the tables are in tests/bench/FRONT.md): one context
-# view a step, in turn, is as good per step as all of them; three times the steps gain 2 percent with ten context views,
-# 4 with one.
+# view a step, in turn, is as good per step as all of them; four times the steps gain 2 percent with ten context views,
+# 5 with one.
 BALANCED = Config()
 # Gives up colour, most steps, two context views and the measuring of effects (photos of one exposure, a depth within a
 # pixel or two of parallax): 1.2 to 2.5 times the error of "balanced" in a quarter of its time or less.

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pagas_cl.evaluate import DepthReport, compare_depth, compare_predictions
 from pagas_cl.made import MadeScene, relief_scene
-from pagas_cl.progress import inside_of
+from pagas_cl.progress import ViewProgress
 
 _log = logging.getLogger("pagas_cl")
 
@@ -99,13 +99,13 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset="balanced", co
 def _refined(made: MadeScene, preset, config, device, progress):
     from pagas_cl.refine import refine_depth
 
-    results = []
+    results, told = [], ViewProgress(progress, len(made.views))
     for number, view in enumerate(made.views):
-        progress("refine", number, len(made.views))
+        told.at(number)
         others = [other for other in made.views if other is not view]
         results.append(refine_depth(view, others, made.initial_depth(view.camera), preset=preset, config=config,
-                                    device=device, progress=inside_of(progress, number, len(made.views))))
-    progress("refine", len(made.views), len(made.views))
+                                    device=device, progress=told.inside(number)))
+    told.at(len(made.views))
     return results
 
 

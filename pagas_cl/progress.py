@@ -1,10 +1,32 @@
-"""Progress inside of a part: callables of (stage, done, total), where `done` may be a fraction."""
+"""What a run of many views tells its caller: views that are done, and the part of one that is under way."""
 
 from __future__ import annotations
 
-STEPS = 0.95       # of a view; what judges and writes its depth comes after
+_STEPS = 0.95       # of a view's time; what judges and writes its depth comes after
 
 
-def inside_of(progress, done: int, total: int):
-    """Progress of the steps of one view as that of `total` views of which `done` are finished; None without one."""
-    return progress and (lambda stage, steps, of: progress("refine", done + STEPS * steps / of, total))
+class ViewProgress:
+    """Calls `progress(stage, done, total)` with views done, a fraction within one; never with fewer than before.
+
+    A view that is tried again says nothing until it is further than it was.
+
+    Parameters
+    ----------
+    progress : callable of (stage, done, total), or None
+        None: nobody is told.
+    total : int
+        Views.
+    """
+
+    def __init__(self, progress, total: int):
+        self.progress, self.total, self._most = progress, total, -1.0
+
+    def at(self, done: float) -> None:
+        """`done` views are."""
+        if self.progress and done > self._most:
+            self._most = done
+            self.progress("refine", done, self.total)
+
+    def inside(self, done: int):
+        """Progress of refine_depth for the view after the first `done`; None where nobody is told."""
+        return self.progress and (lambda stage, steps, of: self.at(done + _STEPS * steps / of))

@@ -14,7 +14,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.harm import harm_of
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
 from pagas_cl.measurements import measure
-from pagas_cl.progress import inside_of
+from pagas_cl.progress import ViewProgress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.inputs import as_views, asked_views, checked_depth
 from pagas_cl.scene.mesh import from_surface, to_surface
@@ -94,7 +94,9 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
         returned as it came, with the reason.
     photos : PhotoStore, optional
         Photos that are on the device already.
-    preset, config, device, progress
+    progress : callable of (stage, done, total), optional
+        Told of steps that the device has done, of those of all levels.
+    preset, config, device
         As in refine_mesh.
 
     Raises
@@ -165,19 +167,17 @@ def refine_views(views: list[View], depths, *, names=None, config=None, preset="
 
         return refine_all(refine_one, views, depths, asked, config, device=device, executor=executor, folder=folder,
                           extras=extras, progress=progress, on_view=on_view)
-    device, results = open_device(device), []
+    device, results, told = open_device(device), [], ViewProgress(progress, len(asked))
     photos, chooser = PhotoStore(device), PartnerChooser([view.camera for view in views], depths, config.context)
     for done, index in enumerate(asked):
-        if progress:
-            progress("refine", done, len(asked))
+        told.at(done)
         result = refine_one(views, chooser.choose(index), depths[index], config, device, photos,
-                            progress=inside_of(progress, done, len(asked)))
+                            progress=told.inside(done))
         results.append(result)
         if on_view:
             on_view(views[index], depths[index], result)
     photos.clear()
-    if progress:
-        progress("refine", len(asked), len(asked))
+    told.at(len(asked))
     return results
 
 

@@ -17,19 +17,20 @@ OPTIONAL = {"open3d", "pymeshlab", "pycolmap", "matplotlib", "skimage", "scipy",
 
 # What each part may import of the others; the flow is one way (and all may import errors, stages, config).
 ALLOWED = {
-    "errors": set(), "stages": set(), "config": set(), "scene": set(), "reference": {"scene"},
+    "errors": set(), "stages": set(), "config": set(), "progress": set(), "scene": set(), "reference": {"scene"},
     "runtime": {"scene", "cl_kernels"},
     "surface": {"scene", "runtime", "reference"}, "splat": {"scene", "runtime"}, "result": {"scene"},
-    "jobs": {"scene", "runtime", "splat", "result"},
+    "jobs": {"scene", "runtime", "splat", "result", "progress"},
     "harm": {"result"},
     "effects": {"measurements"}, "measurements": {"splat"},
     "refine": {"harm", "jobs", "scene", "runtime", "surface", "splat", "result", "measurements", "effects", "keep_mesh",
-               "consistency"},
+               "consistency", "progress"},
     "camera_check": {"scene", "surface"},
     "evaluate": {"scene"}, "made": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
     "selftest": {"scene", "splat", "reference"},
 }
-WITHOUT_OPENCL = {"errors", "stages", "config", "scene", "reference", "report", "evaluate", "made", "result"}
+WITHOUT_OPENCL = {"errors", "stages", "config", "progress", "scene", "reference", "report", "evaluate", "made",
+                  "result"}
 # Kernel files that belong to a stage of another name.
 STAGE = {"alpha": "composite", "deviation": "evidence", "crowded": "composite"}
 REFERENCE = {"alpha": "composite", "deviation": "evidence", "backward": "composite", "ssim": "loss"}

@@ -6,7 +6,7 @@ import pytest
 from job_scenes import QUICK, load_small_scene, write_small_scene
 
 pytest.importorskip("pyopencl")
-from pagas_cl.progress import inside_of
+from pagas_cl.progress import ViewProgress
 from pagas_cl.refine import refine_depth, refine_one, refine_views
 from pagas_cl.splat.told import AHEAD, Told
 
@@ -39,11 +39,22 @@ def test_nobody_asks_and_nothing_waits():
 
 def test_a_view_is_not_finished_with_its_steps():
     told = []
-    inside = inside_of(lambda *given: told.append(given), 3, 7)
+    inside = ViewProgress(lambda *given: told.append(given), 7).inside(3)
     inside("refine left.png", 5, 10)
     inside("refine left.png", 10, 10)
     assert told[0] == ("refine", pytest.approx(3.475), 7) and 3.9 < told[1][1] < 4
-    assert inside_of(None, 3, 7) is None
+    assert ViewProgress(None, 7).inside(3) is None
+
+
+def test_a_view_that_is_tried_again_says_nothing_new():
+    told = []
+    views = ViewProgress(lambda stage, done, total: told.append(done), 2)
+    for inside in (views.inside(0), views.inside(0)):
+        for step in range(1, 5):
+            inside("refine left.png", step, 4)
+    views.at(0)
+    views.at(1)
+    assert told == pytest.approx([0.2375, 0.475, 0.7125, 0.95, 1])
 
 
 def test_steps_of_all_levels(device, made):
@@ -62,16 +73,35 @@ def made():
     return relief_scene(48, 36, 2, held_out=0)
 
 
-@pytest.mark.parametrize("kept", [False, True], ids=["here", "in a folder"])
-def test_progress_within_views(tmp_path, device, kept):
+@pytest.mark.parametrize("kept", [0, 1, 4], ids=["here", "in a folder", "four at a time"])
+def test_progress_within_views(tmp_path, device, kept, monkeypatch):
     views, depths = load_small_scene(write_small_scene(tmp_path / "scene"))
     told = []
+    monkeypatch.setattr("pagas_cl.jobs.whole.groups",
+                        lambda asked, *_: [asked[k:k + kept] for k in range(0, len(asked), kept)])
     refine_views(views, depths, config=QUICK, device=device, folder=tmp_path / "out" if kept else None,
                  progress=lambda *given: told.append(given))
     done = [given[1] for given in told]
     assert {(stage, total) for stage, _, total in told} == {("refine", VIEWS)}
-    assert done == sorted(done) and done[0] == 0 and done[-1] == VIEWS
+    assert done == sorted(set(done)) and done[0] == 0 and done[-1] == VIEWS
     assert all(any(k < value < k + 1 for value in done) for k in range(VIEWS))      # something within every view
+
+
+@pytest.mark.parametrize("kept", [False, True], ids=["here", "in a folder"])
+def test_what_the_callers_function_raises_comes_back(tmp_path, device, kept):
+    """It is not a failure of the view that was under way; views that were finished stay."""
+    class Cancelled(Exception):
+        pass
+
+    def progress(stage, done, total):
+        if 2 < done < 3:
+            raise Cancelled("enough")
+
+    views, depths = load_small_scene(write_small_scene(tmp_path / "scene"))
+    with pytest.raises(Cancelled, match="enough"):
+        refine_views(views, depths, config=QUICK, device=device, folder=tmp_path / "out" if kept else None,
+                     progress=progress)
+    assert len(list((tmp_path / "out").glob("*.npz"))) == (2 if kept else 0)
 
 
 def test_work_that_tells_nothing(tmp_path, device):

@@ -49,7 +49,7 @@ def shown_progress(quiet: bool = False):
         with _bars() as bars:
             tasks = {}
 
-            def draw(stage: str, done: int, total: int) -> None:
+            def draw(stage: str, done: float, total: int) -> None:
                 if stage not in tasks:
                     tasks[stage] = bars.add_task(stage, total=total)
                 bars.update(tasks[stage], completed=done, total=total)
@@ -76,7 +76,7 @@ class Lines:
         self._began: dict[str, float] = {}
         self._told: dict[str, float] = {}
 
-    def __call__(self, stage: str, done: int, total: int) -> None:
+    def __call__(self, stage: str, done: float, total: int) -> None:
         now = self._clock()
         began = self._began.setdefault(stage, now)
         told = self._told.setdefault(stage, now)

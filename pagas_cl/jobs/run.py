@@ -35,8 +35,8 @@ class Run:
         Makes a new one when the present one has broken (a process of a pool was killed).
     on_record : callable(Record)
         Called for each view, done or given up.
-    inside : callable of (stage, done, total), optional
-        Progress among the views of the present batch, where they are refined in this process.
+    inside : callable of a number, optional
+        Progress of that view of the present batch, where it is refined in this process.
     """
 
     def __init__(self, executor: Executor, folder: Path, renew, on_record, inside=None):

@@ -20,6 +20,7 @@ from pagas_cl.jobs.run import Run
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch, Record
 from pagas_cl.jobs.worker import STOP, close_benches
+from pagas_cl.progress import ViewProgress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.partners import for_planning
 
@@ -72,6 +73,8 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
     run = Run(pipeline, folder, renew, collect, progress and collect.inside)
     try:
         run.finish(_unfinished(planner, groups(asked, views, worker_count(pipeline)), template, collect))
+    except _Ended as ended:
+        raise ended.error from None
     finally:
         if own:
             run.close()
@@ -106,21 +109,29 @@ def _unfinished(planner: Planner, parts, template: Batch, collect: _Collect):
         log.info("%d of %d views were finished by an earlier run and are kept", kept, len(collect.asked))
 
 
+class _Ended(BaseException):
+    """The caller's own error, on its way past those who take errors for a view's."""
+
+    def __init__(self, error: Exception):
+        super().__init__(str(error))
+        self.error = error
+
+
 class _Collect:
     """Takes the records as they come, tells of them in the order of the views."""
 
     def __init__(self, asked, views, folder, progress, on_view):
         self.asked, self.views, self.folder = asked, views, folder
-        self.progress, self.on_view = progress or (lambda stage, done, total: None), on_view
+        self.progress, self.on_view = ViewProgress(progress, len(asked)), on_view
         self.tasks, self.records, self._told = {}, {}, 0
-        self.progress("refine", 0, len(asked))
+        self.progress.at(0)
 
     def planned(self, task) -> None:
         self.tasks[task.partners.target] = task
 
     def __call__(self, record) -> None:
         self.records[record.name] = record
-        self.progress("refine", len(self.records), len(self.asked))
+        self.progress.at(len(self.records))
         while self.on_view and self._told < len(self.asked):
             index = self.asked[self._told]
             if self.views[index].name not in self.records:
@@ -129,9 +140,18 @@ class _Collect:
             if index in self.tasks:
                 self.on_view(self.views[index], self.tasks[index].depth.load(), self._result(index))
 
-    def inside(self, stage, done, total) -> None:
-        """`done` views of the batch at hand beside those that have come."""
-        self.progress("refine", len(self.records) + done, len(self.asked))
+    def inside(self, number: int):
+        """Progress of view `number` of the batch at hand, beside those that have come. What it raises ends the run: it
+        is the caller's and not the view's fault."""
+        tell = self.progress.inside(len(self.records) + number)
+
+        def told(*given):
+            try:
+                tell(*given)
+            except Exception as error:
+                raise _Ended(error) from error
+
+        return told
 
     def results(self) -> list:
         failed = [record for record in self.records.values() if record.error]

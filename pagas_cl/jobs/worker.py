@@ -16,7 +16,6 @@ from pagas_cl.jobs.finished import find_finished, work_folder, write_finished
 from pagas_cl.jobs.identity import code_version
 from pagas_cl.jobs.photos import PhotoMemory
 from pagas_cl.jobs.task import Batch, Record, ViewTask
-from pagas_cl.progress import inside_of
 
 log = logging.getLogger("pagas_cl")
 
@@ -44,8 +43,10 @@ class Bench:
         return {k: self._views[batch.digests[k]] for k in batch.views}
 
 
-def run_batch(batch: Batch, progress=None) -> list[Record]:
-    """Refine the views of `batch` that are not finished; one record each. `progress` is of its views.
+def run_batch(batch: Batch, inside=None) -> list[Record]:
+    """Refine the views of `batch` that are not finished; one record each.
+
+    `inside(k)` is the progress of its view `k`, where somebody in this process wants to know.
 
     The device refines one view while the files of the next are read and those of the one before are written.
 
@@ -67,7 +68,7 @@ def run_batch(batch: Batch, progress=None) -> list[Record]:
             depth = ahead.pop(task.name, None) or _read_ahead(readers, task, views)
             if following is not None:
                 ahead[following.name] = _read_ahead(readers, following, views)
-            ended.append(_attempt(batch, task, views, depth, writer, inside_of(progress, len(ended), len(batch.tasks))))
+            ended.append(_attempt(batch, task, views, depth, writer, inside and inside(len(ended))))
             if len(ended) > 1 and isinstance(ended[-2], Future):
                 ended[-2] = ended[-2].result()  # no more than one result waits to be written
         return [record.result() if isinstance(record, Future) else record for record in ended]

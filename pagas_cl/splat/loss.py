@@ -29,4 +29,3 @@ def launches(level, view: int) -> list:
                     float(ssim_scale if view else 0.0), a["upstream"], _TO_LOSS * l1_scale / n,
                     a["loss"] if "loss" in a else None)
     return [*(ssim.launches(level, view, _TO_LOSS * ssim_scale / n) if share > 0 else []), backward]
-

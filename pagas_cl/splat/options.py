@@ -9,7 +9,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.splat.tile import BOX_GROUP
 
 SLOTS = 12                # candidates that a pixel sorts at a time (lists.clh)
-LIST_GROUP = (32, 4)      # work-items that do so side by side: 8 bytes a slot, 12 kB of local memory
+LIST_GROUP = (32, 4)      # work-items that do so side by side: 12 bytes a slot at most, 18 kB of local memory
 
 
 def reach(radius: float) -> int:

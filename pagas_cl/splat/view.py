@@ -108,6 +108,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
             before = level.arena.take("depth"), level.target
             level.release()
             del level            # its photos too, before those of the next one
+    if progress and done[-1] < steps:                # the schedule has ended it
+        progress(sum(config.pyramid.steps), sum(config.pyramid.steps))
     return run.finish(level, Doubt.of(measured), tuple(done), losses, planned.nbytes)
 
 
