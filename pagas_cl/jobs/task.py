@@ -43,8 +43,8 @@ class Batch:
 
     Attributes
     ----------
-    work : callable(views, partners, depth, config, device, photos) -> DepthResult
-        A function at the top of a module. In this process it is given `progress`, where the run has one.
+    work : callable(views, partners, depth, config, device, photos, progress) -> DepthResult
+        A function at the top of a module; `progress` is None in other processes, and where nobody wants to know.
     views : dict of int to View
         Every view that the tasks need; photos and masks are on disk.
     digests : dict of int to str

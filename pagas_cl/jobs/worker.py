@@ -87,8 +87,7 @@ def _attempt(batch: Batch, task: ViewTask, views: dict, depth: Future, writer: T
     bench, start = _bench(batch.device), time.perf_counter()
     note_down(batch.folder, "began", task.name)
     try:
-        told = {"progress": progress} if progress else {}
-        result = batch.work(views, task.partners, depth.result(), batch.config, bench.device, bench.photos, **told)
+        result = batch.work(views, task.partners, depth.result(), batch.config, bench.device, bench.photos, progress)
     except OutputError:
         raise
     except DeviceLostError as error:

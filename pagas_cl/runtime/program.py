@@ -76,21 +76,18 @@ class _Kernel:
         self.cl_kernel, self._arguments = cl.Kernel(program, name), None
 
     def set_args(self, arguments: list):
-        known, self._arguments = self._arguments, None       # should one of them be refused
-        remembered = [_remembered(value) for value in arguments]
-        if known is None:
+        if self._arguments is None:
             self.cl_kernel.set_args(*arguments)
-        else:
-            for index, value in enumerate(arguments):
-                if known[index] is not remembered[index] and known[index] != remembered[index]:
-                    self.cl_kernel.set_arg(index, value)
-        self._arguments = remembered
+            self._arguments = [_remembered(value) for value in arguments]
+            return
+        for index, value in enumerate(arguments):
+            self.set_arg(index, value)
 
     def set_arg(self, index: int, value):
-        remembered = _remembered(value)
-        if self._arguments[index] != remembered:
+        known, remembered = self._arguments[index], _remembered(value)
+        if known is not remembered and known != remembered:      # the same object needs no comparison
             self.cl_kernel.set_arg(index, value)
-            self._arguments[index] = remembered
+            self._arguments[index] = remembered                  # not if it was refused
 
 
 def _remembered(value):

@@ -6,7 +6,7 @@ from math import prod
 
 from pagas_cl.runtime.program import bind, build
 from pagas_cl.splat import ssim
-from pagas_cl.splat.step import LOSS_ONE
+from pagas_cl.splat.step import LOSS_ONE, loss_argument
 from pagas_cl.splat.tile import pitch
 
 _TO_LOSS = LOSS_ONE / 2.0**32      # from the sums of a tile (window.clh)
@@ -27,5 +27,5 @@ def launches(level, view: int) -> list:
     backward = bind(program, "loss_backward", tile.grid(*size.grid), (tile.group, 1), a["rendered"], photo, size.width,
                     size.height, pitch(size.width), a["partials"] if share > 0 else None, seen, float(l1_scale),
                     float(ssim_scale if view else 0.0), a["upstream"], _TO_LOSS * l1_scale / n,
-                    a["loss"] if "loss" in a else None)
+                    loss_argument(level))
     return [*(ssim.launches(level, view, _TO_LOSS * ssim_scale / n) if share > 0 else []), backward]

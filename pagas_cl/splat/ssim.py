@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pagas_cl.runtime.program import bind, build
+from pagas_cl.splat.step import loss_argument
 from pagas_cl.splat.tile import HALO, pitch
 
 
@@ -21,5 +22,4 @@ def launches(level, view: int, loss_scale: float) -> list:
         return []
     program = build(level.device, "ssim.cl", (*level.defines, *tile.defines))
     return [bind(program, "ssim_forward", tile.grid(*windows(size)), (tile.group, 1), a["rendered"], photo, size.width,
-                 size.height, pitch(size.width), a["partials"], loss_scale,
-                 a["loss"] if "loss" in a else None)]
+                 size.height, pitch(size.width), a["partials"], loss_scale, loss_argument(level))]

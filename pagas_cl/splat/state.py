@@ -150,9 +150,8 @@ def rgba(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
 def allocate(device, config: Config, target: Size, contexts: list[Size], masked: int) -> Arena:
     """The level's arena, every buffer zeroed where the kernels add to it, bins empty."""
     arena = Arena(device, level_buffers(config, target, contexts, masked))
-    for name in ("gradient", "first", "second", "state", "loss"):
+    empty = dict.fromkeys(("gradient", "first", "second", "state", "loss"), np.uint32(0)) | {"heads": NO_HEAD}
+    for name in empty:
         if name in arena:
-            cl.enqueue_fill_buffer(device.queue, arena[name], np.uint32(0), 0, arena.size(name))
-    if "heads" in arena:
-        cl.enqueue_fill_buffer(device.queue, arena["heads"], NO_HEAD, 0, arena.size("heads"))
+            cl.enqueue_fill_buffer(device.queue, arena[name], empty[name], 0, arena.size(name))
     return arena

@@ -17,6 +17,11 @@ def loss_of(level) -> float:
     return float(level.read("loss", 1, np.int64)[0] / LOSS_ONE + level.read("state", 8)[_LOSS])
 
 
+def loss_argument(level):
+    """Where the tiles of a view add their losses; None where the schedule does not follow them."""
+    return level.arena["loss"] if "loss" in level.arena else None
+
+
 class Solver:
     """Adam over arena["depth"]; the rate lives on the device, where the schedule changes it."""
 
