@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from pagas_cl.camera_check import check_cameras
-    from pagas_cl.config import Config, preset
+    from pagas_cl.config import Config
     from pagas_cl.errors import DeviceError, InputError, KernelBuildError, MissingExtraError, PagasError
+    from pagas_cl.presets import preset
     from pagas_cl.refine import refine_depth, refine_mesh, refine_views
     from pagas_cl.result import DepthResult
     from pagas_cl.scene.camera import Camera
@@ -29,8 +30,9 @@ __all__ = [
 
 _HOME = {  # as the imports above
     "camera_check": ["check_cameras"],
-    "config": ["Config", "preset"],
+    "config": ["Config"],
     "errors": ["DeviceError", "InputError", "KernelBuildError", "MissingExtraError", "PagasError"],
+    "presets": ["preset"],
     "refine": ["refine_depth", "refine_mesh", "refine_views"],
     "result": ["DepthResult"],
     "scene.camera": ["Camera"],
