@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import surface_depth
@@ -19,6 +21,7 @@ class DepthResult:
     Attributes
     ----------
     camera : Camera
+        Of the view that was refined.
     depth : ndarray, float32
         z-depth in scene units, 0 = no surface.
     status : ndarray, uint8
@@ -32,15 +35,21 @@ class DepthResult:
         Why the whole view was kept as it came; empty where it was refined.
     report : dict
         Plain numbers of the run: contexts, steps, cost before and after, held-out views, device_bytes, seconds.
+    name : str
+        The view's name, by which results find their views; the camera's where it is left out.
     """
 
     camera: Camera
-    depth: np.ndarray
-    status: np.ndarray
-    deviation: np.ndarray
-    parallax: np.ndarray
+    depth: npt.NDArray[np.float32]
+    status: npt.NDArray[np.uint8]
+    deviation: npt.NDArray[np.float32]
+    parallax: npt.NDArray[np.float32]
     reason: str = ""
-    report: dict = field(default_factory=dict)
+    report: dict[str, Any] = field(default_factory=dict)
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", self.name or self.camera.name)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -50,40 +59,41 @@ class DepthResult:
                 "no surface": int(number[NO_SURFACE])}
 
     @cached_property
-    def confidence(self) -> np.ndarray:
+    def confidence(self) -> npt.NDArray[np.float32]:
         """From 0 (the photos say nothing) to 1, float32: 1 / (1 + (deviation / parallax)^2), so that a deviation of
         one pixel of parallax gives a half."""
         return confidence_of(self.depth, self.deviation, self.parallax)
 
     @cached_property
-    def normals(self) -> np.ndarray:
+    def normals(self) -> npt.NDArray[np.float32]:
         """Unit normals in camera coordinates, towards the camera, float32 of shape (H, W, 3); 0 where a neighbour is
         missing. From central differences of the points of the depth map (method section 5)."""
         return normals_of(self.depth, self.camera)
 
     @classmethod
-    def missing(cls, camera: Camera, reason: str) -> DepthResult:
+    def missing(cls, camera: Camera, reason: str, name: str = "") -> DepthResult:
         """No surface anywhere, of a view that could not be refined."""
         nothing = np.zeros((camera.height, camera.width), np.float32)
-        return cls(camera, nothing, nothing.astype(np.uint8), nothing, nothing, reason, {"failed": reason})
+        return cls(camera, nothing, nothing.astype(np.uint8), nothing, nothing, reason, {"failed": reason}, name)
 
     @classmethod
-    def unrefined(cls, camera: Camera, depth: np.ndarray, reason: str, report: dict | None = None) -> DepthResult:
+    def unrefined(cls, camera: Camera, depth: npt.ArrayLike, reason: str, report: dict[str, Any] | None = None,
+                  name: str = "") -> DepthResult:
         """The input as it came, with the reason."""
         depth = surface_depth(np.asarray(depth))
         status = np.where(depth > 0, KEPT, NO_SURFACE).astype(np.uint8)
         deviation = np.where(depth > 0, np.inf, 0).astype(np.float32)
-        return cls(camera, depth, status, deviation, np.zeros_like(depth), reason, report or {})
+        return cls(camera, depth, status, deviation, np.zeros_like(depth), reason, report or {}, name)
 
 
-def confidence_of(depth: np.ndarray, deviation: np.ndarray, parallax: np.ndarray) -> np.ndarray:
+def confidence_of(depth: np.ndarray, deviation: np.ndarray, parallax: np.ndarray) -> npt.NDArray[np.float32]:
     """Confidence of a depth map; see DepthResult.confidence."""
     with np.errstate(divide="ignore", invalid="ignore"):
         trust = 1 / (1 + np.square(deviation.astype(np.float64) / parallax))
     return np.where((depth > 0) & (parallax > 0) & np.isfinite(trust), trust, 0).astype(np.float32)
 
 
-def normals_of(depth: np.ndarray, camera: Camera) -> np.ndarray:
+def normals_of(depth: np.ndarray, camera: Camera) -> npt.NDArray[np.float32]:
     """Normals of a depth map; see DepthResult.normals."""
     points = camera.rays() * depth.astype(np.float64)[..., None]
     normals = np.zeros(points.shape, np.float32)
