@@ -19,8 +19,8 @@ from pagas_cl.scene.view import View
 Cameras: TypeAlias = Sequence[Camera] | Any
 # One a camera: arrays (H, W, 3) or paths in the order of the cameras, or by camera name; or the folder that holds them.
 Images: TypeAlias = Iterable[np.ndarray | str | Path] | Mapping[str, np.ndarray | str | Path] | str | Path
-# A depth map (H, W), or what loads it.
-Depth: TypeAlias = npt.ArrayLike | Loads
+# A depth map (H, W), z-depth in scene units, or what loads it.
+Depth: TypeAlias = np.ndarray | Loads
 
 
 def as_cameras(cams: Cameras) -> list[Camera]:
