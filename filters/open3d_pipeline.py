@@ -14,10 +14,10 @@ import logging
 from dataclasses import replace
 
 import numpy as np
-from pagas_cl.filters.open3d_frames import Frame, give_back, read_frames
 
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError, need
+from pagas_cl.filters.open3d_frames import Frame, give_back, read_frames
 from pagas_cl.presets import settings_of
 
 log = logging.getLogger("pagas_cl")
