@@ -16,7 +16,7 @@ bool land(const Camera target, const Camera other, int column, int row, float d,
 }
 
 __kernel void parallax(__global const float *depth, CAMERA_SPACE float *cameras, int views, float scale,
-                       __global float *unit)
+                       __global float *depth_per_parallax)
 {
     const Camera target = load_camera(cameras, 0);
     const int column = get_global_id(0), row = get_global_id(1);
@@ -37,7 +37,7 @@ __kernel void parallax(__global const float *depth, CAMERA_SPACE float *cameras,
         sum += dot(moved, moved);
         number += 1.0f;
     }
-    unit[i] = sum > 0.0f ? sqrt(number / sum) : 0.0f;
+    depth_per_parallax[i] = sum > 0.0f ? sqrt(number / sum) : 0.0f;
 }
 
 // |own depth - z|: the smaller of the pixel's own and, where all four neighbours are valid, their interpolation.
@@ -61,7 +61,8 @@ float difference(__global const float *map, const Camera other, float3 mean, flo
 
 // counts: views that confirm a depth to within `pixels` of parallax, views that should see it.
 __kernel void count_view(__global const float *depth, CAMERA_SPACE float *cameras, int view, float scale,
-                         __global const float *map, __global const float *unit, float pixels, __global ushort2 *counts)
+                         __global const float *map, __global const float *depth_per_parallax, float pixels,
+                         __global ushort2 *counts)
 {
     const Camera target = load_camera(cameras, 0), other = load_camera(cameras, view);
     const int column = get_global_id(0), row = get_global_id(1);
@@ -73,7 +74,7 @@ __kernel void count_view(__global const float *depth, CAMERA_SPACE float *camera
     if (!(d > 0.0f) || !land(target, other, column, row, d, &mean))
         return;
     const float near = map[(int)mean.y * other.width + (int)mean.x] * scale;
-    if (unit[i] > 0.0f && difference(map, other, mean, near, scale) <= pixels * unit[i])
+    if (depth_per_parallax[i] > 0.0f && difference(map, other, mean, near, scale) <= pixels * depth_per_parallax[i])
         counts[i].x += 1;
     if (near > 0.0f && mean.z < near * (1.0f + OCCLUDED))
         counts[i].y += 1;

@@ -19,8 +19,8 @@ __kernel void link_bins(__global const float *depth, __constant float *cameras, 
     const int i = row * target.width + column, count = target.width * target.height;
     const float d = depth[i];
     Splat s;
-    Motion motion;
-    if (!project_gaussian(target, context, column, row, d, RADIUS, low_pass, &s, &motion))
+    SplatDerivative dsplat_ddepth;
+    if (!project_gaussian(target, context, column, row, d, RADIUS, low_pass, &s, &dsplat_ddepth))
         return;
     const int x = (int)floor(s.x), y = (int)floor(s.y);
     for (int v = -REACH; v <= REACH; ++v)
@@ -52,7 +52,7 @@ void composite_alpha(__global const uchar4 *target_photo, __global const float *
 __kernel IN_GROUPS
 void composite_alpha_vjp(__global const uchar4 *target_photo, __global const float *exposure, int view,
                          __global const int *heads, __global const int2 *links, __global float *alphas, int count,
-                         int width, int height, float threshold, float relative, __global const float *upstream)
+                         int width, int height, float threshold, float relative, __global const float *v_rendered)
 {
     __local ulong lists[SLOTS * GROUP];
     __local float held[SLOTS * GROUP];
@@ -60,7 +60,7 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
     if (column >= width || row >= height)
         return;
     float v_coverage;
-    const color_t v_color = load_upstream(upstream, row * width + column, &v_coverage);
+    const color_t v_color = load_v_rendered(v_rendered, row * width + column, &v_coverage);
     const int item = get_local_id(1) * LIST_GROUP_W + get_local_id(0);
     blend_vjp(look_around(heads, links, alphas, count, column, row, width), lists + item, held + item, target_photo,
               exposure, view, threshold, relative, v_color, v_coverage);
@@ -78,17 +78,17 @@ __kernel void gather_alpha(__global const float *depth, __constant float *camera
         heads[bin] = -1;
     const float d = depth[i];
     Splat s;
-    Motion motion;
-    if (!project_gaussian(target, context, column, row, d, RADIUS, low_pass, &s, &motion))
+    SplatDerivative dsplat_ddepth;
+    if (!project_gaussian(target, context, column, row, d, RADIUS, low_pass, &s, &dsplat_ddepth))
         return;
     const int x = (int)floor(s.x), y = (int)floor(s.y);
-    const LogSlope slope = log_slope(s, motion);
+    const LogSlope slope = log_slope(s, dsplat_ddepth);
     float sum = 0.0f;
     for (int v = -REACH; v <= REACH; ++v)
         for (int u = -REACH; u <= REACH; ++u) {
             const float v_alpha = alphas[((v + REACH) * SIDE + u + REACH) * count + i];
             const float dx = x + u + 0.5f - s.x, dy = y + v + 0.5f - s.y;
-            sum += v_alpha * alpha_motion(slope, motion, dx, dy, raw_alpha(s, dx, dy));
+            sum += v_alpha * dalpha_ddepth(slope, dsplat_ddepth, dx, dy, raw_alpha(s, dx, dy));
         }
     gradient[i] += sum;
 }

@@ -5,18 +5,18 @@
 // G . c + h of the pixels that are taken; whatever for the others.
 #if COLUMNS == 1
 // Loads do not wait for what decides whether they are needed: those of all pixels of a Gaussian are under way together.
-float slope_by_alpha(__global const float *upstream, int pixel, int taken, const float color[CHANNELS])
+float load_v_alpha(__global const float *v_rendered, int pixel, int taken, const float color[CHANNELS])
 {
 #ifdef GREY
-    LOAD_TWO(float, upstream + 2 * pixel, g, h)
+    LOAD_TWO(float, v_rendered + 2 * pixel, g, h)
     return g * color[0] + h;
 #else
-    LOAD_FOUR(float, upstream + 4 * pixel, red, green, blue, h)
+    LOAD_FOUR(float, v_rendered + 4 * pixel, red, green, blue, h)
     return red * color[0] + green * color[1] + blue * color[2] + h;
 #endif
 }
 #else
-columns_t slope_by_alpha(__global const float *upstream, mask_t pixels, mask_t taking, const columns_t color[CHANNELS])
+columns_t load_v_alpha(__global const float *v_rendered, mask_t pixels, mask_t taking, const columns_t color[CHANNELS])
 {
     int pixel[COLUMNS], taken[COLUMNS];
     float up[CHANNELS + 1][COLUMNS];
@@ -24,7 +24,7 @@ columns_t slope_by_alpha(__global const float *upstream, mask_t pixels, mask_t t
     STORE_COLUMNS(taking, taken);
     for (int k = 0; k < COLUMNS; ++k)
         for (int c = 0; c <= CHANNELS; ++c)
-            up[c][k] = taken[k] ? upstream[pixel[k] * (CHANNELS + 1) + c] : 0.0f;
+            up[c][k] = taken[k] ? v_rendered[pixel[k] * (CHANNELS + 1) + c] : 0.0f;
     columns_t sum = LOAD_COLUMNS(up[CHANNELS]);
     for (int c = 0; c < CHANNELS; ++c)
         sum += LOAD_COLUMNS(up[c]) * color[c];
@@ -48,7 +48,7 @@ void add_columns(__global float *places, columns_t values, int first)
 __kernel void gather_gradient(__global const float *depth, __global const uchar4 *target_photo,
                               __constant float *cameras, int view, float low_pass, float threshold, float relative,
                               __global const uint *z_first, __global const float *exposure,
-                              __global const float *upstream, __global float *gradient)
+                              __global const float *v_rendered, __global float *gradient)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;
@@ -59,7 +59,7 @@ __kernel void gather_gradient(__global const float *depth, __global const uchar4
     const int i = row * target.width + column;
     columns_t color[CHANNELS], sum = ZERO;
     load_exposed(target_photo, i, exposure, view, color);
-    const LogSlope slope = log_slope(g.splat, g.motion);
+    const LogSlope slope = log_slope(g.splat, g.dsplat_ddepth);
 UNROLL_SPAN
     for (int v = 0; v < SPAN; ++v)
 UNROLL_SPAN
@@ -69,9 +69,9 @@ UNROLL_SPAN
                 continue;
             const columns_t share = share_of(&g, r, z_first, threshold, relative);
             const mask_t taken = share > 0.0f;
-            const columns_t v_alpha = slope_by_alpha(upstream, select((mask_t)(0), r.pixel, r.reached), taken, color);
+            const columns_t v_alpha = load_v_alpha(v_rendered, select((mask_t)(0), r.pixel, r.reached), taken, color);
             const columns_t raw = raw_alpha(g.splat, r.dx, r.dy);
-            sum += select(ZERO, share * v_alpha * alpha_motion(slope, g.motion, r.dx, r.dy, raw), taken);
+            sum += select(ZERO, share * v_alpha * dalpha_ddepth(slope, g.dsplat_ddepth, r.dx, r.dy, raw), taken);
         }
     add_columns(gradient + i, sum, get_global_id(0) * COLUMNS - column);
 }

@@ -17,7 +17,7 @@ float bend(__global const float *depth, int i, int stride, float u)
 }
 
 // How much the surface bends at each pixel, along both directions.
-__kernel void bends(__global const float *depth, __global const float *unit, int width, int height,
+__kernel void bends(__global const float *depth, __global const float *depth_per_parallax, int width, int height,
                     __global float *bent)
 {
     const int column = get_global_id(0), row = get_global_id(1);
@@ -26,9 +26,9 @@ __kernel void bends(__global const float *depth, __global const float *unit, int
     const int i = row * width + column;
     float sum = 0.0f;
     if (column > 0 && column + 1 < width)
-        sum += bend(depth, i, 1, unit[i]);
+        sum += bend(depth, i, 1, depth_per_parallax[i]);
     if (row > 0 && row + 1 < height)
-        sum += bend(depth, i, width, unit[i]);
+        sum += bend(depth, i, width, depth_per_parallax[i]);
     bent[i] = fmin(sum, MOST_BENT);
 }
 
@@ -38,11 +38,11 @@ __kernel void bends(__global const float *depth, __global const float *unit, int
 #define INFORMED 0.7f
 #define BENT 0.35f
 #define LEAST 0.02f                  // pixels of parallax: what no photo of this kind resolves
-#define ASIDE 0.36f
+#define MISALIGNMENT 0.36f
 
-__kernel void deviate(__global const uchar *status, __global const float *unit, int width, int height,
+__kernel void deviate(__global const uchar *status, __global const float *depth_per_parallax, int width, int height,
                       __global const float *before, __global const float *after, __global const float *bent,
-                      float spread, float misaligned, __global float *deviation)
+                      float error_factor, float misaligned, __global float *deviation)
 {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= width || row >= height)
@@ -59,7 +59,7 @@ __kernel void deviate(__global const uchar *status, __global const float *unit, 
             sum += bent[y * width + x];
             number += 1.0f;
         }
-    const float u = unit[i], bending = BENT * sum / number;
+    const float u = depth_per_parallax[i], bending = BENT * sum / number;
     const float match = INFORMED / held.z + u * u * (bending * bending + LEAST * LEAST);
-    deviation[i] = sqrt(spread * spread * match + u * u * ASIDE * misaligned * misaligned / held.y);
+    deviation[i] = sqrt(error_factor * error_factor * match + u * u * MISALIGNMENT * misaligned * misaligned / held.y);
 }

@@ -56,20 +56,20 @@ __kernel void warp_photo(__global const float *depth, __constant float *cameras,
         return;
     const float g00 = grey_of(p00), g10 = grey_of(p10), g01 = grey_of(p01), g11 = grey_of(p11);
     const float value = (1 - b) * ((1 - a) * g00 + a * g10) + b * ((1 - a) * g01 + a * g11);
-    const float by_u = (1 - b) * (g10 - g00) + b * (g11 - g01), by_v = (1 - a) * (g01 - g00) + a * (g11 - g10);
+    const float slope_u = (1 - b) * (g10 - g00) + b * (g11 - g01), slope_v = (1 - a) * (g01 - g00) + a * (g11 - g10);
     const float zz = inverse_z * inverse_z;
-    const float slope = by_u * context.fx * (q.x * context.t.z - q.z * context.t.x) * zz
-                      + by_v * context.fy * (q.y * context.t.z - q.z * context.t.y) * zz;
+    const float slope = slope_u * context.fx * (q.x * context.t.z - q.z * context.t.x) * zz
+                      + slope_v * context.fy * (q.y * context.t.z - q.z * context.t.y) * zz;
     warped[i] = (float2)(value, slope);
 }
 
 // evidence per pixel: sum of 1 - correlation, number of views, sum of information (1 / variance of the depth)
 //
-// grain: variance of the photos' noise beyond NOISE. A correlation is taken as a share of what that much noise lets a
+// noise_variance: of the photos' noise beyond NOISE. A correlation is taken as a share of what that much noise lets a
 // perfect match have; looking up between pixels leaves 4/9 of it. Without it two flat patches match; with it, nothing
 // is known of them.
 __kernel void weigh(__global const float2 *warped, __global const uchar4 *target_photo, int width, int height,
-                    float grain, __global float *evidence)
+                    float noise_variance, __global float *evidence)
 {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= width || row >= height || warped[row * width + column].x == UNSEEN)
@@ -96,8 +96,9 @@ __kernel void weigh(__global const float2 *warped, __global const uchar4 *target
     const float inverse = 1.0f / n, noise = NOISE * NOISE;
     const float var_w = fmax(ww - w * w * inverse, 0.0f) * inverse, var_t = fmax(tt - t * t * inverse, 0.0f) * inverse;
     const float cov = (wt - w * t * inverse) * inverse;
-    const float flat = fmax(noise - grain, 1e-9f);
-    const float clear_w = 1.0f - 4.0f / 9 * grain / (var_w + flat), clear_t = 1.0f - grain / (var_t + flat);
+    const float flat = fmax(noise - noise_variance, 1e-9f);
+    const float clear_w = 1.0f - 4.0f / 9 * noise_variance / (var_w + flat);
+    const float clear_t = 1.0f - noise_variance / (var_t + flat);
     const float possible = fmax(sqrt(fmax(clear_w, 0.0f) * fmax(clear_t, 0.0f)), LEAST_POSSIBLE);
     const float correlation = (cov + flat) / sqrt((var_w + flat) * (var_t + flat)) / possible;
     const float share = fmin(fmax(cov, 0.0f) / sqrt(fmax(var_w * var_t, noise * noise)), 1.0f);
@@ -134,8 +135,8 @@ __kernel void sum_window(__global const float *from, int stride, int width, int 
 // before, after: evidence under the initial and the refined depth; around: that of the surroundings. A depth goes back
 // to the initial one where its patches match worse than before, where the photos do not show the same thing around it
 // (moving content, wrong poses, no texture), where it moved too far, and where no other view sees it.
-__kernel void decide(__global const float *initial, __global float *depth, __global const float *unit, int count,
-                     __global const float *before, __global const float *after, __global const float *around,
+__kernel void decide(__global const float *initial, __global float *depth, __global const float *depth_per_parallax,
+                     int count, __global const float *before, __global const float *after, __global const float *around,
                      float max_move, float tolerance, float mismatch, __global uchar *status)
 {
     const int i = get_global_id(0);
@@ -144,19 +145,19 @@ __kernel void decide(__global const float *initial, __global float *depth, __glo
     const float d0 = initial[i], d = depth[i];
     const float3 was = vload3(i, before), is = vload3(i, after);
     const float2 near = vload2(i, around);
-    uchar verdict = REFINED;
+    uchar decision = REFINED;
     if (!(d0 > 0.0f))
-        verdict = NO_SURFACE;
-    else if (unit[i] == 0.0f || is.y == 0.0f)
-        verdict = KEPT;
-    else if (!(fabs(d - d0) <= max_move * unit[i]))
-        verdict = REJECTED;
+        decision = NO_SURFACE;
+    else if (depth_per_parallax[i] == 0.0f || is.y == 0.0f)
+        decision = KEPT;
+    else if (!(fabs(d - d0) <= max_move * depth_per_parallax[i]))
+        decision = REJECTED;
     else if (was.y > 0.0f && is.x * was.y > was.x * is.y + tolerance * was.y * is.y)
-        verdict = REJECTED;
+        decision = REJECTED;
     else if (near.x > mismatch * near.y)
-        verdict = REJECTED;
-    status[i] = verdict;
-    depth[i] = verdict == REFINED ? d : d0;
+        decision = REJECTED;
+    status[i] = decision;
+    depth[i] = decision == REFINED ? d : d0;
 }
 
 #define SEAM 3                       // half the width of the surroundings that a seam spreads over

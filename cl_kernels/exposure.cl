@@ -154,8 +154,9 @@ void fit_exposure(__global const float *all_matches, int count, __global float *
             xx += weight * dx * dx;
             yy += weight * dy * dy;
         }
-        const float vx = sum_of_group(xx, scratch) / total, vy = sum_of_group(yy, scratch) / total, ratio = my / mx;
-        gain = sqrt((vy + PRIOR * ratio * ratio) / (vx + PRIOR));
+        const float var_x = sum_of_group(xx, scratch) / total, var_y = sum_of_group(yy, scratch) / total;
+        const float ratio = my / mx;
+        gain = sqrt((var_y + PRIOR * ratio * ratio) / (var_x + PRIOR));
         offset = my - gain * mx;
         scale = 1.5f * 1.4826f * median_residual(matches, count, channel, gain, offset, usable, bins,
                                                  &median) + 1e-4f;

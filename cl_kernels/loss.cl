@@ -1,5 +1,5 @@
 // What each pixel of a rendered context view passes back (method section 5): the derivatives of SSIM, blurred, and L1.
-//   upstream (G, h): dL/dalpha_i = G . c_i + h (order-free), or (dL/dC, dL/dA) (alpha blend)
+//   v_rendered (G, h): dL/dalpha_i = G . c_i + h (order-free), or (dL/dC, dL/dA) (alpha blend)
 #include "window.clh"
 
 #define TILE_ACROSS (TILE_W / COLUMNS)                   // tiles are whole vectors wide: none is repeated
@@ -65,7 +65,7 @@ void gather_across(__local float *sums)
 }
 
 // dSSIM/dx of channel c at a place of the tile.
-columns_t by_similarity(__local const float *sums, int c, int place, columns_t x, columns_t y)
+columns_t dssim_dcolor(__local const float *sums, int c, int place, columns_t x, columns_t y)
 {
     __local const float *at = sums + c * SUMS + place;
     return LOAD_COLUMNS(at) + 2.0f * x * LOAD_COLUMNS(at + TILE_H * STRIDE)
@@ -92,32 +92,32 @@ columns_t pixel_weight(__global const uchar4 *photo, const Rendered r, __global 
 }
 
 // Chain through the normalisation of the blend, and store what each participant needs.
-void store_upstream(const Rendered r, columns_t by[CHANNELS], columns_t by_coverage, __global float *out)
+void store_v_rendered(const Rendered r, columns_t v_color[CHANNELS], columns_t v_coverage, __global float *out)
 {
 #ifdef ORDER_FREE
-    columns_t last = select(ZERO, by_coverage, r.weight < 1.0f);
+    columns_t last = select(ZERO, v_coverage, r.weight < 1.0f);
 #else
-    columns_t last = by_coverage;
+    columns_t last = v_coverage;
 #endif
 #ifdef ORDER_FREE
     // how much of a pixel is covered has no gradient: against the average of the colours, not what the photo filled up
     const columns_t inverse = select(ZERO, 1.0f / fmax(r.weight, 1.0f), r.live);
     const columns_t filled = select(ZERO, 1.0f / fmin(fmax(r.weight, 1e-12f), 1.0f), r.live);
     for (int c = 0; c < CHANNELS; ++c) {
-        by[c] *= inverse;
-        last -= by[c] * (r.photo[c] + filled * (r.color[c] - r.photo[c]));
+        v_color[c] *= inverse;
+        last -= v_color[c] * (r.photo[c] + filled * (r.color[c] - r.photo[c]));
     }
 #elif defined(NORMALIZE)
     const columns_t inverse = select(ZERO, 1.0f / fmax(r.weight, ALPHA_SEEN), r.live);
     for (int c = 0; c < CHANNELS; ++c) {
-        by[c] *= inverse;
-        last -= by[c] * r.color[c];
+        v_color[c] *= inverse;
+        last -= v_color[c] * r.color[c];
     }
 #endif
 #ifdef GREY
-    STORE_TWO(by[0], last, out);
+    STORE_TWO(v_color[0], last, out);
 #else
-    STORE_FOUR(by[0], by[1], by[2], last, out);
+    STORE_FOUR(v_color[0], v_color[1], v_color[2], last, out);
 #endif
 }
 
@@ -157,7 +157,7 @@ long whole_loss(columns_t loss, int repeated)
 __kernel TILE_LOOP
 void loss_backward(__global const stored_t *rendered, __global const uchar4 *photo, int width, int height, int pitch,
                    __global const float *partials, __global const uint *seen, float l1_scale, float ssim_scale,
-                   __global float *upstream, float loss_scale, __global uint *total)
+                   __global float *v_rendered, float loss_scale, __global uint *total)
 {
     const int left = tile_start(get_group_id(0), TILE_W, width), top = tile_start(get_group_id(1), TILE_H, height);
 #ifdef SSIM
@@ -185,23 +185,23 @@ void loss_backward(__global const stored_t *rendered, __global const uchar4 *pho
 #else
         const columns_t full_weight = weight;
 #endif
-        columns_t by[CHANNELS], mean_residual = ZERO;
+        columns_t v_color[CHANNELS], mean_residual = ZERO;
         for (int c = 0; c < CHANNELS; ++c) {
             columns_t slope;
             mean_residual += residual_size(r.color[c] - r.photo[c], &slope) * (1.0f / CHANNELS);
-            by[c] = l1_scale * (1.0f / CHANNELS) * full_weight * slope;
+            v_color[c] = l1_scale * (1.0f / CHANNELS) * full_weight * slope;
 #ifdef SSIM
             if (ssim_scale > 0.0f)
-                by[c] -= ssim_scale * by_similarity(sums, c, row * STRIDE + column, r.color[c], r.photo[c]);
+                v_color[c] -= ssim_scale * dssim_dcolor(sums, c, row * STRIDE + column, r.color[c], r.photo[c]);
 #endif
-            by[c] = select(ZERO, by[c], r.live);
+            v_color[c] = select(ZERO, v_color[c], r.live);
         }
 #ifdef COVERAGE_WEIGHT
-        const columns_t by_coverage = select(ZERO, l1_scale * weight * mean_residual, r.live);
+        const columns_t v_coverage = select(ZERO, l1_scale * weight * mean_residual, r.live);
 #else
-        const columns_t by_coverage = ZERO;
+        const columns_t v_coverage = ZERO;
 #endif
-        store_upstream(r, by, by_coverage, upstream + pixel * (CHANNELS + 1));
+        store_v_rendered(r, v_color, v_coverage, v_rendered + pixel * (CHANNELS + 1));
 #ifdef TRACK_LOSS
         if (y >= (int)get_group_id(1) * TILE_H)
             loss += whole_loss(select(ZERO, full_weight * mean_residual, r.live), (int)get_group_id(0) * TILE_W - x);

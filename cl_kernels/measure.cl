@@ -12,8 +12,8 @@
 #define HIDDEN 0                 // 1 hidden behind a nearer surface, 0 seen
 #define SIZE 1                   // standard deviation of the projected Gaussian, pixels
 #define CHANGE 2                 // colour of the context photo less the target's, three channels
-#define ASIDE 5                  // pixels that the photo is off across the direction of depth, by target's quadrant
-#define GLOSS 9                  // what the exposure fit leaves, averaged over neighbouring samples
+#define EPIPOLAR_OFFSET 5        // pixels that the photo is off across the direction of depth, by target's quadrant
+#define SPECULARITY 9            // what the exposure fit leaves, averaged over neighbouring samples
 #define LIKE 10                  // 0 where the photos show other things there, or show that the depth is wrong; else 1
 #define ROWS 11
 #define TOTALS (SHIFTS + 2)      // of a sample: views that see it, views that can tell, their costs by shift
@@ -48,9 +48,9 @@ __kernel void sample_view(__global const float *depth, __constant float *cameras
     const int2 at = sample_place(k, stride, across, target);
     const float d = depth[at.y * target.width + at.x];
     Splat splat;
-    Motion motion;
+    SplatDerivative dsplat_ddepth;
     float3 color;
-    if (!(d > 0.0f) || !project_gaussian(target, context, at.x, at.y, d, 0.5f, low_pass, &splat, &motion)
+    if (!(d > 0.0f) || !project_gaussian(target, context, at.x, at.y, d, 0.5f, low_pass, &splat, &dsplat_ddepth)
         || !look_up(photo, context, (float2)(splat.x, splat.y), &color))
         return;
     const bool hidden = splat.z > as_float(z_first[(int)splat.y * context.width + (int)splat.x]) + threshold;
@@ -71,20 +71,21 @@ float2 across_depth(const Camera target, const Camera context, int column, int r
 }
 
 // 1 - correlation of the 5x5 patch around a target pixel with the context photo; depths moved by `shift` pixels of
-// parallax, the photo by `aside` pixels.
-float moved_cost(__global const float *depth, __global const float *unit, const Camera target, const Camera context,
-                 __global const uchar4 *target_photo, __global const uchar4 *photo, int2 at, float shift, float2 aside)
+// parallax, the photo by `epipolar_offset` pixels.
+float moved_cost(__global const float *depth, __global const float *depth_per_parallax, const Camera target,
+                 const Camera context, __global const uchar4 *target_photo, __global const uchar4 *photo, int2 at,
+                 float shift, float2 epipolar_offset)
 {
     float n = 0.0f, w = 0.0f, t = 0.0f, ww = 0.0f, tt = 0.0f, wt = 0.0f;
     for (int y = max(at.y - HALF, 0); y <= min(at.y + HALF, target.height - 1); ++y)
         for (int x = max(at.x - HALF, 0); x <= min(at.x + HALF, target.width - 1); ++x) {
             const int i = y * target.width + x;
-            const float d = depth[i] + shift * unit[i];
+            const float d = depth[i] + shift * depth_per_parallax[i];
             float3 color;
             if (!(depth[i] > 0.0f && d > NEAR))
                 continue;
             const float3 m = project_mean(target, context, x, y, d);
-            if (!(m.z > NEAR) || !look_up(photo, context, m.xy + aside, &color))
+            if (!(m.z > NEAR) || !look_up(photo, context, m.xy + epipolar_offset, &color))
                 continue;
             const float a = luma(color), b = luma(rgb_of(target_photo[i]));
             n += 1.0f;
@@ -95,15 +96,16 @@ float moved_cost(__global const float *depth, __global const float *unit, const 
             wt += a * b;
         }
     const float noise = 1.5e-5f, inverse = 1.0f / fmax(n, 1.0f);
-    const float vw = ww * inverse - w * w * inverse * inverse, vt = tt * inverse - t * t * inverse * inverse;
-    if (n < LEAST_PIXELS || vt < 4.0f * noise)
+    const float var_w = ww * inverse - w * w * inverse * inverse, var_t = tt * inverse - t * t * inverse * inverse;
+    if (n < LEAST_PIXELS || var_t < 4.0f * noise)
         return UNDEFINED;
-    return 1.0f - (wt * inverse - w * t * inverse * inverse) / sqrt((fmax(vw, 0.0f) + noise) * (vt + noise));
+    return 1.0f - (wt * inverse - w * t * inverse * inverse) / sqrt((fmax(var_w, 0.0f) + noise) * (var_t + noise));
 }
 
 // Work-items (sample, move).
-__kernel void match_moved(__global const float *depth, __global const float *unit, __constant float *cameras,
-                          int view, __global const uchar4 *target_photo, __global const uchar4 *photo, int stride,
+__kernel void match_moved(__global const float *depth, __global const float *depth_per_parallax,
+                          __constant float *cameras, int view, __global const uchar4 *target_photo,
+                          __global const uchar4 *photo, int stride,
                           int across, int count, __global float *values, __global float *costs)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
@@ -113,11 +115,11 @@ __kernel void match_moved(__global const float *depth, __global const float *uni
     float cost = UNDEFINED;
     if (row_of(values, view, HIDDEN, count)[k] == 0.0f) {
         const int2 at = sample_place(k, stride, across, target);
-        float2 aside = 0.0f;
+        float2 epipolar_offset = 0.0f;
         if (move >= SHIFTS)
-            aside = MOVE[move] * across_depth(target, context, at.x, at.y, depth[at.y * target.width + at.x]);
-        cost = moved_cost(depth, unit, target, context, target_photo, photo, at, move < SHIFTS ? MOVE[move] : 0.0f,
-                          aside);
+            epipolar_offset = MOVE[move] * across_depth(target, context, at.x, at.y, depth[at.y * target.width + at.x]);
+        cost = moved_cost(depth, depth_per_parallax, target, context, target_photo, photo, at,
+                          move < SHIFTS ? MOVE[move] : 0.0f, epipolar_offset);
     }
     costs[move * count + k] = cost;
 }
@@ -154,16 +156,16 @@ __kernel void judge_view(__global const float *costs, __constant float *cameras,
         tells = tells && (j >= SHIFTS || cost[j] < TEXTURED);
     }
     for (int j = 0; j < TOTALS; ++j) {
-        const float told = !tells ? 0.0f : j == 1 ? 1.0f : cost[max(j - 2, 0)];
-        const float add = j == 0 ? row_of(values, view, HIDDEN, count)[k] == 0.0f : told;
+        const float vote = !tells ? 0.0f : j == 1 ? 1.0f : cost[max(j - 2, 0)];
+        const float add = j == 0 ? row_of(values, view, HIDDEN, count)[k] == 0.0f : vote;
         totals[j * count + k] = (view == 1 ? 0.0f : totals[j * count + k]) + add;
     }
     const float here = cost[SHIFTS / 2];
     row_of(values, view, LIKE, count)[k] = here < TEXTURED && (here > OTHER || here > least + WORSE) ? 0.0f : 1.0f;
     const int2 at = sample_place(k, stride, across, target);
     const int quadrant = (2 * at.x >= target.width) + 2 * (2 * at.y >= target.height);
-    const float aside[5] = {cost[SHIFTS], cost[SHIFTS + 1], here, cost[SHIFTS + 2], cost[SHIFTS + 3]};
-    row_of(values, view, ASIDE + quadrant, count)[k] = least_at(aside);
+    const float epipolar_offset[5] = {cost[SHIFTS], cost[SHIFTS + 1], here, cost[SHIFTS + 2], cost[SHIFTS + 3]};
+    row_of(values, view, EPIPOLAR_OFFSET + quadrant, count)[k] = least_at(epipolar_offset);
 }
 
 // Mean over channels of what the exposure fit leaves of a match (see exposure.cl).
@@ -175,7 +177,7 @@ float left_over(__global const float *match, __global const float *exposure, int
 }
 
 // Work-items (sample, context view - 1). Averaged over 5x5 samples: texture averages out, a highlight does not. Where
-// the patches do not show the same texture, something else stands there, and it is no gloss.
+// the patches do not show the same texture, something else stands there, and it is no highlight.
 __kernel void compare_colors(__global const float *matches, __global const float *exposure, int across, int down,
                              int views, __global float *values)
 {
@@ -197,12 +199,12 @@ __kernel void compare_colors(__global const float *matches, __global const float
             }
         }
     if (number > 12.0f)
-        row_of(values, view, GLOSS, count)[k] = fabs(sum / number);
+        row_of(values, view, SPECULARITY, count)[k] = fabs(sum / number);
 }
 
 // Three rows: 1 where some view sees a sample of the surface, else 0; 1 where the photos match clearly better two or
-// more pixels of parallax away, 0 where they do not; mean gloss of the views. NaN where there is no surface, and where
-// no view can tell.
+// more pixels of parallax away, 0 where they do not; mean specularity of the views. NaN where there is no surface, and
+// where no view can tell.
 __kernel void judge_samples(__global const float *depth, __constant float *cameras, __global const float *totals,
                             __global float *values, int views, int stride, int across, int count, __global float *rows)
 {
@@ -222,11 +224,11 @@ __kernel void judge_samples(__global const float *depth, __constant float *camer
     }
     rows[k] = depth[at.y * target.width + at.x] > 0.0f ? (totals[k] > 0.0f ? 1.0f : 0.0f) : NAN;
     rows[count + k] = number > 0.0f ? (far < here - 0.05f ? 1.0f : 0.0f) : NAN;
-    float gloss = 0.0f, glossy = 0.0f;
+    float specularity = 0.0f, known = 0.0f;
     for (int view = 1; view <= views; ++view) {
-        const float value = row_of(values, view, GLOSS, count)[k];
-        gloss += isnan(value) ? 0.0f : value;
-        glossy += isnan(value) ? 0.0f : 1.0f;
+        const float value = row_of(values, view, SPECULARITY, count)[k];
+        specularity += isnan(value) ? 0.0f : value;
+        known += isnan(value) ? 0.0f : 1.0f;
     }
-    rows[2 * count + k] = glossy > 0.0f ? gloss / glossy : NAN;
+    rows[2 * count + k] = known > 0.0f ? specularity / known : NAN;
 }

@@ -1,7 +1,7 @@
 // Per-Gaussian passes over the target that need only the projection (method section 3):
 //   nearest        z_first of every context pixel
 //   mark_seen      which context pixels the initial depth reaches
-//   parallax_unit  depth that moves a Gaussian by one pixel
+//   find_depth_per_parallax  depth that moves a Gaussian by one pixel
 #include "splat.clh"
 
 // With many lanes a look before the atomic saves most of them; on a GPU it is one more trip to memory.
@@ -60,8 +60,8 @@ __kernel void mark_seen(__global const float *depth, __constant float *cameras, 
 }
 
 // u = 1 / sqrt(mean |dm/dd|^2) over the context views that see the Gaussian; 0 where none does: such a pixel is fixed.
-__kernel void parallax_unit(__global const float *depth, __constant float *cameras, int views,
-                            __global float *unit)
+__kernel void find_depth_per_parallax(__global const float *depth, __constant float *cameras, int views,
+                            __global float *depth_per_parallax)
 {
     const Camera target = load_camera(cameras, 0);
     const int column = get_global_id(0), row = get_global_id(1);
@@ -86,5 +86,5 @@ __kernel void parallax_unit(__global const float *depth, __constant float *camer
         ++count;
     }
     const float mean = count ? sum / count : 0.0f;
-    unit[i] = mean > 1e-12f ? rsqrt(mean) : 0.0f;
+    depth_per_parallax[i] = mean > 1e-12f ? rsqrt(mean) : 0.0f;
 }

@@ -1,12 +1,12 @@
 // What holds a depth map together where photos say little (method section 5): per target pixel, added to the gradient.
 //   smoothness_scale, smoothness_planar    second differences of inverse depth, in pixels of parallax
 //   normal_map, normal_slope, normal_vjp   the paper's angle between neighbouring normals
-//   raise_weights                          more where a surface is glossy
+//   raise_weights                          more where a surface is specular
 //   planar_loss, normal_loss               their penalties, summed for the schedule
 #include "splat.clh"
 
 // kappa: pixels of parallax per unit of inverse depth; weights: less where the photo has texture
-__kernel void smoothness_scale(__global const float *depth, __global const float *unit,
+__kernel void smoothness_scale(__global const float *depth, __global const float *depth_per_parallax,
                                __global const uchar4 *photo, int width, int height, float texture,
                                __global float *kappa, __global float *weights)
 {
@@ -14,7 +14,7 @@ __kernel void smoothness_scale(__global const float *depth, __global const float
     if (x >= width || y >= height)
         return;
     const int i = y * width + x;
-    kappa[i] = unit[i] > 0.0f ? depth[i] * depth[i] / unit[i] : 0.0f;
+    kappa[i] = depth_per_parallax[i] > 0.0f ? depth[i] * depth[i] / depth_per_parallax[i] : 0.0f;
     weights[i] = 1.0f - texture * gradient_weight(photo, x, y, width, height);
 }
 
@@ -33,26 +33,26 @@ __kernel void raise_weights(__global const float *factors, int across, int down,
                             + b * ((1 - a) * factors[below * across + left] + a * factors[below * across + right]);
 }
 
-// Slope of the penalty: Huber's, fading towards `cut`.
-float penalty_slope(float e, float h, float cut)
+// Slope of the penalty: Huber's, fading towards `discontinuity`.
+float penalty_slope(float e, float h, float discontinuity)
 {
-    const float x = fmin(fabs(e) / cut, 1.0f), t = x * x, rest = 1.0f - t * t * t * t;
+    const float x = fmin(fabs(e) / discontinuity, 1.0f), t = x * x, rest = 1.0f - t * t * t * t;
     return clamp(e / h, -1.0f, 1.0f) * rest * rest;
 }
 
-// Integral of what fades, (1 - (t / cut)^8)^2, from 0 to e.
-float fading_integral(float e, float cut)
+// Integral of what fades, (1 - (t / discontinuity)^8)^2, from 0 to e.
+float fading_integral(float e, float discontinuity)
 {
-    const float x = e / cut, y = x * x * x * x, y2 = y * y;
+    const float x = e / discontinuity, y = x * x * x * x, y2 = y * y;
     return e * (1.0f - y2 * (2.0f / 9.0f) + y2 * y2 * (1.0f / 17.0f));
 }
 
-float penalty(float e, float h, float cut)
+float penalty(float e, float h, float discontinuity)
 {
-    const float size = fmin(fabs(e), cut), inner = fmin(size, h);
-    const float x = inner / cut, y = x * x * x * x, y2 = y * y;
+    const float size = fmin(fabs(e), discontinuity), inner = fmin(size, h);
+    const float x = inner / discontinuity, y = x * x * x * x, y2 = y * y;
     const float quadratic = inner * inner / (2.0f * h) * (1.0f - 0.4f * y2 + y2 * y2 * (1.0f / 9.0f));
-    return quadratic + fading_integral(size, cut) - fading_integral(inner, cut);
+    return quadratic + fading_integral(size, discontinuity) - fading_integral(inner, discontinuity);
 }
 
 // Second difference of inverse depth centred at i along `stride`, pixels of parallax.
@@ -71,14 +71,15 @@ float second_difference(__global const float *depth, __global const float *kappa
 
 // Slope of its penalty by w of its ends; twice that, negated, is the slope by w_i.
 float bend(__global const float *depth, __global const float *kappa, __global const float *weights, int i, int stride,
-           int along, int length, float h, float cut)
+           int along, int length, float h, float discontinuity)
 {
     const float e = second_difference(depth, kappa, i, stride, along, length);
-    return e == 0.0f ? 0.0f : weights[i] * kappa[i] * penalty_slope(e, h, cut);
+    return e == 0.0f ? 0.0f : weights[i] * kappa[i] * penalty_slope(e, h, discontinuity);
 }
 
 __kernel void smoothness_planar(__global const float *depth, __global const float *kappa,
-                                __global const float *weights, int width, int height, float scale, float h, float cut,
+                                __global const float *weights, int width, int height, float scale, float h,
+                                float discontinuity,
                                 __global float *gradient)
 {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -88,17 +89,17 @@ __kernel void smoothness_planar(__global const float *depth, __global const floa
     const float d = depth[i];
     if (!(d > 0.0f))
         return;
-    float by_inverse = -2.0f * (bend(depth, kappa, weights, i, 1, x, width, h, cut)
-                                + bend(depth, kappa, weights, i, width, y, height, h, cut));
+    float v_inverse = -2.0f * (bend(depth, kappa, weights, i, 1, x, width, h, discontinuity)
+                                + bend(depth, kappa, weights, i, width, y, height, h, discontinuity));
     if (x > 0)
-        by_inverse += bend(depth, kappa, weights, i - 1, 1, x - 1, width, h, cut);
+        v_inverse += bend(depth, kappa, weights, i - 1, 1, x - 1, width, h, discontinuity);
     if (x + 1 < width)
-        by_inverse += bend(depth, kappa, weights, i + 1, 1, x + 1, width, h, cut);
+        v_inverse += bend(depth, kappa, weights, i + 1, 1, x + 1, width, h, discontinuity);
     if (y > 0)
-        by_inverse += bend(depth, kappa, weights, i - width, width, y - 1, height, h, cut);
+        v_inverse += bend(depth, kappa, weights, i - width, width, y - 1, height, h, discontinuity);
     if (y + 1 < height)
-        by_inverse += bend(depth, kappa, weights, i + width, width, y + 1, height, h, cut);
-    gradient[i] -= scale * by_inverse / (d * d);
+        v_inverse += bend(depth, kappa, weights, i + width, width, y + 1, height, h, discontinuity);
+    gradient[i] -= scale * v_inverse / (d * d);
 }
 
 float3 point_at(__global const float *depth, const Camera camera, int x, int y)
@@ -196,14 +197,14 @@ void leave_sum(__local float *scratch, float sum, __global float *partials)
 
 __kernel __attribute__((reqd_work_group_size(SUM_GROUP, 1, 1)))
 void planar_loss(__global const float *depth, __global const float *kappa, __global const float *weights, int width,
-                 int height, float h, float cut, __global float *partials)
+                 int height, float h, float discontinuity, __global float *partials)
 {
     __local float scratch[SUM_GROUP];
     float sum = 0.0f;
     for (int i = get_global_id(0); i < width * height; i += get_global_size(0)) {
         const float across = second_difference(depth, kappa, i, 1, i % width, width);
         const float down = second_difference(depth, kappa, i, width, i / width, height);
-        sum += weights[i] * (penalty(across, h, cut) + penalty(down, h, cut));
+        sum += weights[i] * (penalty(across, h, discontinuity) + penalty(down, h, discontinuity));
     }
     leave_sum(scratch, sum, partials);
 }

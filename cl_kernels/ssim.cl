@@ -80,12 +80,12 @@ lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, __g
 #endif
     const lanes_t b2 = fmax(squares - mx * mx - my * my, 0.0f) + C2;
     const lanes_t inverse = 1.0f / (b1 * b2), similar = a1 * a2 * inverse;
-    const lanes_t by_squares = -similar * b1 * inverse, by_product = 2.0f * a1 * inverse;
+    const lanes_t v_squares = -similar * b1 * inverse, v_product = 2.0f * a1 * inverse;
 #ifdef STRUCTURE
-    const lanes_t by_mean = -my * by_product - 2.0f * mx * by_squares;
+    const lanes_t v_mean = -my * v_product - 2.0f * mx * v_squares;
 #else
-    const lanes_t by_mean = 2.0f * (my * a2 * inverse - mx * similar * b2 * inverse) - my * by_product
-                            - 2.0f * mx * by_squares;
+    const lanes_t v_mean = 2.0f * (my * a2 * inverse - mx * similar * b2 * inverse) - my * v_product
+                            - 2.0f * mx * v_squares;
 #endif
 #ifdef ROBUST
     const JOIN(int, LANES) kept = similar >= 1.0f - ROBUST;
@@ -93,9 +93,9 @@ lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, __g
 #else
 #define KEPT(x) (x)
 #endif
-    STORE_LANES(KEPT(by_mean), out);
-    STORE_LANES(KEPT(by_squares), out + plane);
-    STORE_LANES(KEPT(by_product), out + 2 * plane);
+    STORE_LANES(KEPT(v_mean), out);
+    STORE_LANES(KEPT(v_squares), out + plane);
+    STORE_LANES(KEPT(v_product), out + 2 * plane);
 #ifdef ROBUST
     return fmax(similar, 1.0f - ROBUST);
 #else

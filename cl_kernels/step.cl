@@ -11,15 +11,15 @@
 // Without branches, so that compilers for CPUs make vectors of it. first_scale and second_scale undo the bias of the
 // first steps: 1 / (1 - beta1^pass) and 1 / (1 - beta2^pass).
 __kernel void adam(__global float *restrict depth, __global float *restrict gradient, __global float *restrict first,
-                   __global float *restrict second, __global const float *restrict unit,
+                   __global float *restrict second, __global const float *restrict depth_per_parallax,
                    __global const float *restrict state, int count, float first_scale, float second_scale,
-                   float beta1, float beta2, float damping, float common_unit, float share)
+                   float beta1, float beta2, float damping, float common_length, float share)
 {
     const int i = get_global_id(0);
     if (i >= count)
         return;
-    const float d = depth[i], own = unit[i], rate = state[RATE] * share;
-    const float u = own > 0.0f ? (common_unit > 0.0f ? common_unit : own) : 0.0f;
+    const float d = depth[i], own = depth_per_parallax[i], rate = state[RATE] * share;
+    const float u = own > 0.0f ? (common_length > 0.0f ? common_length : own) : 0.0f;
     const bool moving = d > 0.0f && state[DONE] == 0.0f;
     const float g = moving ? gradient[i] * u : 0.0f;
     const float old_m = first[i], old_v = second[i];

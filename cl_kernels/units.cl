@@ -19,8 +19,8 @@ float quotient(float a, float b)
 }
 
 // Depth in units, 0 = no Gaussian; `depth` holds it already where it is `scaled`. bounds: the nearest and the farthest.
-__kernel void enter(__global const float *given, __global const uchar *visible, int count, float unit, int scaled,
-                    __global float *depth, __global volatile uint *bounds)
+__kernel void normalize_depth(__global const float *given, __global const uchar *visible, int count,
+                              float scene_scale, int scaled, __global float *depth, __global volatile uint *bounds)
 {
     __local uint nearest, farthest;
     const int i = get_global_id(0);
@@ -30,7 +30,7 @@ __kernel void enter(__global const float *given, __global const uchar *visible, 
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     if (i < count) {
-        const float d = scaled ? depth[i] : quotient(given[i], unit);
+        const float d = scaled ? depth[i] : quotient(given[i], scene_scale);
         const bool valid = is_surface(given[i]) && d >= NEAR && d <= FAR && (!visible || visible[i]);
         depth[i] = valid ? d : 0.0f;
         if (valid) {
@@ -46,17 +46,17 @@ __kernel void enter(__global const float *given, __global const uchar *visible, 
 }
 
 // What is given back of a view, in place; status as in status.clh.
-__kernel void leave(__global const float *given, int count, float unit, __global float *depth, __global float *parallax,
-                    __global uchar *status, __global float *deviation)
+__kernel void denormalize_depth(__global const float *given, int count, float scene_scale, __global float *depth,
+                                __global float *parallax, __global uchar *status, __global float *deviation)
 {
     const int i = get_global_id(0);
     if (i >= count)
         return;
     const uint kept = is_surface(given[i]) ? as_uint(given[i]) : 0u;
-    const bool aside = status[i] == NO_SURFACE && kept;
-    ((__global uint *)depth)[i] = status[i] == REFINED ? as_uint(depth[i] * unit) : kept;
-    parallax[i] *= unit;
-    deviation[i] = aside ? INFINITY : deviation[i] * unit;
-    if (aside)
+    const bool without_gaussian = status[i] == NO_SURFACE && kept;
+    ((__global uint *)depth)[i] = status[i] == REFINED ? as_uint(depth[i] * scene_scale) : kept;
+    parallax[i] *= scene_scale;
+    deviation[i] = without_gaussian ? INFINITY : deviation[i] * scene_scale;
+    if (without_gaussian)
         status[i] = KEPT;
 }

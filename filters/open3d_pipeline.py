@@ -14,11 +14,11 @@ import logging
 from dataclasses import replace
 
 import numpy as np
+from pagas_cl.filters.open3d_frames import Frame, give_back, read_frames
 
 from pagas_cl.config import Config
-from pagas_cl.config import preset as named_preset
 from pagas_cl.errors import InputError, need
-from pagas_cl.filters.open3d_frames import Frame, give_back, read_frames
+from pagas_cl.presets import preset as named_preset
 
 log = logging.getLogger("pagas_cl")
 

@@ -14,7 +14,7 @@ _HOME = {
     "Surface": "pagas_cl.scene.mesh",
     "read_scene": "pagas_cl.scene.readers",
     "Config": "pagas_cl.config",
-    "preset": "pagas_cl.config",
+    "preset": "pagas_cl.presets",
     "refine_mesh": "pagas_cl.refine",
     "refine_depth": "pagas_cl.refine",
     "tradeoff": "pagas_cl.tradeoffs",

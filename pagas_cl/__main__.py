@@ -25,7 +25,7 @@ def command_names() -> list[str]:
     return sorted(name.replace("_", "-") for name in found if not name.startswith("_"))
 
 
-def spread(arguments: list[str], many) -> list[str]:
+def expand_lists(arguments: list[str], many) -> list[str]:
     """`--views a b` as `--views a --views b`, for the options in `many`."""
     result, option = [], None
     for word in arguments:
@@ -68,7 +68,7 @@ def _run(arguments: list[str], debug: bool) -> int:
     try:
         one = wanted if wanted and wanted[0] in known else []
         app = build_app(one or known)
-        status = app(spread(arguments, _many(one)), prog_name="pagas-cl", standalone_mode=False)
+        status = app(expand_lists(arguments, _many(one)), prog_name="pagas-cl", standalone_mode=False)
         if status == INTERRUPTED:  # typer has caught it
             raise KeyboardInterrupt
         return status if isinstance(status, int) else 0

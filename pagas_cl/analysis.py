@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pagas_cl.config import Config, preset
+from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide
 from pagas_cl.measurements import RULES, Measurements, measure
+from pagas_cl.presets import preset
 from pagas_cl.scene.inputs import asked_views, checked_depth
 from pagas_cl.scene.partners import PartnerChooser
 
@@ -39,9 +40,9 @@ class ViewAnalysis:
     reason: str = ""
 
     def as_dict(self) -> dict:
-        told = {} if self.measured is None else {
-            name: value for name, value in vars(self.measured).items() if name not in ("gains", "local_gloss")}
-        return {"view": self.view, "contexts": list(self.contexts), "reason": self.reason, "measured": told,
+        figures = {} if self.measured is None else {
+            name: value for name, value in vars(self.measured).items() if name not in ("gains", "local_specularity")}
+        return {"view": self.view, "contexts": list(self.contexts), "reason": self.reason, "measured": figures,
                 "effects": [decision.as_dict() for decision in self.decisions]}
 
 

@@ -221,10 +221,10 @@ def _half_pixel(readings) -> str:
     given = readings[0]
     if not found or given.agreement is None:
         return "pixel centres: not compared, since no two photos could be"
-    told = ", ".join(f"{r.name} {r.agreement:.4f}" for r in found if r.agreement is not None)
+    agreements = ", ".join(f"{r.name} {r.agreement:.4f}" for r in found if r.agreement is not None)
     if better:
         best = max(better, key=lambda r: r.agreement)
-        return (f"pixel centres: the photos prefer {best.name} (as given {given.agreement:.4f}, {told}); if K came "
-                f"from a program that counts so, use {best.mend}")
-    return (f"pixel centres: the photos do not ask for a shift (as given {given.agreement:.4f}, {told}); a shift that "
-            "all views share hardly shows unless cameras are rolled against each other")
+        return (f"pixel centres: the photos prefer {best.name} (as given {given.agreement:.4f}, {agreements}); if K "
+                f"came from a program that counts so, use {best.mend}")
+    return (f"pixel centres: the photos do not ask for a shift (as given {given.agreement:.4f}, {agreements}); a shift "
+            "that all views share hardly shows unless cameras are rolled against each other")

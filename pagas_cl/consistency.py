@@ -16,7 +16,7 @@ _SAMPLED, _ASKED, _EVERY = 6, 5, 4      # views looked at, neighbours of each, e
 
 
 @dataclass(frozen=True)
-class Later:
+class LazyDepth:
     """The depth map of a DepthResult, which may be on disk, when it is asked for."""
 
     result: object

@@ -18,10 +18,11 @@ from functools import cached_property
 
 import numpy as np
 
-from pagas_cl.config import Config, Context, preset
+from pagas_cl.config import Config, Context
 from pagas_cl.errors import InputError
+from pagas_cl.presets import preset
 from pagas_cl.scene.choice import ContextChooser
-from pagas_cl.scene.partners import WITNESSES, shared_out
+from pagas_cl.scene.partners import MOST_HELD_OUT, shared_out
 from pagas_cl.scene.sampling import sample_depth
 
 log = logging.getLogger("pagas_cl")
@@ -74,7 +75,7 @@ def rungs() -> list[tuple[str, Config]]:
     return [*quick, ("fast", fast), *middle, ("balanced", balanced), ("accurate", accurate)]
 
 
-def probe(target, contexts, depth, config: Config, device, *, photo: float, witnesses=()) -> Cost:
+def probe(target, contexts, depth, config: Config, device, *, photo: float, held_out=()) -> Cost:
     """Measure the cost of `config`'s kind of settings on one view: some short runs, a second or two on a GPU.
 
     Parameters
@@ -85,7 +86,7 @@ def probe(target, contexts, depth, config: Config, device, *, photo: float, witn
         Initial depth of the target.
     photo : float
         What `photo_seconds` found.
-    witnesses : sequence of View
+    held_out : sequence of View
         As in refine_depth.
     """
     from pagas_cl.refine import settle
@@ -99,7 +100,7 @@ def probe(target, contexts, depth, config: Config, device, *, photo: float, witn
         settled = settle(target, contexts, depth, config, device, photos)[0]
         short = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__patience=0,
                                       solver__views_per_step=each, solver__rate=_RATE)
-        refine_levels(target, contexts, depth, short, device, photos, witnesses=witnesses)
+        refine_levels(target, contexts, depth, short, device, photos, held_out=held_out)
         return time.perf_counter() - start
 
     for each in (1, min(3, len(contexts))):
@@ -163,7 +164,7 @@ class Costs:
             raise InputError("no view to be refined has a depth map with a valid pixel: nothing to time")
         self.device, self._known, self._measured = device, {}, None
         self.pixels = [views[k].camera.width * views[k].camera.height for k in asked]
-        most = max(config.context.number for _, config in rungs()) + WITNESSES
+        most = max(config.context.number for _, config in rungs()) + MOST_HELD_OUT
         chooser = ContextChooser([view.camera for view in views], samples, Context(number=most))
         self._read = [(k, *chooser.choose(k).indices) for k in asked] if len(asked) <= _FEW else []
         by_size = [asked[k] for k in np.argsort(self.pixels, kind="stable")]
@@ -177,13 +178,13 @@ class Costs:
 
     def seconds(self, config: Config) -> float:
         """Expected mean time per view, with the effects that the probed view calls for."""
-        contexts, witnesses = shared_out(self.chosen, config.context.number)
+        contexts, held_out = shared_out(self.chosen, config.context.number)
         settled = self._settled(config, contexts)
         kind = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(1,), solver__views_per_step=1,
                                     solver__rate=1.0, solver__final_rate=1.0, solver__patience=0)
         if kind not in self._known:
             self._known[kind] = probe(self.target, contexts, self.depth, kind, self.device, photo=self._photo,
-                                      witnesses=witnesses)
+                                      held_out=held_out)
         cost = self._known[kind]
         photos = self._photos(config.context.number)
         return float(np.mean([cost.seconds(settled, pixels, len(contexts), photos) for pixels in self.pixels]))
@@ -193,8 +194,8 @@ class Costs:
         return photo_seconds((self.target, *self.chosen), self.device)
 
     def _photos(self, contexts: int) -> float:
-        """Photos read per view: of the view, its context views and its witnesses, each read once."""
-        read = {k for group in self._read for k in group[:1 + contexts + WITNESSES]}
+        """Photos read per view: of the view, its context views and its held-out views, each read once."""
+        read = {k for group in self._read for k in group[:1 + contexts + MOST_HELD_OUT]}
         return len(read) / len(self._read) if read else 1.0
 
     def _settled(self, config: Config, contexts) -> Config:

@@ -1,4 +1,4 @@
-"""A made scene refined and judged against its exact truth: what `pagas-cl demo` runs."""
+"""A synthetic scene refined and judged against its exact truth: what `pagas-cl demo` runs."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pagas_cl.evaluate import DepthReport, compare_depth, compare_predictions
-from pagas_cl.made import MadeScene, relief_scene
 from pagas_cl.progress import ViewProgress
+from pagas_cl.synthetic import SyntheticScene, relief_scene
 
 _log = logging.getLogger("pagas_cl")
 
@@ -69,53 +69,54 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset="balanced", co
     preset, config, device, progress
         As in `refine_depth`.
     settings
-        Further fields of `made.Relief`.
+        Further fields of `synthetic.Relief`.
     """
-    from pagas_cl.made.disk import write_scene
     from pagas_cl.report import Report
+    from pagas_cl.synthetic.disk import write_scene
 
     folder, progress = Path(folder), progress or (lambda stage, done, total: None)
-    made = relief_scene(width, height, contexts, held_out=1, **settings)
-    for number in range(len(made.cameras)):
-        progress("make the scene", number, len(made.cameras))
-        made.image(number)
-    write_scene(made, folder / "scene")
-    progress("make the scene", len(made.cameras), len(made.cameras))
+    synthetic = relief_scene(width, height, contexts, held_out=1, **settings)
+    for number in range(len(synthetic.cameras)):
+        progress("make the scene", number, len(synthetic.cameras))
+        synthetic.image(number)
+    write_scene(synthetic, folder / "scene")
+    progress("make the scene", len(synthetic.cameras), len(synthetic.cameras))
     start = time.perf_counter()
-    results = _refined(made, preset, config, device, progress)
+    results = _refined(synthetic, preset, config, device, progress)
     seconds = time.perf_counter() - start
     depths = [result.depth for result in results]
-    initial = [made.initial_depth(view.camera) for view in made.views]
-    with Report(folder / "report", "pagas-cl demo", _notes(made, seconds)) as report:
-        for view, old, result in zip(made.views, initial, results):
-            report.add(view, old, result.depth, contexts=[v.camera for v in made.views if v is not view],
+    initial = [synthetic.initial_depth(view.camera) for view in synthetic.views]
+    with Report(folder / "report", "pagas-cl demo", _notes(synthetic, seconds)) as report:
+        for view, old, result in zip(synthetic.views, initial, results):
+            report.add(view, old, result.depth, contexts=[v.camera for v in synthetic.views if v is not view],
                        confidence=result.confidence, counts=result.counts)
-    target, other = made.views[0], made.held_out[0]
-    predicted = compare_predictions(target, [initial[0], depths[0]], other, made.true_depth(other.camera))
-    return DemoResult(_errors(made, initial), _errors(made, depths), tuple(p.median for p in predicted),
-                      folder / "report" / "index.html", _mesh(made, depths, folder, progress), seconds)
+    target, other = synthetic.views[0], synthetic.held_out[0]
+    predicted = compare_predictions(target, [initial[0], depths[0]], other, synthetic.true_depth(other.camera))
+    return DemoResult(_errors(synthetic, initial), _errors(synthetic, depths), tuple(p.median for p in predicted),
+                      folder / "report" / "index.html", _mesh(synthetic, depths, folder, progress), seconds)
 
 
-def _refined(made: MadeScene, preset, config, device, progress):
+def _refined(synthetic: SyntheticScene, preset, config, device, progress):
     from pagas_cl.refine import refine_depth
 
-    results, told = [], ViewProgress(progress, len(made.views))
-    for number, view in enumerate(made.views):
-        told.at(number)
-        others = [other for other in made.views if other is not view]
-        results.append(refine_depth(view, others, made.initial_depth(view.camera), preset=preset, config=config,
-                                    device=device, progress=told.inside(number)))
-    told.at(len(made.views))
+    results, view_progress = [], ViewProgress(progress, len(synthetic.views))
+    for number, view in enumerate(synthetic.views):
+        view_progress.at(number)
+        others = [other for other in synthetic.views if other is not view]
+        results.append(refine_depth(view, others, synthetic.initial_depth(view.camera), preset=preset, config=config,
+                                    device=device, progress=view_progress.inside(number)))
+    view_progress.at(len(synthetic.views))
     return results
 
 
-def _errors(made, depths):
-    return {view.name: compare_depth(depth, made.true_depth(view.camera), view.camera, mask=view.load_mask(),
-                                     parallax=made.relief.parallax, true_normals=made.true_normals(view.camera))
-            for view, depth in zip(made.views, depths)}
+def _errors(synthetic, depths):
+    return {view.name: compare_depth(depth, synthetic.true_depth(view.camera), view.camera, mask=view.load_mask(),
+                                     parallax=synthetic.relief.parallax,
+                                     true_normals=synthetic.true_normals(view.camera))
+            for view, depth in zip(synthetic.views, depths)}
 
 
-def _mesh(made, depths, folder, progress):
+def _mesh(synthetic, depths, folder, progress):
     try:
         import open3d as o3d
     except ImportError as error:  # absent, or one of the system libraries that it needs is
@@ -125,15 +126,15 @@ def _mesh(made, depths, folder, progress):
     from pagas_cl.scene.mesh import from_surface
     from pagas_cl.surface.fuse import fuse
 
-    surface = fuse(made.views, depths, progress=progress)
+    surface = fuse(synthetic.views, depths, progress=progress)
     path = folder / "mesh_refined.ply"
     o3d.io.write_triangle_mesh(str(path), from_surface(surface, o3d.geometry.TriangleMesh()))
     _log.info("%s: %d vertices, %d triangles", path, len(surface.vertices), len(surface.faces))
     return path
 
 
-def _notes(made, seconds):
-    relief = made.relief
-    return [f"A made relief, {relief.width} x {relief.height} pixels, {len(made.views)} views {relief.spacing:g} "
-            "degrees apart; the initial depth has the fine detail smoothed away.",
+def _notes(synthetic, seconds):
+    relief = synthetic.relief
+    return [f"A synthetic relief, {relief.width} x {relief.height} pixels, {len(synthetic.views)} views "
+            f"{relief.spacing:g} degrees apart; the initial depth has the fine detail smoothed away.",
             f"One pixel of parallax is {relief.parallax:.3g} scene units.", f"Refined in {seconds:.1f} s."]

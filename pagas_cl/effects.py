@@ -6,12 +6,11 @@ from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 
-from pagas_cl.config import Config, Effects
-from pagas_cl.measurements import GLOSSY, RULES, Measurements
-from pagas_cl.stages import MOST_WEIGHT
+from pagas_cl.config import MOST_WEIGHT, Config, Effects
+from pagas_cl.measurements import RULES, SPECULAR_RESIDUAL, Measurements
 
 MOST_RAISED = 40.0       # times the weight of the smoothness
-SHINY_CUT = 0.6          # smoothness.cut at least: what a highlight bends is no discontinuity
+SHINY_DISCONTINUITY = 0.6          # smoothness.discontinuity at least: what a highlight bends is no discontinuity
 LOW_PASS = 0.06          # px^2: about what a photo's own pixel blurs; more than that blurs what is to be compared
 
 
@@ -72,7 +71,7 @@ def _view_dependence(config, decision, _):
     if not decision.on:
         return config.with_settings(loss__structure=False)
     return config.with_settings(loss__structure=True, loss__ssim=1.0,
-                                smoothness__cut=max(config.smoothness.cut, SHINY_CUT))
+                                smoothness__discontinuity=max(config.smoothness.discontinuity, SHINY_DISCONTINUITY))
 
 
 def _antialiasing(config, decision, _):
@@ -94,17 +93,19 @@ def _pyramid(config, decision, _):
 
 
 def _noise(config, decision, measured):
-    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree, around what gloss
-    there is, or everywhere; and where the photos are noisy, a first level of half size, where noise averages out."""
+    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree, around what
+    specularity there is, or everywhere; and where the photos are noisy, a first level of half size, where noise
+    averages out."""
     if not decision.on:
         return config
-    if (measured is None or measured.grain > decision.threshold) and len(config.pyramid.scales) == 1:
+    if (measured is None or measured.relative_noise > decision.threshold) and len(config.pyramid.scales) == 1:
         config = config.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=2 * config.pyramid.steps)
     if config.smoothness.kind == "none":
         return config
     factor = float(np.clip(measured.unexplained_everywhere**2, 1.0, MOST_RAISED)) if measured else 4.0
+    specular = measured and measured.residual > SPECULAR_RESIDUAL
     return config.with_settings(smoothness__weight=min(config.smoothness.weight * factor, MOST_WEIGHT),
-                                smoothness__gloss=MOST_RAISED if measured and measured.residual > GLOSSY else 0.0)
+                                smoothness__specularity=MOST_RAISED if specular else 0.0)
 
 
 _SETTERS = {"occlusion": _occlusion, "unseen_mask": _unseen_mask, "exposure": _exposure,

@@ -7,13 +7,13 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from pagas_cl.acceptance import rejection_reason
 from pagas_cl.config import Config
-from pagas_cl.config import preset as named_preset
 from pagas_cl.effects import decide
 from pagas_cl.errors import InputError
-from pagas_cl.harm import harm_of
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
 from pagas_cl.measurements import measure
+from pagas_cl.presets import preset as named_preset
 from pagas_cl.progress import ViewProgress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.inputs import as_views, asked_views, checked_depth
@@ -78,7 +78,7 @@ def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=Non
 
 
 def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced", config=None, device=None,
-                 progress=None, witnesses: Sequence[View] = (), photos=None) -> DepthResult:
+                 progress=None, held_out: Sequence[View] = (), photos=None) -> DepthResult:
     """Refine the depth map of one view. Needs neither Open3D nor a mesh.
 
     Parameters
@@ -88,7 +88,7 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
         The views that constrain it.
     depth : array_like of shape (H, W)
         Initial z-depth in scene units; 0, negative or not finite = no surface. Of the size of the target's photo.
-    witnesses : sequence of View
+    held_out : sequence of View
         Views that take no part. Where one of their photos matches worse through the refined depth than through the
         initial one, the initial one stays; where what is left does not match them better on the whole, the view is
         returned as it came, with the reason.
@@ -104,7 +104,7 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
     InputError, DeviceError
     """
     from pagas_cl.runtime.device import open_device
-    from pagas_cl.splat import Entered, PhotoStore, refine_levels
+    from pagas_cl.splat import NormalizedDepth, PhotoStore, refine_levels
     from pagas_cl.splat.fit import fit_memory
 
     config, depth, device = _config(preset, config), checked_depth(depth, target), open_device(device)
@@ -113,19 +113,19 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
     start, steps_done = time.perf_counter(), _steps_of(progress, target)
 
     def attempt(photos):
-        entered = Entered(target, depth, device)
-        settled, decisions, measured = settle(target, contexts, depth, config, device, photos, entered=entered)
+        normalized = NormalizedDepth(target, depth, device)
+        settled, decisions, measured = settle(target, contexts, depth, config, device, photos, normalized=normalized)
         refined = refine_levels(target, contexts, depth, settled, device, photos, progress=steps_done,
-                                witnesses=witnesses, measured=measured, entered=entered)
+                                held_out=held_out, measured=measured, normalized=normalized)
         return refined, decisions, measured
 
     refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos or PhotoStore(device),
-                                              witnesses=witnesses)
-    report = _report(refined, decisions, contexts, witnesses, time.perf_counter() - start)
-    harm = harm_of(refined, depth, len(contexts), witnesses, measured)
-    if harm:
-        log.warning("view %s is kept as it came: %s", target.name, harm)
-        return DepthResult.unrefined(target.camera, depth, harm, report)
+                                              held_out=held_out)
+    report = _report(refined, decisions, contexts, held_out, time.perf_counter() - start)
+    reason = rejection_reason(refined, depth, len(contexts), held_out, measured)
+    if reason:
+        log.warning("view %s is kept as it came: %s", target.name, reason)
+        return DepthResult.unrefined(target.camera, depth, reason, report)
     return DepthResult(target.camera, refined.depth, refined.status, refined.deviation, refined.parallax, "", report)
 
 
@@ -167,17 +167,17 @@ def refine_views(views: list[View], depths, *, names=None, config=None, preset="
 
         return refine_all(refine_one, views, depths, asked, config, device=device, executor=executor, folder=folder,
                           extras=extras, progress=progress, on_view=on_view)
-    device, results, told = open_device(device), [], ViewProgress(progress, len(asked))
+    device, results, view_progress = open_device(device), [], ViewProgress(progress, len(asked))
     photos, chooser = PhotoStore(device), PartnerChooser([view.camera for view in views], depths, config.context)
     for done, index in enumerate(asked):
-        told.at(done)
+        view_progress.at(done)
         result = refine_one(views, chooser.choose(index), depths[index], config, device, photos,
-                            progress=told.inside(done))
+                            progress=view_progress.inside(done))
         results.append(result)
         if on_view:
             on_view(views[index], depths[index], result)
     photos.clear()
-    told.at(len(asked))
+    view_progress.at(len(asked))
     return results
 
 
@@ -191,14 +191,14 @@ def refine_one(views, partners: Partners, depth, config: Config, device, photos,
         log.warning("view %s is kept as it came: %s", target.name, partners.reason)
         return DepthResult.unrefined(target.camera, depth, partners.reason)
     return refine_depth(target, [views[k] for k in partners.contexts], depth, config=config, device=device,
-                        progress=progress, photos=photos, witnesses=[views[k] for k in partners.witnesses])
+                        progress=progress, photos=photos, held_out=[views[k] for k in partners.held_out])
 
 
-def settle(target: View, contexts: list[View], depth, config: Config, device, photos, *, entered=None):
+def settle(target: View, contexts: list[View], depth, config: Config, device, photos, *, normalized=None):
     """Decide which effects this view calls for: the settings that follow, the decisions, and what they rest on."""
     if not config.effects.measured:
         return *decide(config, None), None
-    measured = measure(target, contexts, depth, config, device, photos, entered=entered)
+    measured = measure(target, contexts, depth, config, device, photos, normalized=normalized)
     config, decisions = decide(config, measured)
     for decision in decisions:
         log.debug("view %s: %s %s (%.4g, threshold %.4g)", target.name, decision.effect, "on" if decision.on else "off",
@@ -231,7 +231,7 @@ def fuse_results(views: list[View], results: list[DepthResult], config: Config, 
     `executor`, if that is a concurrent.futures.Executor and photos and depth maps are files that it can read. Views are
     compared on `device` (as in refine_mesh), in NumPy where there is none.
     """
-    from pagas_cl.consistency import Later, decide_consistency, device_for
+    from pagas_cl.consistency import LazyDepth, decide_consistency, device_for
     from pagas_cl.surface.agree import confirmed
     from pagas_cl.surface.blocks import fuse_within
     from pagas_cl.surface.weights import weights_of
@@ -239,7 +239,7 @@ def fuse_results(views: list[View], results: list[DepthResult], config: Config, 
     device, by_camera = device_for(device), {id(result.camera): result for result in results}
     used = [view for view in views if id(view.camera) in by_camera]
     results, cameras = [by_camera[id(view.camera)] for view in used], [view.camera for view in used]
-    config, decision = decide_consistency(cameras, [Later(result) for result in results], config, device)
+    config, decision = decide_consistency(cameras, [LazyDepth(result) for result in results], config, device)
     if decision is not None:
         log.info("%s", decision)
         if tell:
@@ -262,11 +262,11 @@ def _config(preset: str, config) -> Config:
     return config
 
 
-def _report(refined, decisions, contexts, witnesses, seconds: float) -> dict:
+def _report(refined, decisions, contexts, held_out, seconds: float) -> dict:
     """What DepthResult.report tells of a refinement."""
-    return {"contexts": [view.name for view in contexts], "witnesses": [view.name for view in witnesses],
+    return {"contexts": [view.name for view in contexts], "held_out": [view.name for view in held_out],
             "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
-            "witness_costs": refined.witnesses, "device_bytes": refined.device_bytes,
+            "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
             "planned_bytes": refined.planned_bytes, "seconds": seconds}
 
 

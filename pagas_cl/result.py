@@ -31,7 +31,7 @@ class DepthResult:
     reason : str
         Why the whole view was kept as it came; empty where it was refined.
     report : dict
-        Plain numbers of the run: contexts, steps, cost before and after, witnesses, device_bytes, seconds.
+        Plain numbers of the run: contexts, steps, cost before and after, held-out views, device_bytes, seconds.
     """
 
     camera: Camera

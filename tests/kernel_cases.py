@@ -31,29 +31,30 @@ class Scene:
 
     initial: np.ndarray
     moved: np.ndarray
-    unit: float
+    scene_scale: float
     target: Photo
     contexts: list[Photo]
 
     @classmethod
     def make(cls, seed: int, **settings) -> Scene:
         depth, target, contexts = random_scene(seed, **settings)
-        unit = median_depth(depth)
-        initial = (depth / unit).astype(np.float32)
+        scene_scale = median_depth(depth)
+        initial = (depth / scene_scale).astype(np.float32)
         noise = 1e-3 * np.random.default_rng(seed).standard_normal(depth.shape)
-        return cls(initial, np.where(initial > 0, initial + noise, 0).astype(np.float32), unit, target, contexts)
+        return cls(initial, np.where(initial > 0, initial + noise, 0).astype(np.float32), scene_scale, target, contexts)
 
     def delta(self, config) -> float:
         return depth_threshold(self.initial.astype(np.float64), config.splatting.depth_slices)
 
 
-def start_level(device, config, scene: Scene, gloss=None, raised=True) -> Level:
+def start_level(device, config, scene: Scene, specularity=None, raised=True) -> Level:
     """The level under the scene's initial depth; its buffer then holds the moved one. `raised`: as in late steps."""
     photos, views = PhotoStore(device), [view_of(p) for p in (scene.target, *scene.contexts)]
-    given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.unit, scene.delta(config),
-                       1.0, len(scene.contexts), gloss=gloss)
+    given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.scene_scale,
+                       scene.delta(config),
+                       1.0, len(scene.contexts), specularity=specularity)
     level = Level(device, config, given)
-    level.enter(lambda out: cl.enqueue_copy(device.queue, out, scene.initial))
+    level.prepare(lambda out: cl.enqueue_copy(device.queue, out, scene.initial))
     level.start(lambda out: None)
     if raised:
         level.raise_smoothness()
@@ -86,6 +87,6 @@ def twin_gradient(config, scene: Scene) -> tuple[np.ndarray, float]:
     contexts, initial = scene.contexts, scene.initial.astype(np.float64)
     if config.loss.exposure:
         contexts = [replace(photo, exposure=gain) for photo, gain in zip(contexts, gains(len(contexts)))]
-    state = prepare(initial, scene.target, contexts, config, scene.unit, scene.delta(config))
+    state = prepare(initial, scene.target, contexts, config, scene.scene_scale, scene.delta(config))
     value, gradient = loss_and_gradient(scene.moved.astype(np.float64), scene.target, contexts, config, state)
     return gradient, value

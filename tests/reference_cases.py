@@ -18,7 +18,7 @@ from pagas_cl.reference.project import is_valid, median_depth, project
 # Every case says what it changes from settings that no tuning of a preset moves.
 BASE = Config(splatting=Splatting(radius=1.0, depth_slices=20.0, depth_footprints=0.0),
               loss=Loss(ssim=0.2, huber=0.02, gradient_weight=True, coverage_weight=True),
-              smoothness=Smoothness(kind="none", weight=0.0, texture=0.8, huber=0.1, cut=1e9),
+              smoothness=Smoothness(kind="none", weight=0.0, texture=0.8, huber=0.1, discontinuity=1e9),
               solver=Solver(rate=0.02, damping=1e-8, final_rate=1.0, views_per_step=0), pyramid=Pyramid(steps=(60,)))
 CASES = {
     "order-free": dict(),
@@ -53,9 +53,10 @@ CASES = {
 def prepared(seed, config, **scene):
     """Depth in units, target, contexts, State; the depth differs from the initial one, as after some steps."""
     depth, target, contexts = random_scene(seed, **scene)
-    unit = median_depth(depth)
-    initial = depth / unit
-    state = prepare(initial, target, contexts, config, unit, depth_threshold(initial, config.splatting.depth_slices))
+    scene_scale = median_depth(depth)
+    initial = depth / scene_scale
+    state = prepare(initial, target, contexts, config, scene_scale, depth_threshold(initial,
+                                                                                    config.splatting.depth_slices))
     rng = np.random.default_rng(seed + 1000)
     moved = initial + 0.2 * np.where(state.parallax > 0, state.parallax, 0.01) * rng.standard_normal(initial.shape)
     return np.where(initial > 0, moved, 0.0), target, contexts, state
@@ -121,7 +122,8 @@ def measured_gradient(config, seed, count=24, share=3e-4, **scene):
     _, gradient = loss_and_gradient(depth, target, contexts, config, state)
     rng = np.random.default_rng(seed)
     fastest = 1e-3 + np.max([p.valid * np.linalg.norm(p.m_d, axis=1) for p in
-                             (project(depth, target.camera, c.camera, unit=state.unit) for c in contexts)], axis=0)
+                             (project(depth, target.camera, c.camera,
+                                      scene_scale=state.scene_scale) for c in contexts)], axis=0)
     got, want, skipped = [], [], 0
     with participation_held(lambda: loss_and_gradient(depth, target, contexts, config, state)):
         here = structure(depth, target, contexts, config, state)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from pagas_cl.made import relief_scene
+from pagas_cl.synthetic import relief_scene
 
 
 @lru_cache(maxsize=None)
 def tiny(**settings):
-    """96 x 72 pixels, 3 context views, 1 held out; `settings` as in made.Relief. Treat the result as read-only."""
+    """96 x 72 pixels, 3 context views, 1 held out; `settings` as in synthetic.Relief. Treat the result as read-only."""
     return relief_scene(**{"width": 96, "height": 72, "contexts": 3, "held_out": 1, **settings})
 
 

@@ -38,9 +38,9 @@ def test_every_view_that_sees_a_point_confirms_it(ring):
 @pytest.mark.parametrize("off, confirmed", [(0.5, 6), (1.4, 6), (2.8, 0), (-0.5, 6), (-1.4, 6), (-2.8, 0)])
 def test_tolerance_is_in_pixels_of_parallax(ring, off, confirmed):
     others = ring[:3] + ring[4:]
-    (i, j), unit = parallax(ring[3], others)
+    (i, j), one_pixel = parallax(ring[3], others)
     depth = plane_depth(ring[3], NORMAL, 0)
-    depth[i, j] += off * unit
+    depth[i, j] += off * one_pixel
     plane = [plane_depth(camera, NORMAL, 0) for camera in others]  # the point also moves along it: margins
     assert agree.confirmations(ring[3], depth, others, plane, 2.0)[i, j] == confirmed
     assert agree.confirmations(ring[3], depth, others, plane, 4.0)[i, j] == 6

@@ -9,12 +9,13 @@ import pytest
 
 from pagas_cl.__main__ import run
 from pagas_cl.commands._settings import build_config, effect_settings
-from pagas_cl.config import BALANCED, Effects
+from pagas_cl.config import Effects
 from pagas_cl.consistency import THRESHOLD, contradicted, decide_consistency
-from pagas_cl.measurements import RULES
 from pagas_cl.errors import InputError
-from pagas_cl.made import relief_scene
-from pagas_cl.made.disk import write_scene
+from pagas_cl.measurements import RULES
+from pagas_cl.presets import BALANCED
+from pagas_cl.synthetic import relief_scene
+from pagas_cl.synthetic.disk import write_scene
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The camera check names what is wrong with cameras, on a made scene and on real photos."""
+"""The camera check names what is wrong with cameras, on a synthetic scene and on real photos."""
 
 from dataclasses import replace
 
@@ -8,9 +8,9 @@ import pytest
 from pagas_cl.camera_check import check_cameras
 from pagas_cl.commands.check import table
 from pagas_cl.errors import InputError
-from pagas_cl.made import relief_scene
-from pagas_cl.made.photo import photograph
 from pagas_cl.scene.camera import Camera, inverse_pose
+from pagas_cl.synthetic import relief_scene
+from pagas_cl.synthetic.photo import photograph
 
 FLIP = np.diag([1.0, -1, -1, 1])
 

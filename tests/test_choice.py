@@ -6,12 +6,12 @@ from conftest import look_at, plane_depth
 
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError
-from pagas_cl.made import relief_scene
 from pagas_cl.scene.camera import Camera, inverse_pose
 from pagas_cl.scene.check import check_seen, sample_points
 from pagas_cl.scene.choice import ContextChooser, choose_contexts
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.sampling import sample_depth, spread_pixels
+from pagas_cl.scene.sampling import sample_depth, sample_pixels
+from pagas_cl.synthetic import relief_scene
 
 FRONT = (0.0, 0.0, -1.0)  # normal of the plane z = 0
 
@@ -122,7 +122,7 @@ def test_a_sample_stands_for_its_depth_map():
     rows, columns = np.nonzero(depth)
     assert (sample.farthest[rows // sample.cell, columns // sample.cell] >= depth[rows, columns]).all()
     assert sample.farthest.max() == depth.max() and np.count_nonzero(sample.farthest) < sample.farthest.size / 5
-    rows, columns = spread_pixels(np.ones((1000, 3000)), 2000)
+    rows, columns = sample_pixels(np.ones((1000, 3000)), 2000)
     assert 1000 <= len(rows) <= 2000 and np.ptp(rows) > 900 and np.ptp(columns) > 2800
 
 

@@ -19,10 +19,10 @@ QUICK = ["--quiet", "--set", "pyramid.steps=3"]
 
 @pytest.fixture(scope="module")
 def made_scene(tmp_path_factory):
-    from pagas_cl.made import relief_scene
-    from pagas_cl.made.disk import write_scene
+    from pagas_cl.synthetic import relief_scene
+    from pagas_cl.synthetic.disk import write_scene
 
-    return write_scene(relief_scene(64, 48, 2, held_out=0), tmp_path_factory.mktemp("made") / "scene")
+    return write_scene(relief_scene(64, 48, 2, held_out=0), tmp_path_factory.mktemp("synthetic") / "scene")
 
 
 @pytest.fixture
@@ -102,7 +102,8 @@ def test_depth_maps_of_another_size_and_missing_ones(scene, tmp_path, capsys, fa
     assert [path.stem for path in (tmp_path / "out").glob("*.npz")] == ["target"]
     assert "2 views have no depth map in" in capsys.readouterr().err
     assert "no depth map of the view 'context_00.png', which was asked for" in fails(
-        2, *refine(scene, "--depth-dir", scene / "depth_initial", "--save-depth", tmp_path / "d", "--views", "context_00"))
+        2, *refine(scene, "--depth-dir", scene / "depth_initial", "--save-depth", tmp_path / "d", "--views",
+                   "context_00"))
 
 
 def test_an_interrupted_run_keeps_what_is_done(scene, tmp_path, monkeypatch, fails):
@@ -272,7 +273,8 @@ def test_bad_files(scene, tmp_path, fails, how, words):
 
 def test_a_photo_cut_off_is_read_once(scene, tmp_path, fails, caplog):
     spoil(scene, "cut off")
-    sentence = fails(2, *refine(scene, "--depth-dir", scene / "depth_initial", "--save-depth", tmp_path / "d", "--views",
+    sentence = fails(2, *refine(scene, "--depth-dir", scene / "depth_initial", "--save-depth", tmp_path / "d",
+                                "--views",
                                 "context_00"))
     assert "context_00.png' cannot be decoded" in sentence and "tried again" not in caplog.text
 
@@ -292,9 +294,9 @@ def test_no_opencl_platform(scene, tmp_path):
 
 
 def test_options_that_take_several_words():
-    spread = command_line.spread(["refine", "s", "--views", "a", "b", "--set", "x=1", "--mesh", "m", "--quiet"],
+    expanded = command_line.expand_lists(["refine", "s", "--views", "a", "b", "--set", "x=1", "--mesh", "m", "--quiet"],
                                  ("--views", "--set"))
-    assert spread == ["refine", "s", "--views", "a", "--views", "b", "--set", "x=1", "--mesh", "m", "--quiet"]
+    assert expanded == ["refine", "s", "--views", "a", "--views", "b", "--set", "x=1", "--mesh", "m", "--quiet"]
 
 
 def test_settings_take_the_type_of_their_field():

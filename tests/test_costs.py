@@ -6,13 +6,13 @@ import pytest
 
 from pagas_cl import costs
 from pagas_cl.__main__ import run as run_command
-from pagas_cl.config import preset
 from pagas_cl.errors import InputError
-from pagas_cl.made import relief_scene
-from pagas_cl.made.disk import write_scene
+from pagas_cl.presets import preset
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device
 from pagas_cl.splat.exposure import fitted_before
+from pagas_cl.synthetic import relief_scene
+from pagas_cl.synthetic.disk import write_scene
 
 
 @pytest.fixture(autouse=True)

@@ -17,8 +17,8 @@ from kill_trials import check_whole
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError
 from pagas_cl.jobs import run, worker
 from pagas_cl.refine import refine_depth, refine_views
-from pagas_cl.runtime import device as devices
 from pagas_cl.runtime import claim, faults, program
+from pagas_cl.runtime import device as devices
 
 CODES = {"OUT_OF_RESOURCES": -5, "DEVICE_NOT_AVAILABLE": -2, "INVALID_COMMAND_QUEUE": -36, "NVIDIA": -9999}
 
@@ -101,15 +101,15 @@ def test_reset_once(scene, tmp_path, failing, device, code):
 
 def test_workers_that_all_lost_their_device_end_the_run(scene, tmp_path, monkeypatch, device):
     """Some views are done, then every worker says that it has no device: the run ends instead of asking for ever."""
-    plain, asked = worker._bench, [0]
+    plain, asked = worker._worker_context, [0]
 
-    def bench(name):
+    def context(name):
         asked[0] += 1
         if asked[0] > 6:
             raise DeviceError("no device left")
         return plain(name)
 
-    monkeypatch.setattr(worker, "_bench", bench)
+    monkeypatch.setattr(worker, "_worker_context", context)
     monkeypatch.setattr(run, "STALLED", 0.0)
     with ThreadPoolExecutor(1) as pool, pytest.raises(DeviceError, match="no device left"):
         refine_views(scene.views, scene.depths, config=QUICK, folder=tmp_path, executor=pool)
@@ -165,7 +165,7 @@ def test_other_commands_say_it_too(tmp_path, failing, device, capsys, words):
 
 def test_what_is_no_loss_stays_what_it_is(device):
     for code, kind in ((-4, DeviceMemoryError), (-6, DeviceMemoryError), (-52, cl.Error), (-30, cl.Error)):
-        with pytest.raises(kind), faults.told_as_device_error(device, "a test"):
+        with pytest.raises(kind), faults.translate_cl_errors(device, "a test"):
             raise driver_error(code)
-    with pytest.raises(ZeroDivisionError), faults.told_as_device_error(device, "a test"):
+    with pytest.raises(ZeroDivisionError), faults.translate_cl_errors(device, "a test"):
         raise ZeroDivisionError

@@ -1,4 +1,4 @@
-"""What a scene calls for: decisions on made-up measurements, the exposure fit, measurements of made scenes."""
+"""What a scene calls for: decisions on made-up measurements, the exposure fit, measurements of synthetic scenes."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pagas_cl.config import BALANCED, PAPER, Effects
+from pagas_cl.config import Effects
 from pagas_cl.effects import LOW_PASS, decide
 from pagas_cl.errors import InputError
 from pagas_cl.measurements import RULES, Measurements, measure
+from pagas_cl.presets import BALANCED, PAPER
 from pagas_cl.reference import exposure
 
-CALM = Measurements(overlap=1.0, hidden=0.0, unseen=0.0, exposure_change=0.0, gloss=0.0, smallest=0.5, plain=0.0,
+CALM = Measurements(overlap=1.0, hidden=0.0, unseen=0.0, exposure_change=0.0, specularity=0.0, smallest=0.5,
+                    textureless=0.0,
                     noise=0.002, far_off=0.0, misaligned=0.0, masked=False, gains=(((1.0, 0.0),) * 3,))
 ABOVE = {"occlusion": {"hidden": 0.1}, "unseen_mask": {"unseen": 0.3}, "exposure": {"exposure_change": 0.1},
-         "view_dependence": {"gloss": 0.2}, "antialiasing": {"smallest": 0.2}, "smoothness": {"plain": 0.5},
+         "view_dependence": {"specularity": 0.2}, "antialiasing": {"smallest": 0.2}, "smoothness": {"textureless": 0.5},
          "noise": {"noise": 0.02}, "pyramid": {"far_off": 0.5}}
 ALPHA = BALANCED.with_settings(splatting__blend="alpha")      # the blend that has every effect
 
@@ -42,7 +44,7 @@ def test_auto_follows_the_evidence(effect):
 
 @pytest.mark.parametrize("effect", RULES)
 def test_one_effect_alone_is_switched_on(effect):
-    """Beside smoothness, without which noise has nothing to weigh; noise also follows the gloss that is measured."""
+    """Beside smoothness, without which noise has nothing to weigh; noise also follows the measured specularity."""
     measured = replace(CALM, plain=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "plain"})
     on = {name for name, value in switched_on(decide(ALPHA, measured)[0]).items() if value}
     assert on - ({"noise"} if effect == "view_dependence" else set()) == {effect, "smoothness"}
@@ -88,7 +90,7 @@ def test_noise_raises_the_weight_and_never_lowers_it():
 
 
 def test_gloss_is_not_judged_through_a_depth_that_is_far_off():
-    assert replace(CALM, gloss=0.5, far_off=0.5).residual == 0
+    assert replace(CALM, specularity=0.5, far_off=0.5).residual == 0
     assert decide(BALANCED, replace(CALM, smallest=0.2))[0].splatting.low_pass == LOW_PASS
 
 
@@ -123,7 +125,7 @@ def test_exposure_fit_of_one_colour_is_the_ratio():
 
 
 def measured_of(device, **settings) -> Measurements:
-    from pagas_cl.made import relief_scene
+    from pagas_cl.synthetic import relief_scene
 
     made = relief_scene(120, 90, 3, held_out=0, **settings)
     target, *contexts = made.views
@@ -146,7 +148,7 @@ def test_measurements_tell_made_scenes_apart(device):
 
 
 def test_without_surface_nothing_is_measured(device):
-    from pagas_cl.made import relief_scene
+    from pagas_cl.synthetic import relief_scene
 
     made = relief_scene(64, 48, 2, held_out=0)
     measured = measure(made.views[0], made.views[1:], np.zeros((48, 64), np.float32), BALANCED, device)

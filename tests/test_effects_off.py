@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 from stripped import EFFECTS, STEP, never_had, parameters_in, parameters_of, without_blocks
 
-from pagas_cl.config import BALANCED
+from pagas_cl.presets import BALANCED
 
 pytest.importorskip("pyopencl")
 ON = {"occlusion": dict(splatting__occlusion=True, splatting__depth_relative=0.5),

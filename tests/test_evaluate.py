@@ -4,14 +4,24 @@ import json
 
 import numpy as np
 import pytest
+from scenes import small, tiny
 
 from pagas_cl.errors import InputError
-from pagas_cl.evaluate import (chamfer, compare_depth, compare_predictions, depth_normals, dilate, f_score,
-                               find_discontinuities, parallax_unit, predict_photo, sample_surface)
+from pagas_cl.evaluate import (
+    chamfer,
+    compare_depth,
+    compare_predictions,
+    depth_normals,
+    depth_per_parallax,
+    dilate,
+    f_score,
+    find_discontinuities,
+    predict_photo,
+    sample_surface,
+)
 from pagas_cl.evaluate.clouds import VisibleSpace, thin
 from pagas_cl.evaluate.predict import correlate
 from pagas_cl.scene.camera import Camera
-from scenes import small, tiny
 
 
 def camera(width=40, height=30, f=50.0):
@@ -138,15 +148,15 @@ def test_parallax_unit_moves_by_one_pixel():
     made = tiny()
     target, context = made.cameras[0], made.cameras[1]
     depth = made.true_depth(target).astype(np.float64)
-    unit = parallax_unit(depth, target, [context])
-    assert 0.5 < (unit > 0).mean()
+    one_pixel = depth_per_parallax(depth, target, [context])
+    assert 0.5 < (one_pixel > 0).mean()
 
     def seen(d):
         points = (d[..., None] * target.rays()) @ target.world_to_camera[:3, :3] + target.center
         return context.project(points)[0]
 
-    moved = np.linalg.norm(seen(depth + 0.01 * unit) - seen(depth - 0.01 * unit), axis=-1)
-    assert np.allclose(moved[unit > 0], 0.02, rtol=1e-4)
+    moved = np.linalg.norm(seen(depth + 0.01 * one_pixel) - seen(depth - 0.01 * one_pixel), axis=-1)
+    assert np.allclose(moved[one_pixel > 0], 0.02, rtol=1e-4)
 
 
 def test_correlation_against_numpy():

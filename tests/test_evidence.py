@@ -7,17 +7,17 @@ import pyopencl as cl
 import pytest
 from kernel_cases import Scene, start_level
 
-from pagas_cl.config import BALANCED
+from pagas_cl.presets import BALANCED
 from pagas_cl.reference import evidence as twin
 from pagas_cl.reference.pairs import candidates, nearest_surface
 from pagas_cl.reference.project import project
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.runtime.transfer import download
 from pagas_cl.scene.rig import footprint
-from pagas_cl.splat.evidence import _SUM_GROUP, _SUM_GROUPS, Doubt, Evidence, _median
+from pagas_cl.splat.evidence import _SUM_GROUP, _SUM_GROUPS, Evidence, EvidencePrior, _median
 from pagas_cl.splat.options import defines
 
-DOUBT = Doubt(1.5, 0.2, 0.05)
+PRIOR = EvidencePrior(1.5, 0.2, 0.05)
 CONFIG = BALANCED.with_settings(solver__views_per_step=0)
 
 
@@ -25,14 +25,15 @@ def twin_evidence(scene: Scene, depth):
     """(sum of 1 - correlation, views, information) of shape (H, W, 3), and where float32 may decide otherwise."""
     total, depth, band = np.zeros((*depth.shape, 3)), depth.astype(np.float64), np.zeros(depth.shape, bool)
     for context in scene.contexts:
-        p = project(depth, scene.target.camera, context.camera, 0.0, scene.unit)
+        p = project(depth, scene.target.camera, context.camera, 0.0, scene.scene_scale)
         size = context.camera.width, context.camera.height
-        floor = CONFIG.splatting.depth_footprints * footprint(scene.target.camera, context.camera, scene.unit)
+        floor = CONFIG.splatting.depth_footprints * footprint(scene.target.camera, context.camera, scene.scene_scale)
         delta = max(scene.delta(CONFIG), floor)
         pairs = candidates(p, *size, CONFIG.splatting)
         z_first = nearest_surface(pairs, size[0] * size[1]).reshape(size[1], size[0])
-        value, slope, inside = twin.warped(depth, scene.target, context, z_first, delta, scene.unit)
-        cost, information, defined = twin.weigh(value, slope, inside, twin.luma(scene.target.image), DOUBT.grain)
+        value, slope, inside = twin.warped(depth, scene.target, context, z_first, delta, scene.scene_scale)
+        cost, information, defined = twin.weigh(value, slope, inside, twin.luma(scene.target.image),
+                                                PRIOR.noise_variance)
         total += np.where(defined[..., None], np.stack([cost, np.ones_like(cost), information], axis=-1), 0)
         edge = np.abs(p.m - np.round(p.m)).min(axis=1).reshape(depth.shape) < 1e-3   # which pixel's z_first is asked
         band |= edge
@@ -42,7 +43,7 @@ def twin_evidence(scene: Scene, depth):
 def test_evidence_equals_the_twin(device):
     scene = Scene.make(17, width=45, height=37, contexts=3, masks=True)
     level = start_level(device, CONFIG, scene)
-    judge = Evidence(level, [1, 2, 3], level.arena["depth"], DOUBT)
+    judge = Evidence(level, [1, 2, 3], level.arena["depth"], PRIOR)
     judge.weigh()
     got = download(device, judge._before, (*scene.moved.shape, 3))
     want, band = twin_evidence(scene, scene.moved)
@@ -56,36 +57,38 @@ def test_evidence_equals_the_twin(device):
 
 
 def entered_level(device, config, scene):
-    """A level that is ready for its steps, its unit and depth, and a buffer that keeps that depth."""
+    """A level that is ready for its steps, its depth_per_parallax and depth, and a buffer that keeps that depth."""
     level = start_level(device, config, scene)
-    unit, initial = level.read("unit", scene.moved.shape), level.read("depth", scene.moved.shape)
-    entered = device.memory.buffer(device.context, initial.nbytes)
-    cl.enqueue_copy(device.queue, entered, initial)
-    return level, unit, initial, entered
+    depth_per_parallax, initial = level.read("depth_per_parallax", scene.moved.shape), level.read("depth",
+                                                                                                  scene.moved.shape)
+    normalized = device.memory.buffer(device.context, initial.nbytes)
+    cl.enqueue_copy(device.queue, normalized, initial)
+    return level, depth_per_parallax, initial, normalized
 
 
 def test_verdicts_equal_the_twin(device):
     rng = np.random.default_rng(5)
     scene = Scene.make(17, width=45, height=37, contexts=3, masks=True)
     config = CONFIG.with_settings(solver__max_move=0.5, solver__mismatch=0.8, solver__tolerance=0.1)
-    level, unit, initial, entered = entered_level(device, config, scene)
-    judge = Evidence(level, [1, 2, 3], entered, Doubt(1.5, 0.2))
-    refined = np.where(initial > 0, initial + rng.normal(0, 0.3, initial.shape) * unit, 0).astype(np.float32)
+    level, depth_per_parallax, initial, normalized = entered_level(device, config, scene)
+    judge = Evidence(level, [1, 2, 3], normalized, EvidencePrior(1.5, 0.2))
+    refined = np.where(initial > 0, initial + rng.normal(0, 0.3, initial.shape) * depth_per_parallax,
+                       0).astype(np.float32)
     cl.enqueue_copy(device.queue, level.arena["depth"], refined)
-    verdict = judge.decide()
+    decision = judge.decide()
     before, after = (download(device, e, (*initial.shape, 3)).astype(np.float64) for e in (judge._before, judge._after))
     status, deviation = (download(device, buffer, initial.shape, dtype)
-                         for buffer, dtype in ((verdict.status, np.uint8), (verdict.deviation, np.float32)))
+                         for buffer, dtype in ((decision.status, np.uint8), (decision.deviation, np.float32)))
     accepted = level.read("depth", initial.shape).astype(np.float64)
     level.release()
     feathered = twin.feather(initial.astype(np.float64), refined.astype(np.float64), status)
     assert np.abs(accepted - feathered).max() < 1e-6 and (feathered != refined)[status == 1].mean() > 0.3
-    deviations = twin.deviation(accepted, status, unit.astype(np.float64), before, after, 1.5, 0.2)
+    deviations = twin.deviation(accepted, status, depth_per_parallax.astype(np.float64), before, after, 1.5, 0.2)
     assert (np.isfinite(deviations) == np.isfinite(deviation)).all()
     known = np.isfinite(deviations) & (deviations > 0)
     off = np.abs(deviation / np.where(known, deviations, 1) - 1)
     assert known.mean() > 0.3 and np.quantile(off[known], 0.99) < 1e-3
-    want = twin.decide(initial, refined, unit, before, after, 0.5, 0.1, 0.8)
+    want = twin.decide(initial, refined, depth_per_parallax, before, after, 0.5, 0.1, 0.8)
     assert (np.bincount(want.ravel(), minlength=4) > 0).all()
     assert (status == want).mean() > 0.999
 
@@ -211,22 +214,23 @@ def test_verdicts_with_witnesses_equal_the_twin(device):
     rng = np.random.default_rng(5)
     scene = Scene.make(17, width=45, height=37, contexts=4, masks=True)
     config = CONFIG.with_settings(solver__max_move=2.0, solver__mismatch=0.8, solver__tolerance=0.1)
-    level, unit, initial, entered = entered_level(device, config, scene)
-    judge, *witnesses = (Evidence(level, views, entered) for views in ([1, 2], [3], [4]))
-    refined = np.where(initial > 0, initial + rng.normal(0, 0.5, initial.shape) * unit, 0).astype(np.float32)
+    level, depth_per_parallax, initial, normalized = entered_level(device, config, scene)
+    judge, *held_out = (Evidence(level, views, normalized) for views in ([1, 2], [3], [4]))
+    refined = np.where(initial > 0, initial + rng.normal(0, 0.5, initial.shape) * depth_per_parallax,
+                       0).astype(np.float32)
 
     def weighed(one):
         one.weigh()
         return [download(device, e, (*initial.shape, 3)).astype(np.float64) for e in (one._before, one._after)]
 
     cl.enqueue_copy(device.queue, level.arena["depth"], refined)
-    alone = twin.decide(initial, refined, unit, *weighed(judge), 2.0, 0.1, 0.8)
+    alone = twin.decide(initial, refined, depth_per_parallax, *weighed(judge), 2.0, 0.1, 0.8)
     cl.enqueue_copy(device.queue, level.arena["depth"], np.where(alone == twin.REFINED, refined, initial))
-    grown = [twin.worse(*weighed(one)) for one in witnesses]
+    grown = [twin.worse(*weighed(one)) for one in held_out]
     cl.enqueue_copy(device.queue, level.arena["depth"], refined)
-    verdict = judge.decide(witnesses)
-    status = download(device, verdict.status, initial.shape, np.uint8)
-    accepted, judged = level.read("depth", initial.shape), [weighed(one) for one in witnesses]
+    decision = judge.decide(held_out)
+    status = download(device, decision.status, initial.shape, np.uint8)
+    accepted, judged = level.read("depth", initial.shape), [weighed(one) for one in held_out]
     level.release()
     one, other = (twin.refuse(alone, growth) for growth in grown)
     want = twin.refuse(one, grown[1])
@@ -234,7 +238,7 @@ def test_verdicts_with_witnesses_equal_the_twin(device):
     assert (status == want).mean() > 0.999           # a sum next to 0 may fall either way
     feathered = twin.feather(initial.astype(np.float64), refined.astype(np.float64), status)
     assert np.abs(accepted - feathered).max() < 1e-6
-    for medians, (before, after) in zip(verdict.witnesses, judged, strict=True):
+    for medians, (before, after) in zip(decision.held_out, judged, strict=True):
         was, now, known = twin.costs(before, after)
         assert medians == pytest.approx((np.median(was[known]), np.median(now[known])), abs=0.01)
 
@@ -245,8 +249,8 @@ def _near(band):
 
 
 def test_a_worse_depth_is_sent_back_bit_for_bit(device):
-    from pagas_cl.made import relief_scene
     from pagas_cl.splat import refine_levels
+    from pagas_cl.synthetic import relief_scene
 
     made = relief_scene(96, 72, 2)
     view, *others = made.views

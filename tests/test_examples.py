@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pagas_cl.made import relief_scene
-from pagas_cl.made.disk import write_ply, write_scene
 from pagas_cl.scene.view import View
+from pagas_cl.synthetic import relief_scene
+from pagas_cl.synthetic.disk import write_ply, write_scene
 
 EXAMPLES = sorted((Path(__file__).parent / "examples").glob("*.py"))
 NEEDS = {"pymeshlab_method": ["pymeshlab", "open3d"], "filter_script": ["pymeshlab", "open3d"], "depth_maps": [],

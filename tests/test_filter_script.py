@@ -8,12 +8,13 @@ from PIL import Image
 
 pymeshlab = pytest.importorskip("pymeshlab")
 
-from pagas_cl.errors import InputError  # noqa: E402
 from pagas_cl.filters import filter_script, native, parameters  # noqa: E402
 from pagas_cl.filters.filter_script import check_script, run_script  # noqa: E402
-from pagas_cl.made import relief_scene  # noqa: E402
+
+from pagas_cl.errors import InputError  # noqa: E402
 from pagas_cl.scene.readers.meshlab import MeshLayer, write_project  # noqa: E402
 from pagas_cl.scene.view import View  # noqa: E402
+from pagas_cl.synthetic import relief_scene  # noqa: E402
 
 OURS = ('<filter name="PAGaS Depth Refinement"><Param type="RichString" name="settings" value="pyramid.steps=8"/>'
         '<Param type="RichFloat" name="voxel" value="2"/></filter>')
@@ -152,7 +153,7 @@ def test_pymeshlab_is_asked_again_after_a_crash():
 
 def test_command_with_mesh_and_scene(tmp_path, made):
     from pagas_cl.__main__ import run
-    from pagas_cl.made.disk import write_scene
+    from pagas_cl.synthetic.disk import write_scene
 
     write_scene(made, tmp_path / "SCENE")
     mesh = tmp_path / "SCENE" / "mesh_coarse.ply"
@@ -168,7 +169,7 @@ def test_command_with_mesh_and_scene(tmp_path, made):
 
 @pytest.fixture
 def project(tmp_path, made):
-    """The made scene as a MeshLab project whose layer lies turned and scaled, and is put right by its matrix."""
+    """The synthetic scene as a MeshLab project whose layer lies turned and scaled, and is put right by its matrix."""
     views = []
     for view in made.views:
         path = tmp_path / f"{view.camera.name}.png"

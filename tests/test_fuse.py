@@ -197,7 +197,7 @@ def test_weights(scene):
 
 def test_unsure_depths_count_less_where_that_is_asked_for(scene):
     """`fusion.least_weight`: a map that is off, and known to be unsure, has less to say, or nothing."""
-    from pagas_cl.config import preset
+    from pagas_cl.presets import preset
     from pagas_cl.refine import fuse_results
     from pagas_cl.result import REFINED, DepthResult
 

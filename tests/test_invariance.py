@@ -10,12 +10,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pagas_cl.made import relief_scene
-from pagas_cl.made.layout import half_sizes
-from pagas_cl.made.mesh import solid_mesh
 from pagas_cl.refine import initial_depths, refine_depth
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
+from pagas_cl.synthetic import relief_scene
+from pagas_cl.synthetic.layout import half_sizes
+from pagas_cl.synthetic.mesh import solid_mesh
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def test_units_and_place_change_nothing(made, plain, scale, offset):
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
 def test_a_rounded_initial_depth_changes_little(made, plain, scale):
     result, depth = refined(made, scale, (0, 0, 0), np.float32)
-    assert (result.status == plain[0].status).mean() > 0.999          # a verdict may sit on its threshold
+    assert (result.status == plain[0].status).mean() > 0.999          # a decision may sit on its threshold
     both = (result.status == 1) & (plain[0].status == 1)
     assert_alike(depth[both], plain[1][both])
 

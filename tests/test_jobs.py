@@ -14,8 +14,7 @@ from job_scenes import QUICK, bytes_of, load_small_scene, said, write_small_scen
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError
-from pagas_cl.jobs import refine_all
-from pagas_cl.jobs import identity
+from pagas_cl.jobs import identity, refine_all
 from pagas_cl.jobs.photos import PhotoMemory
 from pagas_cl.jobs.plan import Planner, along_curve, groups, on_disk
 from pagas_cl.jobs.store import DepthFile, Store
@@ -217,10 +216,10 @@ def test_keys_follow_every_input(scene, monkeypatch):
 
 _REFINES = """
 import sys
-from pagas_cl.made import relief_scene
+from pagas_cl.synthetic import relief_scene
 from pagas_cl import refine_depth
 made = relief_scene(48, 36, 2, held_out=0)
-seen = {name for name in sys.modules if name.startswith("pagas_cl.made")}
+seen = {name for name in sys.modules if name.startswith("pagas_cl.synthetic")}
 refine_depth(made.views[0], made.views[1:], made.initial_depth(made.views[0].camera))
 print(*sorted(name for name in sys.modules if name.startswith("pagas_cl.") and name not in seen))
 """

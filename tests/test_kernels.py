@@ -8,7 +8,7 @@ import pytest
 from close import assert_kernel_close
 from kernel_cases import SEES_LOSS, Scene, device_gradient, start_level, twin_gradient
 
-from pagas_cl.config import BALANCED, PAPER
+from pagas_cl.presets import BALANCED, PAPER
 from pagas_cl.reference.level import prepare, run_level
 from pagas_cl.splat.tile import SCALAR, Tile
 
@@ -31,7 +31,8 @@ CASES = {
     "wide huber": (PLAIN, dict(loss__huber=0.1)),
     "robust": (PLAIN, dict(loss__robust=0.6)),
     "robust, wide huber": (PLAIN, dict(loss__robust=0.2, loss__huber=0.04)),
-    "planar cut": (PLAIN, dict(smoothness__kind="planar", smoothness__weight=0.1, smoothness__cut=0.3)),
+    "planar discontinuity": (PLAIN, dict(smoothness__kind="planar", smoothness__weight=0.1,
+                                         smoothness__discontinuity=0.3)),
     "L1 only": (PLAIN, dict(loss__ssim=0.0)),
     "SSIM only": (PLAIN, dict(loss__ssim=1.0)),
     "no weights": (PLAIN, dict(loss__gradient_weight=False, loss__coverage_weight=False)),
@@ -94,8 +95,8 @@ def test_level_follows_the_twin(device, scene, base):
     assert level.run(8) == 8
     got = level.read("depth", initial.shape)
     level.release()
-    state = prepare(initial, scene.target, scene.contexts, config, scene.unit, scene.delta(config))
-    if config.solver.unit == "distance":
+    state = prepare(initial, scene.target, scene.contexts, config, scene.scene_scale, scene.delta(config))
+    if config.solver.rate_unit == "distance":
         object.__setattr__(state, "distance", 1.0)          # what the level was given
     want, _ = run_level(scene.moved.astype(np.float64), scene.target, scene.contexts, config, state, 8)
     way, error = np.abs(want - scene.moved), np.abs(got - want)
@@ -112,7 +113,7 @@ def test_the_schedule_follows_the_whole_loss(device, scene, kind):
     assert level.run(4) == 4
     got = level.read("history", level.arena.specs["history"].shape)[:4]
     level.release()
-    state = prepare(scene.initial.astype(np.float64), scene.target, scene.contexts, config, scene.unit,
+    state = prepare(scene.initial.astype(np.float64), scene.target, scene.contexts, config, scene.scene_scale,
                     scene.delta(config))
     object.__setattr__(state, "distance", 1.0)              # what the level was given
     start = scene.moved.astype(np.float64)
@@ -125,7 +126,7 @@ def test_the_schedule_follows_the_whole_loss(device, scene, kind):
 def level_launches(device, config, scene):
     """Every kernel of a step that was bound with its tile."""
     level = start_level(device, config, scene)
-    return [launch for launch in level.views[0] if hasattr(launch, "kernel")]
+    return [launch for launch in level.view_launches[0] if hasattr(launch, "kernel")]
 
 
 @pytest.mark.parametrize("tiles", [SCALAR, (Tile(16, 8, 32, 1, 4), Tile(24, 4, 64, 1, 4))], ids=["gpu", "small"])

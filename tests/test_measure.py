@@ -9,22 +9,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kernel_cases import Scene, view_of
 
-from pagas_cl.config import BALANCED
-from pagas_cl.made import relief_scene
+from pagas_cl.presets import BALANCED
 from pagas_cl.reference import exposure as exposure_twin
 from pagas_cl.reference import measure as twin
+from pagas_cl.reference.image_noise import noise_and_texture
 from pagas_cl.reference.level import Photo, prepare
-from pagas_cl.reference.grain import noise_and_texture
 from pagas_cl.reference.summary import summarize
 from pagas_cl.runtime.program import run_once
 from pagas_cl.splat import exposure, project
-from pagas_cl.splat.grain import Grain
+from pagas_cl.splat.image_noise import ImageNoise
 from pagas_cl.splat.level import LevelInput
 from pagas_cl.splat.measure import _ROWS, SHIFTS, Probe
 from pagas_cl.splat.state import PhotoStore, Size
 from pagas_cl.splat.summary import Rows
+from pagas_cl.synthetic import relief_scene
 
-MOVES = [(float(shift), 0.0) for shift in SHIFTS] + [(0.0, aside) for aside in (-2.0, -1.0, 1.0, 2.0)]
+MOVES = [(float(shift), 0.0) for shift in SHIFTS] + [(0.0, epipolar_offset) for epipolar_offset in (-2.0, -1.0, 1.0,
+                                                                                                    2.0)]
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +39,9 @@ def smooth_scene():
     made = relief_scene(60, 45, 2, held_out=0, steps=0, exposure=0.3, contrast=1.5)
     target, *contexts = [Photo.from_view(view) for view in made.views]
     depth = made.initial_depth(made.cameras[0]).astype(np.float64)
-    unit = float(np.median(depth))
-    return Scene((depth / unit).astype(np.float32), (depth / unit).astype(np.float32), unit, target, contexts)
+    scene_scale = float(np.median(depth))
+    return Scene((depth / scene_scale).astype(np.float32), (depth / scene_scale).astype(np.float32), scene_scale,
+                 target, contexts)
 
 
 @pytest.fixture
@@ -54,7 +56,8 @@ def smooth_probe(device, smooth_scene):
 
 def probe_of(device, scene):
     views, photos = [view_of(p) for p in (scene.target, *scene.contexts)], PhotoStore(device)
-    given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.unit, scene.delta(BALANCED),
+    given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.scene_scale,
+                       scene.delta(BALANCED),
                        1.0, 2)
     probe = Probe(device, BALANCED, given, lambda out: cl.enqueue_copy(device.queue, out, scene.initial))
     assert probe.grid.stride == 1 and (probe.grid.down, probe.grid.across) == scene.initial.shape    # every pixel
@@ -70,27 +73,28 @@ def read(device, buffer, shape):
 
 def rows_of(device, probe, view):
     shape = len(probe.contexts), len(_ROWS), *probe.target.grid[::-1]
-    return dict(zip([name for name, *_ in _ROWS], read(device, probe.views.values, shape)[view - 1]))
+    return dict(zip([name for name, *_ in _ROWS], read(device, probe.view_samples.values, shape)[view - 1]))
 
 
 @pytest.mark.parametrize("number", [1, 2])
 def test_costs_of_moved_depths_equal_the_twin(device, scene, probe, number):
     initial, context = scene.initial.astype(np.float64), scene.contexts[number - 1]
-    state = prepare(initial, scene.target, scene.contexts, BALANCED, scene.unit, scene.delta(BALANCED))
+    state = prepare(initial, scene.target, scene.contexts, BALANCED, scene.scene_scale, scene.delta(BALANCED))
     run_once(device.queue, [*project.nearest(probe, number), *probe.sample(number)])
     got, rows = read(device, probe.arena["costs"], (len(MOVES), *initial.shape)), rows_of(device, probe, number)
     seen = rows["hidden"] == 0
     assert seen.mean() > 0.2
-    costs = np.stack([twin.moved_cost(initial, state.parallax, scene.target, context, shift, scene.unit, aside)
-                      for shift, aside in MOVES])
+    costs = np.stack([twin.moved_cost(initial, state.parallax, scene.target, context, shift, scene.scene_scale,
+                                      epipolar_offset)
+                      for shift, epipolar_offset in MOVES])
     same = ((costs == twin.UNDEFINED) == (got == twin.UNDEFINED))[:, seen]
     assert same.mean() > 0.99                         # a patch pixel exactly on the photo's edge may fall either way
     difference = np.abs(costs - got)[:, seen]
     assert np.quantile(difference[same], 0.99) < 1e-3
-    aside = np.nansum([rows[f"aside {k}"] for k in range(4)], axis=0)
+    epipolar_offset = np.nansum([rows[f"epipolar_offset {k}"] for k in range(4)], axis=0)
     want = twin.least_at(got[[7, 8, 3, 9, 10]])
     assert np.isfinite(want[seen]).mean() > 0.05
-    assert np.abs(np.nan_to_num(want) - aside)[seen].max() < 1e-3
+    assert np.abs(np.nan_to_num(want) - epipolar_offset)[seen].max() < 1e-3
 
 
 @pytest.mark.parametrize("number", [1, 2])
@@ -105,7 +109,7 @@ def test_samples_of_a_view_equal_the_twin(device, scene, probe, number):
     run_once(device.queue, probe.sample(number)[:1])
     got = rows_of(device, probe, number)
     initial, near = (array.astype(np.float64) for array in (scene.initial, z_first))
-    given = initial, scene.target, context, near, probe.threshold(number), scene.unit
+    given = initial, scene.target, context, near, probe.threshold(number), scene.scene_scale
     hidden, large = twin.sampled(*given, BALANCED.splatting.low_pass)
     assert min((hidden == 0).mean(), (hidden == 1).mean(), np.isnan(hidden).mean()) > 0.05
     same = np.isclose(got["hidden"], hidden, equal_nan=True)
@@ -121,28 +125,29 @@ def test_judgement_of_samples_equals_the_twin(device, scene, probe):
     rng, shape, names = np.random.default_rng(3), scene.initial.shape, [name for name, *_ in _ROWS]
     values = np.full((2, len(names), *shape), np.nan, np.float32)
     values[:, names.index("hidden")] = rng.choice([0, 1, np.nan], (2, *shape))
-    values[:, names.index("gloss")] = rng.choice([0.01, 0.02, np.nan], (2, *shape))
+    values[:, names.index("specularity")] = rng.choice([0.01, 0.02, np.nan], (2, *shape))
     costs = rng.uniform(0, 1, (2, 1, *shape)) * rng.uniform(0.9, 1.1, (2, len(MOVES), *shape))
     costs = np.where(rng.uniform(size=costs.shape) < 0.03, twin.UNDEFINED, costs).astype(np.float32)
-    cl.enqueue_copy(device.queue, probe.views.values, values)
+    cl.enqueue_copy(device.queue, probe.view_samples.values, values)
     totals = np.zeros((2 + len(SHIFTS), *shape))
     for view in (1, 2):
         cl.enqueue_copy(device.queue, probe.arena["costs"], costs[view - 1])
         run_once(device.queue, probe.sample(view)[2:])
-        totals += twin.told(costs[view - 1], values[view - 1, names.index("hidden")] == 0)
+        totals += twin.votes(costs[view - 1], values[view - 1, names.index("hidden")] == 0)
     assert np.abs(read(device, probe.arena["totals"], totals.shape) - totals).max() < 1e-6
     for view in (1, 2):
         got, want = rows_of(device, probe, view), twin.like(costs[view - 1].astype(np.float64))
         assert 0.1 < want.mean() < 0.9 and (got["like"] == want).mean() > 0.999
-        aside = twin.least_at(costs[view - 1][[7, 8, 3, 9, 10]])
+        epipolar_offset = twin.least_at(costs[view - 1][[7, 8, 3, 9, 10]])
         below, right = (np.arange(n) * 2 >= n for n in shape)
         for k in range(4):                                 # by quadrant of the target
             inside = (below == k // 2)[:, None] & (right == k % 2)
-            assert np.allclose(got[f"aside {k}"], np.where(inside, aside, np.nan), atol=1e-4, equal_nan=True)
+            assert np.allclose(got[f"epipolar_offset {k}"], np.where(inside, epipolar_offset, np.nan), atol=1e-4,
+                               equal_nan=True)
     cl.enqueue_fill_buffer(device.queue, probe.arena["matches"], np.uint32(0), 0, probe.arena.size("matches"))
     run_once(device.queue, probe._judge())
     rows = read(device, probe.samples.values, (3, *shape))
-    for name, got, want in zip(("seen", "far", "gloss"), rows, twin.judged(scene.initial, totals, values[:, 9])):
+    for name, got, want in zip(("seen", "far", "specularity"), rows, twin.judged(scene.initial, totals, values[:, 9])):
         assert len(np.unique(want[np.isfinite(want)])) > 1 and np.isnan(want).any(), name
         assert np.isclose(got, want, atol=1e-6, equal_nan=True).mean() > 0.999, name
 
@@ -157,7 +162,7 @@ def test_matched_colours_and_the_fit_equal_the_twin(device, smooth_scene, smooth
     assert (table[0] == [[1] * 3, [0] * 3]).all()
     for number, context in enumerate(scene.contexts, start=1):
         got, rows = matches[number - 1], rows_of(device, probe, number)
-        own, other, _ = exposure_twin.match(initial, scene.target, context, None, 0.0, scene.unit)
+        own, other, _ = exposure_twin.match(initial, scene.target, context, None, 0.0, scene.scene_scale)
         seen = got[..., 3] > 0
         assert seen.mean() > 0.1
         assert np.abs(got[..., :3] - own)[seen].max() < 1e-5
@@ -166,9 +171,9 @@ def test_matched_colours_and_the_fit_equal_the_twin(device, smooth_scene, smooth
         want = exposure_twin.fit(got[usable][:, :3], got[usable][:, 4:7])
         assert np.abs(table[number].T - want).max() < 2e-3
         assert np.allclose(rows["change g"][seen], (got[..., 5] - got[..., 1])[seen], atol=1e-6)
-        left = twin.gloss(got[..., :3], got[..., 4:7], got[..., 3], rows["like"] == 1, table[number].T)
-        assert (np.isnan(left) == np.isnan(rows["gloss"])).all() and np.isfinite(left).mean() > 0.05
-        assert np.nanmax(np.abs(left - rows["gloss"])) < 1e-5
+        left = twin.specularity(got[..., :3], got[..., 4:7], got[..., 3], rows["like"] == 1, table[number].T)
+        assert (np.isnan(left) == np.isnan(rows["specularity"])).all() and np.isfinite(left).mean() > 0.05
+        assert np.nanmax(np.abs(left - rows["specularity"])) < 1e-5
 
 
 def test_states_of_matches_equal_the_twin(device, smooth_scene, smooth_probe):
@@ -179,7 +184,7 @@ def test_states_of_matches_equal_the_twin(device, smooth_scene, smooth_probe):
     run_once(device.queue, [exposure.match(probe, 1)])
     got = read(device, probe.arena["matches"], (2, *scene.initial.shape, 8))[0, ..., 3]
     want = exposure_twin.match(scene.initial.astype(np.float64), scene.target, scene.contexts[0], None, 0.0,
-                               scene.unit)[2]
+                               scene.scene_scale)[2]
     inner = np.s_[3:-3, 3:-3]
     assert (got[inner] == want[inner]).mean() > 0.99 and (np.unique(want) == [0, 1, 2]).all()
 
@@ -202,7 +207,7 @@ def test_summaries(device):
 @pytest.mark.parametrize("noise", [0.0, 2.0, 6.0])
 def test_noise_and_texture_equal_the_twin(device, noise):
     view = relief_scene(120, 90, 1, held_out=0, noise=noise).views[0]
-    got = Grain(device, PhotoStore(device).photo(view), Size(120, 90)).read()
+    got = ImageNoise(device, PhotoStore(device).photo(view), Size(120, 90)).read()
     want = noise_and_texture(view.load_image())
     assert got[0] == pytest.approx(want[0], abs=0.6 * 1.4826 / 6**0.5 / 765)    # a median of whole numbers
     assert got[1] == pytest.approx(want[1], abs=0.02)

@@ -9,11 +9,11 @@ import rigs
 from PIL import Image
 
 from pagas_cl.errors import InputError
-from pagas_cl.made import relief_scene
 from pagas_cl.scene.readers import meshlab, read_scene
 from pagas_cl.scene.readers.meshlab import MeshLayer, read_project, write_project
 from pagas_cl.scene.readers.mlp_flavour import settle_flavour
 from pagas_cl.scene.view import View
+from pagas_cl.synthetic import relief_scene
 
 pymeshlab = pytest.importorskip("pymeshlab")
 
@@ -82,8 +82,8 @@ def test_openmvs_reading(project):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A made scene whose principal point is well off the middle, as a project with its mesh."""
-    folder = tmp_path_factory.mktemp("made")
+    """A synthetic scene whose principal point is well off the middle, as a project with its mesh."""
+    folder = tmp_path_factory.mktemp("synthetic")
     scene = relief_scene(160, 120, contexts=3, held_out=0)
     views = []
     for view in scene.views:

@@ -15,21 +15,21 @@ SOURCES = {"pagas_cl": ROOT / "pagas_cl", "pagas_cl/cl_kernels": ROOT / "cl_kern
 SHIPPED = {".py", ".cl", ".clh", ".mlx"}
 OPTIONAL = {"open3d", "pymeshlab", "pycolmap", "matplotlib", "skimage", "scipy", "dask", "distributed"}
 
-# What each part may import of the others; the flow is one way (and all may import errors, stages, config).
+# What each part may import of the others; the flow is one way (and all may import errors, config, presets).
 ALLOWED = {
-    "errors": set(), "stages": set(), "config": set(), "progress": set(), "scene": set(), "reference": {"scene"},
+    "errors": set(), "config": set(), "presets": set(), "progress": set(), "scene": set(), "reference": {"scene"},
     "runtime": {"scene", "cl_kernels"},
     "surface": {"scene", "runtime", "reference"}, "splat": {"scene", "runtime"}, "result": {"scene"},
     "jobs": {"scene", "runtime", "splat", "result", "progress"},
-    "harm": {"result"},
+    "acceptance": {"result"},
     "effects": {"measurements"}, "measurements": {"splat"},
-    "refine": {"harm", "jobs", "scene", "runtime", "surface", "splat", "result", "measurements", "effects", "keep_mesh",
-               "consistency", "progress"},
+    "refine": {"acceptance", "jobs", "scene", "runtime", "surface", "splat", "result", "measurements", "effects",
+               "keep_mesh", "consistency", "progress"},
     "camera_check": {"scene", "surface"},
-    "evaluate": {"scene"}, "made": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
+    "evaluate": {"scene"}, "synthetic": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
     "selftest": {"scene", "splat", "reference"},
 }
-WITHOUT_OPENCL = {"errors", "stages", "config", "progress", "scene", "reference", "report", "evaluate", "made",
+WITHOUT_OPENCL = {"errors", "config", "presets", "progress", "scene", "reference", "report", "evaluate", "synthetic",
                   "result"}
 # Kernel files that belong to a stage of another name.
 STAGE = {"alpha": "composite", "deviation": "evidence", "crowded": "composite"}
@@ -136,7 +136,7 @@ def test_every_public_name_is_there():
 
 @pytest.mark.parametrize("part", sorted(ALLOWED))
 def test_the_flow_of_imports_is_one_way(part):
-    may = ALLOWED[part] | {part, "errors", "stages", "config"}
+    may = ALLOWED[part] | {part, "errors", "config", "presets"}
     for name, path, tree in modules():
         if name == part:
             used = {full.split(".")[1] for full in imported(tree) if full.startswith("pagas_cl.")}

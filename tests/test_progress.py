@@ -8,7 +8,7 @@ from job_scenes import QUICK, load_small_scene, write_small_scene
 pytest.importorskip("pyopencl")
 from pagas_cl.progress import ViewProgress
 from pagas_cl.refine import refine_depth, refine_one, refine_views
-from pagas_cl.splat.told import AHEAD, Told
+from pagas_cl.splat.step_progress import AHEAD, StepProgress
 
 VIEWS = 8
 
@@ -21,7 +21,7 @@ class Event:
 def test_steps_are_told_of_when_they_have_ended():
     """Each one after a wait for it, the last AHEAD at the end: the device always has some to go on with."""
     waited, told = [], []
-    steps = Told(lambda done, total: told.append((done, total, list(waited))), 12)
+    steps = StepProgress(lambda done, total: told.append((done, total, list(waited))), 12)
     for number in range(1, 13):
         steps.enqueued(number, Event(waited, number))
         assert len(waited) == max(0, number - AHEAD)
@@ -30,7 +30,7 @@ def test_steps_are_told_of_when_they_have_ended():
 
 
 def test_nobody_asks_and_nothing_waits():
-    waited, steps = [], Told(None, 3)
+    waited, steps = [], StepProgress(None, 3)
     for number in range(20):
         steps.enqueued(number, Event(waited, number))
     steps.finish()
@@ -68,7 +68,7 @@ def test_steps_of_all_levels(device, made):
 
 @pytest.fixture(scope="module")
 def made():
-    from pagas_cl.made import relief_scene
+    from pagas_cl.synthetic import relief_scene
 
     return relief_scene(48, 36, 2, held_out=0)
 

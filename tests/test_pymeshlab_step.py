@@ -7,10 +7,11 @@ import pytest
 
 pymeshlab = pytest.importorskip("pymeshlab")
 
-from pagas_cl.errors import InputError  # noqa: E402
 from pagas_cl.filters.filter_script import saved_history  # noqa: E402
 from pagas_cl.filters.pymeshlab_step import METHOD, register, scene_views  # noqa: E402
-from pagas_cl.made import relief_scene  # noqa: E402
+
+from pagas_cl.errors import InputError  # noqa: E402
+from pagas_cl.synthetic import relief_scene  # noqa: E402
 
 FAST = "pyramid.steps=8"
 MATRIX = np.array([[0, -0.5, 0, 7.0], [0.5, 0, 0, -3], [0, 0, 0.5, 1 / 3], [0, 0, 0, 1]])
@@ -120,8 +121,9 @@ def test_displaced_layer_keeps_all_that_sits_on_it(made, tmp_path, subdivide):
 
 def test_same_as_refine_mesh(made):
     """The step is refine_mesh, in the layer's frame."""
-    import pagas_cl
     from pagas_cl.filters.parameters import request
+
+    import pagas_cl
 
     meshes = Meshes()
     meshes.add_mesh(pymeshlab.Mesh(*made.initial_mesh(3.0)), "wall")
@@ -148,8 +150,8 @@ def test_wrong_arguments_are_refused_before_anything_happens(made, arguments, se
 
 
 def test_scene_may_come_in_any_form(made, tmp_path):
-    from pagas_cl.made.disk import write_scene
     from pagas_cl.scene.view import Scene
+    from pagas_cl.synthetic.disk import write_scene
 
     write_scene(made, tmp_path / "SCENE")
     pairs = (made.cameras[:3], [v.image for v in made.views])

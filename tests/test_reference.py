@@ -12,11 +12,12 @@ from close import TWIN_RELATIVE, closeness, relative_errors
 from random_scenes import random_image
 from reference_cases import BASE, CASES, central, measured_gradient, prepared
 
-from pagas_cl.config import PAPER, Smoothness, Splatting
+from pagas_cl.config import Smoothness, Splatting
+from pagas_cl.presets import PAPER
 from pagas_cl.reference import loss as losses
 from pagas_cl.reference import smooth
-from pagas_cl.reference.pairs import ALPHA_MAX, candidates
 from pagas_cl.reference.level import render
+from pagas_cl.reference.pairs import ALPHA_MAX, candidates
 from pagas_cl.reference.project import project
 
 
@@ -52,7 +53,8 @@ def test_projection_derivatives(low_pass):
     step = 1e-4
     for context in contexts:
         def at(by, context=context):
-            return project(np.where(depth > 0, depth + by, 0), target.camera, context.camera, low_pass, state.unit)
+            return project(np.where(depth > 0, depth + by, 0), target.camera, context.camera, low_pass,
+                           state.scene_scale)
 
         here = at(0)
         v = here.valid
@@ -77,9 +79,9 @@ def test_projection_derivatives(low_pass):
         assert (pairs.alpha_d[pairs.raw > ALPHA_MAX] == 0).all()
 
 
-@pytest.mark.parametrize("kind, cut", [("planar", 1e9), ("planar", 0.7), ("planar", 0.2), ("normal", 1.0)])
-def test_smoothness_gradient(kind, cut):
-    settings = Smoothness(kind=kind, weight=0.3, huber=0.4, cut=cut)
+@pytest.mark.parametrize("kind, discontinuity", [("planar", 1e9), ("planar", 0.7), ("planar", 0.2), ("normal", 1.0)])
+def test_smoothness_gradient(kind, discontinuity):
+    settings = Smoothness(kind=kind, weight=0.3, huber=0.4, discontinuity=discontinuity)
     depth, target, contexts, state = prepared(8, BASE.with_settings(smoothness__kind=kind))
     rng = np.random.default_rng(0)
     direction = rng.standard_normal(depth.shape) * (depth > 0)

@@ -67,7 +67,7 @@ def test_blend_equals_brute_force(name):
     for context in contexts:
         rendered = render(depth, target, context, config, state)
         photo = losses.comparable(context.image, config.loss)
-        projected = project(depth, target.camera, context.camera, config.splatting.low_pass, state.unit)
+        projected = project(depth, target.camera, context.camera, config.splatting.low_pass, state.scene_scale)
         color, coverage = brute_force(projected, rendered.colors, photo, config.splatting, state.delta)
         assert np.abs(rendered.color - color).max() < 1e-12
         assert np.abs(rendered.coverage - coverage).max() < 1e-12
@@ -119,7 +119,7 @@ def test_result_is_free_of_the_order_of_arrival(blend):
     config = BASE.with_settings(splatting__blend=blend, splatting__low_pass=0.3)
     depth, target, contexts, state = prepared(12, config)
     photo, colors = contexts[0].image, target.image.reshape(-1, 3)
-    p = project(depth, target.camera, contexts[0].camera, 0.3, state.unit)
+    p = project(depth, target.camera, contexts[0].camera, 0.3, state.scene_scale)
     order = np.random.default_rng(0).permutation(len(colors))
     shuffled = Projected(*(getattr(p, name)[order] for name in Projected.__dataclass_fields__))
     one = composite(p, colors, photo, config.splatting, state.delta)
@@ -131,7 +131,7 @@ def test_result_is_free_of_the_order_of_arrival(blend):
 def test_constant_colour_stays_and_has_no_colour_gradient(settings):
     splatting = Splatting(**settings)
     depth, target, contexts, state = prepared(13, BASE)
-    projected = project(depth, target.camera, contexts[1].camera, 0.0, state.unit)
+    projected = project(depth, target.camera, contexts[1].camera, 0.0, state.scene_scale)
     colors = np.tile([0.2, 0.5, 0.7], (depth.size, 1))
     rendered = composite(projected, colors, contexts[1].image, splatting, state.delta)
     full = rendered.covered & (rendered.coverage == 1) if splatting.blend == "order_free" else rendered.covered

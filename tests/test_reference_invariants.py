@@ -9,8 +9,15 @@ from random_scenes import pose, random_image, random_scene, rotation
 from reference_cases import BASE, CASES, prepared
 
 from pagas_cl.config import Config
-from pagas_cl.reference.level import (Photo, depth_threshold, loss_and_gradient, prepare, render, view_loss,
-                                      views_of_step)
+from pagas_cl.reference.level import (
+    Photo,
+    depth_threshold,
+    loss_and_gradient,
+    prepare,
+    render,
+    view_loss,
+    views_of_step,
+)
 from pagas_cl.reference.project import median_depth, project
 from pagas_cl.scene.camera import Camera
 
@@ -55,9 +62,10 @@ def test_scale_and_place_change_nothing(scale, offset, bound):
     results = []
     for kind in (dict(), dict(scale=scale, offset=offset)):
         depth, target, contexts = random_scene(9, **kind)
-        unit = median_depth(depth)
-        state = prepare(depth / unit, target, contexts, config, unit, depth_threshold(depth / unit, 20))
-        results.append((*loss_and_gradient(depth / unit, target, contexts, config, state), state.parallax))
+        scene_scale = median_depth(depth)
+        state = prepare(depth / scene_scale, target, contexts, config, scene_scale,
+                        depth_threshold(depth / scene_scale, 20))
+        results.append((*loss_and_gradient(depth / scene_scale, target, contexts, config, state), state.parallax))
     (value, gradient, u), (value2, gradient2, u2) = results
     assert value2 == pytest.approx(value, rel=bound)
     assert closeness(gradient2, gradient).relative_l2 < bound and np.allclose(u2, u, rtol=bound)
@@ -68,7 +76,7 @@ def test_near_thresholds_marks_what_a_perturbed_twin_decides_otherwise():
     depth, target, contexts, state = prepared(15, config, width=48, height=40)
     context = contexts[0]
     size = context.camera.width, context.camera.height
-    projected = project(depth, target.camera, context.camera, 0.0, state.unit)
+    projected = project(depth, target.camera, context.camera, 0.0, state.scene_scale)
     near = near_thresholds(projected, *size, config.splatting, state.delta, pixels=1e-3, relative=1e-3)
     assert 0 < near.mean() < 0.3
     other = depth * (1 + 1e-5 * np.random.default_rng(0).standard_normal(depth.shape))

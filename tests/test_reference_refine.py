@@ -14,8 +14,8 @@ from pagas_cl.reference import resample, smooth
 from pagas_cl.reference.level import Photo, loss_and_gradient, prepare, refine
 from pagas_cl.reference.project import NEAR, median_depth, project
 from pagas_cl.reference.step import Adam, Plateau
-from pagas_cl.scene.rig import distance_unit
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.rig import viewing_distance
 
 
 def test_ssim_is_scikit_images():
@@ -67,7 +67,7 @@ def test_masked_pixels_and_unseen_pixels_have_no_say():
         a, v_color, v_coverage = losses.photometric(color, coverage, photo, loss, **kind)
         b, _, _ = losses.photometric(other, coverage, photo, loss, **kind)
         assert a == b and (v_color[~mask] == 0).all() and (v_coverage[~mask] == 0).all()
-    projected = project(depth, target.camera, contexts[0].camera, 0.0, state.unit)
+    projected = project(depth, target.camera, contexts[0].camera, 0.0, state.scene_scale)
     seen = losses.seen(projected, contexts[0].camera.width, contexts[0].camera.height)
     by_hand = np.zeros_like(seen)
     for (x, y), valid in zip(projected.m, projected.valid):
@@ -125,10 +125,10 @@ def test_plateau_falls_by_ten_and_ends():
 
 def test_parallax_unit_moves_a_pixel():
     depth, target, contexts = random_scene(5, contexts=1)
-    unit, small = median_depth(depth), 1e-6
-    initial = depth / unit
-    state = prepare(initial, target, contexts, BASE, unit, 0.05)
-    here, there = (project(initial + by * state.parallax, target.camera, contexts[0].camera, 0.0, unit)
+    scene_scale, small = median_depth(depth), 1e-6
+    initial = depth / scene_scale
+    state = prepare(initial, target, contexts, BASE, scene_scale, 0.05)
+    here, there = (project(initial + by * state.parallax, target.camera, contexts[0].camera, 0.0, scene_scale)
                    for by in (0, small))
     moved = np.linalg.norm(there.m - here.m, axis=1) / small
     used = state.parallax.ravel() > 0
@@ -141,9 +141,9 @@ def test_distance_unit_of_a_ring_of_cameras():
     for angle in np.linspace(0, 1, 5):
         R = rotation((0, angle, 0))
         cameras.append(Camera(10, 10, 10, 10, 5, 5, pose(R, np.array([100, 200, 300]) - 7 * R[2])))
-    assert distance_unit(cameras) == pytest.approx(7, rel=1e-9)
+    assert viewing_distance(cameras) == pytest.approx(7, rel=1e-9)
     parallel = [Camera(10, 10, 10, 10, 5, 5, pose(np.eye(3), (x, 0, 0))) for x in range(3)]
-    assert np.isnan(distance_unit(parallel))
+    assert np.isnan(viewing_distance(parallel))
 
 
 def test_resampling_keeps_what_it_must():
@@ -234,8 +234,8 @@ def test_what_moves_too_far_gets_its_input_back():
 
 def test_gradient_points_to_the_truth():
     truth, target, contexts = relief()
-    unit = median_depth(truth)
-    state = prepare(truth / unit, target, contexts, BASE, unit, 0.05)
+    scene_scale = median_depth(truth)
+    state = prepare(truth / scene_scale, target, contexts, BASE, scene_scale, 0.05)
     error = 0.3 * state.parallax
-    _, gradient = loss_and_gradient(truth / unit + error, target, contexts, BASE, state)
+    _, gradient = loss_and_gradient(truth / scene_scale + error, target, contexts, BASE, state)
     assert closeness(gradient * state.parallax, error / state.parallax.clip(1e-9)).cosine > 0.5

@@ -8,15 +8,15 @@ from scipy.stats import spearmanr
 
 import pagas_cl
 from pagas_cl.__main__ import run as run_command
-from pagas_cl.config import preset
 from pagas_cl.errors import InputError
-from pagas_cl.made import relief_scene
-from pagas_cl.made.disk import write_scene
+from pagas_cl.presets import preset
 from pagas_cl.runtime.device import open_device
 from pagas_cl.splat import PhotoStore
+from pagas_cl.synthetic import relief_scene
+from pagas_cl.synthetic.disk import write_scene
 from pagas_cl.tradeoffs import plan
 from pagas_cl.tradeoffs.ablation import ablation_plan, ablation_table
-from pagas_cl.tradeoffs.bench import make_benches
+from pagas_cl.tradeoffs.case import make_cases
 from pagas_cl.tradeoffs.front import fitted_exponent, pareto, rank_correlation
 from pagas_cl.tradeoffs.run import initial_depth, run
 from pagas_cl.tradeoffs.score import score
@@ -29,9 +29,9 @@ def made():
 
 
 @pytest.fixture(scope="module")
-def bench(made):
+def case(made):
     views = made.all_views
-    return make_benches(views, [made.initial_depth(v.camera) for v in views], names=[views[0].name],
+    return make_cases(views, [made.initial_depth(v.camera) for v in views], names=[views[0].name],
                         truth=[made.true_depth(v.camera) for v in views], held_out=[made.held_out[0].name])[0]
 
 
@@ -87,51 +87,51 @@ def test_work_counts_levels_by_their_pixels():
     assert plan.config_view_steps(config, 1) == pytest.approx(10 + 10)
 
 
-def test_held_out_views_take_no_part(bench, made):
-    assert made.held_out[0].name not in {view.name for view in bench.contexts}
-    assert [view.name for view in bench.held_out] == [made.held_out[0].name]
-    assert bench.truth is not None and len(bench.contexts) == 6
+def test_held_out_views_take_no_part(case, made):
+    assert made.held_out[0].name not in {view.name for view in case.contexts}
+    assert [view.name for view in case.held_out] == [made.held_out[0].name]
+    assert case.truth is not None and len(case.contexts) == 6
 
 
-def test_bench_needs_a_depth(made):
+def test_case_needs_a_depth(made):
     with pytest.raises(InputError, match="no view can be measured on"):
-        make_benches(made.views, [None] * len(made.views))
+        make_cases(made.views, [None] * len(made.views))
 
 
-def test_made_initial_depths_are_the_same_every_time_and_of_the_right_size(bench):
+def test_made_initial_depths_are_the_same_every_time_and_of_the_right_size(case):
     own = plan.changed("own", "", preset("balanced"), initial=plan.OWN_ERROR)
     random = plan.changed("random", "", preset("balanced"), initial=plan.RANDOM)
     for setting in (own, random):
-        assert np.array_equal(initial_depth(setting, bench), initial_depth(setting, bench))
-    moved = np.abs(initial_depth(own, bench) - bench.initial) / bench.parallax
-    assert moved[bench.parallax > 0].mean() == pytest.approx(0.5, rel=0.2)
-    drawn = initial_depth(random, bench)
-    assert drawn.min() >= bench.initial.min() * 0.999 and drawn.max() <= bench.initial.max() * 1.001
+        assert np.array_equal(initial_depth(setting, case), initial_depth(setting, case))
+    moved = np.abs(initial_depth(own, case) - case.initial) / case.parallax
+    assert moved[case.parallax > 0].mean() == pytest.approx(0.5, rel=0.2)
+    drawn = initial_depth(random, case)
+    assert drawn.min() >= case.initial.min() * 0.999 and drawn.max() <= case.initial.max() * 1.001
 
 
-def test_stages_go_on_from_one_another(bench):
+def test_stages_go_on_from_one_another(case):
     device = open_device(None)
     photos, one = PhotoStore(device), short("one", 15)
     both = plan.Setting("both", (one.stages[0], one.stages[0]), "staged")
-    single, staged = (run(setting, bench, device, photos) for setting in (one, both))
+    single, staged = (run(setting, case, device, photos) for setting in (one, both))
     assert staged.view_steps == 2 * single.view_steps
-    assert score(bench, staged.depth)["depth"] < score(bench, single.depth)["depth"]
+    assert score(case, staged.depth)["depth"] < score(case, single.depth)["depth"]
 
 
-def test_consistency_leaves_out_what_views_do_not_confirm(bench):
+def test_consistency_leaves_out_what_views_do_not_confirm(case):
     device = open_device(None)
     setting = short("agreed", 15, fusion__agree_pixels=0.2)
-    depth = run(setting, bench, device, PhotoStore(device)).depth
-    agreed = run(plan.replace(setting, agree=1), bench, device, PhotoStore(device))
+    depth = run(setting, case, device, PhotoStore(device)).depth
+    agreed = run(plan.replace(setting, agree=1), case, device, PhotoStore(device))
     kept = agreed.depth > 0
     assert 0 < kept.sum() < (depth > 0).sum()
     assert np.array_equal(agreed.depth[kept], depth[kept])
 
 
-def test_a_study_is_written_resumed_and_ranked(bench, tmp_path, caplog):
+def test_a_study_is_written_resumed_and_ranked(case, tmp_path, caplog):
     settings = [short("10 steps", 10), short("40 steps", 40)]
-    first = measure([bench], settings[:1], report=tmp_path)
-    study = measure([bench], settings, report=tmp_path)
+    first = measure([case], settings[:1], report=tmp_path)
+    study = measure([case], settings, report=tmp_path)
     told = json.loads((tmp_path / "tradeoff.json").read_text())
     assert len(told["records"]) == 2, "the first setting was not run again"
     assert first.points[0].seconds == next(p.seconds for p in study.points if p.name == "10 steps")
@@ -143,11 +143,11 @@ def test_a_study_is_written_resumed_and_ranked(bench, tmp_path, caplog):
     assert "| 40 steps |" in ablation_table(study.points)
 
 
-def test_a_spent_budget_leaves_settings_out_and_says_so(bench, caplog):
-    study = measure([bench], [short("long", 10**6)], budget=0.01)
+def test_a_spent_budget_leaves_settings_out_and_says_so(case, caplog):
+    study = measure([case], [short("long", 10**6)], budget=0.01)
     assert study.points == [] and study.left_out == ["long"]
     with pytest.raises(InputError, match="budget"):
-        measure([bench], [short("x", 1)], budget=0)
+        measure([case], [short("x", 1)], budget=0)
 
 
 def test_command_without_truth_judges_by_held_out_photos(tmp_path, capsys, monkeypatch):

@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 import rigs
 from fuzzing import bounded
+from pagas_cl.filters.filter_script import check_script
 
 from pagas_cl.commands._settings import build_config
-from pagas_cl.config import PRESETS, setting_names
+from pagas_cl.config import setting_names
 from pagas_cl.errors import InputError
-from pagas_cl.filters.filter_script import check_script
+from pagas_cl.presets import PRESETS
 from pagas_cl.scene import depthmap, npy
 from pagas_cl.scene.images import read_photo
 from pagas_cl.scene.mesh import to_surface
@@ -153,7 +154,7 @@ def test_a_mesh_that_claims_to_be_huge(tmp_path, body):
 
 def test_a_mesh_that_is_cut_off(tmp_path):
     pytest.importorskip("open3d", reason="reading mesh files takes Open3D")
-    from pagas_cl.made.disk import write_ply
+    from pagas_cl.synthetic.disk import write_ply
 
     corners, faces = np.random.default_rng(1).random((30, 3)), np.arange(30).reshape(10, 3)
     write_ply(tmp_path / "whole.ply", corners, faces)

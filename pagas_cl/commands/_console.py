@@ -60,8 +60,14 @@ def shown_progress(quiet: bool = False):
 
 
 def _bars():
-    from rich.progress import (BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn,
-                               TimeRemainingColumn)
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
                     TextColumn("gone,"), TimeRemainingColumn(), TextColumn("left"), console=console())
@@ -74,17 +80,17 @@ class Lines:
         self._write = write or sys.stderr.write
         self._clock = clock
         self._began: dict[str, float] = {}
-        self._told: dict[str, float] = {}
+        self._last_line: dict[str, float] = {}
 
     def __call__(self, stage: str, done: float, total: int) -> None:
         now = self._clock()
         began = self._began.setdefault(stage, now)
-        told = self._told.setdefault(stage, now)
+        last = self._last_line.setdefault(stage, now)
         finished = done >= total
         if finished:
-            self._began.pop(stage), self._told.pop(stage)
+            self._began.pop(stage), self._last_line.pop(stage)
             self._write(f"{stage}: {total} of {total} in {now - began:.0f} s\n")
-        elif done and now - told >= _LINE_EVERY:
-            self._told[stage] = now
+        elif done and now - last >= _LINE_EVERY:
+            self._last_line[stage] = now
             left = (now - began) * (total - done) / done
             self._write(f"{stage}: {int(done)} of {total}, about {left:.0f} s left\n")

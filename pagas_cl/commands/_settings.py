@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from pagas_cl.config import Config, preset, setting_names
+from pagas_cl.config import Config, setting_names
 from pagas_cl.errors import InputError
+from pagas_cl.presets import preset
 
 _YES_NO = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 

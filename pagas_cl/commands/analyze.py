@@ -51,12 +51,12 @@ def command(
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
                            progress=progress)
     show(analysis)
-    told = json.dumps(analysis.as_dict(), indent=1) + "\n"
+    text = json.dumps(analysis.as_dict(), indent=1) + "\n"
     if output is not None:
-        write_file(output, told)
+        write_file(output, text)
     if report is not None:
         report.mkdir(parents=True, exist_ok=True)
-        write_text(report / "analysis.json", told)
+        write_text(report / "analysis.json", text)
         write_text(report / "index.html", page(analysis, found.source))
 
 

@@ -22,16 +22,16 @@ def command(
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name."),
     output: Path = typer.Option(None, "--json", help="Write all figures to this file too."),
 ):
-    """Measure presets on a made scene: time of each stage, bytes moved, share of the copy bandwidth, memory."""
+    """Measure presets on a synthetic scene: time of each stage, bytes moved, share of the copy bandwidth, memory."""
     from pagas_cl.bench import bench
     from pagas_cl.commands._settings import build_config
-    from pagas_cl.made import relief_scene
+    from pagas_cl.synthetic import relief_scene
 
     check_writable("--json", output and output.parent)
-    made = relief_scene(width, round(width * 0.7477), contexts=contexts)
-    depth, results = made.initial_depth(made.cameras[0]), []
+    synthetic = relief_scene(width, round(width * 0.7477), contexts=contexts)
+    depth, results = synthetic.initial_depth(synthetic.cameras[0]), []
     for name in preset:
-        result = bench(made.views, depth, name, build_config(name, settings), device, repeats)
+        result = bench(synthetic.views, depth, name, build_config(name, settings), device, repeats)
         sys.stdout.write(result.table() + "\n")
         results.append(result.as_dict())
     if output:

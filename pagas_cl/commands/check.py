@@ -39,5 +39,5 @@ def table(report) -> str:
     for r in report.readings:
         agreement = "-" if r.agreement is None else f"{r.agreement:.3f}"
         lines.append(f"{r.name:<34}{r.seeing:>8}{r.inside:>10.1%}{agreement:>11}{r.patches:>9}")
-    told = [report.sentence] if report.ok else []  # else it is the error's sentence, on standard error
-    return "\n".join([*lines, "", report.half_pixel, *told, ""])
+    ending = [report.sentence] if report.ok else []  # else it is the error's sentence, on standard error
+    return "\n".join([*lines, "", report.half_pixel, *ending, ""])

@@ -150,22 +150,22 @@ class _Pictures:
         self.page = page
 
     def __call__(self, view, initial, result) -> None:
-        told = result.report
+        report = result.report
         remarks = [f"kept as it came: {result.reason}"] if result.reason else []
-        if told.get("contexts"):
-            remarks.append("context views: " + ", ".join(told["contexts"]))
+        if report.get("contexts"):
+            remarks.append("context views: " + ", ".join(report["contexts"]))
         for on, what in ((True, "effects simulated"), (False, "effects not called for")):
-            effects = [_decision(effect) for effect in told.get("effects", ()) if effect["on"] == on]
+            effects = [_decision(effect) for effect in report.get("effects", ()) if effect["on"] == on]
             remarks += [f"{what}: " + "; ".join(effects)] if effects else []
-        figures = {"seconds": round(told["seconds"], 2)} if "seconds" in told else {}
+        figures = {"seconds": round(report["seconds"], 2)} if "seconds" in report else {}
         self.page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
                       counts={**result.counts, **figures}, remarks=remarks)
 
 
-def _decision(told: dict) -> str:
+def _decision(fields: dict) -> str:
     from pagas_cl.effects import Decision
 
-    return str(Decision(**told))
+    return str(Decision(**fields))
 
 
 def _report(folder, found, preset, settings, place):

@@ -63,9 +63,9 @@ def _check_kind(pymeshlab, output: Path) -> None:
         return
     meshes = pymeshlab.MeshSet()
     meshes.add_mesh(pymeshlab.Mesh([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]))
-    with tempfile.TemporaryDirectory() as aside, _meshlab_chatter():
+    with tempfile.TemporaryDirectory() as scratch, _meshlab_chatter():
         try:
-            meshes.save_current_mesh(str(Path(aside) / f"a{output.suffix}"))
+            meshes.save_current_mesh(str(Path(scratch) / f"a{output.suffix}"))
         except pymeshlab.PyMeshLabException as error:
             raise InputError(f"--output {str(output)!r}: pymeshlab writes no {output.suffix!r} files, expected .ply, "
                              ".obj, .stl, .off, ... or .mlp") from error

@@ -21,7 +21,7 @@ def command(
 
     opened = open_device(device)
     logging.getLogger("pagas_cl").setLevel(logging.WARNING)     # plans of views would part the table
-    tell = _told_of(sum(len(case.blends) for case in CASES))
+    tell = _progress_of(sum(len(case.blends) for case in CASES))
     sys.stdout.write(f"{opened.info}\n{'':>9}{'case':<48}{'blend':<12}{'tolerance':>10}{'worst':>11}\n")
     outcomes = run_all(opened, tell)
     if large:
@@ -35,16 +35,16 @@ def command(
                          "results from this device; update its driver, or choose another (pagas-cl devices)")
 
 
-def _told_of(total: int):
+def _progress_of(total: int):
     """What writes a line for each outcome: which of the `total` small ones it is; large ones come after them."""
     numbers = count(1)
 
     def tell(outcome) -> None:
         case, number = outcome.case, next(numbers)
         place = f"{number}/{total}" if number <= total else "large"
-        verdict = "ok" if outcome.ok else "FAILED: " + "; ".join(outcome.faults)
+        result = "ok" if outcome.ok else "FAILED: " + "; ".join(outcome.faults)
         sys.stdout.write(f"{place:<9}{case.name:<48}{outcome.blend:<12}{case.tolerance:>10.0e}{outcome.worst:>11.1e}  "
-                         f"{verdict}\n")
+                         f"{result}\n")
         sys.stdout.flush()
 
     return tell

@@ -4,11 +4,18 @@ One module a figure: depth, predict, clouds (with sample for meshes and files, d
 """
 
 from pagas_cl.evaluate.clouds import Chamfer, FScore, VisibleSpace, chamfer, f_score
-from pagas_cl.evaluate.depth import (DepthErrors, DepthReport, compare_depth, depth_normals, dilate,
-                                     find_discontinuities, parallax_unit)
+from pagas_cl.evaluate.depth import (
+                                     DepthErrors,
+                                     DepthReport,
+                                     compare_depth,
+                                     depth_normals,
+                                     depth_per_parallax,
+                                     dilate,
+                                     find_discontinuities,
+)
 from pagas_cl.evaluate.predict import Prediction, compare_predictions, predict_photo
 from pagas_cl.evaluate.sample import load_points, sample_surface
 
 __all__ = ["Chamfer", "DepthErrors", "DepthReport", "FScore", "Prediction", "VisibleSpace", "chamfer",
            "compare_depth", "compare_predictions", "depth_normals", "dilate", "f_score", "find_discontinuities",
-           "load_points", "parallax_unit", "predict_photo", "sample_surface"]
+           "load_points", "depth_per_parallax", "predict_photo", "sample_surface"]

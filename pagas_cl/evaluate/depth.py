@@ -63,7 +63,7 @@ def compare_depth(depth, truth, camera, *, parallax=None, true_normals=None, dis
         z-depth, 0 = no surface, sizes equal to the camera's.
     camera : Camera
     parallax : float, ndarray of shape (H, W) or None
-        Depth of one pixel of parallax, scene units: see `parallax_unit`.
+        Depth of one pixel of parallax, scene units: see `depth_per_parallax`.
     true_normals : ndarray of shape (H, W, 3) or None
         Unit, camera frame, towards the camera; None takes them from the true depth.
     discontinuities : ndarray of bool, (H, W), or None
@@ -80,15 +80,15 @@ def compare_depth(depth, truth, camera, *, parallax=None, true_normals=None, dis
     inside = np.ones(truth.shape, bool) if mask is None else np.asarray(mask, bool)
     angle = _angles(depth_normals(depth, camera),
                     depth_normals(truth, camera) if true_normals is None else np.asarray(true_normals, np.float64))
-    unit = np.nan if parallax is None else np.asarray(parallax, np.float64)
-    return DepthReport(*(_errors(depth, truth, unit, angle, inside & part)
+    per_pixel = np.nan if parallax is None else np.asarray(parallax, np.float64)
+    return DepthReport(*(_errors(depth, truth, per_pixel, angle, inside & part)
                          for part in (~near, near, np.ones_like(near))))
 
 
-def _errors(depth, truth, unit, angle, where):
+def _errors(depth, truth, per_pixel, angle, where):
     both = where & (depth > 0) & (truth > 0)
     error = np.abs(depth - truth)
-    shift = np.broadcast_to(error / np.where(unit > 0, unit, np.nan), error.shape)[both]
+    shift = np.broadcast_to(error / np.where(per_pixel > 0, per_pixel, np.nan), error.shape)[both]
     turned = angle[both]
     return DepthErrors(int(both.sum()), int((where & (depth <= 0) & (truth > 0)).sum()), *_two(error[both]),
                        *_two(shift), *_two(turned))
@@ -154,7 +154,7 @@ def dilate(mask, radius: int) -> np.ndarray:
     return out
 
 
-def parallax_unit(depth, target, contexts) -> np.ndarray:
+def depth_per_parallax(depth, target, contexts) -> np.ndarray:
     """Depth that moves a pixel's point by one pixel in the other views, root mean square over those that see it.
 
     Parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 
 from pagas_cl.errors import InputError
-from pagas_cl.evaluate.depth import compare_depth, parallax_unit
+from pagas_cl.evaluate.depth import compare_depth, depth_per_parallax
 from pagas_cl.evaluate.predict import compare_predictions
 from pagas_cl.scene.depthmap import find_depth, load_depth
 
@@ -35,7 +35,7 @@ def depth_errors(scene, folder, truth_folder, *, scale=None) -> dict[str, dict]:
             continue
         others = [other.camera for other in scene.views if other is not view]
         rows[view.name] = compare_depth(depth, truth, view.camera, mask=view.load_mask(),
-                                        parallax=parallax_unit(truth, view.camera, others)).as_dict()
+                                        parallax=depth_per_parallax(truth, view.camera, others)).as_dict()
     if not rows:
         raise InputError(f"no view of {scene.source or 'the scene'} has a depth map in both {str(folder)!r} and "
                          f"{str(truth_folder)!r}; they are named <image stem>.npz")

@@ -23,7 +23,7 @@ def written(path: Path):
     """
     path = Path(path)
     beside = path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}{PART}")
-    with told_as_output_error(path):
+    with translate_os_errors(path):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with open(beside, "wb") as file:
@@ -35,7 +35,7 @@ def written(path: Path):
 
 
 @contextmanager
-def told_as_output_error(path: Path):
+def translate_os_errors(path: Path):
     """Context: what goes wrong while writing to `path`, as an OutputError of one sentence."""
     try:
         yield

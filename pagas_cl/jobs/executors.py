@@ -8,11 +8,10 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor
 
 from pagas_cl.errors import DeviceError, need
 
-
 PATIENCE = 20  # seconds to wait for a scheduler's answer
 
 
-class Here(Executor):
+class SerialExecutor(Executor):
     """Runs each task at once, in this process."""
 
     _max_workers = 1

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.jobs.disk import told_as_output_error, written
+from pagas_cl.jobs.disk import translate_os_errors, written
 from pagas_cl.jobs.task import Record, ViewTask
 from pagas_cl.result import DepthResult, confidence_of, normals_of
 from pagas_cl.scene.camera import Camera
@@ -54,7 +54,7 @@ def write_finished(folder: Path, task: ViewTask, result: DepthResult, extras: bo
         path = Path(folder) / name
         with written(path) as file:
             np.savez(file, **content)
-        with told_as_output_error(path):
+        with translate_os_errors(path):
             sizes[name] = path.stat().st_size
     report = {**result.report, **about}
     record = Record(task.name, task.stem, task.key, result.reason, result.counts, report, sizes)

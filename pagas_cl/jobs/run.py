@@ -11,7 +11,7 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, wait
 from pathlib import Path
 
 from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError
-from pagas_cl.jobs.executors import Here
+from pagas_cl.jobs.executors import SerialExecutor
 from pagas_cl.jobs.finished import find_finished, work_folder
 from pagas_cl.jobs.task import Batch, Record
 from pagas_cl.jobs.worker import STOP, attempts, run_batch
@@ -41,7 +41,7 @@ class Run:
 
     def __init__(self, executor: Executor, folder: Path, renew, on_record, inside=None):
         self.executor, self.folder, self.renew, self.on_record = executor, folder, renew, on_record
-        self._inside = (inside,) if isinstance(executor, Here) else ()
+        self._inside = (inside,) if isinstance(executor, SerialExecutor) else ()
         self._queue: deque[Batch] = deque()
         self._waiting: dict = {}
         self._errors: dict[str, list[Record]] = {}
@@ -50,7 +50,7 @@ class Run:
 
     def finish(self, batches: Iterable[Batch]) -> None:
         """Work through `batches`, which may be planned while others are at work."""
-        source, most = iter(batches), 1 if isinstance(self.executor, Here) else math.inf
+        source, most = iter(batches), 1 if isinstance(self.executor, SerialExecutor) else math.inf
         try:
             while True:
                 while len(self._waiting) < most:
@@ -105,10 +105,10 @@ class Run:
             self._refused, self._last = 0, time.monotonic()
             self.on_record(record)
             return
-        told = self._errors.setdefault(record.name, [])
-        told.append(record)
+        failures = self._errors.setdefault(record.name, [])
+        failures.append(record)
         # read by the same process again a bad file is as bad; another worker may reach what this one does not
-        if len(told) >= TRIES or record.bad_input and isinstance(self.executor, Here):
+        if len(failures) >= TRIES or record.bad_input and isinstance(self.executor, SerialExecutor):
             self._give_up(record)
             return
         log.warning("view %s has failed, it is tried again: %s", record.name, record.error)
@@ -119,15 +119,15 @@ class Run:
         if isinstance(error, DeviceError):  # the worker's fault and not the views': to another one
             self._refused += 1
             stalled = not self._done or time.monotonic() - self._last > STALLED
-            if isinstance(self.executor, Here) or self._refused >= HOPELESS and stalled:
+            if isinstance(self.executor, SerialExecutor) or self._refused >= HOPELESS and stalled:
                 raise error
             log.warning("a worker cannot work: %s", error)
             self._queue.append(batch)
             return
         for task in batch.tasks:
             record = find_finished(batch.folder, task, batch.extras)
-            told = f"{type(error).__name__}: {error}"
-            self._take(record or Record(task.name, task.stem, task.key, error=told), batch)
+            message = f"{type(error).__name__}: {error}"
+            self._take(record or Record(task.name, task.stem, task.key, error=message), batch)
 
     def _broken(self, error: BrokenExecutor) -> None:
         """A process of a pool was killed, which ends the whole pool: views that were begun three times are given up."""

@@ -20,9 +20,9 @@ _CHUNK = 1 << 22
 
 def digest_array(array: np.ndarray) -> str:
     """Hash of an array's shape, type and values."""
-    told = hashlib.blake2b(f"{array.dtype.str}{array.shape}".encode(), digest_size=16)
-    told.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8))
-    return told.hexdigest()
+    digest = hashlib.blake2b(f"{array.dtype.str}{array.shape}".encode(), digest_size=16)
+    digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8))
+    return digest.hexdigest()
 
 
 def digest_file(path) -> str:
@@ -36,11 +36,11 @@ def digest_file(path) -> str:
 
 @lru_cache(maxsize=1 << 17)
 def _digest_file(path: str, size: int, changed: int) -> str:
-    told = hashlib.blake2b(digest_size=16)
+    digest = hashlib.blake2b(digest_size=16)
     with open(path, "rb") as file:
         while part := file.read(_CHUNK):
-            told.update(part)
-    return told.hexdigest()
+            digest.update(part)
+    return digest.hexdigest()
 
 
 @dataclass(frozen=True)

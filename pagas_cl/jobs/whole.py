@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, PagasError
-from pagas_cl.jobs.disk import clear_parts, told_as_output_error
-from pagas_cl.jobs.executors import Here, dask_executor, local_pool, worker_count
+from pagas_cl.jobs.disk import clear_parts, translate_os_errors
+from pagas_cl.jobs.executors import SerialExecutor, dask_executor, local_pool, worker_count
 from pagas_cl.jobs.finished import StoredResult, find_finished, work_folder
 from pagas_cl.jobs.identity import code_version
 from pagas_cl.jobs.plan import Planner, groups, on_disk
 from pagas_cl.jobs.run import Run
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch, Record
-from pagas_cl.jobs.worker import STOP, close_benches
+from pagas_cl.jobs.worker import STOP, close_worker_contexts
 from pagas_cl.progress import ViewProgress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.partners import for_planning
@@ -78,7 +78,7 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
     finally:
         if own:
             run.close()
-        close_benches()
+        close_worker_contexts()
     shutil.rmtree(store.folder, ignore_errors=True)
     return collect.results()
 
@@ -145,13 +145,13 @@ class _Collect:
         is the caller's and not the view's fault."""
         tell = self.progress.inside(len(self.records) + number)
 
-        def told(*given):
+        def relay(*given):
             try:
                 tell(*given)
             except Exception as error:
                 raise _Ended(error) from error
 
-        return told
+        return relay
 
     def results(self) -> list:
         failed = [record for record in self.records.values() if record.error]
@@ -188,12 +188,12 @@ def _executor(executor, device):
         return executor, None, False
     if device == "all" or isinstance(device, (list, tuple)):
         return local_pool(device), lambda: local_pool(device), True
-    return Here(), None, True
+    return SerialExecutor(), None, True
 
 
 def _sent_device(device, executor):
     """What the workers are told: this process opens its device here, others choose from what is named."""
-    if isinstance(executor, Here):
+    if isinstance(executor, SerialExecutor):
         from pagas_cl.runtime.device import open_device
 
         return open_device(device)
@@ -203,7 +203,7 @@ def _sent_device(device, executor):
 def _make_ready(folder: Path) -> None:
     """A folder that can be written, without what killed runs have left."""
     work = work_folder(folder)
-    with told_as_output_error(folder):
+    with translate_os_errors(folder):
         work.mkdir(parents=True, exist_ok=True)
         clear_parts(folder)
         shutil.rmtree(work / "journal", ignore_errors=True)

@@ -11,7 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import datetime
 
 from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputError, PagasError
-from pagas_cl.jobs.disk import told_as_output_error
+from pagas_cl.jobs.disk import translate_os_errors
 from pagas_cl.jobs.finished import find_finished, work_folder, write_finished
 from pagas_cl.jobs.identity import code_version
 from pagas_cl.jobs.photos import PhotoMemory
@@ -22,11 +22,11 @@ log = logging.getLogger("pagas_cl")
 STOP = "stop"          # a file of this name in the work folder asks every worker to end after its present view
 _READERS = 6           # photos that are decoded at a time
 _one_at_a_time = threading.Lock()  # tasks of one process share a device's queue
-_benches: dict = {}
+_worker_contexts: dict = {}
 _lost: list[str] = []              # the view at which the device failed, until one is refined
 
 
-class Bench:
+class WorkerContext:
     """What a process keeps: the device with its compiled kernels, photos on the device, views by their content."""
 
     def __init__(self, device):
@@ -57,7 +57,7 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
         raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "
                           "planned the run: install the same version everywhere")
     with _one_at_a_time, ThreadPoolExecutor(_READERS) as readers, ThreadPoolExecutor(1) as writer:
-        views, ended, ahead = _bench(batch.device).views(batch), [], {}
+        views, ended, ahead = _worker_context(batch.device).views(batch), [], {}
         for task, following in zip(batch.tasks, [*batch.tasks[1:], None]):
             if (work_folder(batch.folder) / STOP).exists():
                 break
@@ -84,20 +84,21 @@ def _read_ahead(readers: ThreadPoolExecutor, task: ViewTask, views: dict) -> Fut
 
 def _attempt(batch: Batch, task: ViewTask, views: dict, depth: Future, writer: ThreadPoolExecutor, progress):
     """The record of `task` if it fails, else what promises it: `writer` is to write the result."""
-    bench, start = _bench(batch.device), time.perf_counter()
+    context, start = _worker_context(batch.device), time.perf_counter()
     note_down(batch.folder, "began", task.name)
     try:
-        result = batch.work(views, task.partners, depth.result(), batch.config, bench.device, bench.photos, progress)
+        result = batch.work(views, task.partners, depth.result(), batch.config, context.device, context.photos,
+                            progress)
     except OutputError:
         raise
     except DeviceLostError as error:
         return _without_device(batch, task, error)
     except Exception as error:  # whatever it is, the other views must not suffer
         if not isinstance(error, InputError):
-            _benches.pop(batch.device, None)  # the device may be in any state: opened anew for the next view
+            _worker_contexts.pop(batch.device, None)  # the device may be in any state: opened anew for the next view
         return _failed(batch, task, error)
     _lost.clear()
-    about = {"device": bench.device.info.title, "worker": worker_name(), "task_seconds": time.perf_counter() - start}
+    about = {"device": context.device.info.title, "worker": worker_name(), "task_seconds": time.perf_counter() - start}
     return writer.submit(_write, batch, task, result, about)
 
 
@@ -115,7 +116,7 @@ def _write(batch: Batch, task: ViewTask, result, about: dict) -> Record:
 def _without_device(batch: Batch, task: ViewTask, error: DeviceLostError) -> Record:
     """The device failed: opened anew for the next view; where it then fails again, this worker has none."""
     note_down(batch.folder, "failed", task.name)
-    _benches.pop(batch.device, None)
+    _worker_contexts.pop(batch.device, None)
     if _lost:
         _lost.clear()
         raise error
@@ -124,27 +125,27 @@ def _without_device(batch: Batch, task: ViewTask, error: DeviceLostError) -> Rec
 
 
 def _failed(batch: Batch, task: ViewTask, error: Exception) -> Record:
-    told = str(error) if isinstance(error, PagasError) else f"{type(error).__name__}: {error}"
+    message = str(error) if isinstance(error, PagasError) else f"{type(error).__name__}: {error}"
     note_down(batch.folder, "failed", task.name)
-    return Record(task.name, task.stem, task.key, error=told, bad_input=isinstance(error, InputError))
+    return Record(task.name, task.stem, task.key, error=message, bad_input=isinstance(error, InputError))
 
 
-def _bench(device) -> Bench:
-    if device not in _benches:
+def _worker_context(device) -> WorkerContext:
+    if device not in _worker_contexts:
         from pagas_cl.runtime.claim import claim_device
 
-        _benches[device] = Bench(claim_device(device))
-    return _benches[device]
+        _worker_contexts[device] = WorkerContext(claim_device(device))
+    return _worker_contexts[device]
 
 
-def close_benches() -> None:
+def close_worker_contexts() -> None:
     """Let go of everything that this process keeps between tasks, its devices too."""
     from pagas_cl.runtime.claim import give_back
 
     with _one_at_a_time:
-        for bench in _benches.values():
-            bench.photos.clear()
-        _benches.clear()
+        for context in _worker_contexts.values():
+            context.photos.clear()
+        _worker_contexts.clear()
         _lost.clear()
         give_back()
 
@@ -157,7 +158,7 @@ def worker_name() -> str:
 def note_down(folder, what: str, name: str) -> None:
     """A line in this process's journal: what it was at when it was lost can be read there."""
     path = work_folder(folder) / "journal" / f"{worker_name()}.txt"
-    with told_as_output_error(path):
+    with translate_os_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with open(path, "a", encoding="utf-8") as file:
             file.write(f"{datetime.now().isoformat(timespec='milliseconds')} {what} {name}\n")

@@ -1,6 +1,6 @@
 """Float64 NumPy twins of pagas_cl.splat: the oracle of the tests, and the readable maths (method sections 3 to 6).
 
-Everything is in the target camera's frame with lengths divided by `unit`, the median valid initial depth. Arrays are
-row-major: target pixel i is row * width + column. A function `f_vjp` is the backward of `f`; `v_x` is the gradient
+Everything is in the target camera's frame with lengths divided by `scene_scale`, the median valid initial depth. Arrays
+are row-major: target pixel i is row * width + column. A function `f_vjp` is the backward of `f`; `v_x` is the gradient
 of the loss by x, of the shape of x; `x_d` is the derivative of x by the Gaussian's own depth d.
 """

@@ -60,9 +60,10 @@ def _count(target: Camera, d: np.ndarray, pixel: np.ndarray, others: list, pixel
         found = depth[v[inside].astype(np.intp), u[inside].astype(np.intp)]
         expected[inside] += (found > 0) & (z[inside] < found * (1 + OCCLUDED))
     with np.errstate(divide="ignore", invalid="ignore"):
-        unit = np.sqrt(views / squared)  # one pixel of parallax, in depth; inf or NaN where there is none
-    unit = np.where(np.isfinite(unit), unit, 0)
-    return np.stack([np.count_nonzero((errors <= pixels * unit) & (unit > 0), axis=0), expected])
+        depth_per_parallax = np.sqrt(views / squared)  # one pixel of parallax, in depth; inf or NaN where there is none
+    depth_per_parallax = np.where(np.isfinite(depth_per_parallax), depth_per_parallax, 0)
+    return np.stack([np.count_nonzero((errors <= pixels * depth_per_parallax) & (depth_per_parallax > 0), axis=0),
+                     expected])
 
 
 def difference(depth: np.ndarray, u: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:

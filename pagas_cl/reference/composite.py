@@ -112,8 +112,8 @@ def _order_free_vjp(rendered: Rendered, v_color, v_A):
     pairs, S = rendered.pairs, np.where(rendered.total > 0, rendered.total, 1.0)
     A = np.minimum(1, S)[:, None]
     average = rendered.photo + (rendered.color.reshape(v_color.shape) - rendered.photo) / A
-    by_average = A / S[:, None] * v_color
-    v_alpha = (by_average[pairs.pixel] * (rendered.colors[pairs.gaussian] - average[pairs.pixel])).sum(axis=1)
+    v_average = A / S[:, None] * v_color
+    v_alpha = (v_average[pairs.pixel] * (rendered.colors[pairs.gaussian] - average[pairs.pixel])).sum(axis=1)
     return v_alpha + np.where(S < 1, v_A, 0.0)[pairs.pixel]
 
 

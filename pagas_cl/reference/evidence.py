@@ -17,7 +17,7 @@ def luma(image: np.ndarray) -> np.ndarray:
     return image @ np.array([0.299, 0.587, 0.114])
 
 
-def warped(depth, target, context, z_first, delta, unit):
+def warped(depth, target, context, z_first, delta, scene_scale):
     """The context photo seen from the target: grey value, its slope by the depth, and where they are defined.
 
     Parameters
@@ -26,10 +26,10 @@ def warped(depth, target, context, z_first, delta, unit):
     target, context : Photo
     z_first : ndarray of shape (H', W')
         Nearest depth of each context pixel, inf where there is none.
-    delta, unit : float
-        Depth threshold in units; scene units per unit.
+    delta, scene_scale : float
+        Depth threshold in units; scene units per device unit.
     """
-    p = project(depth, target.camera, context.camera, 0.0, unit)
+    p = project(depth, target.camera, context.camera, 0.0, scene_scale)
     photo, (height, width) = luma(context.image), context.image.shape[:2]
     u, v = (p.m - 0.5).T
     inside = p.valid & (u >= 0) & (v >= 0) & (u <= width - 1.001) & (v <= height - 1.001)
@@ -47,7 +47,7 @@ def warped(depth, target, context, z_first, delta, unit):
     return value.reshape(depth.shape), slope.reshape(depth.shape), inside.reshape(depth.shape)
 
 
-def weigh(value, slope, inside, own, grain: float = 0.0):
+def weigh(value, slope, inside, own, noise_variance: float = 0.0):
     """1 - correlation of 5x5 patches, the information on the depth (1 / variance), and where both are defined.
 
     Parameters
@@ -56,7 +56,7 @@ def weigh(value, slope, inside, own, grain: float = 0.0):
         From `warped`.
     own : ndarray of shape (H, W)
         Grey of the target's photo.
-    grain : float
+    noise_variance : float
         Variance of the photos' noise beyond NOISE.
     """
     n = _patch_sum(inside.astype(float))
@@ -64,10 +64,11 @@ def weigh(value, slope, inside, own, grain: float = 0.0):
     mw, mt, ms = mean(value), mean(own), mean(slope)
     var_w, var_t = mean(value**2) - mw**2, mean(own**2) - mt**2
     noise = NOISE**2
-    flat, cov = max(noise - grain, 1e-9), mean(value * own) - mw * mt
-    spreads = [np.maximum(v, 0) + flat for v in (var_w, var_t)]
-    possible = np.sqrt(np.maximum(1 - 4 / 9 * grain / spreads[0], 0) * np.maximum(1 - grain / spreads[1], 0))
-    correlation = (cov + flat) / np.sqrt(spreads[0] * spreads[1]) / np.maximum(possible, LEAST_POSSIBLE)
+    flat, cov = max(noise - noise_variance, 1e-9), mean(value * own) - mw * mt
+    variances = [np.maximum(v, 0) + flat for v in (var_w, var_t)]
+    possible = np.sqrt(np.maximum(1 - 4 / 9 * noise_variance / variances[0], 0)
+                       * np.maximum(1 - noise_variance / variances[1], 0))
+    correlation = (cov + flat) / np.sqrt(variances[0] * variances[1]) / np.maximum(possible, LEAST_POSSIBLE)
     product = np.maximum(var_w, 0) * np.maximum(var_t, 0)
     explained = np.minimum(np.clip(cov, 0, None) ** 2 / np.maximum(product, noise**2), 1)
     unexplained = np.maximum(var_w, 0) * (1 - explained) + noise
@@ -75,12 +76,12 @@ def weigh(value, slope, inside, own, grain: float = 0.0):
     return 1 - correlation, information, inside & (n >= LEAST_PIXELS)
 
 
-def decide(initial, refined, unit, before, after, max_move, tolerance, mismatch):
+def decide(initial, refined, depth_per_parallax, before, after, max_move, tolerance, mismatch):
     """Status of each depth: 0 no surface, 1 refined, 2 kept, 3 rejected.
 
     Parameters
     ----------
-    initial, refined, unit : ndarray of shape (H, W)
+    initial, refined, depth_per_parallax : ndarray of shape (H, W)
     before, after : ndarray of shape (H, W, 3)
         Sum of 1 - correlation, views, information.
     max_move, tolerance, mismatch : float
@@ -89,8 +90,9 @@ def decide(initial, refined, unit, before, after, max_move, tolerance, mismatch)
     cost, views = (_patch_sum(after[..., k], WINDOW) for k in (0, 1))
     seen_twice = before[..., 1] * after[..., 1]
     worse = after[..., 0] * before[..., 1] > before[..., 0] * after[..., 1] + tolerance * seen_twice
-    refused = ~(np.abs(refined - initial) <= max_move * unit) | worse & (before[..., 1] > 0) | (cost > mismatch * views)
-    unseen = (unit == 0) | (after[..., 1] == 0)
+    refused = (~(np.abs(refined - initial) <= max_move * depth_per_parallax) | worse & (before[..., 1] > 0)
+               | (cost > mismatch * views))
+    unseen = (depth_per_parallax == 0) | (after[..., 1] == 0)
     return np.select([~(initial > 0), unseen, refused], [NO_SURFACE, KEPT, REJECTED], REFINED)
 
 
@@ -131,14 +133,15 @@ def worse(before, after) -> np.ndarray:
 
 
 def refuse(status, growth):
-    """Status of shape (H, W) after what a witness speaks against was rejected.
+    """Status of shape (H, W) after what a held-out photo speaks against was rejected.
 
     Parameters
     ----------
     status : ndarray of shape (H, W)
         As `decide` leaves it.
     growth : ndarray of shape (H, W)
-        `worse` of the witness' evidence. Summed over the surroundings twice, so that nearer pixels count for more.
+        `worse` of the held-out view's evidence. Summed over the surroundings twice, so that nearer pixels count
+        for more.
     """
     around = _patch_sum(_patch_sum(growth, WINDOW), WINDOW)
     return np.where((status == REFINED) & (around > 0), REJECTED, status)
@@ -152,35 +155,36 @@ def feather(initial, refined, status):
     return np.where(status == REFINED, moved, initial)
 
 
-def deviation(depth, status, unit, before, after, spread: float, misaligned: float):
+def deviation(depth, status, depth_per_parallax, before, after, error_factor: float, misaligned: float):
     """Standard deviation of each depth of shape (H, W), units; infinite where nothing is known.
 
     Parameters
     ----------
-    depth, status, unit, before, after
+    depth, status, depth_per_parallax, before, after
         Accepted depth, and as in `decide`.
-    spread, misaligned : float
+    error_factor, misaligned : float
         See Measurements.
     """
     held = np.where((status == REFINED)[..., None], after, before)
-    bending = 0.35 * _patch_sum(bends(depth, unit)) / _patch_sum(np.ones_like(depth))
+    bending = 0.35 * _patch_sum(bends(depth, depth_per_parallax)) / _patch_sum(np.ones_like(depth))
     with np.errstate(divide="ignore", invalid="ignore"):
-        match = 0.7 / held[..., 2] + unit**2 * (bending**2 + 0.02**2)
-        total = np.sqrt(spread**2 * match + unit**2 * 0.36 * misaligned**2 / held[..., 1])
+        match = 0.7 / held[..., 2] + depth_per_parallax**2 * (bending**2 + 0.02**2)
+        total = np.sqrt(error_factor**2 * match + depth_per_parallax**2 * 0.36 * misaligned**2 / held[..., 1])
     known = (held[..., 1] > 0) & (held[..., 2] > 0)
     return np.where(status == NO_SURFACE, 0.0, np.where(known, total, np.inf))
 
 
-def bends(depth, unit, most: float = 1.4):
+def bends(depth, depth_per_parallax, most: float = 1.4):
     """Second differences of inverse depth along both directions, pixels of parallax, added; at most `most`, which also
     stands where a neighbour has no depth."""
     total = np.zeros_like(depth)
     with np.errstate(divide="ignore", invalid="ignore"):
-        inverse, kappa = np.where(depth > 0, 1 / depth, np.nan), np.where(unit > 0, depth**2 / unit, np.nan)
+        inverse = np.where(depth > 0, 1 / depth, np.nan)
+        kappa = np.where(depth_per_parallax > 0, depth**2 / depth_per_parallax, np.nan)
     for axis in (0, 1):
         inner = np.s_[1:-1] if axis == 0 else np.s_[:, 1:-1]
         total[inner] += np.nan_to_num(np.abs(np.diff(inverse, 2, axis=axis)) * kappa[inner], nan=most)
-    return np.where((depth > 0) & (unit > 0), np.minimum(total, most), 0.0)
+    return np.where((depth > 0) & (depth_per_parallax > 0), np.minimum(total, most), 0.0)
 
 
 def _patch_sum(image: np.ndarray, half: int = PATCH) -> np.ndarray:

@@ -16,7 +16,7 @@ _HALF = 2                                   # half the width of a patch
 _BLURRED = np.array([1, 11, 12, 12, 12, 11, 1]) / 12    # of a patch with its rim: blurred as looking up blurs
 
 
-def match(depth, target, context, z_first, delta, unit: float):
+def match(depth, target, context, z_first, delta, scene_scale: float):
     """Colours of both photos, means over 5x5 patches around each target pixel.
 
     Parameters
@@ -26,8 +26,8 @@ def match(depth, target, context, z_first, delta, unit: float):
     target, context : Photo
     z_first : ndarray of shape (H', W'), or None
         Nearest depth of each context pixel; None where occlusion is not simulated.
-    delta, unit : float
-        Depth threshold in units; scene units per unit.
+    delta, scene_scale : float
+        Depth threshold in units; scene units per device unit.
 
     Returns
     -------
@@ -35,7 +35,7 @@ def match(depth, target, context, z_first, delta, unit: float):
     state : ndarray of shape (H, W)
         0 not seen, 1 seen, 2 seen and nowhere near black or saturated.
     """
-    p = project(depth, target.camera, context.camera, 0.0, unit)
+    p = project(depth, target.camera, context.camera, 0.0, scene_scale)
     there, seen = look_up(context.image, p, context, depth.shape)
     if z_first is not None:
         height, width = z_first.shape
@@ -85,8 +85,8 @@ def _fit_channel(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
         total = weight.sum()
         mx, my = (weight * x).sum() / total, (weight * y).sum() / total
         ratio = my / mx
-        vx, vy = (weight * (x - mx) ** 2).sum() / total, (weight * (y - my) ** 2).sum() / total
-        gain = np.sqrt((vy + _PRIOR * ratio**2) / (vx + _PRIOR))
+        var_x, var_y = (weight * (x - mx) ** 2).sum() / total, (weight * (y - my) ** 2).sum() / total
+        gain = np.sqrt((var_y + _PRIOR * ratio**2) / (var_x + _PRIOR))
         offset = my - gain * mx
         residual = np.abs(y - gain * x - offset)
         scale = 1.5 * 1.4826 * np.median(residual) + 1e-4

@@ -10,12 +10,12 @@ from pagas_cl.config import Config
 from pagas_cl.reference import loss as losses
 from pagas_cl.reference import resample
 from pagas_cl.reference.composite import Rendered, composite, composite_vjp
+from pagas_cl.reference.gradient_filter import filter_gradient
 from pagas_cl.reference.project import is_valid, median_depth, project
 from pagas_cl.reference.smooth import smoothness
-from pagas_cl.reference.spread import spread
-from pagas_cl.reference.step import Adam, Plateau, late_share, parallax_unit
+from pagas_cl.reference.step import Adam, Plateau, depth_per_parallax, late_share
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.rig import distance_unit, footprint
+from pagas_cl.scene.rig import footprint, viewing_distance
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,8 @@ class State:
 
     Attributes
     ----------
-    unit : float
-        Scene units per unit.
+    scene_scale : float
+        Scene units per device unit.
     delta : float
         Depth threshold: range of the initial depth / slices.
     parallax : ndarray of shape (H, W)
@@ -62,14 +62,14 @@ class State:
     kappa : ndarray of shape (H, W)
         d0^2 / u; 0 where u is 0.
     distance : float
-        The distance unit of the paper's rate.
+        Viewing distance, the unit of the paper's rate.
     seen : tuple of ndarray (H', W') bool
         Of each context view.
     texture : ndarray of shape (H, W)
         w_grad of the target's photo.
     """
 
-    unit: float
+    scene_scale: float
     delta: float
     parallax: np.ndarray
     kappa: np.ndarray
@@ -93,30 +93,30 @@ def depth_threshold(depth: np.ndarray, slices: float) -> float:
     return float((d.max() - d.min()) / slices)
 
 
-def prepare(initial, target: Photo, contexts: list[Photo], config: Config, unit: float, delta: float,
+def prepare(initial, target: Photo, contexts: list[Photo], config: Config, scene_scale: float, delta: float,
             start=None) -> State:
     """The State of a level from the views at the level's size, the run's initial depth (H, W) at that size, units,
     and the depth that the level starts from (the initial one by default)."""
-    views = [project(initial, target.camera, c.camera, config.splatting.low_pass, unit) for c in contexts]
+    views = [project(initial, target.camera, c.camera, config.splatting.low_pass, scene_scale) for c in contexts]
     sizes = [(c.camera.width, c.camera.height) for c in contexts]
-    u = parallax_unit(views, sizes).reshape(initial.shape)
+    u = depth_per_parallax(views, sizes).reshape(initial.shape)
     d0 = initial if start is None else start
     kappa = np.where(u > 0, d0**2 / np.where(u > 0, u, 1.0), 0.0)
-    distance = distance_unit([target.camera, *(c.camera for c in contexts)]) / unit
-    return State(unit, delta, u, kappa, distance if np.isfinite(distance) else 1.0,
+    distance = viewing_distance([target.camera, *(c.camera for c in contexts)]) / scene_scale
+    return State(scene_scale, delta, u, kappa, distance if np.isfinite(distance) else 1.0,
                  tuple(losses.seen(view, *size) for view, size in zip(views, sizes)),
                  losses.w_grad(losses.comparable(target.image, config.loss)))
 
 
 def threshold_in(target: Photo, context: Photo, config: Config, state: State) -> float:
     """delta in the view of `context`: at least `depth_footprints` of its pixels, or a slope would hide itself."""
-    floor = config.splatting.depth_footprints * footprint(target.camera, context.camera, state.unit)
+    floor = config.splatting.depth_footprints * footprint(target.camera, context.camera, state.scene_scale)
     return max(state.delta, floor)
 
 
 def render(depth, target: Photo, context: Photo, config: Config, state: State) -> Rendered:
     """The target's Gaussians in the view of `context` (method sections 3 and 4)."""
-    projected = project(depth, target.camera, context.camera, config.splatting.low_pass, state.unit)
+    projected = project(depth, target.camera, context.camera, config.splatting.low_pass, state.scene_scale)
     photo = losses.comparable(context.image, config.loss)
     colors = losses.comparable(target.exposed_as(context), config.loss)
     return composite(projected, colors.reshape(-1, colors.shape[-1]), photo, config.splatting,
@@ -178,14 +178,15 @@ def views_of_step(step: int, number: int, per_step: int) -> list[int]:
 def run_level(depth, target: Photo, contexts: list[Photo], config: Config, state: State, steps: int):
     """Adam on one level: the depth in units after at most `steps` steps, and the loss before each of them."""
     solver, history = config.solver, []
-    length = state.parallax if solver.unit == "parallax" else np.where(state.parallax > 0, state.distance, 0.0)
+    length = state.parallax if solver.rate_unit == "parallax" else np.where(state.parallax > 0, state.distance, 0.0)
     adam = Adam.start(depth.shape, solver.beta1, solver.beta2)
     schedule = Plateau(solver.rate, solver.patience, solver.rate_floor)
     for step in range(steps):
         views = views_of_step(step, len(contexts), solver.views_per_step)
         photos, smooth = parts_of_loss(depth, target, contexts, config, state, views,
                                        raised=step >= solver.photos_first(steps))
-        value, gradient = photos[0] + smooth[0], spread(photos[1], state.parallax, solver.spread) + smooth[1]
+        filtered = filter_gradient(photos[1], state.parallax, solver.gradient_filter)
+        value, gradient = photos[0] + smooth[0], filtered + smooth[1]
         history.append(value)
         rate = schedule.next_rate(value)
         if rate == 0:
@@ -201,8 +202,8 @@ def refine(depth, target: Photo, contexts: list[Photo], config: Config) -> Refin
     Pixels that moved by more than `solver.max_move` pixels of parallax get their input back.
     """
     valid = is_valid(depth) if target.mask is None else is_valid(depth) & target.mask
-    unit = median_depth(np.where(valid, depth, 0.0))
-    initial = np.where(valid, depth, 0.0) / unit
+    scene_scale = median_depth(np.where(valid, depth, 0.0))
+    initial = np.where(valid, depth, 0.0) / scene_scale
     delta = depth_threshold(initial, config.splatting.depth_slices)
     current, history, counts = None, [], []
     for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
@@ -211,9 +212,9 @@ def refine(depth, target: Photo, contexts: list[Photo], config: Config) -> Refin
         level_initial = resample.shrink_depth(initial, *size)
         finer = level_initial if current is None else resample.enlarge_depth(current, *size)
         start = np.where((level_initial > 0) & (finer > 0), finer, level_initial)
-        state = prepare(level_initial, level_target, level_contexts, config, unit, delta, start)
+        state = prepare(level_initial, level_target, level_contexts, config, scene_scale, delta, start)
         current, values = run_level(start, level_target, level_contexts, config, state, steps)
         history += values
         counts.append(len(values))
     kept = (current == initial) | (np.abs(current - initial) > config.solver.max_move * state.parallax)
-    return Refined(np.where(valid, np.where(kept, depth, current * unit), 0.0), history, counts)
+    return Refined(np.where(valid, np.where(kept, depth, current * scene_scale), 0.0), history, counts)

@@ -1,5 +1,5 @@
-"""Twin of splat/measure: how well patches match when the depth, or the photo, is moved; the gloss of a surface (method
-section 8)."""
+"""Twin of splat/measure: how well patches match when the depth, or the photo, is moved; the specularity of a surface
+(method section 8)."""
 
 from __future__ import annotations
 
@@ -15,40 +15,41 @@ SHIFTS = np.array([-4, -2, -1, 0, 1, 2, 4])      # pixels of parallax: the first
 BETTER = 0.05                    # by so much a depth far away must match better
 
 
-def moved_cost(depth, parallax, target, context, shift: float, unit: float, aside: float = 0.0) -> np.ndarray:
+def moved_cost(depth, parallax, target, context, shift: float, scene_scale: float,
+               epipolar_offset: float = 0.0) -> np.ndarray:
     """1 - correlation of 5x5 patches of the target with the context photo, depths moved by `shift` pixels of parallax
-    and the photo by `aside` pixels across the direction in which depth moves the middle of a patch in it.
+    and the photo by `epipolar_offset` pixels across the direction in which depth moves the middle of a patch in it.
 
     Parameters
     ----------
     depth, parallax : ndarray of shape (H, W)
         d and u in units.
     target, context : Photo
-    shift, unit, aside : float
-        Pixels of parallax; scene units per unit; pixels.
+    shift, scene_scale, epipolar_offset : float
+        Pixels of parallax; scene units per device unit; pixels.
 
     Returns
     -------
     ndarray of shape (H, W); 2 where fewer than 15 pixels of the patch are seen or the target's has no texture
     """
     moved = np.where(depth > 0, depth + shift * parallax, 0.0)
-    along = project(depth, target.camera, context.camera, 0.0, unit).m_d
+    along = project(depth, target.camera, context.camera, 0.0, scene_scale).m_d
     across = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.maximum(np.linalg.norm(along, axis=1), 1e-15)[:, None]
-    landed = project(moved, target.camera, context.camera, 0.0, unit)
+    landed = project(moved, target.camera, context.camera, 0.0, scene_scale)
     photo, own = luma(context.image), luma(target.image)
     n, sums = 0, np.zeros((5, *depth.shape))
     for pixel in _patch(np.arange(depth.size).reshape(depth.shape), fill=-1):      # each pixel of all patches in turn
-        value, seen = look_up(photo, landed, context, depth.shape, aside * across, pixel.ravel())
+        value, seen = look_up(photo, landed, context, depth.shape, epipolar_offset * across, pixel.ravel())
         a, b = np.where(seen, value, 0), np.where(seen, own.ravel()[pixel], 0)
         n, sums = n + seen, sums + [a, b, a * a, b * b, a * b]
     mean = sums / np.maximum(n, 1)
     var_w, var_t = mean[2] - mean[0] ** 2, mean[3] - mean[1] ** 2
-    spread = np.sqrt((np.maximum(var_w, 0) + NOISE) * (np.maximum(var_t, 0) + NOISE))
-    correlation = (mean[4] - mean[0] * mean[1]) / spread
+    deviation = np.sqrt((np.maximum(var_w, 0) + NOISE) * (np.maximum(var_t, 0) + NOISE))
+    correlation = (mean[4] - mean[0] * mean[1]) / deviation
     return np.where((n >= LEAST_PIXELS) & (var_t >= 4 * NOISE), 1 - correlation, UNDEFINED)
 
 
-def sampled(depth, target, context, z_first, delta: float, unit: float, low_pass: float = 0.0):
+def sampled(depth, target, context, z_first, delta: float, scene_scale: float, low_pass: float = 0.0):
     """What a context view shows of each target pixel, arrays of shape (H, W), NaN where it is not seen.
 
     Parameters
@@ -58,15 +59,15 @@ def sampled(depth, target, context, z_first, delta: float, unit: float, low_pass
     target, context : Photo
     z_first : ndarray of shape (H', W')
         Nearest depth of each context pixel, inf where there is none.
-    delta, unit, low_pass : float
-        Depth threshold in units; scene units per unit; px^2.
+    delta, scene_scale, low_pass : float
+        Depth threshold in units; scene units per device unit; px^2.
 
     Returns
     -------
     hidden : 1 behind a nearer surface, else 0
     size : standard deviation of the projected Gaussian, pixels; NaN too where it is hidden
     """
-    p = project(depth, target.camera, context.camera, low_pass, unit)
+    p = project(depth, target.camera, context.camera, low_pass, scene_scale)
     seen = look_up(luma(context.image), p, context, depth.shape)[1].ravel()
     column, row = np.where(seen[:, None], p.m, 0).astype(int).T
     hidden = p.z > z_first[row, column] + delta
@@ -75,7 +76,7 @@ def sampled(depth, target, context, z_first, delta: float, unit: float, low_pass
             np.where(seen & ~hidden, size, np.nan).reshape(depth.shape))
 
 
-def told(costs: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def votes(costs: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """What one view adds to the totals of each sample, shape (2 + shifts, ...): whether it sees it, whether it can
     tell, its costs (moves, ...) by shift where it can."""
     shifts = costs[:len(SHIFTS)]
@@ -91,27 +92,27 @@ def like(costs: np.ndarray) -> np.ndarray:
     return np.where((here < TEXTURED) & other, 0.0, 1.0)
 
 
-def judged(depth, totals, gloss):
+def judged(depth, totals, specularity):
     """What all views say of each sample, three arrays of shape (H, W), NaN where nothing is known.
 
     Parameters
     ----------
     depth : ndarray of shape (H, W)
     totals : ndarray of shape (2 + shifts, H, W)
-        Sum of `told` over the views.
-    gloss : ndarray of shape (views, H, W)
+        Sum of `votes` over the views.
+    specularity : ndarray of shape (views, H, W)
 
     Returns
     -------
     seen : 1 where some view sees the surface, else 0
     far : 1 where the photos match clearly better two or more pixels of parallax away, else 0
-    gloss : mean over the views
+    specularity : mean over the views
     """
     costs, telling = totals[2:] / np.maximum(totals[1], 1), totals[1] > 0
     away = np.abs(SHIFTS) >= 2
     far = costs[away].min(axis=0) < costs[~away].min(axis=0) - BETTER
-    known = np.isfinite(gloss).sum(axis=0)
-    mean = np.nansum(gloss, axis=0) / np.maximum(known, 1)
+    known = np.isfinite(specularity).sum(axis=0)
+    mean = np.nansum(specularity, axis=0) / np.maximum(known, 1)
     return (np.where(depth > 0, totals[0] > 0, np.nan), np.where(telling, far, np.nan),
             np.where(known > 0, mean, np.nan))
 
@@ -127,7 +128,7 @@ def least_at(costs: np.ndarray) -> np.ndarray:
     return np.where((costs < TEXTURED).all(axis=0) & (least <= OTHER), best - 2 + fine, np.nan)
 
 
-def gloss(own, other, state, like, gain) -> np.ndarray:
+def specularity(own, other, state, like, gain) -> np.ndarray:
     """What an exposure fit leaves of matched colours, averaged over 5x5 samples; NaN where fewer than 13 tell.
 
     Parameters

@@ -48,7 +48,7 @@ class Projected:
 
 
 def median_depth(depth: np.ndarray) -> float:
-    """The `unit` of a run: the median of the valid depths, scene units."""
+    """The `scene_scale` of a run: the median of the valid depths, scene units."""
     return float(np.median(depth[is_valid(depth)]))
 
 
@@ -63,22 +63,23 @@ def gaussian_radius(camera: Camera) -> np.ndarray:
     return 1 / (2 * np.sqrt(camera.fx * camera.fy) * np.linalg.norm(camera.rays(), axis=-1))
 
 
-def project(depth: np.ndarray, target: Camera, context: Camera, low_pass: float = 0.0, unit: float = 1.0) -> Projected:
+def project(depth: np.ndarray, target: Camera, context: Camera, low_pass: float = 0.0,
+            scene_scale: float = 1.0) -> Projected:
     """Project the Gaussians of `target` into `context` (method section 3).
 
     Parameters
     ----------
     depth : ndarray of shape (target.height, target.width)
-        z-depth in units (scene units divided by `unit`), 0 = no surface.
+        z-depth in units (scene units divided by `scene_scale`), 0 = no surface.
     low_pass : float
         eps, px^2; 0 leaves low-pass and compensation out.
-    unit : float
-        Length of one unit in scene units (the cameras are in scene units).
+    scene_scale : float
+        Length of one device unit in scene units (the cameras are in scene units).
     """
     valid = is_valid(depth).ravel()
     d = np.where(valid, depth.ravel(), 1.0)
     R, tau = context.relative_to(target)
-    tau = tau / unit
+    tau = tau / scene_scale
     q = target.rays().reshape(-1, 3) @ R.T
     sigma = gaussian_radius(target).ravel()
     z = d * q[:, 2] + tau[2]

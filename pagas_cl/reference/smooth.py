@@ -29,24 +29,24 @@ def smoothness(depth, valid, settings: Smoothness, kappa, rays, texture):
         return 0.0, np.zeros(depth.shape)
     if settings.kind == "planar":
         return planar(depth, valid, kappa, 1 - settings.texture * texture, settings.weight, settings.huber,
-                      settings.cut)
+                      settings.discontinuity)
     return normal(depth, valid, rays, 1 - texture, settings.weight)
 
 
-def penalty(e: np.ndarray, h: float, cut: float = np.inf):
-    """What a second difference e costs, and its derivative clip(e / h, -1, 1) fading(|e| / cut): Huber's, up to |e| =
-    cut, beyond which the cost is constant: a discontinuity."""
-    size = np.minimum(np.abs(e), cut)
+def penalty(e: np.ndarray, h: float, discontinuity: float = np.inf):
+    """What a second difference e costs, and its derivative clip(e / h, -1, 1) fading(|e| / discontinuity): Huber's,
+    up to |e| = discontinuity, beyond which the cost is constant: a discontinuity."""
+    size = np.minimum(np.abs(e), discontinuity)
     inner = np.minimum(size, h)
-    y = (inner / cut) ** 8
+    y = (inner / discontinuity) ** 8
     value = inner**2 / (2 * h) * (1 - 2 / 5 * y + y * y / 9)
-    value = value + _fading_integral(size, cut) - _fading_integral(inner, cut)
-    return value, np.clip(e / h, -1, 1) * fading(np.abs(e) / cut)
+    value = value + _fading_integral(size, discontinuity) - _fading_integral(inner, discontinuity)
+    return value, np.clip(e / h, -1, 1) * fading(np.abs(e) / discontinuity)
 
 
-def _fading_integral(e, cut):
-    """Integral of fading(t / cut) from 0 to e."""
-    y = (e / cut) ** 8
+def _fading_integral(e, discontinuity):
+    """Integral of fading(t / discontinuity) from 0 to e."""
+    y = (e / discontinuity) ** 8
     return e * (1 - 2 / 9 * y + y * y / 17)
 
 
@@ -64,9 +64,9 @@ def second_differences(depth, valid, kappa):
     return e * kappa
 
 
-def planar(depth, valid, kappa, pixel_weight, weight, h, cut=np.inf):
+def planar(depth, valid, kappa, pixel_weight, weight, h, discontinuity=np.inf):
     """weight / N sum_i pixel_weight_i (penalty(e_x) + penalty(e_y)), e of `second_differences`, pixels of parallax."""
-    value, slope = penalty(second_differences(depth, valid, kappa), h, cut)
+    value, slope = penalty(second_differences(depth, valid, kappa), h, discontinuity)
     scale = weight / depth.size * pixel_weight
     v_e = scale * slope * kappa  # e is 0 where it is not defined, and so is the slope
     v_w = np.zeros(depth.shape)
@@ -125,16 +125,16 @@ def normal(depth, valid, rays, pixel_weight, weight):
     return value, np.where(valid, (v_P * rays).sum(axis=-1), 0.0)
 
 
-def raised(weights, gloss, most: float):
-    """Weights (H, W) raised where a surface is glossy: by (largest residual within 3 samples / 0.007)^2, 1 to `most`.
+def raised(weights, specularity, most: float):
+    """Weights (H, W) raised where a surface is specular: by (largest residual within 3 samples / 0.007)^2, 1 to `most`.
 
-    `gloss`: residuals on a grid over the image, NaN = unknown; the factors are interpolated between its samples.
+    `specularity`: residuals on a grid over the image, NaN = unknown; the factors are interpolated between its samples.
     """
     around = 3
-    padded = np.pad(np.nan_to_num(gloss), around)
+    padded = np.pad(np.nan_to_num(specularity), around)
     largest = np.lib.stride_tricks.sliding_window_view(padded, (2 * around + 1,) * 2).max(axis=(2, 3))
     factors = np.clip((largest / 0.007) ** 2, 1.0, most)
-    for axis, (pixels, samples) in enumerate(zip(weights.shape, gloss.shape)):
+    for axis, (pixels, samples) in enumerate(zip(weights.shape, specularity.shape)):
         at = np.clip((np.arange(pixels) + 0.5) * samples / pixels - 0.5, 0, samples - 1)
         low = at.astype(int)
         share = (at - low)[:, None] if axis == 0 else at - low

@@ -9,7 +9,7 @@ import numpy as np
 from pagas_cl.reference.project import NEAR, Projected
 
 
-def parallax_unit(projections: list[Projected], sizes: list[tuple[int, int]]) -> np.ndarray:
+def depth_per_parallax(projections: list[Projected], sizes: list[tuple[int, int]]) -> np.ndarray:
     """u of shape (N,): the change of depth that moves the projected mean by one pixel, root mean square over views.
 
     u = 1 / sqrt(mean_v |dm/dd|^2) over the context views where z > near and m is inside the image, `sizes` being
@@ -52,7 +52,7 @@ class Adam:
         depth, gradient : ndarray of shape (H, W)
             d in units and N dL/dd; depth 0 = no surface stays 0.
         length : ndarray of shape (H, W)
-            u ("parallax") or the distance unit ("distance"), units; pixels where it is 0 are fixed.
+            u ("parallax") or the viewing distance ("distance"), units; pixels where it is 0 are fixed.
         rate, damping : float
             Step in `length`, and Adam's epsilon.
         """

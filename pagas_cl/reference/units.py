@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from pagas_cl.scene.depthmap import surface_depth
+from pagas_cl.scene.scene_scale import FAR, NEAR, scene_scale_of
 from pagas_cl.scene.status import KEPT, NO_SURFACE, REFINED
-from pagas_cl.scene.unit import FAR, NEAR, unit_of
 
 
 def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.ndarray, float]:
-    """Depth in units of its median, float32, 0 where there is none, and that unit.
+    """Depth in units of its median, float32, 0 where there is none, and that median, the scene's scale.
 
     Depths outside NEAR to FAR units, masked out or not finite have no Gaussian.
     """
     depth = depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32)
-    unit = unit_of(depth, mask)
+    scene_scale = scene_scale_of(depth, mask)
     with np.errstate(over="ignore", invalid="ignore"):
-        scaled = (depth / np.asarray(unit, depth.dtype)).astype(np.float32)
+        scaled = (depth / np.asarray(scene_scale, depth.dtype)).astype(np.float32)
         valid = (depth > 0) & (depth < np.inf) & (scaled >= NEAR) & (scaled <= FAR)
-    return np.where(valid if mask is None else valid & mask, scaled, np.float32(0)), unit
+    return np.where(valid if mask is None else valid & mask, scaled, np.float32(0)), scene_scale
 
 
 def depth_range(normalized: np.ndarray) -> float:
@@ -28,13 +28,13 @@ def depth_range(normalized: np.ndarray) -> float:
     return float(surface.max() - surface.min()) if surface.size else 0.0
 
 
-def in_scene_units(refined, parallax, deviation, status, unit: float, given: np.ndarray):
+def in_scene_units(refined, parallax, deviation, status, scene_scale: float, given: np.ndarray):
     """(depth, parallax, deviation, status) as a view gives them back.
 
     A depth that was not refined comes back with the bits that it came with; a surface without a Gaussian (masked out,
     or too near or far) counts as kept.
     """
-    depth = np.where(status == REFINED, refined * np.float32(unit), surface_depth(given))
-    aside = (status == NO_SURFACE) & (depth > 0)
-    return (depth, parallax * np.float32(unit), np.where(aside, np.float32(np.inf), deviation * np.float32(unit)),
-            np.where(aside, np.uint8(KEPT), status))
+    depth = np.where(status == REFINED, refined * np.float32(scene_scale), surface_depth(given))
+    without_gaussian = (status == NO_SURFACE) & (depth > 0)
+    scaled = np.where(without_gaussian, np.float32(np.inf), deviation * np.float32(scene_scale))
+    return depth, parallax * np.float32(scene_scale), scaled, np.where(without_gaussian, np.uint8(KEPT), status)

@@ -88,8 +88,8 @@ class Report:
         columns = list(dict.fromkeys(key for row in self._views for key in row)) or ["view"]
         rows = [[_cell(row.get(key)) for key in columns] for row in self._views]
         page = self.folder / "index.html"
-        told = {"notes": self.notes, "views": self._views}
-        write_text(self.folder / "report.json", json.dumps(told, indent=1) + "\n")
+        content = {"notes": self.notes, "views": self._views}
+        write_text(self.folder / "report.json", json.dumps(content, indent=1) + "\n")
         legend = LEGEND if self._views else []
         write_text(page, html_page(self.title, self.notes, columns, rows, self._sections, legend))
         return page

@@ -17,7 +17,7 @@ _OF_DRIVERS = -9999       # NVIDIA's code for an access that its hardware refuse
 
 
 @contextmanager
-def told_as_device_error(device, doing: str):
+def translate_cl_errors(device, doing: str):
     """Context: errors of the driver while `doing` (a noun phrase) on `device`, as ours; others as they are.
 
     Raises

@@ -64,8 +64,8 @@ def build(device, name: str, defines: tuple[str, ...] = ()) -> cl.Program:
 
 
 def _first_line(log: str) -> str:
-    told = [line.strip() for line in log.splitlines() if "error" in line.lower()]
-    return told[0] if told else log.strip().splitlines()[0]
+    errors = [line.strip() for line in log.splitlines() if "error" in line.lower()]
+    return errors[0] if errors else log.strip().splitlines()[0]
 
 
 class _Kernel:

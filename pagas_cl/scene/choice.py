@@ -14,7 +14,7 @@ import numpy as np
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.sampling import SAMPLES, DepthSample, spread_pixels
+from pagas_cl.scene.sampling import SAMPLES, DepthSample, sample_pixels
 
 _MANY = 64              # with more cameras than this the candidates are cut first
 _HIDDEN = 1.02          # a point this much deeper than the other view's own surface is hidden there
@@ -106,7 +106,7 @@ class ContextChooser:
             keep = slice(None, None, max(1, -(-len(depth.rows) // samples)))
             rows, columns, z = depth.rows[keep], depth.columns[keep], depth.depth[keep]
         else:
-            rows, columns = spread_pixels(depth, samples)
+            rows, columns = sample_pixels(depth, samples)
             z = depth[rows, columns]
         z = z.astype(np.float64)
         rho = np.stack([(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy,
@@ -121,11 +121,11 @@ class ContextChooser:
         middle = np.median(points, axis=0)  # all cameras, one point: distance, angle, side
         away = middle - self._centers
         distance = np.maximum(np.sqrt(np.einsum("ni,ni->n", away, away)), 1e-300)
-        spread = np.percentile(np.linalg.norm(points - middle, axis=1), 90) / distance[target]
+        extent = np.percentile(np.linalg.norm(points - middle, axis=1), 90) / distance[target]
         angle = np.degrees(np.arccos(np.clip(away @ away[target] / (distance * distance[target]), -1, 1)))
         coarser = distance / self._focal[:, 0] / (distance[target] / self._focal[target, 0])
-        ahead = np.einsum("ni,ni->n", away, self._rotations[:, 2]) > -spread * distance[target]
-        near = ahead & (angle <= self.settings.max_angle + np.degrees(np.arctan(spread))) & (coarser < 8)
+        ahead = np.einsum("ni,ni->n", away, self._rotations[:, 2]) > -extent * distance[target]
+        near = ahead & (angle <= self.settings.max_angle + np.degrees(np.arctan(extent))) & (coarser < 8)
         near[target] = False
         found = np.flatnonzero(near)
         if len(found) > 16 * keep:
@@ -183,8 +183,8 @@ class ContextChooser:
                    f"are too close to its place (rays below {s.min_angle:g} degrees)"),
                   (int((middle >= s.min_angle).sum()),
                    f"look from too far aside (rays above {s.max_angle:g} degrees)")]
-        told = "; ".join(f"{n} {what}" for n, what in causes if n)
-        return f"{found} of {others} other views are usable" + (f": {told}" if told else "")
+        reasons = "; ".join(f"{n} {what}" for n, what in causes if n)
+        return f"{found} of {others} other views are usable" + (f": {reasons}" if reasons else "")
 
 
 def _angle_score(angle: np.ndarray, settings: Context) -> np.ndarray:

@@ -59,7 +59,7 @@ def _write_ply(path: Path, surface: Surface) -> None:
     faces = np.empty(len(surface.faces), np.dtype([("count", "u1"), ("face", "<i4", 3)]))
     faces["count"], faces["face"] = 3, surface.faces
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}",
-              *(f"property {told} {name}" for name, _, told, _ in columns), f"element face {len(faces)}",
+              *(f"property {ply_type} {name}" for name, _, ply_type, _ in columns), f"element face {len(faces)}",
               "property list uchar int vertex_indices", "end_header"]
     with open(path, "wb") as file:
         file.write(("\n".join(header) + "\n").encode("ascii"))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from pagas_cl.config import Context
+from pagas_cl.config import MOST_CONTEXTS, Context
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.sampling import DepthSample, sample_depth
-from pagas_cl.stages import MOST_CONTEXTS
 
-WITNESSES = 3  # most views that only judge
+MOST_HELD_OUT = 3  # most views that only judge
 SPARE_ONE = 6  # with so many usable views, one is spared for that even where all could be used
 _MANY = 64  # with more views than this, planning looks at samples of their depth maps
 
@@ -24,7 +23,7 @@ class Partners:
     target : int
     contexts : tuple of int
         Most useful first; empty where no view is usable.
-    witnesses : tuple of int
+    held_out : tuple of int
         Usable views that take no part.
     reason : str
         Why there are fewer context views than wanted.
@@ -32,13 +31,13 @@ class Partners:
 
     target: int
     contexts: tuple[int, ...]
-    witnesses: tuple[int, ...] = ()
+    held_out: tuple[int, ...] = ()
     reason: str = ""
 
     @property
     def all(self) -> tuple[int, ...]:
         """Every view that is needed."""
-        return (self.target, *self.contexts, *self.witnesses)
+        return (self.target, *self.contexts, *self.held_out)
 
 
 def for_planning(depth, views: int):
@@ -47,9 +46,9 @@ def for_planning(depth, views: int):
 
 
 def shared_out(usable, number: int):
-    """Of usable views, most useful first: the context views, at most `number`, and the witnesses."""
+    """Of usable views, most useful first: the context views, at most `number`, and the held-out views."""
     used = min(number, len(usable) - 1 if len(usable) >= SPARE_ONE else len(usable))
-    return usable[:used], usable[used:number + WITNESSES]
+    return usable[:used], usable[used:number + MOST_HELD_OUT]
 
 
 class PartnerChooser:
@@ -58,7 +57,7 @@ class PartnerChooser:
     def __init__(self, cameras: list[Camera], depths: list, settings: Context):
         self._number = settings.number
         depths = [for_planning(depth, len(cameras)) for depth in depths]
-        more = min(settings.number + WITNESSES, MOST_CONTEXTS)
+        more = min(settings.number + MOST_HELD_OUT, MOST_CONTEXTS)
         self._chooser = ContextChooser(cameras, depths, replace(settings, number=more))
 
     def choose(self, target: int) -> Partners:

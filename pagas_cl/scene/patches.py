@@ -152,10 +152,10 @@ def _look_up(grey: np.ndarray, camera: Camera, points: np.ndarray) -> np.ndarray
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     a, b = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=1, keepdims=True)
-    spread = [np.sqrt((p * p).mean(axis=1)) for p in (a, b)]
+    deviation = [np.sqrt((p * p).mean(axis=1)) for p in (a, b)]
     with np.errstate(divide="ignore", invalid="ignore"):
-        value = (a * b).mean(axis=1) / (spread[0] * spread[1])
-    return np.where((spread[0] > _LEAST_TEXTURE) & (spread[1] > 0.3 * _LEAST_TEXTURE), value, np.nan)
+        value = (a * b).mean(axis=1) / (deviation[0] * deviation[1])
+    return np.where((deviation[0] > _LEAST_TEXTURE) & (deviation[1] > 0.3 * _LEAST_TEXTURE), value, np.nan)
 
 
 def grey_of(image: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from pagas_cl.scene.camera import Camera
 
 
-def distance_unit(cameras: list[Camera]) -> float:
+def viewing_distance(cameras: list[Camera]) -> float:
     """Median distance of the cameras from the point they look at, scene units (the paper's unit of the rate).
 
     The point is the one nearest to all viewing axes. NaN where the axes are parallel or the point lies behind most
@@ -27,22 +27,22 @@ def distance_unit(cameras: list[Camera]) -> float:
     return float(np.median(np.linalg.norm(to_point, axis=1)))
 
 
-def footprint(target: Camera, context: Camera, unit: float) -> float:
-    """Size of a pixel of `context` where it sees the middle of the target at the depth `unit`, in units;
+def footprint(target: Camera, context: Camera, scene_scale: float) -> float:
+    """Size of a pixel of `context` where it sees the middle of the target at the depth `scene_scale`, in units;
     0 behind it."""
     rotation, tau = context.relative_to(target)
-    z = rotation[2, 2] + tau[2] / unit
+    z = rotation[2, 2] + tau[2] / scene_scale
     return max(0.0, float(z)) / float(np.sqrt(context.fx * context.fy))
 
 
-def camera_table(target: Camera, contexts: list[Camera], unit: float) -> np.ndarray:
+def camera_table(target: Camera, contexts: list[Camera], scene_scale: float) -> np.ndarray:
     """The cameras as camera.clh reads them, target first: float32 of shape (1 + contexts, 20).
 
-    Relative poses are formed in float64 (method section 2); lengths are divided by `unit`.
+    Relative poses are formed in float64 (method section 2); lengths are divided by `scene_scale`.
     """
     rows = []
     for camera in (target, *contexts):
         rotation, tau = camera.relative_to(target)
-        rows.append([*rotation.ravel(), *(tau / unit), camera.fx, camera.fy, camera.cx, camera.cy, 1 / camera.fx,
+        rows.append([*rotation.ravel(), *(tau / scene_scale), camera.fx, camera.fy, camera.cx, camera.cy, 1 / camera.fx,
                      1 / camera.fy, camera.width, camera.height])
     return np.array(rows, np.float32)

@@ -38,7 +38,7 @@ class DepthSample:
 
 def sample_depth(depth: np.ndarray) -> DepthSample:
     """Cut a depth map (H, W) down."""
-    rows, columns = spread_pixels(depth)
+    rows, columns = sample_pixels(depth)
     size = _cell(depth.shape)
     padded = np.zeros([-(-n // size) * size for n in depth.shape], np.float32)
     padded[:depth.shape[0], :depth.shape[1]] = depth
@@ -48,7 +48,7 @@ def sample_depth(depth: np.ndarray) -> DepthSample:
                        farthest, tuple(depth.shape))
 
 
-def spread_pixels(depth: np.ndarray, samples: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
+def sample_pixels(depth: np.ndarray, samples: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of up to `samples` valid (> 0) pixels, on a regular lattice as coarse as that allows."""
     step = max(1, int(np.sqrt(depth.size / samples)))
     while True:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from pagas_cl.config import BALANCED, PAPER, Config
+from pagas_cl.config import Config
+from pagas_cl.presets import BALANCED, PAPER
 from pagas_cl.selftest.scenes import HardScene
 
 PLAIN = dict(smoothness__kind="none", smoothness__weight=0.0, solver__views_per_step=0, solver__patience=5)

@@ -37,11 +37,11 @@ class Outcome:
 def run_case(case: Case, blend: str, device) -> Outcome:
     """Run one case on an open device."""
     scene, config, faults = case.scene(), config_of(case, blend), []
-    initial, unit = normalized(scene)
+    initial, scene_scale = normalized(scene)
     rng = np.random.default_rng(3)
     at = np.where(initial > 0, initial * (1 + case.noise * rng.standard_normal(initial.shape)), 0).astype(np.float32)
-    got, loss, length = device_gradient(scene, config, device, initial, at, unit)
-    again, loss_again, _ = device_gradient(scene, config, device, initial, at, unit)
+    got, loss, length = device_gradient(scene, config, device, initial, at, scene_scale)
+    again, loss_again, _ = device_gradient(scene, config, device, initial, at, scene_scale)
     if got.tobytes() != again.tobytes() or loss != loss_again:
         faults.append("a second run gives other bits")
     if not (np.isfinite(got).all() and np.isfinite(loss)):
@@ -50,7 +50,7 @@ def run_case(case: Case, blend: str, device) -> Outcome:
         faults.append("no pixel is seen with parallax: the case shows nothing")
     worst = 0.0
     if (initial > 0).any():
-        want, _ = twin_gradient(scene, config, initial, at, unit)
+        want, _ = twin_gradient(scene, config, initial, at, scene_scale)
         worst = difference(got, want, length)
         if not worst <= case.tolerance:
             faults.append(f"gradient differs from the twin by {worst:.3g}")
@@ -69,7 +69,7 @@ def difference(got, want, length) -> float:
 
 
 def normalized(scene: HardScene):
-    """Initial depth (H, W) in units of its median, 0 where there is none, and that unit."""
+    """Initial depth (H, W) in units of its median, 0 where there is none, and that median, scene units."""
     from pagas_cl.reference.units import normalized_depth
 
     return normalized_depth(scene.depth, scene.target.load_mask())
@@ -80,8 +80,9 @@ def _threshold(initial, config: Config) -> float:
     return float(d.max() - d.min()) / config.splatting.depth_slices if d.size else 0.0
 
 
-def device_gradient(scene: HardScene, config: Config, device, initial, at, unit):
-    """N dL/dd (H, W) and L of the depth `at` on the device, and the parallax unit (H, W), all in units."""
+def device_gradient(scene: HardScene, config: Config, device, initial, at, scene_scale):
+    """N dL/dd (H, W) and L of the depth `at` on the device, and the depth of a pixel of parallax (H, W);
+    all in units."""
     import pyopencl as cl
 
     from pagas_cl.splat.level import Level, LevelInput
@@ -89,25 +90,25 @@ def device_gradient(scene: HardScene, config: Config, device, initial, at, unit)
     from pagas_cl.splat.step import loss_of
 
     photos, views = PhotoStore(device), [scene.target, *scene.contexts]
-    level = Level(device, config, LevelInput([v.camera for v in views], [photos.photo(v) for v in views], unit,
+    level = Level(device, config, LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene_scale,
                                              _threshold(initial, config), 1.0, len(scene.contexts)))
-    level.enter(lambda out: cl.enqueue_copy(device.queue, out, initial))
+    level.prepare(lambda out: cl.enqueue_copy(device.queue, out, initial))
     level.start(lambda out: None)
     level.raise_smoothness()
     cl.enqueue_copy(device.queue, level.arena["depth"], at)
     for launch in level.gradient_launches(0):
         launch.enqueue(device.queue)
-    found = level.read("gradient", at.shape), loss_of(level), level.read("unit", at.shape)
+    found = level.read("gradient", at.shape), loss_of(level), level.read("depth_per_parallax", at.shape)
     level.release()
     return found
 
 
-def twin_gradient(scene: HardScene, config: Config, initial, at, unit, more: float = 0.0):
+def twin_gradient(scene: HardScene, config: Config, initial, at, scene_scale, more: float = 0.0):
     """The same gradient and loss by the float64 twin; the depth threshold larger by `more`."""
     from pagas_cl.reference.level import Photo, loss_and_gradient, prepare
 
     target, contexts = Photo.from_view(scene.target), [Photo.from_view(v) for v in scene.contexts]
-    state = prepare(initial.astype(np.float64), target, contexts, config, unit,
+    state = prepare(initial.astype(np.float64), target, contexts, config, scene_scale,
                     _threshold(initial, config) + more)
     value, gradient = loss_and_gradient(at.astype(np.float64), target, contexts, config, state)
     return gradient, value

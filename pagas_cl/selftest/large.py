@@ -49,10 +49,10 @@ def _cut(view: View) -> View:
     return View(cut, view.image[-WINDOW:, -WINDOW:])
 
 
-def corner_gradient(large: Large, config, at, unit) -> np.ndarray:
+def corner_gradient(large: Large, config, at, scene_scale) -> np.ndarray:
     """What the twin gives for the window, with the pixel and window counts of the whole."""
     share, (height, width) = config.loss.ssim, large.whole.depth.shape
-    given = large.corner, at, at, unit
+    given = large.corner, at, at, scene_scale
     parts = []
     for ssim in (0.0, 1.0):
         only = config.with_settings(loss__ssim=ssim)

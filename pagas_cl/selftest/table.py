@@ -82,15 +82,17 @@ _LIMITS = [
     ("loss__huber", 0.0), ("loss__huber", 1.0), ("loss__robust", 2.0), ("loss__robust", 1e-6),
 ]
 _STEP_LIMITS = [
-    ("smoothness__weight", 100.0), ("smoothness__huber", 1e-6), ("smoothness__huber", 1e6), ("smoothness__cut", 1e-6),
-    ("smoothness__cut", 1e12), ("smoothness__texture", 1.0), ("smoothness__kind", "normal"), ("solver__rate", 100.0),
+    ("smoothness__weight", 100.0), ("smoothness__huber", 1e-6), ("smoothness__huber", 1e6),
+    ("smoothness__discontinuity", 1e-6), ("smoothness__discontinuity", 1e12), ("smoothness__texture", 1.0),
+    ("smoothness__kind", "normal"), ("solver__rate", 100.0),
     ("solver__rate", 1e-12), ("solver__damping", 0.0), ("solver__damping", 1e3), ("solver__patience", 1),
     ("solver__patience", 10**6), ("solver__rate_floor", 0.0), ("solver__rate_floor", 1.0), ("solver__final_rate", 0.0),
     ("solver__views_per_step", 10**4), ("solver__max_move", 0.0), ("solver__tolerance", 0.0),
-    ("solver__unit", "distance"), ("solver__beta1", 0.0), ("solver__beta2", 0.0), ("solver__beta2", 0.9999),
-    ("solver__spread", 0), ("solver__spread", 16), ("solver__mismatch", 0.0), ("solver__mismatch", 2.0),
-    ("solver__early_damping", 1.0), ("solver__early_damping", 1e3), ("smoothness__gloss", 0.0),
-    ("smoothness__gloss", 1e4), ("smoothness__full_views", 1),
+    ("solver__rate_unit", "distance"), ("solver__beta1", 0.0), ("solver__beta2", 0.0), ("solver__beta2", 0.9999),
+    ("solver__gradient_filter", 0), ("solver__gradient_filter", 16), ("solver__mismatch", 0.0),
+    ("solver__mismatch", 2.0),
+    ("solver__early_damping", 1.0), ("solver__early_damping", 1e3), ("smoothness__specularity", 0.0),
+    ("smoothness__specularity", 1e4), ("smoothness__full_views", 1),
     ("smoothness__full_views", 1000), ("splatting__final_radius", 0.5),
 ]
 _SWITCHES = ("gradient_weight", "coverage_weight", "unseen_mask", "grey", "exposure", "structure", "target_view")

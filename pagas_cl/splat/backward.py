@@ -19,8 +19,8 @@ def launches(level, view: int) -> list:
         program = build(level.device, "backward.cl", (*level.defines, f"COLUMNS={columns}"))
         return [bind(program, "gather_gradient", row_grid(level.target, columns), row_group(columns), a["depth"], photo,
                      a["cameras"], view, float(s.low_pass), *threshold_arguments(level, view), z_first_argument(level),
-                     exposure_argument(level), a["upstream"], a["gradient"])]
-    return [blend_launch(level, view, "composite_alpha_vjp", a["upstream"]),
+                     exposure_argument(level), a["v_rendered"], a["gradient"])]
+    return [blend_launch(level, view, "composite_alpha_vjp", a["v_rendered"]),
             bind(build(level.device, "alpha.cl", level.defines), "gather_alpha", level.target.grid, None, a["depth"],
                  a["cameras"], view, float(s.low_pass), a["alphas"], a["gradient"], a["heads"],
                  a.specs["heads"].shape[0])]

@@ -13,7 +13,8 @@ from pagas_cl.splat.evidence import HISTOGRAM
 from pagas_cl.splat.measure import probe_bytes
 from pagas_cl.splat.state import Size, level_buffers, level_size, photo_bytes
 
-FOR_EVIDENCE = ("depth", "unit", "cameras", "exposure", "z_first", "rendered", "upstream")     # kept after the steps
+# kept after the steps
+FOR_EVIDENCE = ("depth", "depth_per_parallax", "cameras", "exposure", "z_first", "rendered", "v_rendered")
 
 log = logging.getLogger("pagas_cl")
 _told: set[Plan] = set()
@@ -46,7 +47,7 @@ class Plan:
 
 
 def plan_for(cameras: list[Camera], contexts: int, config: Config, streamed: bool = False) -> Plan:
-    """The plan of a refinement for the cameras of the target, of `contexts` context views, and of the witnesses;
+    """The plan of a refinement for the cameras of the target, of `contexts` context views, and of the held-out views;
     `streamed`: photos wait on the host (streamed.py)."""
     plans = [_at(scale, cameras, contexts, config, streamed) for scale in config.pyramid.scales]
     if config.effects.measured:
@@ -69,7 +70,7 @@ def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, stre
     if scale > config.pyramid.scales[0]:
         depths += 4 * (sizes[0].pixels + _before(scale, cameras[0], config).pixels)
     during = after = total_bytes(specs) + depths
-    if scale == 1:           # evidence before and after: of the context views, and of one witness at a time
+    if scale == 1:           # evidence before and after: of the context views, and of one held-out view at a time
         judges = 2 if len(cameras) > 1 + contexts else 1
         after = total_bytes(spec for spec in specs if spec.name in FOR_EVIDENCE) + depths
         after += (24 * judges + 5) * full[0].pixels + HISTOGRAM * (judges - 1)

@@ -19,15 +19,15 @@ HISTOGRAM = 8 * _BINS       # bytes that count them, before and after
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
+class EvidenceDecision:
     """On the device, per pixel: status uint8, as in scene/status.py; standard deviation of the depth, float32, device
     units, infinite where nothing is known. Before and after, over the pixels that are seen: mean 1 - correlation with
-    the views' photos, of all refined depth, and median with each witness' photo, of what is accepted."""
+    the views' photos, of all refined depth, and median with each held-out view's photo, of what is accepted."""
 
     status: cl.Buffer
     deviation: cl.Buffer
     cost: tuple[float, float]
-    witnesses: tuple[tuple[float, float], ...]
+    held_out: tuple[tuple[float, float], ...]
 
     def release(self):
         """Give the buffers back."""
@@ -36,21 +36,23 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Doubt:
+class EvidencePrior:
     """What was measured of a view beforehand (Measurements), as far as its evidence depends on it: by how much errors
     exceed what a match tells, pixels that photos are off, noise of a photo (0 to 1)."""
 
-    spread: float = 1.0
+    error_factor: float = 1.0
     misaligned: float = 0.0
     noise: float = 0.0
 
     @classmethod
-    def of(cls, measured) -> Doubt:
+    def of(cls, measured) -> EvidencePrior:
         """From Measurements, or None."""
-        return cls(float(measured.spread), float(measured.misaligned), float(measured.noise)) if measured else NO_DOUBT
+        if not measured:
+            return NO_PRIOR
+        return cls(float(measured.error_factor), float(measured.misaligned), float(measured.noise))
 
     @property
-    def grain(self) -> float:
+    def noise_variance(self) -> float:
         """Variance of the noise of luma, which is 4/3 of that of the mean of the channels, beyond one grey level."""
         return max(0.0, 4 / 3 * self.noise**2 - 1 / 255**2)
 
@@ -60,7 +62,7 @@ class Doubt:
         return max(1.0, (self.noise / 0.004) ** 2)
 
 
-NO_DOUBT = Doubt()
+NO_PRIOR = EvidencePrior()
 
 
 def _median(counts: np.ndarray) -> float:
@@ -74,14 +76,14 @@ def _median(counts: np.ndarray) -> float:
 
 
 class Evidence:
-    """Weighs the initial and the refined depth of one level by the photos of `views` (numbers from 1).
+    """Weighs the initial and the refined depth of one level by the photos of `view_numbers` (numbers from 1).
 
     `initial` is a buffer that holds the initial depth for as long as this lives.
     """
 
-    def __init__(self, level, views, initial: cl.Buffer, doubt: Doubt = NO_DOUBT):
-        self.level, self.views, self._initial = level, list(views), initial
-        self.program, self.doubt = build(level.device, "evidence.cl", level.defines), doubt
+    def __init__(self, level, view_numbers, initial: cl.Buffer, prior: EvidencePrior = NO_PRIOR):
+        self.level, self.view_numbers, self._initial = level, list(view_numbers), initial
+        self.program, self.prior = build(level.device, "evidence.cl", level.defines), prior
         self._before = self._after = None
 
     def weigh(self):
@@ -90,7 +92,7 @@ class Evidence:
         pixels, queue = self.level.target.pixels, self.level.device.queue
         self._before, self._after = (self._buffer(12 * pixels) for _ in range(2))
         run_once(queue, [Fill(evidence, np.uint32(0), 12 * pixels) for evidence in (self._before, self._after)])
-        for view in self.views:
+        for view in self.view_numbers:
             run_once(queue, [*self.level.given.fetch(view), *self._add(view, self._initial, self._before),
                              *self._add(view, self.level.arena["depth"], self._after)])
 
@@ -101,7 +103,7 @@ class Evidence:
                 bind(self.program, "warp_photo", size.grid, None, depth, level.arena["cameras"], view,
                      float(level.threshold(view)), project.z_first_argument(level), level.given.photos[view], warped),
                 bind(self.program, "weigh", size.grid, None, warped, level.given.photos[0], size.width, size.height,
-                     self.doubt.grain, evidence)]
+                     self.prior.noise_variance, evidence)]
 
     def release(self):
         """Give back what was weighed."""
@@ -131,22 +133,22 @@ class Evidence:
         counts.release()
         return _median(before), _median(after)
 
-    def _refuse(self, witness: Evidence, status: cl.Buffer):
-        """Reject too what matches worse in the witness' photo, seen over its surroundings."""
-        witness.weigh()
+    def _refuse(self, evidence: Evidence, status: cl.Buffer):
+        """Reject too what matches worse in the held-out view's photo, seen over its surroundings."""
+        evidence.weigh()
         size, (one, other) = self.level.target, self._scratch()
-        launches = [bind(self.program, "worse_costs", (size.pixels,), None, witness._before, witness._after,
+        launches = [bind(self.program, "worse_costs", (size.pixels,), None, evidence._before, evidence._after,
                          size.pixels, one)]
         for _ in range(2):       # twice: nearer pixels count for more
             launches += self._sum_around(one, 2, other, one)
         launches.append(bind(self.program, "refuse", (size.pixels,), None, size.pixels, one, status))
         run_once(self.level.device.queue, launches)
-        witness.release()
+        evidence.release()
 
-    def decide(self, witnesses: Sequence[Evidence] = ()) -> Verdict:
+    def decide(self, held_out: Sequence[Evidence] = ()) -> EvidenceDecision:
         """Send back what the photos do not confirm; arena["depth"] holds what is accepted.
 
-        `witnesses`, each of a photo that took no part, are weighed here.
+        `held_out`, each of a photo that took no part, are weighed here.
         """
         self.weigh()
         level, n = self.level, self.level.target.pixels
@@ -155,16 +157,19 @@ class Evidence:
         around, bent = self._surroundings(), self._scratch()[0]
         deviation_program = build(level.device, "deviation.cl", level.defines)
         run_once(level.device.queue, [
-            bind(self.program, "decide", (n,), None, self._initial, a["depth"], a["unit"], n, self._before, self._after,
-                 around, float(solver.max_move), solver.tolerance * self.doubt.slack, float(solver.mismatch), status)])
-        for witness in witnesses:       # each by itself: in a mean, one that errs as the context views do hides another
-            self._refuse(witness, status)
+            bind(self.program, "decide", (n,), None, self._initial, a["depth"], a["depth_per_parallax"], n,
+                 self._before,
+                 self._after, around, float(solver.max_move), solver.tolerance * self.prior.slack,
+                 float(solver.mismatch), status)])
+        for evidence in held_out:       # each by itself: in a mean, one that errs as the context views do
+                                        # hides another
+            self._refuse(evidence, status)
         run_once(level.device.queue, [
             bind(self.program, "feather", size.grid, None, self._initial, a["depth"], status, *size.grid),
-            bind(deviation_program, "bends", size.grid, None, a["depth"], a["unit"], *size.grid, bent),
-            bind(deviation_program, "deviate", size.grid, None, status, a["unit"], *size.grid, self._before,
-                 self._after, bent, self.doubt.spread, self.doubt.misaligned, deviation)])
-        return Verdict(status, deviation, self.costs(), tuple(witness.judge() for witness in witnesses))
+            bind(deviation_program, "bends", size.grid, None, a["depth"], a["depth_per_parallax"], *size.grid, bent),
+            bind(deviation_program, "deviate", size.grid, None, status, a["depth_per_parallax"], *size.grid,
+                 self._before, self._after, bent, self.prior.error_factor, self.prior.misaligned, deviation)])
+        return EvidenceDecision(status, deviation, self.costs(), tuple(evidence.judge() for evidence in held_out))
 
     def judge(self) -> tuple[float, float]:
         """Medians under the depth as it is now."""
@@ -187,7 +192,7 @@ class Evidence:
 
     def _scratch(self) -> list[cl.Buffer]:
         """Two buffers of two floats a pixel, of those that serve the steps."""
-        return [self.level.arena[name] for name in ("upstream", "rendered")]
+        return [self.level.arena[name] for name in ("v_rendered", "rendered")]
 
     def _buffer(self, nbytes: int) -> cl.Buffer:
         return self.level.device.memory.buffer(self.level.device.context, nbytes)

@@ -7,7 +7,7 @@ import logging
 
 from pagas_cl.config import Config
 from pagas_cl.errors import DeviceMemoryError
-from pagas_cl.runtime.faults import told_as_device_error
+from pagas_cl.runtime.faults import translate_cl_errors
 from pagas_cl.scene.camera import Camera
 from pagas_cl.splat.budget import plan_for
 from pagas_cl.splat.state import PhotoStore
@@ -20,7 +20,7 @@ LEANER = ({"loss__grey": True}, {"splatting__blend": "order_free"},
           {"splatting__blend": "order_free", "loss__grey": True})
 
 
-def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoStore, *, witnesses=()):
+def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoStore, *, held_out=()):
     """`attempt(photos)` with a PhotoStore, or, where the device cannot hold that, with photos that wait on the host:
     the kernels read the same bytes and give the same.
 
@@ -31,11 +31,11 @@ def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoS
     DeviceLostError
         The device failed meanwhile.
     """
-    cameras = [view.camera for view in (target, *contexts, *witnesses)]
+    cameras = [view.camera for view in (target, *contexts, *held_out)]
     doing, given = f"the refinement of view {target.name!r}", (cameras, len(contexts), config)
     try:
         plan_for(*given).check(target.name, device)
-        with told_as_device_error(device, doing):
+        with translate_cl_errors(device, doing):
             return attempt(photos)
     except DeviceMemoryError as error:
         log.warning("%s: its photos wait on the host and go to the device one at a time, which takes longer and gives "
@@ -43,7 +43,7 @@ def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoS
     photos.clear()
     gc.collect()             # what the attempt held goes before the next one begins
     try:
-        with told_as_device_error(device, doing):
+        with translate_cl_errors(device, doing):
             return attempt(StreamedPhotos(device))
     except DeviceMemoryError as error:
         raise DeviceMemoryError(f"{error}, even with one photo at a time; {what_fits(*given, device)}") from error
@@ -59,8 +59,9 @@ def what_fits(cameras: list[Camera], contexts: int, config: Config, device) -> s
         return "close other programs that use the device"
     for change in LEANER:
         if fits(config.with_settings(**change)):
-            told = " ".join(f"--set {name.replace('__', '.')}={str(value).lower()}" for name, value in change.items())
-            return f"it fits with {told}"
+            options = " ".join(f"--set {name.replace('__', '.')}={str(value).lower()}" for name,
+                               value in change.items())
+            return f"it fits with {options}"
     share = 0.95
     while share > 1e-4 and not fits(config, share):
         share *= 0.95

@@ -14,11 +14,11 @@ from pagas_cl.runtime.program import Upload, run_once
 from pagas_cl.runtime.transfer import download
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import camera_table, footprint
-from pagas_cl.splat import backward, composite, exposure, loss, project, smooth, spread, step
+from pagas_cl.splat import backward, composite, exposure, gradient_filter, loss, project, smooth, step
 from pagas_cl.splat.options import defines, heaviest_pixel
 from pagas_cl.splat.state import Size, allocate
+from pagas_cl.splat.step_progress import StepProgress
 from pagas_cl.splat.tile import choose_tiles
-from pagas_cl.splat.told import Told
 
 
 @dataclass(frozen=True)
@@ -31,29 +31,29 @@ class LevelInput:
         At the level's size.
     photos : list of pyopencl.Buffer
         uchar4 per pixel, at the level's size.
-    unit : float
+    scene_scale : float
         Scene units per device unit.
     threshold : float
         Depth threshold, device units.
-    distance_unit : float
+    viewing_distance : float
         Median distance of the cameras from the point they look at, device units.
     contexts : int
         Number of context views.
     host : tuple of ndarray of shape (H, W, 4), uint8
         Photos of all views but the target's, where the device holds one of them at a time: every photos[1:] is then
         the same buffer, which `fetch` fills.
-    gloss : ndarray, optional
-        Gloss measured on a grid over the target (Measurements.local_gloss).
+    specularity : ndarray, optional
+        Specularity measured on a grid over the target (Measurements.local_specularity).
     """
 
     cameras: list[Camera]
     photos: list[cl.Buffer]
-    unit: float
+    scene_scale: float
     threshold: float
-    distance_unit: float
+    viewing_distance: float
     contexts: int
     host: tuple = ()
-    gloss: np.ndarray | None = None
+    specularity: np.ndarray | None = None
 
     def fetch(self, view: int) -> list:
         """What brings the photo of `view` to its buffer; nothing where it is there."""
@@ -66,7 +66,7 @@ class LevelInput:
     @cached_property
     def footprints(self) -> list[float]:
         """Of a pixel of each view (scene.rig.footprint), device units."""
-        return [footprint(self.cameras[0], camera, self.unit) for camera in self.cameras]
+        return [footprint(self.cameras[0], camera, self.scene_scale) for camera in self.cameras]
 
 
 def threshold_in(given: LevelInput, config: Config, view: int) -> float:
@@ -75,7 +75,7 @@ def threshold_in(given: LevelInput, config: Config, view: int) -> float:
 
 
 class Level:
-    """Buffers and bound launches of one level: `enter`, `start`, then `run` refines arena["depth"] in place."""
+    """Buffers and bound launches of one level: `prepare`, `start`, then `run` refines arena["depth"] in place."""
 
     def __init__(self, device, config: Config, given: LevelInput):
         target, *contexts = given.sizes
@@ -85,11 +85,11 @@ class Level:
         self.ssim_tile, self.loss_tile = choose_tiles(device, [size.grid for size in given.sizes])
         self.arena: Arena = allocate(device, config, target, contexts, given.contexts)
         cl.enqueue_copy(device.queue, self.arena["cameras"],
-                        camera_table(given.cameras[0], given.cameras[1:], given.unit))
+                        camera_table(given.cameras[0], given.cameras[1:], given.scene_scale))
         if config.loss.exposure:
             cl.enqueue_copy(device.queue, self.arena["exposure"], exposure.neutral(len(self.contexts)))
 
-    def enter(self, write):
+    def prepare(self, write):
         """Take units and unseen masks under the run's initial depth; `write(buffer)` enqueues its writing."""
         self._once(write, project.before_steps)
 
@@ -97,16 +97,16 @@ class Level:
         """The depth that the steps start from."""
         self._once(write, smooth.before_steps)
         self._bind_views()
-        self.spread, self.ending = spread.launches(self), []
+        self.gradient_filter, self.ending = gradient_filter.launches(self), []
         self.smooth = smooth.launches(self, float(self.config.smoothness.weight))
 
     def _bind_views(self):
-        self.views = [self._view(v) for v in range(1, 1 + len(self.contexts))]
+        self.view_launches = [self._view(v) for v in range(1, 1 + len(self.contexts))]
         # the target's own view has no gradient; it counts in the loss alone
         self.target_view = self._view(0) if self.config.loss.target_view and self.config.solver.patience else []
 
     def raise_smoothness(self):
-        """From here on smoothness weighs what few context views and gloss call for."""
+        """From here on smoothness weighs what few context views and specularity call for."""
         run_once(self.device.queue, smooth.raising(self))
         for launch in self.smooth:
             launch.release()
@@ -117,7 +117,7 @@ class Level:
         self.config = self.config.with_settings(splatting__radius=self.config.splatting.final_radius,
                                                 splatting__final_radius=0.0)
         self.defines = defines(self.config, self.device, heaviest_pixel(self.given.cameras[0]))
-        for launches in (self.target_view, *self.views):
+        for launches in (self.target_view, *self.view_launches):
             for launch in launches:
                 launch.release()
         self._bind_views()
@@ -150,19 +150,19 @@ class Level:
         return self._photo_launches(number) + self.smooth
 
     def step_launches(self, number: int) -> list:
-        """The same with the gradient of the photos spread over neighbouring pixels, as a step wants it."""
-        return self._photo_launches(number) + self.spread + self.smooth
+        """The same with the gradient of the photos filtered over neighbouring pixels, as a step wants it."""
+        return self._photo_launches(number) + self.gradient_filter + self.smooth
 
     def _photo_launches(self, number: int) -> list:
         """Context views in turn."""
-        k, n = self.views_per_step, len(self.views)
-        chosen = [self.views[(number * k + j) % n] for j in range(k)]
+        k, n = self.views_per_step, len(self.view_launches)
+        chosen = [self.view_launches[(number * k + j) % n] for j in range(k)]
         return [launch for view in (self.target_view, *chosen) for launch in view]
 
     def run(self, steps: int, progress=None) -> int:
         """At most `steps` steps; returns how many were enqueued. `progress(done, total)` is told of those that are
         done."""
-        queue, solver, told = self.device.queue, step.Solver(self), Told(progress, steps)
+        queue, solver, step_progress = self.device.queue, step.Solver(self), StepProgress(progress, steps)
         self.ending = solver.launches
         fitted = exposure.fitted_before(steps) if self.config.loss.exposure else ()
         for number in range(steps):
@@ -176,11 +176,11 @@ class Level:
                 launch.enqueue(queue)
             ended = solver.enqueue(number, steps)
             queue.flush()
-            told.enqueued(number + 1, ended)
+            step_progress.enqueued(number + 1, ended)
             if solver.finished(number):
                 steps = number + 1
                 break
-        told.finish()
+        step_progress.finish()
         return steps
 
     def read(self, name: str, shape, dtype=np.float32) -> np.ndarray:
@@ -189,8 +189,8 @@ class Level:
 
     def release(self, keep=()):
         """Give everything back but the buffers named in `keep`."""
-        for launches in (self.ending, self.target_view, self.spread, self.smooth, *self.views):
+        for launches in (self.ending, self.target_view, self.gradient_filter, self.smooth, *self.view_launches):
             for launch in launches:
                 launch.release()
-        self.ending, self.target_view, self.spread, self.smooth, self.views = [], [], [], [], []
+        self.ending, self.target_view, self.gradient_filter, self.smooth, self.view_launches = [], [], [], [], []
         self.arena.release(keep)

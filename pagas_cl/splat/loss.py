@@ -13,7 +13,7 @@ _TO_LOSS = LOSS_ONE / 2.0**32      # from the sums of a tile (window.clh)
 
 
 def launches(level, view: int) -> list:
-    """From arena["rendered"] to arena["upstream"] for context view `view` (0: the target's own)."""
+    """From arena["rendered"] to arena["v_rendered"] for context view `view` (0: the target's own)."""
     a, tile, share = level.arena, level.loss_tile, level.config.loss.ssim
     size, photo = level.given.sizes[view], level.given.photos[view]
     windows = ssim.windows(size)
@@ -26,6 +26,6 @@ def launches(level, view: int) -> list:
     # the target's own view has no gradient: nothing of SSIM is passed back
     backward = bind(program, "loss_backward", tile.grid(*size.grid), (tile.group, 1), a["rendered"], photo, size.width,
                     size.height, pitch(size.width), a["partials"] if share > 0 else None, seen, float(l1_scale),
-                    float(ssim_scale if view else 0.0), a["upstream"], _TO_LOSS * l1_scale / n,
+                    float(ssim_scale if view else 0.0), a["v_rendered"], _TO_LOSS * l1_scale / n,
                     loss_argument(level))
     return [*(ssim.launches(level, view, _TO_LOSS * ssim_scale / n) if share > 0 else []), backward]

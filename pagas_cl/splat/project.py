@@ -11,10 +11,10 @@ _INFINITY = np.uint32(0x7F800000)
 
 
 def before_steps(level) -> list:
-    """Once a level, under the depth that enters it: the parallax unit and the unseen masks."""
+    """Once a level, under its initial depth: the depth per pixel of parallax and the unseen masks."""
     program, a = build(level.device, "project.cl", level.defines), level.arena
-    launches = [bind(program, "parallax_unit", level.target.grid, None, a["depth"], a["cameras"], len(level.contexts),
-                     a["unit"])]
+    launches = [bind(program, "find_depth_per_parallax", level.target.grid, None, a["depth"], a["cameras"],
+                     len(level.contexts), a["depth_per_parallax"])]
     for k in range(len(level.contexts) if level.config.loss.unseen_mask else 0):
         name = f"seen{k}"
         launches.append(Fill(a[name], np.uint32(0), a.size(name)))

@@ -32,7 +32,7 @@ class Resampler:
             bind(self.program, "shrink_depth", to.grid, None, source, size.width, size.height, out, to.width,
                  to.height).enqueue(self.device.queue)
 
-    def enlarge_depth(self, source: cl.Buffer, size: Size, entered: cl.Buffer, out: cl.Buffer, to: Size):
-        """Bilinear over valid neighbours; valid where `entered`, the initial depth at this size, is."""
-        bind(self.program, "enlarge_depth", to.grid, None, source, size.width, size.height, entered, out, to.width,
+    def enlarge_depth(self, source: cl.Buffer, size: Size, initial: cl.Buffer, out: cl.Buffer, to: Size):
+        """Bilinear over valid neighbours; valid where `initial`, the initial depth at this size, is."""
+        bind(self.program, "enlarge_depth", to.grid, None, source, size.width, size.height, initial, out, to.width,
              to.height).enqueue(self.device.queue)

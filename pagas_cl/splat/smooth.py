@@ -7,8 +7,8 @@ import pyopencl as cl
 
 from pagas_cl.runtime.program import bind, build
 
-GLOSS = 0.007                        # residual (0 to 1) that the default weight allows for
-AROUND = 3                           # samples around a glossy one that are not trusted either
+SPECULARITY = 0.007                        # residual (0 to 1) that the default weight allows for
+AROUND = 3                           # samples around a specular one that are not trusted either
 SUM_GROUP, SUM_GROUPS = 256, 64      # work-items of a group, as in smooth.cl, and groups that share the pixels
 
 
@@ -20,34 +20,37 @@ def before_steps(level) -> list:
     a, size = level.arena, level.target
     texture = 1.0 if s.kind == "normal" else float(s.texture)
     program = build(level.device, "smooth.cl", level.defines)
-    scale = bind(program, "smoothness_scale", size.grid, None, a["depth"], a["unit"], level.given.photos[0], size.width,
+    scale = bind(program, "smoothness_scale", size.grid, None, a["depth"], a["depth_per_parallax"],
+                 level.given.photos[0], size.width,
                  size.height, texture, a["kappa"], a["weights"])
     if _glossy(level):
-        cl.enqueue_copy(level.device.queue, a["raised"], factors_of(level.given.gloss, float(s.gloss)))
+        cl.enqueue_copy(level.device.queue, a["raised"], factors_of(level.given.specularity, float(s.specularity)))
     return [scale]
 
 
 def raising(level) -> list:
-    """Once a level, after `before_steps`: more weight where a surface is glossy."""
+    """Once a level, after `before_steps`: more weight where a surface is specular."""
     a, size = level.arena, level.target
     if not _glossy(level):
         return []
     return [bind(build(level.device, "smooth.cl", level.defines), "raise_weights", size.grid, None, a["raised"],
-                 *level.given.gloss.shape[::-1], *size.grid, a["weights"])]
+                 *level.given.specularity.shape[::-1], *size.grid, a["weights"])]
 
 
 def _glossy(level) -> bool:
     s = level.config.smoothness
-    return s.kind != "none" and s.gloss > 0 and level.given.gloss is not None
+    return s.kind != "none" and s.specularity > 0 and level.given.specularity is not None
 
 
-def factors_of(gloss: np.ndarray, most: float) -> np.ndarray:
-    """By how much gloss, measured on a grid (NaN = unknown), raises the weights there and around: float32, 1 to `most`.
+def factors_of(specularity: np.ndarray, most: float) -> np.ndarray:
+    """By how much specularity, measured on a grid (NaN = unknown), raises the weights there and around:
+    float32, 1 to `most`.
     """
-    padded = np.pad(np.nan_to_num(gloss, nan=0.0), AROUND)
+    padded = np.pad(np.nan_to_num(specularity, nan=0.0), AROUND)
     side = range(2 * AROUND + 1)
-    largest = np.max([padded[y:y + gloss.shape[0], x:x + gloss.shape[1]] for y in side for x in side], axis=0)
-    return np.clip((largest / GLOSS) ** 2, 1.0, most).astype(np.float32)
+    largest = np.max([padded[y:y + specularity.shape[0], x:x + specularity.shape[1]] for y in side for x in side],
+                     axis=0)
+    return np.clip((largest / SPECULARITY) ** 2, 1.0, most).astype(np.float32)
 
 
 def launches(level, weight: float) -> list:
@@ -58,7 +61,7 @@ def launches(level, weight: float) -> list:
     program = build(level.device, "smooth.cl", level.defines)
     if s.kind == "planar":
         return [bind(program, "smoothness_planar", size.grid, None, a["depth"], a["kappa"], a["weights"], size.width,
-                     size.height, weight, float(s.huber), float(s.cut), a["gradient"]), *_loss(level, weight)]
+                     size.height, weight, float(s.huber), float(s.discontinuity), a["gradient"]), *_loss(level, weight)]
     return [bind(program, "normal_map", size.grid, None, a["depth"], a["cameras"], a["normals"]),
             bind(program, "normal_slope", size.grid, None, a["normals"], a["weights"], size.width, size.height,
                  weight, a["slopes"]),
@@ -74,7 +77,7 @@ def _loss(level, weight: float) -> list:
     program, grid = build(level.device, "smooth.cl", level.defines), (SUM_GROUPS * SUM_GROUP,)
     shared = a["weights"], size.width, size.height
     summed = (bind(program, "planar_loss", grid, (SUM_GROUP,), a["depth"], a["kappa"], *shared, float(s.huber),
-                   float(s.cut), a["smooth_losses"]) if s.kind == "planar" else
+                   float(s.discontinuity), a["smooth_losses"]) if s.kind == "planar" else
               bind(program, "normal_loss", grid, (SUM_GROUP,), a["normals"], *shared, a["smooth_losses"]))
     return [summed, bind(build(level.device, "step.cl", level.defines), "add_smoothness", (1,), None,
                          a["smooth_losses"], SUM_GROUPS, weight / size.pixels, a["state"])]

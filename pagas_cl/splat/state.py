@@ -44,13 +44,14 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
     """Every buffer of a level except photos: per target pixel, one view's scratch, `masked` unseen masks."""
     n, m = target.pixels, max(size.pixels for size in (*contexts, target))
     channels = 1 if config.loss.grey else 3
-    specs = [BufferSpec(name, (n,), np.float32) for name in ("depth", "unit", "gradient", "first", "second")]
+    specs = [BufferSpec(name, (n,), np.float32) for name in ("depth", "depth_per_parallax", "gradient",
+                                                                "first", "second")]
     specs += [BufferSpec("cameras", (1 + len(contexts), 20), np.float32), BufferSpec("state", (8,), np.float32)]
-    specs += [BufferSpec(name, (m, channels + 1), np.float32) for name in ("rendered", "upstream")]
+    specs += [BufferSpec(name, (m, channels + 1), np.float32) for name in ("rendered", "v_rendered")]
     if config.loss.ssim > 0:
         rows = max(tiles.pitch(size.width) * size.height for size in (*contexts, target))
         specs.append(BufferSpec("partials", (3 * channels * rows + 2 * tiles.MARGIN,), np.float32))
-    if config.solver.spread > 0:
+    if config.solver.gradient_filter > 0:
         specs.append(BufferSpec("sums", (n,), np.float32))
     if config.splatting.occlusion:
         specs.append(BufferSpec("z_first", (m,), np.uint32))
@@ -58,7 +59,7 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
         specs += _list_buffers(config, n, (*contexts, target))
     if config.smoothness.kind != "none":
         specs += [BufferSpec(name, (n,), np.float32) for name in ("kappa", "weights")]
-    if config.smoothness.kind != "none" and config.smoothness.gloss > 0:
+    if config.smoothness.kind != "none" and config.smoothness.specularity > 0:
         specs.append(BufferSpec("raised", (2 * exposure.MOST_SAMPLES,), np.float32))
     if config.smoothness.kind == "normal":
         specs += [BufferSpec(name, (n, 4), np.float32) for name in ("normals", "slopes")]
@@ -119,7 +120,7 @@ class PhotoStore:
         own = {id(view) for view in views}
         return sum(buffer.size for view, buffer in self._photos.values() if id(view) not in own)
 
-    def leave(self, nbytes: int):
+    def trim(self, nbytes: int):
         """Keep no more photos than leave room for `nbytes` of other buffers."""
         self.limit = max(0, min(self.limit, self.device.memory.limit - nbytes))
         self._make_room(0)

@@ -32,9 +32,10 @@ class Solver:
         state[_RATE], state[_BEST] = solver.rate, np.inf
         cl.enqueue_copy(self.queue, a["state"], state)
         program = build(level.device, "step.cl", level.defines)
-        common = level.given.distance_unit if solver.unit == "distance" else 0.0
+        common = level.given.viewing_distance if solver.rate_unit == "distance" else 0.0
         n = level.target.pixels
-        self._adam = bind(program, "adam", (n,), None, a["depth"], a["gradient"], a["first"], a["second"], a["unit"],
+        self._adam = bind(program, "adam", (n,), None, a["depth"], a["gradient"], a["first"], a["second"],
+                         a["depth_per_parallax"],
                           a["state"], n, 1.0, 1.0, float(solver.beta1), float(solver.beta2), float(solver.damping),
                           float(common), 1.0)
         if self.patience:

@@ -26,7 +26,7 @@ class StreamedPhotos:
         """No photos are kept."""
         return 0
 
-    def leave(self, nbytes: int):
+    def trim(self, nbytes: int):
         """No photos are kept."""
 
     def _at(self, view, size: Size, resampler) -> cl.Buffer:

@@ -6,21 +6,21 @@ import numpy as np
 
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.runtime.transfer import download, upload
-from pagas_cl.scene.unit import unit_of
+from pagas_cl.scene.scene_scale import scene_scale_of
 
 _NONE_YET = np.array([np.inf, 0], np.float32)
 
 
-class Entered:
+class NormalizedDepth:
     """The initial depth of a view on the device, in units of its median: made once for measuring and for refining.
 
     Depths outside NEAR to FAR units, masked out or not finite have no Gaussian.
 
     Attributes
     ----------
-    unit : float
-        Scene units per unit.
-    spread : float
+    scene_scale : float
+        Scene units per device unit.
+    depth_range : float
         Range of the valid depths, units.
     given : pyopencl.Buffer
         float32 of shape (H, W), scene units, as it came.
@@ -31,26 +31,26 @@ class Entered:
     def __init__(self, target, depth: np.ndarray, device):
         depth = np.ascontiguousarray(depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32))
         mask = target.load_mask()
-        self.unit, self._device = unit_of(depth, mask), device
+        self.scene_scale, self._device = scene_scale_of(depth, mask), device
         with np.errstate(over="ignore"):
             self.given = upload(device, depth.astype(np.float32, copy=False))
         doubles = depth.dtype == np.float64          # rounded once, after the division
         if doubles:
             with np.errstate(over="ignore", invalid="ignore"):
-                self.buffer = upload(device, (depth / self.unit).astype(np.float32))
+                self.buffer = upload(device, (depth / self.scene_scale).astype(np.float32))
         else:
             self.buffer = device.memory.buffer(device.context, 4 * depth.size)
         visible = None if mask is None else upload(device, mask.astype(bool, copy=False))
         bounds = upload(device, _NONE_YET)
         run_once(device.queue, [
-            bind(build(device, "units.cl"), "enter", (depth.size,), None, self.given, visible, depth.size, self._unit(),
-                 int(doubles), self.buffer, bounds)])
+            bind(build(device, "units.cl"), "normalize_depth", (depth.size,), None, self.given, visible, depth.size,
+                 self._device_scale(), int(doubles), self.buffer, bounds)])
         nearest, farthest = download(device, bounds, 2)
-        self.spread = max(0.0, float(farthest - nearest))
+        self.depth_range = max(0.0, float(farthest - nearest))
         for buffer in filter(None, (visible, bounds)):
             buffer.release()
 
-    def leave(self, refined, parallax, status, deviation, shape):
+    def denormalize(self, refined, parallax, status, deviation, shape):
         """(depth, parallax, deviation, status) on the host, scene units, from the buffers of `shape` in units.
 
         A depth that was not refined comes back with the bits that it came with; a surface without a Gaussian counts as
@@ -58,8 +58,8 @@ class Entered:
         """
         n = shape[0] * shape[1]
         run_once(self._device.queue, [
-            bind(build(self._device, "units.cl"), "leave", (n,), None, self.given, n, self._unit(), refined, parallax,
-                 status, deviation)])
+            bind(build(self._device, "units.cl"), "denormalize_depth", (n,), None, self.given, n, self._device_scale(),
+                 refined, parallax, status, deviation)])
         return tuple(download(self._device, buffer, shape, dtype) for buffer, dtype in (
             (refined, np.float32), (parallax, np.float32), (deviation, np.float32), (status, np.uint8)))
 
@@ -68,6 +68,6 @@ class Entered:
         self.given.release()
         self.buffer.release()
 
-    def _unit(self) -> float:
+    def _device_scale(self) -> float:
         """As the device counts: where it is too large for that, so is every depth."""
-        return min(self.unit, float(np.finfo(np.float32).max))
+        return min(self.scene_scale, float(np.finfo(np.float32).max))

@@ -8,15 +8,15 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
-from pagas_cl.scene.rig import distance_unit
+from pagas_cl.scene.rig import viewing_distance
 from pagas_cl.splat.budget import FOR_EVIDENCE, plan_for
-from pagas_cl.splat.evidence import Doubt, Evidence
+from pagas_cl.splat.evidence import Evidence, EvidencePrior
 from pagas_cl.splat.level import Level, LevelInput
 from pagas_cl.splat.measure import Probe
 from pagas_cl.splat.resample import Resampler
 from pagas_cl.splat.state import PhotoStore, Size, level_size
 from pagas_cl.splat.streamed import StreamedPhotos
-from pagas_cl.splat.units import Entered
+from pagas_cl.splat.units import NormalizedDepth
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Refinement:
         Depth change that moves a pixel by one pixel in the context views; 0 where none sees it.
     cost : tuple of two floats
         Mean 1 - correlation of patches with the context photos, before and after.
-    witnesses : tuple of (float, float)
+    held_out : tuple of (float, float)
         Median 1 - correlation with each photo that took no part, before and after, over the pixels that it sees; NaN
         where there are none.
     steps : tuple of int
@@ -53,7 +53,7 @@ class Refinement:
     deviation: np.ndarray
     parallax: np.ndarray
     cost: tuple[float, float]
-    witnesses: tuple[tuple[float, float], ...]
+    held_out: tuple[tuple[float, float], ...]
     steps: tuple[int, ...]
     losses: list[float]
     device_bytes: int
@@ -61,7 +61,7 @@ class Refinement:
 
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
-                  progress=None, witnesses=(), measured=None, entered: Entered | None = None) -> Refinement:
+                  progress=None, held_out=(), measured=None, normalized: NormalizedDepth | None = None) -> Refinement:
     """Run the pyramid on one view.
 
     Parameters
@@ -75,11 +75,11 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
         Photos already on the device (a new store by default), or on the host.
     progress : callable of (done, total), optional
         Called with the steps that the device has done, of those of all levels.
-    witnesses : sequence of View
+    held_out : sequence of View
         Views that take no part and judge the result.
     measured : Measurements, optional
         What was measured of the view: its evidence and deviations depend on it.
-    entered : Entered, optional
+    normalized : NormalizedDepth, optional
         `depth`, where it is on the device already; used up.
 
     Raises
@@ -88,18 +88,18 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
         Before the first step, where the device may not hold what is planned.
     """
     photos = photos or PhotoStore(device)
-    cameras = [view.camera for view in (target, *contexts, *witnesses)]
+    cameras = [view.camera for view in (target, *contexts, *held_out)]
     planned = plan_for(cameras, len(contexts), config, isinstance(photos, StreamedPhotos))
     planned.check(target.name, device)
     planned.tell(target.name)
-    photos.leave(planned.beside_photos)
-    device.memory.begin(planned.nbytes + photos.beside((target, *contexts, *witnesses)))
-    run = _Run(target, contexts, depth, config, device, photos, witnesses=witnesses, entered=entered,
-               gloss=measured.local_gloss if measured else None)
+    photos.trim(planned.beside_photos)
+    device.memory.begin(planned.nbytes + photos.beside((target, *contexts, *held_out)))
+    run = _Run(target, contexts, depth, config, device, photos, held_out=held_out, normalized=normalized,
+               specularity=measured.local_specularity if measured else None)
     before, done, losses = None, [], []
     for number, (scale, steps) in enumerate(zip(config.pyramid.scales, config.pyramid.steps)):
         level = Level(device, config, run.at(scale))
-        level.enter(run.initial_writer(level))
+        level.prepare(run.initial_writer(level))
         level.start(run.start_writer(level, before))
         done.append(level.run(steps, _of_all(progress, config.pyramid.steps, number)))
         if "history" in level.arena:
@@ -110,7 +110,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
             del level            # its photos too, before those of the next one
     if progress and done[-1] < steps:                # the schedule has ended it
         progress(sum(config.pyramid.steps), sum(config.pyramid.steps))
-    return run.finish(level, Doubt.of(measured), tuple(done), losses, planned.nbytes)
+    return run.finish(level, EvidencePrior.of(measured), tuple(done), losses, planned.nbytes)
 
 
 def _of_all(progress, steps: tuple[int, ...], level: int):
@@ -122,15 +122,15 @@ def full_level(target, contexts, depth: np.ndarray, config: Config, device, phot
     """The full-size level, ready for its first step from the initial depth."""
     run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device))
     level = Level(device, config, run.at(1.0))
-    level.enter(run.initial_writer(level))
+    level.prepare(run.initial_writer(level))
     level.start(run.start_writer(level, None))
     return level
 
 
 def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
-               entered: Entered | None = None):
-    """What the context views show under the initial depth: a measure.Found."""
-    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), entered=entered)
+               normalized: NormalizedDepth | None = None):
+    """What the context views show under the initial depth: a measure.ProbeResult."""
+    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), normalized=normalized)
     given = run.at(1.0)
     probe = Probe(device, config, given, lambda out: run.write_initial(out, run.full))
     found = probe.read()
@@ -141,29 +141,29 @@ def probe_view(target, contexts, depth: np.ndarray, config: Config, device, phot
 class _Run:
     """One view's inputs at any level, and its way back to scene units."""
 
-    def __init__(self, target, contexts, depth, config, device, photos, *, witnesses=(),
-                 entered: Entered | None = None, gloss=None):
+    def __init__(self, target, contexts, depth, config, device, photos, *, held_out=(),
+                 normalized: NormalizedDepth | None = None, specularity=None):
         self.views, self.config, self.device, self.photos = [target, *contexts], config, device, photos
-        self.depth, self.witnesses, self.gloss = depth, list(witnesses), gloss
+        self.depth, self.held_out, self.specularity = depth, list(held_out), specularity
         self.resampler = Resampler(device, config)
         self.full = Size(target.camera.width, target.camera.height)
-        entered = entered or Entered(target, depth, device)
-        self.unit, self.entered = entered.unit, entered
-        self.threshold = entered.spread / config.splatting.depth_slices
-        distance = distance_unit([view.camera for view in self.views]) / self.unit
+        normalized = normalized or NormalizedDepth(target, depth, device)
+        self.scene_scale, self.normalized = normalized.scene_scale, normalized
+        self.threshold = normalized.depth_range / config.splatting.depth_slices
+        distance = viewing_distance([view.camera for view in self.views]) / self.scene_scale
         self.distance = distance if np.isfinite(distance) else 1.0
 
     def at(self, scale: float) -> LevelInput:
-        views = self.views + (self.witnesses if scale == 1 else [])
+        views = self.views + (self.held_out if scale == 1 else [])
         sizes = [level_size(view.camera, scale) for view in views]
         cameras = [view.camera.resized(*size.grid) for view, size in zip(views, sizes)]
         photos, host = self.photos.level(views, sizes, self.resampler)
-        return LevelInput(cameras, photos, self.unit, self.threshold, self.distance, len(self.views) - 1, host,
-                          self.gloss)
+        return LevelInput(cameras, photos, self.scene_scale, self.threshold, self.distance, len(self.views) - 1, host,
+                          self.specularity)
 
     def write_initial(self, out: cl.Buffer, size: Size):
         """The initial depth at `size`."""
-        self.resampler.shrink_depth(self.entered.buffer, self.full, out, size)
+        self.resampler.shrink_depth(self.normalized.buffer, self.full, out, size)
 
     def initial_writer(self, level: Level):
         return lambda out: self.write_initial(out, level.target)
@@ -180,15 +180,16 @@ class _Run:
 
         return write
 
-    def finish(self, level: Level, doubt: Doubt, steps, losses, planned: int) -> Refinement:
+    def finish(self, level: Level, prior: EvidencePrior, steps, losses, planned: int) -> Refinement:
         level.release(keep=FOR_EVIDENCE)
-        initial = self.entered.buffer
-        contexts = Evidence(level, range(1, len(self.views)), initial, doubt)
-        witnesses = [Evidence(level, [len(self.views) + k], initial, doubt) for k in range(len(self.witnesses))]
-        verdict = contexts.decide(witnesses)
-        depth, parallax, deviation, status = self.entered.leave(level.arena["depth"], level.arena["unit"],
-                                                                verdict.status, verdict.deviation, self.depth.shape)
-        for held in (level, contexts, verdict, self.entered):
+        initial = self.normalized.buffer
+        contexts = Evidence(level, range(1, len(self.views)), initial, prior)
+        held_out = [Evidence(level, [len(self.views) + k], initial, prior) for k in range(len(self.held_out))]
+        decision = contexts.decide(held_out)
+        depth, parallax, deviation, status = self.normalized.denormalize(
+            level.arena["depth"], level.arena["depth_per_parallax"], decision.status, decision.deviation,
+            self.depth.shape)
+        for held in (level, contexts, decision, self.normalized):
             held.release()
-        return Refinement(depth, status, deviation, parallax, verdict.cost, verdict.witnesses, steps, losses,
+        return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out, steps, losses,
                           self.device.memory.peak, planned)

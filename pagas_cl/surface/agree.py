@@ -67,10 +67,10 @@ def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: lis
     used = [(camera, other) for camera, other in zip(cameras, depths) if other is not None]
     if device is None:
         return twin.count(target, depth, [camera for camera, _ in used], [other for _, other in used], pixels)
-    from pagas_cl.runtime.faults import told_as_device_error
+    from pagas_cl.runtime.faults import translate_cl_errors
 
     try:
-        with told_as_device_error(device, f"the comparison of view {target.name!r} with others"):
+        with translate_cl_errors(device, f"the comparison of view {target.name!r} with others"):
             return _on_device(target, depth, used, pixels, device, maps or DepthMaps(device))
     except DeviceMemoryError as error:
         log.warning("%s: its depths are compared on the host", str(error))
@@ -84,12 +84,16 @@ def _on_device(target, depth, used, pixels: float, device, maps) -> tuple[np.nda
     from pagas_cl.runtime.transfer import download, upload
 
     sample = depth[::8, ::8]
-    unit = float(np.median(sample[sample > 0])) if (sample > 0).any() else float(np.max(depth, initial=0.0)) or 1.0
-    table = camera_table(target, [camera for camera, _ in used], unit)
+    if (sample > 0).any():
+        scene_scale = float(np.median(sample[sample > 0]))
+    else:
+        scene_scale = float(np.max(depth, initial=0.0)) or 1.0
+    table = camera_table(target, [camera for camera, _ in used], scene_scale)
     cameras, n = upload(device, table), depth.size
     parallax, found = (device.memory.buffer(device.context, 4 * n) for _ in range(2))
     cl.enqueue_fill_buffer(device.queue, found, np.uint32(0), 0, 4 * n)
-    program, own, size, scale = build(device, "agree.cl"), maps.map(depth), (target.width, target.height), 1 / unit
+    program, own = build(device, "agree.cl"), maps.map(depth)
+    size, scale = (target.width, target.height), 1 / scene_scale
     run_once(device.queue, [bind(program, "parallax", size, None, own, cameras, len(used), scale, parallax)])
     for view, (_, other) in enumerate(used, start=1):
         run_once(device.queue, [bind(program, "count_view", size, None, own, cameras, view, scale, maps.map(other),

@@ -76,7 +76,7 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
     executor : concurrent.futures.Executor, optional
         Fuses boxes elsewhere, `memory_mb` for each; photos and depths must then be on disk, and Open3D where it runs.
     folder : path, optional
-        For what is put aside meanwhile; with an executor on several machines one that all of them see.
+        For what is put on disk meanwhile; with an executor on several machines one that all of them see.
 
     Raises
     ------
@@ -84,9 +84,9 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
         As fuse; and where the mesh alone would not fit.
     """
     allowed = available_mb() if memory_mb is None else memory_mb
-    with tempfile.TemporaryDirectory(prefix=".fusion-", dir=folder) as aside:
-        aside = Path(aside)
-        touched = touched_by_views(views, depths, settings, aside)
+    with tempfile.TemporaryDirectory(prefix=".fusion-", dir=folder) as scratch:
+        scratch = Path(scratch)
+        touched = touched_by_views(views, depths, settings, scratch)
         plan = touched.plan
         if plan.memory_mb <= allowed:
             return fuse(views, depths, settings, weights, progress, plan=plan, memory_mb=allowed)
@@ -97,9 +97,9 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
                  _surface_mb(plan, settings), allowed)
         inputs, files = Inputs(views, depths, weights, settings, plan), []
         if executor is not None:
-            (aside / "inputs.pickle").write_bytes(pickle.dumps(inputs))
-            inputs = aside / "inputs.pickle"
-        tasks = [BoxTask(inputs, box, aside / f"{k:06d}.npz") for k, box in enumerate(boxes)]
+            (scratch / "inputs.pickle").write_bytes(pickle.dumps(inputs))
+            inputs = scratch / "inputs.pickle"
+        tasks = [BoxTask(inputs, box, scratch / f"{k:06d}.npz") for k, box in enumerate(boxes)]
         for done, file in enumerate((map if executor is None else executor.map)(fuse_box, tasks), start=1):
             files.append(file)
             if progress:
@@ -142,7 +142,9 @@ def fuse_box(task: BoxTask) -> Path | None:
     """Fuse one box and write its piece of the mesh; None where it holds no triangle."""
     given, box = task.inputs if isinstance(task.inputs, Inputs) else _unpickled(task.inputs), task.box
     plan, settings = given.plan, given.settings
-    grid = Grid(plan.voxel / plan.unit, settings.truncation, box.blocks, 2 * plan.depth_range[1] / plan.unit, True,
+    grid = Grid(plan.voxel / plan.grid_scale, settings.truncation, box.blocks,
+                2 * plan.depth_range[1] / plan.grid_scale,
+                True,
                 need("open3d", "mesh", "fusing depth maps to a mesh"))
     for index, view in enumerate(given.views):
         blocks = plan.blocks[index]
@@ -153,7 +155,7 @@ def fuse_box(task: BoxTask) -> Path | None:
             whole._integrate(grid, one, index, view, given.depths[index], weight)
     vertices, faces, normals, colours = grid.extract(settings.min_views - 0.5)
     del grid
-    edge = block_resolution(settings.truncation) * plan.voxel / plan.unit
+    edge = block_resolution(settings.truncation) * plan.voxel / plan.grid_scale
     if len(faces):
         middle = np.floor(vertices[faces].mean(axis=1, dtype=np.float64) / edge).astype(np.int64)
         faces = faces[_within(middle, box.low, box.high, 0)]

@@ -74,12 +74,12 @@ def displace(surface: Surface, views: list[Observed], *, agree_views: int = 1,
     middle = points.mean(axis=0)
     normals = _normals(points, welded[surface.faces])
     moves = np.full((len(views), len(points)), np.nan)
-    trust, unit, sure = np.zeros_like(moves), np.zeros_like(moves), np.zeros_like(moves)
+    trust, depth_per_parallax, sure = np.zeros_like(moves), np.zeros_like(moves), np.zeros_like(moves)
     edge = _edge_length(points, welded[surface.faces])
     for row, view in enumerate(views):
         seen, *said = _moves(points - middle, normals, _moved_camera(view.camera, middle), view, edge)
-        moves[row, seen], trust[row, seen], unit[row, seen], sure[row, seen] = said
-    along, agreeing, quality = _agreed(moves, trust, unit, sure, max(1, agree_views), agree_pixels)
+        moves[row, seen], trust[row, seen], depth_per_parallax[row, seen], sure[row, seen] = said
+    along, agreeing, quality = _agreed(moves, trust, depth_per_parallax, sure, max(1, agree_views), agree_pixels)
     along = _without_turning(points - middle, normals, along, welded[surface.faces])
     moved = along != 0
     log.info("displacement: %d of %d vertices moved, %d stayed (fewer than %d views agreed, or a triangle would have "
@@ -200,7 +200,7 @@ def _look_up(depth: np.ndarray, uv: np.ndarray, jump) -> tuple[np.ndarray, np.nd
     return value, good
 
 
-def _agreed(moves, trust, unit, sure, agree_views: int, agree_pixels: float):
+def _agreed(moves, trust, depth_per_parallax, sure, agree_views: int, agree_pixels: float):
     """Weighted mean of the moves near their median, where enough views are: (move, views, mean confidence)."""
     said = np.isfinite(moves) & (trust > 0)
     along, agreeing, quality = np.zeros(moves.shape[1]), np.zeros(moves.shape[1], np.int64), np.zeros(moves.shape[1])
@@ -209,7 +209,7 @@ def _agreed(moves, trust, unit, sure, agree_views: int, agree_pixels: float):
         return along, agreeing, quality
     part, said = moves[:, index], said[:, index]
     middle = np.nanmedian(np.where(said, part, np.nan), axis=0)
-    near = said & (np.abs(part - middle) <= agree_pixels * unit[:, index])
+    near = said & (np.abs(part - middle) <= agree_pixels * depth_per_parallax[:, index])
     count = near.sum(axis=0)
     enough = count > agree_views
     weight = np.where(near, trust[:, index], 0)

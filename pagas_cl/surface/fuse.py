@@ -53,7 +53,7 @@ class FusionPlan:
         Host memory at the peak, without the photos and depth maps.
     middle : ndarray of shape (3,), float64
         World origin of the grid's frame.
-    unit : float
+    grid_scale : float
         Scene units of one unit of the grid.
     """
 
@@ -64,7 +64,7 @@ class FusionPlan:
     block_count: int
     memory_mb: float
     middle: np.ndarray
-    unit: float
+    grid_scale: float
 
     def __str__(self) -> str:
         return (f"fusion: voxel {self.voxel:.4g}, truncation {self.truncation:.4g}, depths {self.depth_range[0]:.4g} "
@@ -84,22 +84,23 @@ def fusion_plan(views, depths, settings: Fusion = Fusion()) -> FusionPlan:
     cameras = [view.camera if isinstance(view, View) else view for view in views]
     if len(cameras) != len(depths):
         raise InputError(f"there are {len(cameras)} views and {len(depths)} depth maps, expected one each")
-    footprint, unit, middle, low, high = _measured(cameras, depths)
+    footprint, grid_scale, middle, low, high = _measured(cameras, depths)
     voxel = settings.voxel * footprint
-    grid = Grid(voxel / unit, settings.truncation, 1, 2 * high / unit, False, o3d)
+    grid = Grid(voxel / grid_scale, settings.truncation, 1, 2 * high / grid_scale, False, o3d)
     far = _FAR * voxel
     blocks, keys = [], np.zeros(0, np.int64)
     for camera, depth in zip(cameras, depths):
-        depth = _depth(camera, depth, far, unit)
-        wide = depth is not None and depth.max() * unit / camera.fx > 2 * voxel
+        depth = _depth(camera, depth, far, grid_scale)
+        wide = depth is not None and depth.max() * grid_scale / camera.fx > 2 * voxel
         blocks.append(np.zeros((0, 3), np.int32) if depth is None
-                      else grid.touched(depth, _intrinsics(camera), _pose(camera, middle, unit), every=bool(wide)))
+                      else grid.touched(depth, _intrinsics(camera), _pose(camera, middle, grid_scale),
+                                        every=bool(wide)))
         keys = np.union1d(keys, _keys(blocks[-1]))
     count = len(keys)
     edge = block_resolution(settings.truncation)
     vertices = count * edge**2 * _VERTICES
     memory = max(count * edge**3 * _VOXEL_BYTES + vertices * _VERTEX_BYTES, vertices * _AFTER_BYTES) / 1e6
-    return FusionPlan(voxel, settings.truncation * voxel, (low, high), blocks, count, memory, middle, unit)
+    return FusionPlan(voxel, settings.truncation * voxel, (low, high), blocks, count, memory, middle, grid_scale)
 
 
 def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, progress=None, *,
@@ -129,7 +130,8 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
     plan = plan or fusion_plan(views, depths, settings)
     log.info("%s", plan)
     _check_memory(plan, settings, memory_mb)
-    grid = Grid(plan.voxel / plan.unit, settings.truncation, plan.block_count, 2 * plan.depth_range[1] / plan.unit,
+    grid = Grid(plan.voxel / plan.grid_scale, settings.truncation, plan.block_count,
+                2 * plan.depth_range[1] / plan.grid_scale,
                 True, need("open3d", "mesh", "fusing depth maps to a mesh"))
     for i, view in enumerate(views):
         _integrate(grid, plan, i, view, depths[i], None if weights is None else weights[i])
@@ -148,13 +150,13 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
 
 
 def _integrate(grid: Grid, plan: FusionPlan, index: int, view: View, depth, weight) -> None:
-    depth = _depth(view.camera, depth, _FAR * plan.voxel, plan.unit)
+    depth = _depth(view.camera, depth, _FAR * plan.voxel, plan.grid_scale)
     if depth is None:
         return
     colour = view.load_image().astype(np.float32) / 255
     for share in _shares(depth, weight, view.name):
         grid.integrate(plan.blocks[index], share, colour, _intrinsics(view.camera),
-                       _pose(view.camera, plan.middle, plan.unit))
+                       _pose(view.camera, plan.middle, plan.grid_scale))
 
 
 def _mesh(extracted, plan: FusionPlan, settings: Fusion, seen: np.ndarray) -> Surface:
@@ -171,7 +173,7 @@ def _mesh(extracted, plan: FusionPlan, settings: Fusion, seen: np.ndarray) -> Su
     first, faces = in_order(vertices[keep], normals[keep], faces)
     keep = keep[first]
     length = np.linalg.norm(normals[keep], axis=1, keepdims=True)
-    return Surface(vertices[keep].astype(np.float64) * plan.unit + plan.middle, faces,
+    return Surface(vertices[keep].astype(np.float64) * plan.grid_scale + plan.middle, faces,
                    normals[keep] / np.where(length > 0, length, 1),
                    None if colours is None else np.clip(colours[keep], 0, 1))
 
@@ -200,8 +202,8 @@ def _measured(cameras: list[Camera], depths) -> tuple[float, float, np.ndarray, 
     if not points:
         raise InputError(f"none of the {len(cameras)} depth maps has a valid depth (finite and above 0): nothing to "
                          "fuse")
-    unit = float(np.median(np.concatenate([z for z, _, _ in all_depths])))
-    return (float(np.median(np.concatenate(footprints))), unit, np.median(points, axis=0),
+    grid_scale = float(np.median(np.concatenate([z for z, _, _ in all_depths])))
+    return (float(np.median(np.concatenate(footprints))), grid_scale, np.median(points, axis=0),
             float(min(low for _, low, _ in all_depths)), float(max(high for _, _, high in all_depths)))
 
 
@@ -218,12 +220,12 @@ def _whole(camera: Camera, depth) -> np.ndarray | None:
     return depth
 
 
-def _depth(camera: Camera, depth, far: float, unit: float) -> np.ndarray | None:
+def _depth(camera: Camera, depth, far: float, grid_scale: float) -> np.ndarray | None:
     """The same in the grid's unit, without pixels so far away that they are wider than `far`; None if none is left."""
     depth = _whole(camera, depth)
     if depth is None:
         return None
-    depth = np.where(depth < far * min(camera.fx, camera.fy), depth * np.float32(1 / unit), np.float32(0))
+    depth = np.where(depth < far * min(camera.fx, camera.fy), depth * np.float32(1 / grid_scale), np.float32(0))
     return depth if (depth > 0).any() else None
 
 
@@ -233,11 +235,11 @@ def _intrinsics(camera: Camera) -> np.ndarray:
     return K
 
 
-def _pose(camera: Camera, middle: np.ndarray, unit: float) -> np.ndarray:
+def _pose(camera: Camera, middle: np.ndarray, grid_scale: float) -> np.ndarray:
     """World-to-camera for the grid's frame; places are subtracted before the product, to keep their digits."""
     pose = np.eye(4)
     pose[:3, :3] = camera.world_to_camera[:3, :3]
-    pose[:3, 3] = pose[:3, :3] @ ((middle - camera.center) / unit)
+    pose[:3, 3] = pose[:3, :3] @ ((middle - camera.center) / grid_scale)
     return pose
 
 

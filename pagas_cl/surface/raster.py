@@ -41,8 +41,8 @@ class Caster:
         used = surface.vertices[np.unique(surface.faces)]
         low, high = used.min(axis=0), used.max(axis=0)
         self.middle = (low + high) / 2
-        self.unit = float(np.linalg.norm(high - low)) or 1.0
-        vertices = np.ascontiguousarray((surface.vertices - self.middle) / self.unit, np.float32)
+        self.mesh_scale = float(np.linalg.norm(high - low)) or 1.0
+        vertices = np.ascontiguousarray((surface.vertices - self.middle) / self.mesh_scale, np.float32)
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(o3d.core.Tensor(vertices),
                                   o3d.core.Tensor(np.ascontiguousarray(surface.faces, np.uint32)))
@@ -53,7 +53,7 @@ class Caster:
         depth = np.empty((camera.height, camera.width), np.float32)
         step = max(1, _RAYS // camera.width)
         rotation = camera.world_to_camera[:3, :3]
-        origin = (camera.center - self.middle) / self.unit
+        origin = (camera.center - self.middle) / self.mesh_scale
         x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
         for start in range(0, camera.height, step):
             y = (np.arange(start, min(start + step, camera.height)) + 0.5 - camera.cy) / camera.fy
@@ -62,5 +62,5 @@ class Caster:
             # a ray in the world is x r0 + y r1 + r2, with r the rows of the rotation
             rays[..., 3:] = x[None, :, None] * rotation[0] + (y[:, None, None] * rotation[1] + rotation[2])
             hit = self._scene.cast_rays(self._tensor(rays))["t_hit"].numpy()
-            depth[start:start + step] = np.where(np.isfinite(hit), hit * self.unit, 0)
+            depth[start:start + step] = np.where(np.isfinite(hit), hit * self.mesh_scale, 0)
         return depth

@@ -57,7 +57,7 @@ def join(files: list[Path], boxes, plan: FusionPlan, settings: Fusion) -> Surfac
         raise InputError(f"fused mesh is empty: depths {plan.depth_range[0]:.4g} to {plan.depth_range[1]:.4g}, voxel "
                          f"{plan.voxel:.4g}, fusion.min_views {settings.min_views}; lower fusion.min_views, or "
                          f"change fusion.voxel (it is {settings.voxel:g})")
-    cell = plan.voxel / plan.unit
+    cell = plan.voxel / plan.grid_scale
     sides = _sides(boxes, block_resolution(settings.truncation) * cell)
     remembered, places = zip(*(_remember(file, sides, _NEAR * cell) for file in files))
     first = _first_rows(np.concatenate(places))
@@ -126,7 +126,7 @@ def _assembled(remembered, first: np.ndarray, large, plan: FusionPlan) -> Surfac
             number[piece.border[shared]] = number_of_row[first[here][shared]]
             number_of_row[here] = number[piece.border]
             place = slice(starts[k], starts[k + 1])
-            vertices[place] = archive["vertices"][own].astype(np.float64) * plan.unit + plan.middle
+            vertices[place] = archive["vertices"][own].astype(np.float64) * plan.grid_scale + plan.middle
             normal = archive["normals"][own]
             length = np.linalg.norm(normal, axis=1, keepdims=True)
             normals[place] = normal / np.where(length > 0, length, 1)

@@ -48,16 +48,16 @@ def touched_by_views(views, depths, settings: Fusion, folder: Path) -> Touched:
     cameras = [view.camera if isinstance(view, View) else view for view in views]
     if len(cameras) != len(depths):
         raise InputError(f"there are {len(cameras)} views and {len(depths)} depth maps, expected one each")
-    footprint, unit, middle, low, high = whole._measured(cameras, depths)
+    footprint, grid_scale, middle, low, high = whole._measured(cameras, depths)
     voxel = settings.voxel * footprint
-    grid = Grid(voxel / unit, settings.truncation, 1, 2 * high / unit, False, o3d)
+    grid = Grid(voxel / grid_scale, settings.truncation, 1, 2 * high / grid_scale, False, o3d)
     files, union = BlockFiles(folder, len(cameras)), _Union()
     for index, (camera, depth) in enumerate(zip(cameras, depths)):
-        depth = whole._depth(camera, depth, whole._FAR * voxel, unit)
+        depth = whole._depth(camera, depth, whole._FAR * voxel, grid_scale)
         blocks = np.zeros((0, 3), np.int32)
         if depth is not None:
-            wide = bool(depth.max() * unit / camera.fx > 2 * voxel)
-            blocks = grid.touched(depth, whole._intrinsics(camera), whole._pose(camera, middle, unit), every=wide)
+            wide = bool(depth.max() * grid_scale / camera.fx > 2 * voxel)
+            blocks = grid.touched(depth, whole._intrinsics(camera), whole._pose(camera, middle, grid_scale), every=wide)
         files.put(index, blocks)
         union.add(blocks)
     blocks = union.blocks()
@@ -65,7 +65,7 @@ def touched_by_views(views, depths, settings: Fusion, folder: Path) -> Touched:
     vertices = len(blocks) * edge**2 * whole._VERTICES
     memory = max(len(blocks) * edge**3 * whole._VOXEL_BYTES + vertices * whole._VERTEX_BYTES,
                  vertices * whole._AFTER_BYTES) / 1e6
-    plan = FusionPlan(voxel, settings.truncation * voxel, (low, high), files, len(blocks), memory, middle, unit)
+    plan = FusionPlan(voxel, settings.truncation * voxel, (low, high), files, len(blocks), memory, middle, grid_scale)
     return Touched(plan, blocks)
 
 

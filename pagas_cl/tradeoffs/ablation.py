@@ -34,8 +34,9 @@ def ablation_plan(base_name: str = "paper") -> list[Setting]:
     add("scales 4, 2, 1", "0.495 (worse)", pyramid__scales=(0.25, 0.5, 1), pyramid__steps=(100, 100, 100))
     add("steps 200, 100", pyramid__scales=(0.5, 1), pyramid__steps=(200, 100))
     add("steps 100, 200", pyramid__scales=(0.5, 1), pyramid__steps=(100, 200))
-    rate = 1e-4 if base.solver.unit == "distance" else 10 * base.solver.rate
-    add("rate 1e-4" if base.solver.unit == "distance" else "ten times the rate", "0.563 (worse)", solver__rate=rate)
+    rate = 1e-4 if base.solver.rate_unit == "distance" else 10 * base.solver.rate
+    add("rate 1e-4" if base.solver.rate_unit == "distance" else "ten times the rate", "0.563 (worse)",
+        solver__rate=rate)
     add("radius 3", "0.461 (worse)", splatting__radius=3.0)
     add("4 slices", splatting__depth_slices=4.0)
     add("no occlusion", "0.464 (worse)", splatting__occlusion=False)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.tradeoffs.bench import Bench
+from pagas_cl.tradeoffs.case import BenchmarkCase
 from pagas_cl.tradeoffs.plan import Setting
 
 log = logging.getLogger("pagas_cl")
@@ -41,33 +41,33 @@ class Book:
                 raise InputError(f"{str(self.path)!r} is no record of a study ({error}); move it away") from error
             log.info("%s: %d runs are there already", self.path, len(self.records))
 
-    def has(self, setting: Setting, bench: Bench) -> bool:
-        return any(r["key"] == setting.key and r["bench"] == bench.name
-                   and r.get("pixels", bench.pixels) == bench.pixels for r in self.records)
+    def has(self, setting: Setting, case: BenchmarkCase) -> bool:
+        return any(r["key"] == setting.key and r["case"] == case.name
+                   and r.get("pixels", case.pixels) == case.pixels for r in self.records)
 
     def add(self, record: dict):
         self.records.append(record)
         if self.path is not None:
             self.write({"device": self.device, "records": self.records})
 
-    def told(self, study) -> dict:
+    def as_dict(self, study) -> dict:
         """Everything for tradeoff.json."""
-        return plain({"device": self.device, "figure": study.figure, "proxy_rank_correlation": study.proxy,
+        return json_ready({"device": self.device, "figure": study.figure, "proxy_rank_correlation": study.proxy,
                       "initial": study.initial, "left_out": study.left_out,
                       "points": [asdict(point) for point in study.points], "records": self.records})
 
-    def write(self, told: dict):
+    def write(self, content: dict):
         """Write the file beside itself and rename it."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         beside = self.path.with_name(f".{FILE}.{os.getpid()}.part")
-        beside.write_text(json.dumps(plain(told), indent=1))
+        beside.write_text(json.dumps(json_ready(content), indent=1))
         os.replace(beside, self.path)
 
 
-def plain(value):
+def json_ready(value):
     """`value` with null for numbers that JSON does not have."""
     if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
+        return {key: json_ready(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
+        return [json_ready(item) for item in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Point:
-    """One setting over all benches that it ran on.
+    """One setting over all cases that it ran on.
 
     Attributes
     ----------
@@ -41,13 +41,13 @@ class Point:
         return self.errors.get(which, float("nan"))
 
 
-def summarise(settings, records, initial: dict, benches) -> list[Point]:
-    """Points of the settings that ran on all of `benches` (names)."""
+def summarise(settings, records, initial: dict, cases) -> list[Point]:
+    """Points of the settings that ran on all of `cases` (names)."""
     points = []
     for setting in settings:
-        rows = {r["bench"]: r for r in records
-                if r["key"] == setting.key and r["bench"] in benches and "error" not in r}
-        if len(rows) < len(benches):
+        rows = {r["case"]: r for r in records
+                if r["key"] == setting.key and r["case"] in cases and "error" not in r}
+        if len(rows) < len(cases):
             continue
         points.append(Point(setting.name, setting.group, setting.paper, _mean(rows, "seconds"),
                             max(r["device_bytes"] for r in rows.values()), _mean(rows, "view_steps"),
@@ -61,10 +61,10 @@ def _mean(rows, name):
 
 def _errors(rows, initial) -> dict:
     shares: dict[str, list[float]] = {}
-    for bench, row in rows.items():
+    for case, row in rows.items():
         for name, value in row["scores"].items():
             value = float("nan") if value is None else value  # JSON has no nan
-            before = initial[bench].get(name)
+            before = initial[case].get(name)
             if name.startswith("unpredicted") and not name.endswith("before"):
                 before = row["scores"][f"{name}_before"]
             if name == "missing":

@@ -7,10 +7,10 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from pagas_cl.tradeoffs.bench import Bench
+from pagas_cl.tradeoffs.case import BenchmarkCase
 from pagas_cl.tradeoffs.score import score
 
-_BENCHES: list[Bench] = []  # of a judging process
+_CASES: list[BenchmarkCase] = []  # of a judging process
 
 
 class Judges:
@@ -18,14 +18,14 @@ class Judges:
 
     Parameters
     ----------
-    benches : list of Bench
+    cases : list of BenchmarkCase
     workers : int
         Processes; 0 judges in this one.
     """
 
-    def __init__(self, benches, workers: int):
-        self.benches, self.waiting = benches, []
-        self.pool = ProcessPoolExecutor(workers, get_context("spawn"), _take, (benches,)) if workers else None
+    def __init__(self, cases, workers: int):
+        self.cases, self.waiting = cases, []
+        self.pool = ProcessPoolExecutor(workers, get_context("spawn"), _take, (cases,)) if workers else None
 
     def __enter__(self):
         return self
@@ -37,7 +37,7 @@ class Judges:
 
     def judge(self, number: int, depth, then):
         if self.pool is None:
-            then(score(self.benches[number], depth))
+            then(score(self.cases[number], depth))
             return
         self.waiting.append((self.pool.submit(_score, number, depth), then))
         self._collect(wait=False)
@@ -52,9 +52,9 @@ class Judges:
         self.waiting = left
 
 
-def _take(benches):
-    _BENCHES[:] = benches
+def _take(cases):
+    _CASES[:] = cases
 
 
 def _score(number: int, depth: np.ndarray) -> dict:
-    return score(_BENCHES[number], depth)
+    return score(_CASES[number], depth)

@@ -44,23 +44,23 @@ def markdown(points) -> str:
 
 def notes(study) -> list[str]:
     """What a reader has to know, one line each."""
-    told = [f"Device: {study.device}. Views: {', '.join(study.initial)}.",
+    lines = [f"Device: {study.device}. Views: {', '.join(study.initial)}.",
             "Errors are shares of the initial depth's, means over the views; settings of the Pareto front are marked."]
     if study.figure == "unpredicted":
-        told.append("There is no truth here: the front is of 1 - median correlation of 7x7 patches with photos that "
+        lines.append("There is no truth here: the front is of 1 - median correlation of 7x7 patches with photos that "
                     "took no part, a proxy.")
     elif study.proxy == study.proxy:
-        told.append(f"Held-out photos rank these settings like the true depth error does with a rank correlation of "
+        lines.append(f"Held-out photos rank these settings like the true depth error does with a rank correlation of "
                     f"{study.proxy:.2f}.")
     if study.left_out:
-        told.append(f"Left out for lack of time: {'; '.join(study.left_out)}.")
-    return told
+        lines.append(f"Left out for lack of time: {'; '.join(study.left_out)}.")
+    return lines
 
 
-def write_report(folder: Path, study, told: dict) -> Path:
+def write_report(folder: Path, study, content: dict) -> Path:
     """Write index.html, tradeoff.json and, where matplotlib is there, tradeoff.png; returns the page's path."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / FILE, json.dumps(told, indent=1) + "\n")
+    write_text(folder / FILE, json.dumps(content, indent=1) + "\n")
     picture = ""
     if any(point.on_front for point in study.points):
         try:

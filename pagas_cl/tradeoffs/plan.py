@@ -6,7 +6,8 @@ import hashlib
 import json
 from dataclasses import dataclass, fields, replace
 
-from pagas_cl.config import Config, preset
+from pagas_cl.config import Config
+from pagas_cl.presets import preset
 
 GIVEN, RANDOM, OWN_ERROR = "given", "random", "own error"
 
@@ -44,8 +45,8 @@ class Setting:
     @property
     def key(self) -> str:
         """The same for equal settings, whatever they are called."""
-        told = json.dumps([[stage.as_dict() for stage in self.stages], self.initial, self.agree], sort_keys=True)
-        return hashlib.sha256(told.encode()).hexdigest()[:16]
+        described = json.dumps([[stage.as_dict() for stage in self.stages], self.initial, self.agree], sort_keys=True)
+        return hashlib.sha256(described.encode()).hexdigest()[:16]
 
     def view_steps(self, contexts: int) -> float:
         """Work with `contexts` context views: full-size pixels are gone through so many times."""
@@ -155,12 +156,12 @@ def _levels(base) -> list[Setting]:
 
 
 def _solver(base) -> list[Setting]:
-    plain = dict(solver__spread=0, solver__beta2=0.999)
-    return [changed("each pixel its own gradient", "solver", base, solver__spread=0),
-            changed("gradient spread by 1 pixel", "solver", base, solver__spread=1),
-            changed("gradient spread by 3 pixels", "solver", base, solver__spread=3),
+    unfiltered = dict(solver__gradient_filter=0, solver__beta2=0.999)
+    return [changed("each pixel its own gradient", "solver", base, solver__gradient_filter=0),
+            changed("gradient filtered over 1 pixel", "solver", base, solver__gradient_filter=1),
+            changed("gradient filtered over 3 pixels", "solver", base, solver__gradient_filter=3),
             changed("long memory (beta2 0.999)", "solver", base, solver__beta2=0.999),
-            changed("both, 200 steps", "solver", base, **plain, pyramid__steps=(200,), solver__rate=0.04),
+            changed("both, 200 steps", "solver", base, **unfiltered, pyramid__steps=(200,), solver__rate=0.04),
             changed("half the rate", "solver", base, solver__rate=0.5 * base.solver.rate),
             changed("twice the rate", "solver", base, solver__rate=2 * base.solver.rate),
             changed("rate kept to the end", "solver", base, solver__final_rate=1.0),

@@ -1,4 +1,4 @@
-"""One setting on one bench: the refined depth, its time and its memory."""
+"""One setting on one case: the refined depth, its time and its memory."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from zlib import crc32
 
 import numpy as np
 
-from pagas_cl.tradeoffs.bench import Bench
+from pagas_cl.tradeoffs.case import BenchmarkCase
 from pagas_cl.tradeoffs.plan import OWN_ERROR, RANDOM, Setting
 
 
@@ -34,18 +34,18 @@ class Outcome:
     device_bytes: int
 
 
-def run(setting: Setting, bench: Bench, device, photos, repeats: int = 1) -> Outcome:
-    """Run `setting` on `bench`, after a run of a step a level that compiles and uploads."""
-    initial = initial_depth(setting, bench)
+def run(setting: Setting, case: BenchmarkCase, device, photos, repeats: int = 1) -> Outcome:
+    """Run `setting` on `case`, after a run of a step a level that compiles and uploads."""
+    initial = initial_depth(setting, case)
     short = [stage.with_settings(pyramid__steps=tuple(min(1, n) for n in stage.pyramid.steps))
              for stage in setting.stages]
-    _stages(short, bench.target, bench.contexts, initial, device, photos)
+    _stages(short, case.target, case.contexts, initial, device, photos)
     times = []
     for _ in range(max(1, repeats)):
         start = time.perf_counter()
-        depth, work, most = _stages(setting.stages, bench.target, bench.contexts, initial, device, photos)
+        depth, work, most = _stages(setting.stages, case.target, case.contexts, initial, device, photos)
         if setting.agree:
-            depth = _agreed(setting, bench, depth, device, photos)
+            depth = _agreed(setting, case, depth, device, photos)
         times.append(time.perf_counter() - start)
     return Outcome(depth, float(np.median(times)), work * (1 + setting.agree), most)
 
@@ -65,32 +65,32 @@ def _stages(stages, target, contexts, depth, device, photos):
     return depth, work, most
 
 
-def _agreed(setting, bench, depth, device, photos):
+def _agreed(setting, case, depth, device, photos):
     """The depth where enough refined context views confirm it, 0 elsewhere."""
     from pagas_cl.surface.agree import confirmations
 
-    views = [bench.target, *bench.contexts]
+    views = [case.target, *case.contexts]
     cameras, others = [], []
-    for view, start in zip(bench.contexts, bench.context_depths):
+    for view, start in zip(case.contexts, case.context_depths):
         if start is not None and len(others) < 2 * setting.agree:
             around = [other for other in views if other is not view]
             cameras.append(view.camera)
             others.append(_stages(setting.stages, view, around, start, device, photos)[0])
-    count = confirmations(bench.target.camera, depth, cameras, others, setting.stages[-1].fusion.agree_pixels,
+    count = confirmations(case.target.camera, depth, cameras, others, setting.stages[-1].fusion.agree_pixels,
                           device)
     return np.where(count >= setting.agree, depth, np.float32(0))
 
 
-def initial_depth(setting: Setting, bench: Bench) -> np.ndarray:
-    """The depth that `setting` starts from: the bench's own, or one made from it, the same every time."""
-    given = np.where(np.isfinite(bench.initial), bench.initial, 0).astype(np.float32)
-    rng = np.random.default_rng(crc32(bench.name.encode()))
+def initial_depth(setting: Setting, case: BenchmarkCase) -> np.ndarray:
+    """The depth that `setting` starts from: the case's own, or one made from it, the same every time."""
+    given = np.where(np.isfinite(case.initial), case.initial, 0).astype(np.float32)
+    rng = np.random.default_rng(crc32(case.name.encode()))
     valid = given > 0
     if setting.initial == RANDOM:
         low, high = (float(f(given[valid])) for f in (np.min, np.max))
         return np.where(valid, rng.uniform(low, high, given.shape), 0).astype(np.float32)
     if setting.initial == OWN_ERROR:
-        return np.where(valid, np.maximum(given + 0.5 * bench.parallax * _smooth_noise(rng, given.shape, 40), 0),
+        return np.where(valid, np.maximum(given + 0.5 * case.parallax * _smooth_noise(rng, given.shape, 40), 0),
                         0).astype(np.float32)
     return given
 

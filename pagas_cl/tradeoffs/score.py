@@ -1,14 +1,14 @@
-"""Errors of a depth map on a bench, as plain numbers."""
+"""Errors of a depth map on a case, as plain numbers."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from pagas_cl.evaluate import compare_depth, compare_predictions
-from pagas_cl.tradeoffs.bench import Bench
+from pagas_cl.tradeoffs.case import BenchmarkCase
 
 
-def score(bench: Bench, depth: np.ndarray) -> dict:
+def score(case: BenchmarkCase, depth: np.ndarray) -> dict:
     """Errors of `depth` against the truth where there is one, and how well it predicts the held-out photos.
 
     Returns
@@ -20,25 +20,25 @@ def score(bench: Bench, depth: np.ndarray) -> dict:
         1 - mean correlation of 7x7 patches, mean over the photos, and "unpredicted_before", "unpredicted_mean_before":
         the same of the initial depth over the same pixels.
     """
-    return {**_errors(bench, depth), **_prediction(bench, depth)}
+    return {**_errors(case, depth), **_prediction(case, depth)}
 
 
-def _errors(bench, depth) -> dict:
-    if bench.truth is None:
+def _errors(case, depth) -> dict:
+    if case.truth is None:
         return {}
-    found = compare_depth(depth, bench.truth, bench.target.camera, parallax=bench.parallax,
-                          mask=bench.target.load_mask(), true_normals=bench.true_normals,
-                          discontinuities=bench.discontinuities)
+    found = compare_depth(depth, case.truth, case.target.camera, parallax=case.parallax,
+                          mask=case.target.load_mask(), true_normals=case.true_normals,
+                          discontinuities=case.discontinuities)
     smooth, whole = found.smooth, found.all
     return {"depth": smooth.mean, "depth_median": smooth.median, "parallax": smooth.mean_parallax,
             "normal": smooth.normal_mean, "edges": found.edges.mean,
             "missing": whole.missing / max(1, whole.pixels + whole.missing)}
 
 
-def _prediction(bench, depth) -> dict:
+def _prediction(case, depth) -> dict:
     rows = []
-    for other in bench.held_out:
-        before, after = compare_predictions(bench.target, [bench.initial, depth], other)
+    for other in case.held_out:
+        before, after = compare_predictions(case.target, [case.initial, depth], other)
         if after.pixels:
             rows.append((1 - after.median, 1 - after.mean, 1 - before.median, 1 - before.mean))
     if not rows:

@@ -1,4 +1,4 @@
-"""Settings on benches, one record after the other: resumable, within a budget."""
+"""Settings on cases, one record after the other: resumable, within a budget."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from pagas_cl.config import preset
 from pagas_cl.errors import DeviceError, InputError
-from pagas_cl.tradeoffs.bench import Bench, loaded, make_benches
+from pagas_cl.presets import preset
 from pagas_cl.tradeoffs.book import Book
+from pagas_cl.tradeoffs.case import BenchmarkCase, loaded, make_cases
 from pagas_cl.tradeoffs.front import Point, pareto, rank_correlation, summarise
 from pagas_cl.tradeoffs.judges import Judges
 from pagas_cl.tradeoffs.plan import Setting, distinct, front_plan
@@ -31,7 +31,7 @@ class Study:
     figure : str
         The error that the front is of: "depth" where there is truth, else "unpredicted".
     initial : dict
-        Errors of each bench's initial depth.
+        Errors of each case's initial depth.
     proxy : float
         Rank correlation of "unpredicted" (held-out photos) with "depth" over the settings; nan without both.
     device : str
@@ -66,7 +66,7 @@ def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: in
     truth : list of (ndarray or None), optional
         True depth of each view; without it held-out photos are the judge.
     names, held_out, sample
-        Views to measure on, views kept out of everything, or how many views to take: see `make_benches`.
+        Views to measure on, views kept out of everything, or how many views to take: see `make_cases`.
     budget : float, optional
         Minutes; settings that do not fit any more are left out.
     settings : list of Setting, optional
@@ -81,35 +81,35 @@ def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: in
         device.
     """
     most = max(setting.contexts for setting in settings or front_plan())
-    benches = make_benches(views, depths, truth=truth, names=names, held_out=held_out, sample=sample,
+    cases = make_cases(views, depths, truth=truth, names=names, held_out=held_out, sample=sample,
                            most_contexts=most)
-    return measure(benches, settings, budget=budget, device=device, report=report, repeats=repeats, workers=workers,
+    return measure(cases, settings, budget=budget, device=device, report=report, repeats=repeats, workers=workers,
                    progress=progress)
 
 
-def measure(benches: list[Bench], settings: list[Setting] | None = None, *, budget=None, device=None, report=None,
+def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *, budget=None, device=None, report=None,
             repeats: int = 1, workers: int = 0, progress=None) -> Study:
-    """As `tradeoff`, on benches that are made already."""
+    """As `tradeoff`, on cases that are made already."""
     from pagas_cl.runtime.device import open_device
 
-    most = max(len(bench.contexts) for bench in benches)
+    most = max(len(case.contexts) for case in cases)
     settings, device = distinct(settings or front_plan(), most), open_device(device)
     if budget is not None and not budget > 0:
         raise InputError(f"the budget is {budget!r} minutes, expected more than 0")
-    benches = [loaded(bench) for bench in benches]
+    cases = [loaded(case) for case in cases]
     book = Book(None if report is None else Path(report), device.info.title)
-    initial = {bench.name: score(bench, bench.initial) for bench in benches}
-    left_out = _fill(book, benches, settings, device, budget, repeats, workers, progress)
+    initial = {case.name: score(case, case.initial) for case in cases}
+    left_out = _fill(book, cases, settings, device, budget, repeats, workers, progress)
     study = collect(book.records, settings, initial, str(device.info), left_out)
     if report is not None:
         from pagas_cl.tradeoffs.page import write_report
 
-        write_report(Path(report), study, book.told(study))
+        write_report(Path(report), study, book.as_dict(study))
     return study
 
 
 def collect(records, settings, initial: dict, device: str, left_out=()) -> Study:
-    """The study that `records` make of `settings` on the benches that `initial` names (a part of them, say)."""
+    """The study that `records` make of `settings` on the cases that `initial` names (a part of them, say)."""
     points = summarise(settings, records, initial, list(initial))
     figure = "depth" if all("depth" in scores for scores in initial.values()) else "unpredicted"
     points = sorted(points, key=lambda p: p.seconds)
@@ -119,24 +119,24 @@ def collect(records, settings, initial: dict, device: str, left_out=()) -> Study
                  device, list(left_out), list(records))
 
 
-def _fill(book, benches, settings, device, budget, repeats, workers, progress) -> list[str]:
+def _fill(book, cases, settings, device, budget, repeats, workers, progress) -> list[str]:
     """Run what the book does not have; returns the names of what did not fit into the budget."""
     began, left_out = time.monotonic(), []
-    todo = [(setting, k) for setting in settings for k, bench in enumerate(benches) if not book.has(setting, bench)]
-    guess = _Guess(benches[0], device, repeats) if todo else None
+    todo = [(setting, k) for setting in settings for k, case in enumerate(cases) if not book.has(setting, case)]
+    guess = _Guess(cases[0], device, repeats) if todo else None
     if todo:
-        log.info("%d settings on %d views, %d runs still to do: about %.1f minutes%s", len(settings), len(benches),
-                 len(todo), sum(guess.seconds(setting, benches[k]) for setting, k in todo) / 60,
+        log.info("%d settings on %d views, %d runs still to do: about %.1f minutes%s", len(settings), len(cases),
+                 len(todo), sum(guess.seconds(setting, cases[k]) for setting, k in todo) / 60,
                  f", at most {budget:g}" if budget else "")
-    with Judges(benches, workers) as judges:
+    with Judges(cases, workers) as judges:
         for done, (setting, k) in enumerate(todo):
             if progress:
                 progress("measure", done, len(todo))
             spent = time.monotonic() - began
-            if budget and spent + guess.seconds(setting, benches[k]) > 60 * budget:
+            if budget and spent + guess.seconds(setting, cases[k]) > 60 * budget:
                 left_out.append(setting.name)
                 continue
-            _one(book, setting, benches[k], k, device, repeats, judges, guess)
+            _one(book, setting, cases[k], k, device, repeats, judges, guess)
     if progress:
         progress("measure", len(todo), len(todo))
     if left_out:
@@ -145,46 +145,46 @@ def _fill(book, benches, settings, device, budget, repeats, workers, progress) -
     return list(dict.fromkeys(left_out))
 
 
-def _one(book, setting, bench, number, device, repeats, judges, guess):
+def _one(book, setting, case, number, device, repeats, judges, guess):
     """Run one setting on one view, have it judged, and write it into the book."""
     from pagas_cl.splat import PhotoStore
 
     start, photos = time.monotonic(), PhotoStore(device)  # its own: the memory counted is of this view alone
-    record = {"key": setting.key, "setting": setting.name, "bench": bench.name}
+    record = {"key": setting.key, "setting": setting.name, "case": case.name}
     try:
-        outcome = run(setting, bench, device, photos, repeats)
+        outcome = run(setting, case, device, photos, repeats)
     except DeviceError as error:  # too much memory for this device: the others still go
-        log.warning("%s on %s: %s", setting.name, bench.name, error)
+        log.warning("%s on %s: %s", setting.name, case.name, error)
         book.add({**record, "error": str(error)})
         return
     record |= {"seconds": outcome.seconds, "view_steps": outcome.view_steps, "device_bytes": outcome.device_bytes,
-               "pixels": bench.pixels}
+               "pixels": case.pixels}
     judges.judge(number, outcome.depth, lambda scores: book.add({**record, "scores": scores}))
-    guess.learn(setting, bench, time.monotonic() - start)
+    guess.learn(setting, case, time.monotonic() - start)
 
 
 class _Guess:
     """How long a run will take: by its work, corrected by how long the ones before it took."""
 
-    def __init__(self, bench, device, repeats):
+    def __init__(self, case, device, repeats):
         from pagas_cl.costs import photo_seconds, probe
 
-        self.cost = probe(bench.target, bench.contexts, bench.initial, preset("balanced"), device,
-                          photo=photo_seconds((bench.target,), device))
+        self.cost = probe(case.target, case.contexts, case.initial, preset("balanced"), device,
+                          photo=photo_seconds((case.target,), device))
         self.repeats, self.factor = max(1, repeats), 1.3
 
-    def seconds(self, setting, bench) -> float:
-        return self.factor * self._plain(setting, bench)
+    def seconds(self, setting, case) -> float:
+        return self.factor * self._seconds(setting, case)
 
-    def _plain(self, setting, bench) -> float:
+    def _seconds(self, setting, case) -> float:
         total = 0.0
         for stage in setting.stages:
             size = 1 + 2 * round(stage.splatting.radius)
             factor = size**2 / 9 * (4.0 if stage.splatting.blend == "alpha" else 1.0)
             factor *= 0.7 if stage.loss.grey else 1.0
-            total += factor * self.cost.seconds(stage, bench.pixels, len(bench.contexts))
-        judging = 1e-6 * bench.pixels * (1 + len(bench.held_out))
+            total += factor * self.cost.seconds(stage, case.pixels, len(case.contexts))
+        judging = 1e-6 * case.pixels * (1 + len(case.held_out))
         return total * self.repeats * (1 + 2 * setting.agree) + judging + 0.5
 
-    def learn(self, setting, bench, seconds: float):
-        self.factor = 0.8 * self.factor + 0.2 * min(10.0, max(0.1, seconds / self._plain(setting, bench)))
+    def learn(self, setting, case, seconds: float):
+        self.factor = 0.8 * self.factor + 0.2 * min(10.0, max(0.1, seconds / self._seconds(setting, case)))

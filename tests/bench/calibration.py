@@ -14,11 +14,11 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from pagas_cl.made import relief_scene
 from pagas_cl.refine import refine_depth
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.readers import read_scene
+from pagas_cl.synthetic import relief_scene
 
 MADE = {"made, clean": {}, "made, exposure jitter": dict(steps=0, exposure=0.3),
         "made, noise": dict(steps=0, contrast=0.25, noise=6.0), "made, occluder": dict(bar=8.0),
@@ -54,7 +54,7 @@ def main():
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", type=Path)
     parser.add_argument("--width", type=int, default=300)
-    parser.add_argument("--seed", type=int, default=0, help="of the made scenes")
+    parser.add_argument("--seed", type=int, default=0, help="of the synthetic scenes")
     parser.add_argument("--device")
     given = parser.parse_args()
     device, found = open_device(given.device), {}

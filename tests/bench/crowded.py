@@ -4,7 +4,7 @@
 
 Bounded means: N times the Gaussians take about N times as long, never N squared. Three ways to crowd: `far`, the
 context camera is so far that the whole target is less than one of its pixels; `ray`, every depth is chosen so that the
-target's pixels of a row meet on one ray of the context camera, seen by it as one pixel; `spread`, for comparison.
+target's pixels of a row meet on one ray of the context camera, seen by it as one pixel; `scattered`, for comparison.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def ray(side: int) -> make.HardScene:
     return make.HardScene(scene.target, [View(camera, make.photo(np.random.default_rng(0), (33, 33)))], depth)
 
 
-def spread(side: int) -> make.HardScene:
+def scattered(side: int) -> make.HardScene:
     return make.base(size=(side, side), centers=((0.1, 0.0, 0.0),), turns=[make.turn(y=0.1)])
 
 
@@ -50,7 +50,7 @@ def seconds(scene: make.HardScene, config, device) -> float:
     for _ in range(1 + ROUNDS):
         device.queue.finish()
         start = time.perf_counter()
-        for launch in level.views[0]:
+        for launch in level.view_launches[0]:
             launch.enqueue(device.queue)
         device.queue.finish()
         best = min(best, time.perf_counter() - start)
@@ -60,14 +60,14 @@ def seconds(scene: make.HardScene, config, device) -> float:
 
 def main() -> None:
     most, device = float(sys.argv[1]) if len(sys.argv) > 1 else 1e6, open_device()
-    print(f"{device.info}\n\n| blend | Gaussians | far, ms | ray, ms | spread, ms |\n|---|---|---|---|---|")
+    print(f"{device.info}\n\n| blend | Gaussians | far, ms | ray, ms | scattered, ms |\n|---|---|---|---|---|")
     for blend, config in BLENDS.items():
         config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(1,))
         last = 0.0
         for number in (1e2, 1e3, 1e4, 1e5, 1e6):
             if number <= most and 10 * last < LONGEST:
                 side = round(number**0.5)
-                found = [seconds(scene(side), config, device) for scene in (far, ray, spread)]
+                found = [seconds(scene(side), config, device) for scene in (far, ray, scattered)]
                 last = max(found)
                 print(f"| {blend} | {side * side} | {' | '.join(f'{1e3 * t:.2f}' for t in found)} |", flush=True)
 

@@ -1,4 +1,5 @@
-"""Made scenes that each call for one effect: error and time with the effect off, decided by measurement, and all on.
+"""Synthetic scenes that each call for one effect: error and time with the effect off, decided by measurement, and
+all on.
 
     python tests/bench/effects.py [--width 288] [--device NAME] [--out FILE.md]
 
@@ -14,13 +15,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from pagas_cl.config import BALANCED, Effects
+from pagas_cl.config import Effects
 from pagas_cl.effects import decide
 from pagas_cl.evaluate import compare_depth
-from pagas_cl.made import relief_scene
 from pagas_cl.measurements import RULES, measure
+from pagas_cl.presets import BALANCED
 from pagas_cl.runtime.device import open_device
 from pagas_cl.splat import PhotoStore, refine_levels
+from pagas_cl.synthetic import relief_scene
 
 # scene: its settings, the effect that it calls for, and effects that it may have beside it
 SCENES = {
@@ -40,7 +42,7 @@ def without_mask(views):
 
 
 def run(made, views, config, device):
-    """Depth, seconds of the steps, and the decisions, for the target of a made scene."""
+    """Depth, seconds of the steps, and the decisions, for the target of a synthetic scene."""
     photos, depth = PhotoStore(device), made.initial_depth(made.cameras[0])
     if made.relief.foreground:
         depth = bloated(depth, 12)

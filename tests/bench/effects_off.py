@@ -18,13 +18,14 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from stripped import EFFECTS, never_had, parameters_in, parameters_of  # noqa: E402
 
-from pagas_cl.config import BALANCED, Effects  # noqa: E402
-from pagas_cl.made.layout import Relief, make_cameras  # noqa: E402
+from pagas_cl.config import Effects  # noqa: E402
+from pagas_cl.presets import BALANCED  # noqa: E402
 from pagas_cl.runtime import program  # noqa: E402
 from pagas_cl.runtime.device import open_device  # noqa: E402
 from pagas_cl.runtime.timing import stage_times  # noqa: E402
 from pagas_cl.scene.view import View  # noqa: E402
 from pagas_cl.splat import view as refinement  # noqa: E402
+from pagas_cl.synthetic.layout import Relief, make_cameras  # noqa: E402
 
 OFF = {"occlusion": dict(splatting__occlusion=False), "unseen_mask": dict(loss__unseen_mask=False),
        "exposure": dict(loss__exposure=False), "view_dependence": dict(loss__structure=False),
@@ -88,8 +89,8 @@ def main():
         times = np.array([[sum(ms for ms, _ in stage_times(device.queue, one.gradient_launches(0), REPEATS).values())
                            for one in (level, bare)] for _ in range(ROUNDS)])
         have, lack = np.median(times, axis=0)
-        spread = np.ptp(times[:, 0] / times[:, 1]) / 2
-        lines.append(f"| {effect} | {have:.4f} | {lack:.4f} | {have / lack:.4f} ± {spread:.4f} |")
+        half_range = np.ptp(times[:, 0] / times[:, 1]) / 2
+        lines.append(f"| {effect} | {have:.4f} | {lack:.4f} | {have / lack:.4f} ± {half_range:.4f} |")
         print(lines[-1], flush=True)
         level.release()
         bare.release()

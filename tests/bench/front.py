@@ -17,7 +17,7 @@ from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depthmap import find_depth, load_depth
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.tradeoffs.ablation import ablation_plan, ablation_table
-from pagas_cl.tradeoffs.bench import Bench, loaded, make_benches
+from pagas_cl.tradeoffs.case import BenchmarkCase, loaded, make_cases
 from pagas_cl.tradeoffs.page import markdown, notes
 from pagas_cl.tradeoffs.plan import front_plan
 from pagas_cl.tradeoffs.study import collect, measure
@@ -25,7 +25,7 @@ from pagas_cl.tradeoffs.study import collect, measure
 PARTS = ("front", "ablation")
 
 
-def bench_of(folder: Path) -> Bench:
+def case_of(folder: Path) -> BenchmarkCase:
     """Of a scene written by scenes.py: the first view with a depth, without truth the middle one of those."""
     scene = read_scene(folder)
     depths, truth = ([depth_of(folder / kind, view) for view in scene.views]
@@ -33,7 +33,7 @@ def bench_of(folder: Path) -> Bench:
     held_out = [view.name for view in scene.views if view.name.startswith("held_out")] or None
     have = [view.name for view, depth in zip(scene.views, depths) if depth is not None]
     chosen = have[0 if any(t is not None for t in truth) else len(have) // 2]
-    return make_benches(scene.views, depths, truth=truth, names=[chosen], held_out=held_out, scene_name=folder.name)[0]
+    return make_cases(scene.views, depths, truth=truth, names=[chosen], held_out=held_out, scene_name=folder.name)[0]
 
 
 def depth_of(folder, view):
@@ -42,10 +42,10 @@ def depth_of(folder, view):
     return None if path is None else load_depth(path, (view.camera.width, view.camera.height))
 
 
-def front(benches, out, device, given):
+def front(cases, out, device, given):
     """The plan on every scene: a table of each, and of all with truth together."""
     settings, lines = [s for s in front_plan() if not given.only or s.group in given.only], []
-    judged = {"truth": [b for b in benches if b.truth is not None], "photos": [b for b in benches if b.truth is None]}
+    judged = {"truth": [b for b in cases if b.truth is not None], "photos": [b for b in cases if b.truth is None]}
     for name, some in judged.items():
         if not some:
             continue
@@ -63,12 +63,12 @@ def parts_of(study, settings):
     return [collect(study.records, settings, group, study.device) for group in groups]
 
 
-def ablation(benches, out, device, given):
+def ablation(cases, out, device, given):
     """The paper's ablation of both bases, on every scene."""
     lines = []
     for base in given.bases:
         settings = ablation_plan(base)
-        study = measure(benches, settings, device=device, repeats=given.repeats, report=out / "ablation" / base,
+        study = measure(cases, settings, device=device, repeats=given.repeats, report=out / "ablation" / base,
                         workers=given.workers)
         order = {s.name: k for k, s in enumerate(settings)}
         for part in parts_of(study, settings):
@@ -91,11 +91,11 @@ def main() -> None:
     given = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     given.folders = [given.scenes / name for name in given.names if (given.scenes / name).is_dir()]
-    benches, device = [loaded(bench_of(folder)) for folder in given.folders], open_device(given.device)
+    cases, device = [loaded(case_of(folder)) for folder in given.folders], open_device(given.device)
     given.out.mkdir(parents=True, exist_ok=True)
     for part in given.parts:
         start = time.time()
-        lines = globals()[part](benches, given.out, device, given)
+        lines = globals()[part](cases, given.out, device, given)
         (given.out / f"{part}.md").write_text("\n".join(lines) + "\n")
         logging.info("%s: %.0f s", part, time.time() - start)
 

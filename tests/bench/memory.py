@@ -18,23 +18,23 @@ import time
 
 import numpy as np
 
-from pagas_cl.config import preset
+from pagas_cl.presets import preset
 from pagas_cl.refine import refine_depth
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.view import View
 from pagas_cl.selftest import scenes as make
 
-SPREAD = 24      # pixels of parallax between target and contexts
+PARALLAX = 24      # pixels of parallax between target and contexts
 
 
 def frame(size, contexts: int):
     """Target, context views, initial depth (0.25 pixels of parallax off) and the pixel of parallax, in depth."""
     (width, height), rng = size, np.random.default_rng(0)
-    border = SPREAD + 1
+    border = PARALLAX + 1
     wide = make.photo(rng, (512, 512))
     wide = np.tile(wide, ((height + 2 * border) // 512 + 1, (width + 2 * border) // 512 + 1, 1))
     focal = 1.2 * width
-    shifts = [(0, 0)] + [(round(SPREAD * np.cos(a)), round(SPREAD * np.sin(a)))
+    shifts = [(0, 0)] + [(round(PARALLAX * np.cos(a)), round(PARALLAX * np.sin(a)))
                          for a in 2 * np.pi * np.arange(contexts) / contexts]
     views = []
     for k, (x, y) in enumerate(shifts):
@@ -42,8 +42,8 @@ def frame(size, contexts: int):
         photo = wide[border + y:border + y + height, border + x:border + x + width]
         views.append(View(camera, np.ascontiguousarray(photo)))
     coarse = np.kron(rng.standard_normal((height // 16 + 1, width // 16 + 1)), np.ones((16, 16)))[:height, :width]
-    unit = 1 / SPREAD          # moves a point at depth 1 by one pixel, in a view SPREAD pixels of parallax away
-    return views[0], views[1:], (1 + 0.25 * unit * coarse).astype(np.float32), unit
+    depth_per_parallax = 1 / PARALLAX     # at depth 1, in a view PARALLAX pixels of parallax away
+    return views[0], views[1:], (1 + 0.25 * depth_per_parallax * coarse).astype(np.float32), depth_per_parallax
 
 
 class Driver:
@@ -79,7 +79,7 @@ class Driver:
 
 
 def run(name: str, given, config, device) -> str:
-    target, contexts, depth, unit = given
+    target, contexts, depth, depth_per_parallax = given
     gc.collect()
     device.memory.clear()
     with Driver() as driver:
@@ -89,7 +89,7 @@ def run(name: str, given, config, device) -> str:
     planned, counted = (result.report[key] / 1e6 for key in ("planned_bytes", "device_bytes"))
     taken = f"{driver.taken / 1e6:,.0f}" if driver.taken else "-"
     inner = (slice(64, -64),) * 2
-    errors = [np.abs(d[inner] - 1).mean() / unit for d in (depth, result.depth)]
+    errors = [np.abs(d[inner] - 1).mean() / depth_per_parallax for d in (depth, result.depth)]
     digest = hashlib.blake2b(result.depth.tobytes(), digest_size=4).hexdigest()
     print(f"| {name} | {planned:,.0f} | {counted:,.0f} | {taken} | {seconds:.2f} | "
           f"{errors[0]:.3f} -> {errors[1]:.3f} | {digest} |", flush=True)

@@ -39,11 +39,11 @@ class Row:
     reason: str
 
     @property
-    def verdict(self) -> str:
-        return verdict(*self.pooled)
+    def decision(self) -> str:
+        return decision(*self.pooled)
 
 
-def verdict(before: float, after: float) -> str:
+def decision(before: float, after: float) -> str:
     return "better" if after > before else "worse" if after < before else "equal"
 
 
@@ -157,7 +157,7 @@ def table(rows: list[Row]) -> str:
     lines = ["| view | context views | first held-out photo | second | both together | refined | |", "|" + "---|" * 7]
     for row in rows:
         cells = [row.view, f"{row.contexts}", *(f"{a:.4f} -> {b:.4f}" for a, b in (*row.pairs, row.pooled)),
-                 f"{row.refined:.0%}", row.verdict + (f": {row.reason}" if row.reason else "")]
+                 f"{row.refined:.0%}", row.decision + (f": {row.reason}" if row.reason else "")]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
@@ -165,7 +165,7 @@ def table(rows: list[Row]) -> str:
 def summary(rows: list[Row]) -> str:
     """Counts of views and of pairs, and the mean gain."""
     def count(values):
-        told = [verdict(*value) for value in values]
+        told = [decision(*value) for value in values]
         return ", ".join(f"{told.count(word)} {word}" for word in ("better", "equal", "worse"))
 
     pairs = [pair for row in rows for pair in row.pairs]

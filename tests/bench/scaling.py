@@ -16,14 +16,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from front import bench_of
+from front import case_of
 from PIL import Image
 
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depthmap import resize_depth
 from pagas_cl.scene.view import View
 from pagas_cl.splat import PhotoStore, refine_levels
-from pagas_cl.tradeoffs.bench import loaded
+from pagas_cl.tradeoffs.case import loaded
 from pagas_cl.tradeoffs.front import fitted_exponent
 from pagas_cl.tradeoffs.plan import fixed
 
@@ -41,8 +41,8 @@ class Scene:
 
     @classmethod
     def read(cls, folder: Path) -> Scene:
-        bench = loaded(bench_of(folder))
-        return cls(bench.target, bench.contexts, bench.initial)
+        case = loaded(case_of(folder))
+        return cls(case.target, case.contexts, case.initial)
 
     @property
     def pixels(self) -> int:

@@ -1,7 +1,8 @@
 """Write the scenes that accuracy against time is measured on: `python tests/bench/scenes.py OUT [--data DIR]`.
 
-OUT/relief, OUT/bar: made scenes with exact truth. With --data (the folder of real scenes): OUT/motorcycle, Middlebury
-2014 with dense truth and one context view, the initial depth smoothed inside surfaces (sigma 8 px) plus a smooth error
+OUT/relief, OUT/bar: synthetic scenes with exact truth. With --data (the folder of real scenes): OUT/motorcycle,
+Middlebury 2014 with dense truth and one context view,
+the initial depth smoothed inside surfaces (sigma 8 px) plus a smooth error
 of half a pixel; OUT/dtu, 16 views of DTU scan 24 at half size, the initial depth from its coarse mesh, no truth.
 Each has images/, cameras.json, depth_initial/ and, where there is truth, depth_true/.
 """
@@ -16,12 +17,12 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from pagas_cl.made import relief_scene
-from pagas_cl.made.disk import write_scene
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import resize_depth, save_depth
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import View
+from pagas_cl.synthetic import relief_scene
+from pagas_cl.synthetic.disk import write_scene
 
 FOCAL, CENTER_X, CENTER_Y, OFFSET, BASELINE = 994.978, 311.193, 254.877, 31.086, 193.001  # px, px, px, px, mm
 
@@ -96,7 +97,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", type=Path)
-    parser.add_argument("--scale", type=float, default=1.0, help="of the made scenes and of the real ones")
+    parser.add_argument("--scale", type=float, default=1.0, help="of the synthetic scenes and of the real ones")
     given = parser.parse_args()
     width, height = round(1554 * given.scale), round(1162 * given.scale)
     write_scene(relief_scene(width, height, 10), given.out / "relief")

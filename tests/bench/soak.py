@@ -1,6 +1,6 @@
 """Many small views one after the other on one device: memory, open files and time per view must stay flat.
 
-    python tests/bench/soak.py [views]            # 200 by default; one line every tenth of them, then the verdict
+    python tests/bench/soak.py [views]            # 200 by default; one line every tenth of them, then the result
 """
 
 from __future__ import annotations
@@ -23,13 +23,12 @@ def resident_mb() -> float:
 
 def soak(views: int = 200) -> list[tuple[float, float, int, float]]:
     """Seconds, resident MB, open files and MB held on the device after each tenth of the views."""
-    from pagas_cl.selftest import scenes as make
-    from pagas_cl.config import BALANCED
+    from pagas_cl.presets import BALANCED
     from pagas_cl.refine import refine_depth
-    from pagas_cl.scene.view import View
-    from pagas_cl.splat import PhotoStore
-
     from pagas_cl.runtime.device import open_device
+    from pagas_cl.scene.view import View
+    from pagas_cl.selftest import scenes as make
+    from pagas_cl.splat import PhotoStore
 
     device = open_device()
     photos, config = PhotoStore(device, limit_bytes=256 << 10), BALANCED.with_settings(pyramid__steps=(5,))

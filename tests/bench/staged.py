@@ -16,11 +16,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from front import bench_of
+from front import case_of
 
 from pagas_cl.runtime.device import open_device
 from pagas_cl.splat import PhotoStore, refine_levels
-from pagas_cl.tradeoffs.bench import loaded
+from pagas_cl.tradeoffs.case import loaded
 from pagas_cl.tradeoffs.plan import fixed
 from pagas_cl.tradeoffs.score import score
 
@@ -61,26 +61,26 @@ def most_of(guess: np.ndarray, share: float, last: int) -> np.ndarray:
     return np.where(guess >= np.quantile(guess, 1 - share), last, 0)
 
 
-def rows_of(bench, device, runs, budgets):
+def rows_of(case, device, runs, budgets):
     """(mean steps, depth error as a share of the initial one: uniform, by movement, by texture, by truth)."""
-    photos, base, bench = PhotoStore(device), fixed("balanced"), replace(bench, held_out=[])
+    photos, base, case = PhotoStore(device), fixed("balanced"), replace(case, held_out=[])
 
     def after(steps):
         config = base.with_settings(pyramid__steps=(steps,))
-        return refine_levels(bench.target, bench.contexts, bench.initial, config, device, photos).depth
+        return refine_levels(case.target, case.contexts, case.initial, config, device, photos).depth
 
     depths = [after(n) for n in runs]
-    errors = np.array([by_tile(np.where(bench.truth > 0, np.abs(d - bench.truth), 0)) for d in depths])
-    unit = np.where(bench.parallax > 0, bench.parallax, np.inf)
-    moved = by_tile(np.abs(depths[0] - bench.initial) / unit)
-    texture = by_tile(np.hypot(*np.gradient(bench.target.load_image().astype(float).mean(axis=2))))
-    before = score(bench, bench.initial)["depth"]
+    errors = np.array([by_tile(np.where(case.truth > 0, np.abs(d - case.truth), 0)) for d in depths])
+    depth_per_parallax = np.where(case.parallax > 0, case.parallax, np.inf)
+    moved = by_tile(np.abs(depths[0] - case.initial) / depth_per_parallax)
+    texture = by_tile(np.hypot(*np.gradient(case.target.load_image().astype(float).mean(axis=2))))
+    before = score(case, case.initial)["depth"]
     for budget in budgets:
         share = (budget - runs[0]) / (runs[-1] - runs[0])
         last = len(runs) - 1
         chosen = [most_of(guess, share, last) for guess in (moved, texture)] + [best_by_truth(errors, runs, budget)]
         found = [after(budget), *(put_together(depths, c) for c in chosen)]
-        yield budget, [score(bench, depth)["depth"] / before for depth in found]
+        yield budget, [score(case, depth)["depth"] / before for depth in found]
 
 
 def main() -> None:
@@ -95,8 +95,8 @@ def main() -> None:
     lines = [str(device.info), "", "| scene | mean steps | all alike | by movement | by texture | by truth |",
              "|---|---|---|---|---|---|"]
     for name in given.names:
-        bench = loaded(bench_of(given.scenes / name))
-        for steps, errors in rows_of(bench, device, runs, [runs[k] for k in (2, 4, 6)]):
+        case = loaded(case_of(given.scenes / name))
+        for steps, errors in rows_of(case, device, runs, [runs[k] for k in (2, 4, 6)]):
             lines.append(f"| {name} | {steps} | " + " | ".join(f"{error:.4f}" for error in errors) + " |")
     given.out.write_text("\n".join(lines) + "\n")
 

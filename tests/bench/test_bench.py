@@ -6,8 +6,8 @@ import pytest
 
 from pagas_cl.__main__ import run
 from pagas_cl.bench import stage_bytes
-from pagas_cl.config import PRESETS
 from pagas_cl.errors import DeviceError
+from pagas_cl.presets import PRESETS
 from pagas_cl.runtime.device import open_device
 
 

@@ -1,7 +1,7 @@
 """A whole scene, from photos and depth maps on disk to refined depth maps on disk, as the command does it.
 
     python tests/bench/whole.py                     # makes 49 views of 1600 x 1200, then times `pagas-cl refine` twice
-    python tests/bench/whole.py --scene FOLDER      # keeps the made scene there, or uses what is there
+    python tests/bench/whole.py --scene FOLDER      # keeps the synthetic scene there, or uses what is there
     python tests/bench/whole.py --profile           # once more in this process, with the functions that took longest
 """
 
@@ -23,14 +23,14 @@ ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 
 
 def make(folder: Path, views: int, width: int, height: int) -> None:
-    """Photos (JPEG), cameras.json and depth_initial/ of a made relief under a square of cameras.
+    """Photos (JPEG), cameras.json and depth_initial/ of a synthetic relief under a square of cameras.
 
     Photos are rendered at half size and enlarged: for times alone.
     """
-    from pagas_cl.made import relief_scene
-    from pagas_cl.made.layout import camera_at
     from pagas_cl.scene.readers import camera_file
     from pagas_cl.scene.view import View
+    from pagas_cl.synthetic import relief_scene
+    from pagas_cl.synthetic.layout import camera_at
 
     for name in ("images", "depth_initial"):
         (folder / name).mkdir(parents=True, exist_ok=True)

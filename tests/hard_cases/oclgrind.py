@@ -58,10 +58,10 @@ def inside() -> None:
         config = BLENDS[name.split(",")[0]].with_settings(**settings, smoothness__kind=smoothness,
                                                          smoothness__weight=0.1, pyramid__scales=(0.5, 1.0),
                                                          pyramid__steps=(1, 1))
-        witnesses = [scene.contexts[1]] if name == "order-free" else []
+        held_out = [scene.contexts[1]] if name == "order-free" else []
         if name == "order-free":
             refine_depth(scene.target, scene.contexts[:1], scene.depth, config=config, device="oclgrind",
-                         witnesses=witnesses)
+                         held_out=held_out)
         else:
             refine_levels(scene.target, scene.contexts, scene.depth, config, device)
     scene = make.base(size=(18, 16))

@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pagas_cl.config import BALANCED, PAPER
-from pagas_cl.made import relief_scene
+from pagas_cl.presets import BALANCED, PAPER
 from pagas_cl.reference.level import Photo, refine
 from pagas_cl.splat.view import full_level
+from pagas_cl.synthetic import relief_scene
 
 ORDER_FREE = BALANCED.with_settings(solver__max_move=1e9, solver__tolerance=2.0)
 ALPHA = PAPER.with_settings(pyramid__scales=(1.0,), pyramid__steps=(40,), solver__rate=1e-4, solver__damping=1e-3)
@@ -31,7 +31,8 @@ def drift(device, config, steps: int):
     depth = (truth * (1 + 4e-3 * bumps)).astype(np.float32)
     level = full_level(target, contexts, depth, config, device)
     level.run(steps)
-    got, length = (level.read(name, depth.shape) * np.float32(level.given.unit) for name in ("depth", "unit"))
+    scale = np.float32(level.given.scene_scale)
+    got, length = (level.read(name, depth.shape) * scale for name in ("depth", "depth_per_parallax"))
     level.release()
     twin = refine(depth.astype(np.float64), Photo.from_view(target), [Photo.from_view(v) for v in contexts], config)
     free = (depth > 0) & (length > 0)

@@ -12,9 +12,8 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from pagas_cl.config import BALANCED, FAST, PAPER
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError
-from pagas_cl.made import relief_scene
+from pagas_cl.presets import BALANCED, FAST, PAPER
 from pagas_cl.refine import refine_depth, refine_views
 from pagas_cl.runtime import memory
 from pagas_cl.runtime.arena import Arena, BufferSpec
@@ -23,6 +22,7 @@ from pagas_cl.runtime.memory import Memory, limit_of
 from pagas_cl.scene.view import View
 from pagas_cl.splat import budget, fit
 from pagas_cl.surface.agree import counts
+from pagas_cl.synthetic import relief_scene
 
 INFO = dict(title="a device", max_alloc=2**30, memory=2**32)
 CONFIGS = {
@@ -71,16 +71,16 @@ def test_an_allocation_that_fails_gives_the_others_back(monkeypatch):
 @pytest.fixture(autouse=True)
 def results_as_they_are(monkeypatch):
     """A view that is refined for a few steps only may well be kept as it came: here its bytes are compared."""
-    monkeypatch.setattr("pagas_cl.refine.harm_of", lambda *_: "")
+    monkeypatch.setattr("pagas_cl.refine.rejection_reason", lambda *_: "")
 
 
 @lru_cache
 def scene_of(size=(97, 75)):
-    """A target, three context views, one of them larger and one smaller, a witness, and a depth near the truth."""
+    """A target, three context views, one larger and one smaller, a held-out view, and a depth near the truth."""
     made = relief_scene(*size, 4)
-    target, first, second, third, witness = made.views
+    target, first, second, third, held_out = made.views
     depth = made.true_depth(target.camera) * (1 + 2e-3 * np.random.default_rng(0).standard_normal(size[::-1]))
-    return target, [first, _padded(second, 11), _padded(third, -9)], witness, depth.astype(np.float32)
+    return target, [first, _padded(second, 11), _padded(third, -9)], held_out, depth.astype(np.float32)
 
 
 def _padded(view, by):
@@ -90,15 +90,15 @@ def _padded(view, by):
     return View(camera, np.pad(image, ((0, 0), (0, camera.width - image.shape[1]), (0, 0)), "edge"), name=view.name)
 
 
-def refined(device, config, size=(97, 75), witness=True):
+def refined(device, config, size=(97, 75), held_out=True):
     target, contexts, judge, depth = scene_of(size)
-    return refine_depth(target, contexts, depth, config=config, device=device, witnesses=[judge] if witness else [])
+    return refine_depth(target, contexts, depth, config=config, device=device, held_out=[judge] if held_out else [])
 
 
 def bytes_of(result):
     assert result.counts["refined"] > 10, result.reason
     arrays = tuple(getattr(result, name).tobytes() for name in ARRAYS)
-    return arrays, result.report["cost"], result.report["witness_costs"]
+    return arrays, result.report["cost"], result.report["held_out_costs"]
 
 
 @pytest.fixture
@@ -113,12 +113,12 @@ def limited(device):
     counter.limit, counter.held = before, held
 
 
-@pytest.mark.parametrize("witness", [True, False])
+@pytest.mark.parametrize("held_out", [True, False])
 @pytest.mark.parametrize("name", CONFIGS)
-def test_peak_is_as_planned(device, name, witness):
+def test_peak_is_as_planned(device, name, held_out):
     gc.collect()
     before = device.memory.held             # of other tests
-    report = refined(device, CONFIGS[name], (301, 203), witness).report
+    report = refined(device, CONFIGS[name], (301, 203), held_out).report
     assert 0.9 < (report["device_bytes"] - before) / report["planned_bytes"] < 1.001
     gc.collect()
     assert device.memory.held == before
@@ -171,7 +171,7 @@ def test_refused_with_a_setting_or_a_size_that_fits(device, limited, name):
     for share in (0.9, 0.6, 0.1):
         limited(int(share * fit.plan_for(cameras, 3, config, streamed=True).nbytes))
         with pytest.raises(DeviceMemoryError, match="even with one photo at a time; it fits with"):
-            refine_depth(target, contexts, depth, config=config, device=device, witnesses=[judge])
+            refine_depth(target, contexts, depth, config=config, device=device, held_out=[judge])
         told = fit.what_fits(cameras, 3, config, device)
         if "--set" in told:
             pairs = [word.split("=") for word in told.split() if "=" in word]
@@ -209,13 +209,14 @@ def test_what_is_given_back_waits_for_its_role_and_never_beyond_the_plan():
     device = open_device()
     counter = Memory("a device", 1000)
     counter.begin(600)
-    first, other = counter.buffer(device.context, 200, "depth"), counter.buffer(device.context, 200, "unit")
+    first, other = counter.buffer(device.context, 200, "depth"), counter.buffer(device.context, 200,
+                                                                                "depth_per_parallax")
     first.release()
     first.release()                                      # once is enough
     assert (counter.held, counter.waiting, counter.peak) == (200, 200, 400)
     assert counter.buffer(device.context, 200, "depth") is first and counter.waiting == 0
     first.release()
-    counter.buffer(device.context, 300, "unit")          # 700 with what waits: more than was planned
+    counter.buffer(device.context, 300, "depth_per_parallax")          # 700 with what waits: more than was planned
     assert counter.waiting == 0
     other.release()
     counter.begin(0)

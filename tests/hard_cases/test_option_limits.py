@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pagas_cl.config import BALANCED
 from pagas_cl.errors import InputError
-from pagas_cl.made import relief_scene
+from pagas_cl.presets import BALANCED
 from pagas_cl.refine import refine_views
 from pagas_cl.scene.choice import choose_contexts
+from pagas_cl.synthetic import relief_scene
 
 CONTEXT = {
     "context.number = 1": dict(number=1),
@@ -73,10 +73,9 @@ def test_context_at_its_limit(device, made, name):
 @pytest.mark.parametrize("name", FUSION)
 def test_fusion_at_its_limit(made, name):
     pytest.importorskip("open3d", reason="fusion takes Open3D")
+    from pagas_cl.result import DepthResult
     from pagas_cl.surface.agree import confirmed
     from pagas_cl.surface.blocks import fuse_within
-
-    from pagas_cl.result import DepthResult
     from pagas_cl.surface.weights import weights_of
 
     views, depths = made

@@ -17,8 +17,7 @@ from hypothesis import HealthCheck, given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
 from pagas_cl.scene.view import View  # noqa: E402
-from pagas_cl.selftest import (BLENDS, device_gradient, difference, given_surface, normalized,  # noqa: E402
-                               twin_gradient)
+from pagas_cl.selftest import BLENDS, device_gradient, difference, given_surface, normalized, twin_gradient  # noqa: E402
 from pagas_cl.selftest import scenes as make  # noqa: E402
 from pagas_cl.splat import refine_levels  # noqa: E402
 
@@ -40,8 +39,8 @@ def scenes(draw):
         centers.append([draw(small(1.5)) for _ in range(3)])
         turns.append(make.turn(draw(small(0.6)), draw(small(0.6)), draw(small(3.2))))
     scene = make.base(draw(st.integers(0, 2**20)), size, focal, centers, turns)
-    kind = draw(st.sampled_from(["waves", "spread", "damaged"]))
-    if kind == "spread":
+    kind = draw(st.sampled_from(["waves", "scattered", "damaged"]))
+    if kind == "scattered":
         scene = make.with_depth(scene, lambda d, rng: np.exp(draw(st.floats(0, 4)) * rng.standard_normal(d.shape)))
     if kind == "damaged":
         bad = draw(st.lists(st.sampled_from([0, -1, np.nan, np.inf, 1e-40, 1e30, 1e-20]), min_size=1, max_size=4))
@@ -67,24 +66,24 @@ def config_of(blend, radius, low_pass):
 @given(scene=scenes(), radius=st.sampled_from(RADII), low_pass=st.sampled_from(LOW_PASS))
 def test_gradient_is_finite_repeatable_and_near_the_twin(device, blend, scene, radius, low_pass):
     config = config_of(blend, radius, low_pass)
-    initial, unit = normalized(scene)
-    got, loss, length = device_gradient(scene, config, device, initial, initial, unit)
-    again, _, _ = device_gradient(scene, config, device, initial, initial, unit)
+    initial, scene_scale = normalized(scene)
+    got, loss, length = device_gradient(scene, config, device, initial, initial, scene_scale)
+    again, _, _ = device_gradient(scene, config, device, initial, initial, scene_scale)
     assert np.isfinite(got).all() and np.isfinite(loss)
     assert got.tobytes() == again.tobytes()
     assert (got[initial == 0] == 0).all()
     if not (length > 0).any():
         return
-    assert any(difference(got, want, length) < TOLERANCE for want in twins(scene, config, initial, unit))
+    assert any(difference(got, want, length) < TOLERANCE for want in twins(scene, config, initial, scene_scale))
 
 
-def twins(scene, config, initial, unit):
+def twins(scene, config, initial, scene_scale):
     """The twin's gradient; then those of depths and thresholds that float32 cannot tell from these, for a Gaussian may
     lie on a threshold, or two at one depth, whose order the alpha blend shows."""
     rng, at = np.random.default_rng(0), initial.astype(np.float64)
     for rounding, more in ((0.0, 0.0), *[(1e-6, 0.0), (1e-6, 2e-6)] * 10):
         shaken = at * (1 + rounding * rng.uniform(-1, 1, at.shape))
-        yield twin_gradient(scene, config, initial, shaken, unit, more)[0]
+        yield twin_gradient(scene, config, initial, shaken, scene_scale, more)[0]
 
 
 # Programs of their own, hence few; what is a number to them is drawn freely.
@@ -104,8 +103,9 @@ def options(draw):
     chosen = dict(splatting__depth_slices=10.0 ** draw(near(-6, 9)), splatting__depth_footprints=draw(near(0, 1e6)),
                   smoothness__kind=draw(st.sampled_from(["none", "normal", "planar"])),
                   smoothness__weight=draw(near(0, 100)), smoothness__texture=draw(near(0, 1)),
-                  smoothness__huber=10.0 ** draw(near(-6, 6)), smoothness__cut=10.0 ** draw(near(-6, 12)),
-                  solver__rate=10.0 ** draw(near(-12, 2)), solver__unit=draw(st.sampled_from(["parallax", "distance"])),
+                  smoothness__huber=10.0 ** draw(near(-6, 6)), smoothness__discontinuity=10.0 ** draw(near(-6, 12)),
+                  solver__rate=10.0 ** draw(near(-12, 2)),
+                  solver__rate_unit=draw(st.sampled_from(["parallax", "distance"])),
                   solver__damping=draw(near(0, 1e3)), solver__rate_floor=draw(near(0, 1)),
                   solver__final_rate=draw(near(0, 1)), solver__views_per_step=draw(st.integers(0, 4)),
                   solver__max_move=draw(near(0, 1e9)), solver__tolerance=draw(near(0, 2)),

@@ -41,7 +41,7 @@ ORDER_FREE_ONLY = ("composite.cl",)       # never built with the alpha blend
                                         if not (file in ORDER_FREE_ONLY and name.startswith("alpha"))])
 def test_kernels_fit_any_device_of_opencl_1_2(device, file, name):
     """Without double precision, within 32 kB of local memory and 256 work-items."""
-    given = options.defines(variant(name).with_settings(solver__spread=2), device, 64)
+    given = options.defines(variant(name).with_settings(solver__gradient_filter=2), device, 64)
     for part in tile.SCALAR:
         built = cl.Program(device.context, NO_DOUBLE + program.source(file)).build(
             [*program.OPTIONS, *(f"-D{define}" for define in (*given, *part.defines))])
@@ -62,8 +62,8 @@ def test_no_double_and_no_newer_language():
 
 def gradients(device, config, size=(97, 51)):
     scene = make.base(3, size=size)
-    initial, unit = normalized(scene)
-    got, loss, _ = device_gradient(scene, config, device, initial, initial, unit)
+    initial, scene_scale = normalized(scene)
+    got, loss, _ = device_gradient(scene, config, device, initial, initial, scene_scale)
     return got.tobytes(), loss
 
 

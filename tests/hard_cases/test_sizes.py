@@ -18,8 +18,8 @@ SIZES = [(288, 216), (287, 215), (161, 23), (31, 97)]
 RUN = """
 import sys
 import numpy as np
-from pagas_cl.config import BALANCED
-from pagas_cl.made import relief_scene
+from pagas_cl.synthetic import relief_scene
+from pagas_cl.presets import BALANCED
 from pagas_cl.runtime.device import open_device
 from pagas_cl.splat import refine_levels
 

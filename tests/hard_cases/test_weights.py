@@ -34,11 +34,12 @@ def on_one_ray(side: int, focal, context_focal, radius_side: int = 9) -> make.Ha
 
 def heaviest(scene: make.HardScene, radius: float = 1.2) -> float:
     """Largest sum of weights in a pixel of any context view, in float64."""
-    initial, unit = normalized(scene)
+    initial, scene_scale = normalized(scene)
     found = 0.0
     for view in scene.contexts:
         camera = view.camera
-        pairs = candidates(project(initial.astype(np.float64), scene.target.camera, camera, 0.0, unit), camera.width,
+        pairs = candidates(project(initial.astype(np.float64), scene.target.camera, camera, 0.0, scene_scale),
+                           camera.width,
                            camera.height, replace(OPEN.splatting, radius=radius))
         found = max(found, np.bincount(pairs.pixel, pairs.alpha, 1).max())
     return float(found)
@@ -52,9 +53,9 @@ def test_a_row_of_wide_gaussians_in_one_pixel(device, focal):
     assert weight < 2.0 ** (32 - fixed_bits(heaviest_pixel(scene.target.camera)))
     if focal[1] > 1e5:
         assert weight > 4096, "more than 20 bits of fraction leave room for: the case shows what it should"
-    initial, unit = normalized(scene)
-    got, _, length = device_gradient(scene, OPEN, device, initial, initial, unit)
-    want, _ = twin_gradient(scene, OPEN, initial, initial, unit)
+    initial, scene_scale = normalized(scene)
+    got, _, length = device_gradient(scene, OPEN, device, initial, initial, scene_scale)
+    want, _ = twin_gradient(scene, OPEN, initial, initial, scene_scale)
     assert difference(got, want, length) < 0.2          # 17 bits; sums that wrap give 1.8
 
 

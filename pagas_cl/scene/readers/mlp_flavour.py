@@ -32,13 +32,14 @@ def settle_flavour(project) -> tuple[str, str]:
         return "meshlab", f"{unsettled}; photos could not settle it (too few textured patches are seen by two views)"
     better = {f: patches.prefers(scores[f], scores[FLAVOURS[1 - i]])[0] for i, f in enumerate(FLAVOURS)}
     medians = {f: _median(score) for f, score in scores.items()}
-    told = f"(correlation {medians['meshlab']:.2f} from the bottom, {medians['openmvs']:.2f} from the top)"
+    agreement = f"(correlation {medians['meshlab']:.2f} from the bottom, {medians['openmvs']:.2f} from the top)"
     if better["openmvs"]:
-        return "openmvs", (f"{what} was read from the TOP, as OpenMVS writes it: the photos prefer it {told}; pass "
-                           "flavour='meshlab' if that is wrong")
+        return "openmvs", (f"{what} was read from the TOP, as OpenMVS writes it: the photos prefer it {agreement}; "
+                           "pass flavour='meshlab' if that is wrong")
     if better["meshlab"]:
-        return "meshlab", f"{what} was read from the bottom, as MeshLab writes it; the photos agree {told}"
-    return "meshlab", f"{unsettled}; the photos prefer neither {told}: pass flavour='openmvs' if OpenMVS wrote the file"
+        return "meshlab", f"{what} was read from the bottom, as MeshLab writes it; the photos agree {agreement}"
+    return "meshlab", (f"{unsettled}; the photos prefer neither {agreement}: pass flavour='openmvs' if OpenMVS wrote "
+                       "the file")
 
 
 def _median(values) -> float:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pagas_cl.made.solid import MISS, Solid
-from pagas_cl.made.texture import Texture
+from pagas_cl.synthetic.solid import MISS, Solid
+from pagas_cl.synthetic.texture import Texture
 
 _ROWS = 1 << 16  # pixels at a time
 _SUN = np.array([0.35, -0.45, -0.82]) / np.linalg.norm([0.35, -0.45, -0.82])
@@ -22,12 +22,12 @@ class Look:
     shading : float
         Share of the light that falls off with the angle to a distant sun; the same in every view.
     shine : float
-        Strength of a highlight that moves with the viewer (1 is white), and `gloss`, its exponent.
+        Strength of a highlight that moves with the viewer (1 is white), and `shininess`, its exponent.
     """
 
     shading: float = 0.3
     shine: float = 0.0
-    gloss: float = 24.0
+    shininess: float = 24.0
 
 
 @dataclass(frozen=True)
@@ -100,10 +100,10 @@ def _light(solid, texture, camera, rows, look, backdrop, samples):
             ray = _directions(camera, rows, (i + 0.5) / samples, (j + 0.5) / samples)
             here, of = depth.copy(), part.copy()
             here[mixed], of[mixed] = solid.meet(camera.center, ray[mixed], precise=False)
-            plain = ~mixed & (part != MISS)
+            unmixed = ~mixed & (part != MISS)
             # tangent plane at the pixel's centre, then one Newton step on the relief
             with np.errstate(divide="ignore", invalid="ignore"):
-                here[plain] *= ((normal * middle).sum(1) / (normal * ray).sum(1))[plain]
+                here[unmixed] *= ((normal * middle).sum(1) / (normal * ray).sum(1))[unmixed]
             total += _colour(solid, texture, camera, ray, here, of, look, backdrop, rows, (i, j), samples)
     return total / samples**2
 
@@ -138,7 +138,7 @@ def _highlight(look, normal, toward):
     """Blinn's highlight, float32 of shape (n, 1)."""
     half = toward / np.linalg.norm(toward, axis=1, keepdims=True) + _SUN
     half /= np.linalg.norm(half, axis=1, keepdims=True)
-    return (look.shine * np.maximum((normal * half).sum(1), 0) ** look.gloss)[:, None].astype(np.float32)
+    return (look.shine * np.maximum((normal * half).sum(1), 0) ** look.shininess)[:, None].astype(np.float32)
 
 
 def _centres(solid, camera, rows, precise):

@@ -1,4 +1,5 @@
-"""A made scene as a folder that every command takes: photos, cameras, masks, coarse mesh, initial and true depth."""
+"""A synthetic scene as a folder that every command takes: photos, cameras, masks, coarse mesh, initial and
+true depth."""
 
 from __future__ import annotations
 
@@ -9,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from pagas_cl.made.scene import MadeScene
+from pagas_cl.synthetic.scene import SyntheticScene
 
 
-def write_scene(made: MadeScene, folder) -> Path:
+def write_scene(synthetic: SyntheticScene, folder) -> Path:
     """Write SCENE/images, cameras.json, masks, mesh_coarse.ply, depth_initial and depth_true; returns SCENE.
 
     The held-out views are in the folder too, under names that start with "held_out".
@@ -21,19 +22,19 @@ def write_scene(made: MadeScene, folder) -> Path:
     from pagas_cl.scene.readers import camera_file
 
     folder = Path(folder)
-    for name in ("images", "depth_initial", "depth_true", *(["masks"] if made.relief.foreground else [])):
+    for name in ("images", "depth_initial", "depth_true", *(["masks"] if synthetic.relief.foreground else [])):
         (folder / name).mkdir(parents=True, exist_ok=True)
     named = []
-    for view in made.all_views:
+    for view in synthetic.all_views:
         file = f"{view.name}.png"
         _write_png(folder / "images" / file, view.load_image())
         if view.mask is not None:
             _write_png(folder / "masks" / file, view.load_mask().astype(np.uint8) * 255)
-        save_depth(folder / "depth_initial" / f"{view.name}.npz", made.initial_depth(view.camera))
-        save_depth(folder / "depth_true" / f"{view.name}.npz", made.true_depth(view.camera))
+        save_depth(folder / "depth_initial" / f"{view.name}.npz", synthetic.initial_depth(view.camera))
+        save_depth(folder / "depth_true" / f"{view.name}.npz", synthetic.true_depth(view.camera))
         named.append(replace(view, mask=None, name=file))
     camera_file.write(folder, named)
-    write_ply(folder / "mesh_coarse.ply", *made.initial_mesh())
+    write_ply(folder / "mesh_coarse.ply", *synthetic.initial_mesh())
     return folder
 
 

@@ -1,17 +1,17 @@
-"""Made scenes: what they call exact is exact, and equal descriptions give equal bytes."""
+"""Synthetic scenes: what they call exact is exact, and equal descriptions give equal bytes."""
 
 import numpy as np
 import pytest
+from scenes import plane, small, tiny
 
 from pagas_cl.errors import InputError
-from pagas_cl.evaluate import compare_depth, depth_normals, dilate, parallax_unit
-from pagas_cl.made import relief_scene
-from pagas_cl.made.photo import depth_and_part
-from pagas_cl.made.pieces import Bar, Block
-from pagas_cl.made.solid import BAR, BLOCK, MISS, RELIEF, Solid
-from pagas_cl.made.texture import Texture, noise
-from pagas_cl.made.waves import Waves
-from scenes import plane, small, tiny
+from pagas_cl.evaluate import compare_depth, depth_normals, depth_per_parallax, dilate
+from pagas_cl.synthetic import relief_scene
+from pagas_cl.synthetic.photo import depth_and_part
+from pagas_cl.synthetic.pieces import Bar, Block
+from pagas_cl.synthetic.solid import BAR, BLOCK, MISS, RELIEF, Solid
+from pagas_cl.synthetic.texture import Texture, noise
+from pagas_cl.synthetic.waves import Waves
 
 
 def world_points(camera, depth):
@@ -105,15 +105,15 @@ def test_the_initial_error_is_the_one_asked_for():
     assert 0.22 < report.smooth.mean_parallax < 0.28
     assert 10 < report.smooth.normal_mean < 20
     assert report.edges.pixels < 0.1 * report.all.pixels
-    unit = parallax_unit(made.true_depth(camera), camera, [v.camera for v in made.views[1:]])
-    assert 0.6 < np.median(unit) / made.relief.parallax < 1.2
+    one_pixel = depth_per_parallax(made.true_depth(camera), camera, [v.camera for v in made.views[1:]])
+    assert 0.6 < np.median(one_pixel) / made.relief.parallax < 1.2
 
 
 def test_equal_descriptions_give_equal_bytes_whatever_the_blocks(monkeypatch):
     first = relief_scene(64, 48, contexts=1, held_out=0, noise=3.0, exposure=0.2, foreground=True, bar=4.0)
     second = relief_scene(64, 48, contexts=1, held_out=0, noise=3.0, exposure=0.2, foreground=True, bar=4.0)
     photos = [view.load_image() for view in first.views]
-    monkeypatch.setattr("pagas_cl.made.photo._ROWS", 64 * 7)
+    monkeypatch.setattr("pagas_cl.synthetic.photo._ROWS", 64 * 7)
     for photo, again in zip(photos, second.views):
         assert np.array_equal(photo, again.load_image())
     assert (relief_scene(64, 48, contexts=1, held_out=0, seed=1).image(0) != photos[0]).any()
@@ -123,7 +123,7 @@ def test_photos_are_pixel_integrals():
     """Photos of a plane at a third of the resolution are the averages of 3 x 3 pixels of the full one."""
     fine, coarse = plane(texture="noise"), None
     camera = fine.cameras[0]
-    from pagas_cl.made.photo import photograph
+    from pagas_cl.synthetic.photo import photograph
 
     coarse = photograph(fine.true_solid, fine.skin, camera.resized(32, 24))
     full = photograph(fine.true_solid, fine.skin, camera, samples=1).astype(float)
@@ -178,7 +178,7 @@ def test_textures():
 
 
 def test_without_scikit_image_noise_takes_over(monkeypatch, caplog):
-    monkeypatch.setattr("pagas_cl.made.texture.find_spec", lambda name: None)
+    monkeypatch.setattr("pagas_cl.synthetic.texture.find_spec", lambda name: None)
     made = relief_scene(48, 36, contexts=1, held_out=0)
     assert "scikit-image" in caplog.text
     assert made.image(0).std() > 10

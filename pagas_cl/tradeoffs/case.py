@@ -1,4 +1,4 @@
-"""A bench: one view to measure settings on, with its context views, photos kept out of it, and the truth if known."""
+"""A case: one view to measure settings on, with its context views, photos kept out of it, and the truth if known."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _HELD_OUT_PLACES = (1, 4)  # of the choice of contexts: well-placed photos, but 
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
+class BenchmarkCase:
     """One view to measure on. Depth maps are (H, W) float32 z-depth, 0 = no surface.
 
     Attributes
@@ -65,13 +65,13 @@ class Bench:
     @cached_property
     def parallax(self) -> np.ndarray:
         """Depth of one pixel of parallax, float64 (H, W), 0 = unknown."""
-        from pagas_cl.evaluate import parallax_unit
+        from pagas_cl.evaluate import depth_per_parallax
 
-        return parallax_unit(self.initial, self.target.camera, [view.camera for view in self.contexts])
+        return depth_per_parallax(self.initial, self.target.camera, [view.camera for view in self.contexts])
 
 
-def make_benches(views: list[View], depths, *, truth=None, names=None, sample: int = 1, held_out=None,
-                 most_contexts: int = 10, scene_name: str = "") -> list[Bench]:
+def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int = 1, held_out=None,
+                 most_contexts: int = 10, scene_name: str = "") -> list[BenchmarkCase]:
     """Benches from the views of a scene.
 
     Parameters
@@ -93,7 +93,7 @@ def make_benches(views: list[View], depths, *, truth=None, names=None, sample: i
     usable = [depth if k not in banned else None for k, depth in enumerate(depths)]
     targets = _targets(usable, truth, sample) if names is None else [_index(views, name) for name in names]
     chooser = ContextChooser([view.camera for view in views], depths, Context(number=most_contexts + 2 + len(banned)))
-    benches = []
+    cases = []
     for k in targets:
         if depths[k] is None:
             raise InputError(f"view {views[k].name!r} has no initial depth map to measure on")
@@ -104,11 +104,12 @@ def make_benches(views: list[View], depths, *, truth=None, names=None, sample: i
             log.warning("view %s has no usable context view and is left out", views[k].name)
             continue
         name = f"{scene_name}/{views[k].stem}" if scene_name else views[k].stem
-        benches.append(Bench(name, views[k], [views[j] for j in contexts], [views[j] for j in kept_out], depths[k],
+        cases.append(BenchmarkCase(name, views[k], [views[j] for j in contexts], [views[j] for j in kept_out],
+                                   depths[k],
                              truth[k], [depths[j] for j in contexts]))
-    if not benches:
+    if not cases:
         raise InputError("no view can be measured on: none has an initial depth map and a usable context view")
-    return benches
+    return cases
 
 
 def _index(views, name: str) -> int:
@@ -131,10 +132,10 @@ def _kept_out(chosen) -> list[int]:
     return [chosen[k] for k in places]
 
 
-def loaded(bench: Bench) -> Bench:
-    """The bench with its photos in memory, so that no file is read while something is timed."""
+def loaded(case: BenchmarkCase) -> BenchmarkCase:
+    """The case with its photos in memory, so that no file is read while something is timed."""
     def load(view):
         return replace(view, image=view.load_image(), mask=view.load_mask())
 
-    return replace(bench, target=load(bench.target), contexts=[load(v) for v in bench.contexts],
-                   held_out=[load(v) for v in bench.held_out])
+    return replace(case, target=load(case.target), contexts=[load(v) for v in case.contexts],
+                   held_out=[load(v) for v in case.held_out])

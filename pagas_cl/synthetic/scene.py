@@ -1,4 +1,4 @@
-"""Made scenes with exact ground truth: a relief under photographs, seen from a grid of views around it."""
+"""Synthetic scenes with exact ground truth: a relief under photographs, seen from a grid of views around it."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from functools import cached_property
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.made import photo
-from pagas_cl.made.layout import Relief, half_axes, half_sizes, make_cameras, make_solids
-from pagas_cl.made.solid import Solid
-from pagas_cl.made.texture import Texture, patchwork
 from pagas_cl.scene.camera import Camera
+from pagas_cl.synthetic import photo
+from pagas_cl.synthetic.layout import Relief, half_axes, half_sizes, make_cameras, make_solids
+from pagas_cl.synthetic.solid import Solid
+from pagas_cl.synthetic.texture import Texture, patchwork
 
 
 @dataclass(frozen=True, eq=False)
-class MadeScene:
-    """A made scene. Views: `views[0]` is the target, the others its contexts; `held_out` took no part.
+class SyntheticScene:
+    """A synthetic scene. Views: `views[0]` is the target, the others its contexts; `held_out` took no part.
 
     Depth maps are float32 z-depth, 0 = no surface; normals are unit, in the camera's frame, towards the camera.
     """
@@ -84,7 +84,7 @@ class MadeScene:
 
     def initial_mesh(self, spacing: float = 4.0):
         """That surface as a mesh: vertices float64 (n, 3), faces int32 (m, 3); `spacing` in target pixels."""
-        from pagas_cl.made.mesh import solid_mesh
+        from pagas_cl.synthetic.mesh import solid_mesh
 
         return solid_mesh(self.initial_solid, spacing * self.relief.footprint,
                           half_axes(self.relief) if self.relief.foreground else half_sizes(self.relief))
@@ -104,7 +104,7 @@ class MadeScene:
         return self._shared[key][:2]
 
 
-def relief_scene(width: int = 388, height: int = 290, contexts: int = 10, **settings) -> MadeScene:
+def relief_scene(width: int = 388, height: int = 290, contexts: int = 10, **settings) -> SyntheticScene:
     """Make a relief scene; `settings` are the fields of `Relief`.
 
     `relief_scene(1554, 1162, contexts=10)` is the trial scene of the method: an object about 300 units wide, seen
@@ -113,7 +113,7 @@ def relief_scene(width: int = 388, height: int = 290, contexts: int = 10, **sett
     known = {f.name for f in fields(Relief)}
     for name in settings:
         if name not in known:
-            raise InputError(f"made scene: unknown setting {name!r}, expected one of {', '.join(sorted(known))}")
+            raise InputError(f"synthetic scene: unknown setting {name!r}, expected one of {', '.join(sorted(known))}")
     relief = Relief(width=width, height=height, contexts=contexts, **settings)
     rng = np.random.default_rng(relief.seed)
     true, initial = make_solids(relief, rng)
@@ -121,4 +121,4 @@ def relief_scene(width: int = 388, height: int = 290, contexts: int = 10, **sett
     texels = [int(np.ceil(2 * h / relief.footprint)) for h in half]
     skin = patchwork(*texels, relief.footprint, rng, kind=relief.texture, contrast=relief.contrast,
                      tile=int(np.clip(relief.width // 3, 48, 300)))
-    return MadeScene(relief, make_cameras(relief), true, initial, skin)
+    return SyntheticScene(relief, make_cameras(relief), true, initial, skin)

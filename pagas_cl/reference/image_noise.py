@@ -1,4 +1,4 @@
-"""Twin of splat/grain: noise and texture of one photo."""
+"""Twin of splat/image_noise: noise and texture of one photo."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def noise_and_texture(image: np.ndarray) -> tuple[float, float]:
     noise : float
         In units of the full range. From the second differences of the smoothest quarter of the pixels, taken along
         rows, whose median deviation is sqrt(6) times that of the noise.
-    plain : float
+    textureless : float
         Share of pixels where the photo changes by less than 0.02 to its right-hand neighbour (paper eq. 6).
     """
     step = max(1, image.shape[0] // _ROWS)

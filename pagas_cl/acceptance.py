@@ -8,14 +8,14 @@ from pagas_cl.result import REFINED, REJECTED
 
 MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not to be trusted as a whole
 LEAST_GAIN = 0.01        # of 1 - correlation in photos that took no part: less may be chance
-MISALIGNED = 0.2         # pixels; only photos that are off by more raise the question whether the cameras do harm
+MISALIGNED = 0.2         # pixels; only photos that are off by more raise the question whether the cameras are right
 ENOUGH = 3               # photos that took no part: cameras that are off agree by chance, n of them one time in 2^n
 
 
-def harm_of(refined, depth, contexts: int, witnesses, measured) -> str:
+def rejection_reason(refined, depth, contexts: int, held_out, measured) -> str:
     """Why a refinement is not to be trusted as a whole; empty where it is.
 
-    Enough photos that took no part are a measurement; with fewer of them, what is likely to do harm counts too.
+    Enough photos that took no part are a measurement; with fewer of them, what is likely to make it worse counts too.
 
     Parameters
     ----------
@@ -24,25 +24,25 @@ def harm_of(refined, depth, contexts: int, witnesses, measured) -> str:
         What it started from.
     contexts : int
         Number of context views.
-    witnesses : sequence of View
+    held_out : sequence of View
         The views that took no part.
     measured : Measurements or None
     """
-    seen = [(view.name, cost) for view, cost in zip(witnesses, refined.witnesses) if np.isfinite(cost).all()]
-    if len(seen) < ENOUGH and (doubt := _doubt(refined, depth, contexts, measured)):
-        return doubt
+    seen = [(view.name, cost) for view, cost in zip(held_out, refined.held_out) if np.isfinite(cost).all()]
+    if len(seen) < ENOUGH and (reason := _likely_reason(refined, depth, contexts, measured)):
+        return reason
     before, after = np.mean([cost for _, cost in seen], axis=0) if seen else refined.cost
     judges = f"the photos that took no part ({', '.join(name for name, _ in seen)})" if seen else "the context photos"
-    told = f"through the refined depth (1 - correlation {before:.4f} before, {after:.4f} after)"
+    through = f"through the refined depth (1 - correlation {before:.4f} before, {after:.4f} after)"
     if after > before:       # not where nothing was seen: NaN
-        return f"{judges} match worse {told}"
+        return f"{judges} match worse {through}"
     if seen and before - after < LEAST_GAIN * before:
-        return f"{judges} do not match clearly better {told}"
+        return f"{judges} do not match clearly better {through}"
     return ""
 
 
-def _doubt(refined, depth, contexts: int, measured) -> str:
-    """What speaks for harm without looking at it: cameras that are off, and depths that were rejected."""
+def _likely_reason(refined, depth, contexts: int, measured) -> str:
+    """What speaks against it without photos that took no part: cameras that are off, and depths that were rejected."""
     off = measured.misaligned if measured else 0.0
     added = off / np.sqrt(contexts)          # to a depth, by cameras that are off independently of one another
     if off > MISALIGNED and (moved := _moved(refined, depth)) < 2 * added:

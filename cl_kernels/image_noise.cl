@@ -4,7 +4,7 @@
 
 #define SLOPE 0                          // change from the pixel before to the one after
 #define BEND 1                           // second difference; of the smoothest pixels alone, once keep_smooth has run
-#define PLAIN 2                          // 1 where the photo changes by less than LITTLE to the pixel after, else 0
+#define TEXTURELESS 2                    // 1 where the photo changes by less than LITTLE to the pixel after, else 0
 #define LITTLE (0.02f * 765)             // paper eq. 6
 
 float grey_at(__global const uchar4 *photo, int i)
@@ -12,7 +12,7 @@ float grey_at(__global const uchar4 *photo, int i)
     return photo[i].x + photo[i].y + photo[i].z;
 }
 
-__kernel void sample_grain(__global const uchar4 *photo, int width, int step_x, int step_y, int across, int count,
+__kernel void sample_noise(__global const uchar4 *photo, int width, int step_x, int step_y, int across, int count,
                            __global float *rows)
 {
     const int k = get_global_id(0);
@@ -22,7 +22,7 @@ __kernel void sample_grain(__global const uchar4 *photo, int width, int step_x, 
     const float before = grey_at(photo, i - 1), here = grey_at(photo, i), after = grey_at(photo, i + 1);
     rows[SLOPE * count + k] = fabs(after - before);
     rows[BEND * count + k] = fabs(before - 2.0f * here + after);
-    rows[PLAIN * count + k] = fabs(after - here) < LITTLE ? 1.0f : 0.0f;
+    rows[TEXTURELESS * count + k] = fabs(after - here) < LITTLE ? 1.0f : 0.0f;
 }
 
 // summary: of the row SLOPE, with the quantile up to which pixels are smooth.

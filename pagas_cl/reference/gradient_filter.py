@@ -1,11 +1,11 @@
-"""Twin of splat/spread: the gradient averaged over neighbouring pixels (method section 6)."""
+"""Twin of splat/gradient_filter: the gradient averaged over neighbouring pixels (method section 6)."""
 
 from __future__ import annotations
 
 import numpy as np
 
 
-def spread(gradient, length, radius: int) -> np.ndarray:
+def filter_gradient(gradient, length, radius: int) -> np.ndarray:
     """The gradient by d / length, (H, W), averaged along rows and columns by a tent of `radius` pixels to each side.
 
     What lies outside the image counts as 0, and so do pixels where length is 0.

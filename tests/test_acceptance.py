@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from harm_scenes import figures, moving, plain, turned, wrong_poses
+from acceptance_scenes import figures, moving, textureless, turned, wrong_poses
 
 from pagas_cl.refine import refine_depth, refine_views
 from pagas_cl.result import KEPT, NO_SURFACE, REJECTED
 
-HARMFUL = {"a plane without texture": plain, "without texture or noise": lambda: plain(0.0),
+MISLEADING = {"a plane without texture": textureless, "without texture or noise": lambda: textureless(0.0),
            "wrong poses": wrong_poses, "wrong poses of eight views": lambda: wrong_poses(contexts=8),
            "poses off by a pixel": lambda: wrong_poses(1.0),
            "poses off by 1.2 pixels": lambda: wrong_poses(1.2, contexts=6),
@@ -20,13 +20,13 @@ HARMFUL = {"a plane without texture": plain, "without texture or noise": lambda:
 _MOST = 1.02
 
 
-@pytest.mark.parametrize("name", HARMFUL)
-@pytest.mark.parametrize("judged", [False, True], ids=["alone", "with a witness"])
+@pytest.mark.parametrize("name", MISLEADING)
+@pytest.mark.parametrize("judged", [False, True], ids=["alone", "with a held-out view"])
 def test_no_error_figure_gets_worse(device, name, judged):
-    made, (target, *others) = HARMFUL[name]()
+    made, (target, *others) = MISLEADING[name]()
     initial = made.initial_depth(made.cameras[0])
-    witnesses = [others.pop()] if judged else []
-    result = refine_depth(target, others, initial, device=device, witnesses=witnesses)
+    held_out = [others.pop()] if judged else []
+    result = refine_depth(target, others, initial, device=device, held_out=held_out)
     before, after = figures(made, initial), figures(made, result.depth)
     assert not {k: (before[k], after[k]) for k in before if after[k] > _MOST * before[k]}
 
@@ -56,23 +56,23 @@ def test_good_scenes_keep_their_gain(device):
 
 
 def test_what_gets_worse_for_photos_that_took_no_part_goes_back(device):
-    """Context photos that all lie off alike pull the depth along; the witnesses' photos do not."""
+    """Context photos that all lie off alike pull the depth along; the held-out ones do not."""
     made, (target, *others) = wrong_poses(1e-9, contexts=6)
     wrong = [replace(view, camera=turned(view.camera, 2.0, 0.3)) for view in others[:4]]
     initial = made.initial_depth(made.cameras[0])
     alone = refine_depth(target, wrong, initial, device=device)
-    judged = refine_depth(target, wrong, initial, device=device, witnesses=others[4:])
+    judged = refine_depth(target, wrong, initial, device=device, held_out=others[4:])
     assert judged.reason or judged.counts["rejected"] > alone.counts["rejected"]
     assert figures(made, judged.depth)["mean"] <= figures(made, alone.depth)["mean"]
     assert (judged.depth == initial)[judged.status == REJECTED].all()
 
 
 def test_photos_that_err_as_the_context_photos_do_hide_no_other(device):
-    """Two of the witnesses lie off as all context photos do, the third one does not."""
+    """Two of the held-out photos lie off as all context photos do, the third one does not."""
     made, (target, *others, right) = wrong_poses(1e-9, contexts=7)
     wrong = [replace(view, camera=turned(view.camera, 1.0, 0.3)) for view in others]
     initial = made.initial_depth(made.cameras[0])
-    result = refine_depth(target, wrong[:4], initial, device=device, witnesses=[*wrong[4:], right])
+    result = refine_depth(target, wrong[:4], initial, device=device, held_out=[*wrong[4:], right])
     before, after = figures(made, initial), figures(made, result.depth)
     assert after["mean"] < 0.95 * before["mean"]
     assert not {k: (before[k], after[k]) for k in before if after[k] > _MOST * before[k]}
@@ -82,26 +82,26 @@ def test_three_photos_that_took_no_part_tell_whether_cameras_that_are_off_do_har
     """With fewer such photos the view comes back for fear of them."""
     made, (target, *others) = wrong_poses(0.8, contexts=7, seed=0)
     initial = made.initial_depth(made.cameras[0])
-    alone, judged = (refine_depth(target, others[:4], initial, device=device, witnesses=others[4:4 + number])
+    alone, judged = (refine_depth(target, others[:4], initial, device=device, held_out=others[4:4 + number])
                      for number in (0, 3))
     assert "are the cameras right" in alone.reason and not judged.reason
     assert figures(made, judged.depth)["mean"] < 0.7 * figures(made, initial)["mean"]
     made, (target, *others) = wrong_poses(1.7, contexts=7, seed=2)
-    harmed = refine_depth(target, others[:4], made.initial_depth(made.cameras[0]), device=device, witnesses=others[4:])
-    assert "took no part" in harmed.reason
+    rejected = refine_depth(target, others[:4], made.initial_depth(made.cameras[0]), device=device, held_out=others[4:])
+    assert "took no part" in rejected.reason
 
 
 def test_photos_that_took_no_part_leave_a_good_result_alone(device):
     made, (target, *others) = wrong_poses(1e-9, contexts=6)
     initial = made.initial_depth(made.cameras[0])
-    result = refine_depth(target, others[:4], initial, device=device, witnesses=others[4:])
+    result = refine_depth(target, others[:4], initial, device=device, held_out=others[4:])
     before, after = figures(made, initial), figures(made, result.depth)
-    assert result.report["witnesses"] == [view.name for view in others[4:]]
+    assert result.report["held_out"] == [view.name for view in others[4:]]
     assert after["mean"] < 0.3 * before["mean"] and result.counts["refined"] > 0.9 * initial.size
 
 
 def test_what_is_masked_out_keeps_its_depth_and_is_told_so(device):
-    made, (target, *others) = plain()
+    made, (target, *others) = textureless()
     initial = made.initial_depth(made.cameras[0])
     initial[:2] = 0
     mask = np.ones(initial.shape, bool)

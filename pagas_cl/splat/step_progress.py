@@ -7,7 +7,7 @@ from collections import deque
 AHEAD = 8          # steps that stay enqueued beyond the one that is told of: the device never waits for the host
 
 
-class Told:
+class StepProgress:
     """Calls `progress(done, total)` after each step; does nothing where that is None.
 
     Parameters

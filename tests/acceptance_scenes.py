@@ -1,4 +1,4 @@
-"""Small made scenes on which photos speak for no depth, or for a wrong one; the truth is known."""
+"""Small synthetic scenes on which photos speak for no depth, or for a wrong one; the truth is known."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from functools import lru_cache
 import numpy as np
 
 from pagas_cl.evaluate import compare_depth
-from pagas_cl.made import relief_scene
 from pagas_cl.scene.camera import Camera
+from pagas_cl.synthetic import relief_scene
 
 SIZE = dict(width=120, height=90)
 
 
-def plain(noise: float = 2.0):
+def textureless(noise: float = 2.0):
     """A plane without texture; the initial depth is off by a smooth error."""
     made = relief_scene(**SIZE, contexts=4, held_out=0, base=0.0, detail=0.0, steps=0, texture="flat", contrast=0.0,
                         shading=0.0, noise=noise, coarse_error=0.5)

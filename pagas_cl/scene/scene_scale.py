@@ -1,4 +1,4 @@
-"""The unit of length that a view is refined in: the median of its depths."""
+"""The scale of a view's scene, its unit of length while it is refined: the median of its depths."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ NEAR, FAR = 1e-3, 1e6     # units: nearer and farther depths have no Gaussian; a
 MEDIAN_SAMPLES = 65536
 
 
-def unit_of(depth: np.ndarray, mask: np.ndarray | None) -> float:
-    """The unit of length: the median of the valid depths, of a regular sample of a large map; 1 without any."""
+def scene_scale_of(depth: np.ndarray, mask: np.ndarray | None) -> float:
+    """The scale: the median of the valid depths, of a regular sample of a large map; 1 without any."""
     every = max(1, depth.size // MEDIAN_SAMPLES)
     sample = _valid(depth, mask, every)
     if every > 1 and sample.size < MEDIAN_SAMPLES // 16:        # a small object in a large photo

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from kernel_cases import Scene, start_level
 
-from pagas_cl.config import preset
+from pagas_cl.presets import preset
+from pagas_cl.reference.gradient_filter import filter_gradient
 from pagas_cl.reference.level import parts_of_loss, prepare
-from pagas_cl.reference.spread import spread
 from pagas_cl.runtime.device import open_device
 
 
@@ -14,8 +14,8 @@ def test_a_tent_by_hand():
     gradient = np.zeros((5, 6))
     gradient[2, 2] = 16.0
     tent = np.array([0, 1, 2, 1, 0]) / 4
-    assert spread(gradient, np.ones_like(gradient), 1)[:, :5] == pytest.approx(16 * np.outer(tent, tent))
-    assert spread(gradient, np.ones_like(gradient), 0) is gradient
+    assert filter_gradient(gradient, np.ones_like(gradient), 1)[:, :5] == pytest.approx(16 * np.outer(tent, tent))
+    assert filter_gradient(gradient, np.ones_like(gradient), 0) is gradient
 
 
 def test_it_counts_in_pixels_of_parallax_and_leaves_fixed_pixels():
@@ -24,18 +24,18 @@ def test_it_counts_in_pixels_of_parallax_and_leaves_fixed_pixels():
     length[0, 2], length[0, 3] = 4.0, 0.0
     gradient = np.array([[0.0, 0.0, 1.0, 1.0]])
     across = np.array([[0.0, 1.0, 2.0 / 4, 0.0]]) * (2 / 4)  # rows alone: one row keeps half of it
-    assert spread(gradient, length, 1) == pytest.approx(across)
+    assert filter_gradient(gradient, length, 1) == pytest.approx(across)
 
 
 def test_borders_take_nothing_from_the_other_side():
     gradient = np.zeros((4, 5))
     gradient[:, 0] = 1.0
-    assert (spread(gradient, np.ones_like(gradient), 2)[:, 3:] == 0).all()
+    assert (filter_gradient(gradient, np.ones_like(gradient), 2)[:, 3:] == 0).all()
 
 
 @pytest.mark.parametrize("radius", [1, 2, 3])
 def test_kernels_are_the_twin(radius):
-    config = preset("balanced").with_settings(solver__spread=radius, smoothness__full_views=1)
+    config = preset("balanced").with_settings(solver__gradient_filter=radius, smoothness__full_views=1)
     device, scene = open_device(None), Scene.make(3)
     level = start_level(device, config, scene)
     for launch in level.step_launches(0):
@@ -43,8 +43,8 @@ def test_kernels_are_the_twin(radius):
     found = level.read("gradient", scene.moved.shape).astype(np.float64)
     level.release()
     initial = scene.initial.astype(np.float64)
-    state = prepare(initial, scene.target, scene.contexts, config, scene.unit, scene.delta(config))
+    state = prepare(initial, scene.target, scene.contexts, config, scene.scene_scale, scene.delta(config))
     photos, smooth = parts_of_loss(scene.moved.astype(np.float64), scene.target, scene.contexts, config, state, [0])
-    wanted = spread(photos[1], state.parallax, radius) + smooth[1]
+    wanted = filter_gradient(photos[1], state.parallax, radius) + smooth[1]
     assert np.linalg.norm(found - wanted) < 5e-4 * np.linalg.norm(wanted)
     assert np.linalg.norm(photos[1] + smooth[1] - wanted) > 0.1 * np.linalg.norm(wanted)

@@ -1,4 +1,4 @@
-"""What a made scene consists of: its description, the cameras around it, the solids."""
+"""What a synthetic scene consists of: its description, the cameras around it, the solids."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.made.pieces import Bar, Block
-from pagas_cl.made.solid import Solid
-from pagas_cl.made.waves import Waves
 from pagas_cl.scene.camera import Camera
+from pagas_cl.synthetic.pieces import Bar, Block
+from pagas_cl.synthetic.solid import Solid
+from pagas_cl.synthetic.waves import Waves
 
 # steps of the view grid in units of the angle between neighbours (right, down), nearest views first
 _GRID = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1), (2, 0), (-2, 0), (0, 2), (0, -2),
@@ -23,7 +23,7 @@ _DISTANCE = 650.0
 
 @dataclass(frozen=True)
 class Relief:
-    """What a made scene is; equal descriptions give equal scenes, byte for byte.
+    """What a synthetic scene is; equal descriptions give equal scenes, byte for byte.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Relief:
                                 ("shading", 0, 1), ("shine", 0, 10), ("noise", 0, 255)):
             value = getattr(self, name)
             if not low <= value <= high:
-                raise InputError(f"made scene: {name} is {value!r}, expected {low:g} to {high:g}")
+                raise InputError(f"synthetic scene: {name} is {value!r}, expected {low:g} to {high:g}")
 
     @property
     def footprint(self) -> float:

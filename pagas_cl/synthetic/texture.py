@@ -1,4 +1,4 @@
-"""Pictures to wrap around made scenes: photographs that come with scikit-image's wheel, or noise without it."""
+"""Pictures to wrap around synthetic scenes: photographs that come with scikit-image's wheel, or noise without it."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def patchwork(width, height, size, rng, *, kind="photos", contrast=1.0, tile=Non
         raise InputError(f"texture is {kind!r}, expected 'photos', 'noise' or 'flat'")
     tile = tile or int(np.clip(width // 3, 48, 300))
     if kind == "photos" and find_spec("skimage") is None:
-        _log.warning("scikit-image is not installed: the made scene is covered with noise instead of photographs; "
+        _log.warning("scikit-image is not installed: the synthetic scene is covered with noise instead of photographs; "
                      'pip install "pagas-cl[report]"')
         kind = "noise"
     if kind == "flat":

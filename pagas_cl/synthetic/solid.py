@@ -1,4 +1,4 @@
-"""What stands in a made scene: a relief, blocks raised from it, a bar in front; rays meet it exactly."""
+"""What stands in a synthetic scene: a relief, blocks raised from it, a bar in front; rays meet it exactly."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pagas_cl.made.pieces import Bar, Block, meet_bar, near_block, wall_normals
-from pagas_cl.made.waves import Waves, joined
+from pagas_cl.synthetic.pieces import Bar, Block, meet_bar, near_block, wall_normals
+from pagas_cl.synthetic.waves import Waves, joined
 
 MISS, RELIEF, BAR, BLOCK = 0, 1, 2, 3  # block k has its top at BLOCK + 2 k and its walls at BLOCK + 2 k + 1
 _TOLERANCE = 1e-9

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl.made.pieces import Bar, Block
-from pagas_cl.made.solid import Solid
+from pagas_cl.synthetic.pieces import Bar, Block
+from pagas_cl.synthetic.solid import Solid
 
 _BAR_SIDES = 24
 

@@ -1,4 +1,4 @@
-"""Launches of grain.cl: noise and texture of one photo (method section 8)."""
+"""Launches of image_noise.cl: noise and texture of one photo (method section 8)."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ def _samples(size):
     return steps, -(-(size.width - 2) // steps[0]), -(-size.height // steps[1])
 
 
-class Grain:
+class ImageNoise:
     """Measures a photo, a buffer of uchar4; nothing waits for the device until `read`."""
 
     def __init__(self, device, photo, size):
         self.rows = None
         if size.width < 8:
             return
-        program, (steps, across, down) = build(device, "grain.cl"), _samples(size)
+        program, (steps, across, down) = build(device, "image_noise.cl"), _samples(size)
         self.rows = rows = Rows(device, _RULES, across * down)
         run_once(device.queue, [
-            bind(program, "sample_grain", (rows.count,), None, photo, size.width, *steps, across, rows.count,
+            bind(program, "sample_noise", (rows.count,), None, photo, size.width, *steps, across, rows.count,
                  rows.values),
             rows.summarize(),
             bind(program, "keep_smooth", (rows.count,), None, rows.summary, rows.count, rows.values),
@@ -45,6 +45,6 @@ class Grain:
         and the share of pixels with little texture."""
         if self.rows is None:
             return 0.0, 1.0
-        _, bend, plain = self.rows.read()
+        _, bend, textureless = self.rows.read()
         noise = 1.4826 * max(bend[QUANTILE], 0.0) / sqrt(6) / _GREYS if bend[NUMBER] else 0.0
-        return float(noise), float(plain[MEAN])
+        return float(noise), float(textureless[MEAN])

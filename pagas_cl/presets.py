@@ -1,0 +1,40 @@
+"""The presets; what each setting means is said in config.py."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+from pagas_cl.config import Config, Effects, Loss, Pyramid, Smoothness, Solver, Splatting
+from pagas_cl.errors import InputError
+
+# What the published DTU experiments use (arXiv 2604.22129): the yardstick, not a recommendation.
+PAPER = Config(
+    splatting=Splatting(blend="alpha", radius=1.42, depth_slices=20.0, depth_footprints=0.0, low_pass=0.3),
+    loss=Loss(ssim=0.2, huber=0.0, gradient_weight=True, coverage_weight=True, unseen_mask=True, target_view=True),
+    smoothness=Smoothness(kind="none", weight=0.0, full_views=1),
+    solver=Solver(rate=1e-5, rate_unit="distance", damping=1e-8, early_damping=1.0, beta2=0.999, gradient_filter=0,
+                  final_rate=1.0, patience=10, views_per_step=0, max_move=1e9, tolerance=2.0, mismatch=2.0),
+    pyramid=Pyramid(scales=(0.5, 1.0), steps=(100, 100)),
+    effects=Effects.every("set"),
+)
+# The knee of the front of error against time (`pagas-cl tradeoff`; the tables are in tests/bench/FRONT.md): one context
+# view a step, in turn, is as good per step as all of them; four times the steps gain 2 percent with ten context views,
+# 5 with one.
+BALANCED = Config()
+# Gives up colour, most steps, two context views and the measuring of effects (photos of one exposure, a depth within a
+# pixel or two of parallax): 1.2 to 2.5 times the error of "balanced" in a quarter of its time or less.
+FAST = BALANCED.with_settings(loss__grey=True, smoothness__discontinuity=0.5, solver__rate=0.16, solver__damping=1e-3,
+                              solver__early_damping=1.0, solver__beta1=0.7, solver__gradient_filter=3,
+                              solver__final_rate=0.1, pyramid__steps=(20,), context__number=8,
+                              **{f"effects__{f.name}": "set" for f in fields(Effects)})
+# Past the knee: four times the steps, shorter ones, and less smoothing; 1.7 to 5 percent less error.
+ACCURATE = BALANCED.with_settings(smoothness__weight=0.1, smoothness__discontinuity=0.25, solver__rate=0.008,
+                                  solver__damping=3e-3, solver__early_damping=1.0, pyramid__steps=(800,))
+PRESETS: dict[str, Config] = {"fast": FAST, "balanced": BALANCED, "accurate": ACCURATE, "paper": PAPER}
+
+
+def preset(name: str) -> Config:
+    """The preset called `name`: "fast", "balanced", "accurate" or "paper"; InputError for any other."""
+    if name not in PRESETS:
+        raise InputError(f"unknown preset {name!r}, expected {' or '.join(repr(p) for p in PRESETS)}")
+    return PRESETS[name]
