@@ -15,8 +15,8 @@ from pagas_cl.presets import BALANCED, PAPER
 from pagas_cl.reference import exposure
 
 CALM = Measurements(overlap=1.0, hidden=0.0, unseen=0.0, exposure_change=0.0, specularity=0.0, smallest=0.5,
-                    textureless=0.0,
-                    noise=0.002, far_off=0.0, misaligned=0.0, masked=False, gains=(((1.0, 0.0),) * 3,))
+                    textureless=0.0, noise=0.002, far_off=0.0, misaligned=0.0, masked=False,
+                    gains=(((1.0, 0.0),) * 3,))
 ABOVE = {"occlusion": {"hidden": 0.1}, "unseen_mask": {"unseen": 0.3}, "exposure": {"exposure_change": 0.1},
          "view_dependence": {"specularity": 0.2}, "antialiasing": {"smallest": 0.2}, "smoothness": {"textureless": 0.5},
          "noise": {"noise": 0.02}, "pyramid": {"far_off": 0.5}}
@@ -34,7 +34,7 @@ def switched_on(config) -> dict[str, bool]:
 @pytest.mark.parametrize("effect", RULES)
 def test_auto_follows_the_evidence(effect):
     assert not switched_on(decide(ALPHA, CALM)[0])[effect]
-    measured = replace(CALM, plain=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "plain"})
+    measured = replace(CALM, textureless=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "textureless"})
     config, decisions = decide(ALPHA, measured)
     assert switched_on(config)[effect]
     decision = next(d for d in decisions if d.effect == effect)
@@ -45,18 +45,18 @@ def test_auto_follows_the_evidence(effect):
 @pytest.mark.parametrize("effect", RULES)
 def test_one_effect_alone_is_switched_on(effect):
     """Beside smoothness, without which noise has nothing to weigh; noise also follows the measured specularity."""
-    measured = replace(CALM, plain=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "plain"})
+    measured = replace(CALM, textureless=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "textureless"})
     on = {name for name, value in switched_on(decide(ALPHA, measured)[0]).items() if value}
     assert on - ({"noise"} if effect == "view_dependence" else set()) == {effect, "smoothness"}
 
 
 @pytest.mark.parametrize("effect", RULES)
 def test_off_and_on_hold_against_the_evidence(effect):
-    called_for = replace(CALM, plain=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "plain"})
+    called_for = replace(CALM, textureless=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "textureless"})
     off, told = decide(ALPHA.with_settings(**{f"effects__{effect}": "off"}), called_for)
     assert not switched_on(off)[effect]
     assert "asked for: off" in {d.reason for d in told}
-    on = decide(ALPHA.with_settings(**{f"effects__{effect}": "on"}), replace(CALM, plain=0.5))[0]
+    on = decide(ALPHA.with_settings(**{f"effects__{effect}": "on"}), replace(CALM, textureless=0.5))[0]
     if effect != "noise":         # on, it follows the noise that was measured: here there is none
         assert switched_on(on)[effect]
 
@@ -83,7 +83,7 @@ def test_decisions_are_settled():
 
 
 def test_noise_raises_the_weight_and_never_lowers_it():
-    weights = [decide(BALANCED, replace(CALM, plain=0.5, noise=n))[0].smoothness.weight
+    weights = [decide(BALANCED, replace(CALM, textureless=0.5, noise=n))[0].smoothness.weight
                for n in (0.001, 0.01, 0.02, 1.0)]
     assert weights[0] == BALANCED.smoothness.weight
     assert weights[0] < weights[1] < weights[2] <= weights[3] <= 100

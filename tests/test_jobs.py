@@ -231,7 +231,7 @@ def test_the_key_knows_all_code_that_makes_a_depth_map(device):
     hashed = {part.removesuffix(".py") for part in identity._CODE}
     # settings are in the key themselves; the others have no part in a depth map
     assert "splat" in hashed
-    assert {name.split(".")[1] for name in told} - hashed <= {"config", "errors", "keep_mesh", "progress"}
+    assert {name.split(".")[1] for name in told} - hashed <= {"presets", "errors", "keep_mesh", "progress"}
 
 
 def test_many_threads_read_arrays(tmp_path):

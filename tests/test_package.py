@@ -1,6 +1,7 @@
 """The package as it is shipped: what a wheel holds, what an import loads, who may import whom, and names."""
 
 import ast
+import re
 import shutil
 import subprocess
 import sys
@@ -31,6 +32,17 @@ ALLOWED = {
 }
 WITHOUT_OPENCL = {"errors", "config", "presets", "progress", "scene", "reference", "report", "evaluate", "synthetic",
                   "result"}
+# What a reader of the field would not know, and what is said instead.
+OLD_WORDS = {
+    "witness": "held-out view", "witnesses": "held_out", "harm": "acceptance", "harm_of": "rejection_reason",
+    "grain": "image noise", "Entered": "NormalizedDepth", "entered": "normalized", "unit_of": "scene_scale_of",
+    "parallax_unit": "depth_per_parallax", "distance_unit": "viewing_distance", "Motion": "SplatDerivative",
+    "sxx": "dsigma_xx", "vxx": "sigma_xx", "by_mean": "v_mean", "upstream": "v_rendered",
+    "slope_by_alpha": "load_v_alpha", "gloss": "specularity", "Doubt": "EvidencePrior", "doubt": "prior",
+    "Verdict": "EvidenceDecision", "verdict": "decision", "Found": "ProbeResult", "Later": "LazyDepth",
+    "Here": "SerialExecutor", "Bench": "WorkerContext or BenchmarkCase", "benches": "cases",
+    "add_whole": "atomic_add_i64", "MadeScene": "SyntheticScene",
+}
 # Kernel files that belong to a stage of another name.
 STAGE = {"alpha": "composite", "deviation": "evidence", "crowded": "composite"}
 REFERENCE = {"alpha": "composite", "deviation": "evidence", "backward": "composite", "ssim": "loss"}
@@ -175,3 +187,10 @@ def test_kernels_use_no_double_and_no_vendor_extension():
         code = "\n".join(line.partition("//")[0] for line in path.read_text().splitlines())
         for word in ("double", "cl_khr_fp64", "cl_nv", "cl_amd", "cl_intel"):
             assert word not in code, f"{path.name} uses {word}"
+
+
+def test_words_of_the_field_are_used():
+    for name, folder in SOURCES.items():
+        for path in sorted(path for path in folder.rglob("*") if path.suffix in {".py", ".cl", ".clh"}):
+            for word in sorted(OLD_WORDS.keys() & set(re.findall(r"\w+", path.read_text()))):
+                raise AssertionError(f"{name}/{path.relative_to(folder)}: say {OLD_WORDS[word]!r} instead of {word!r}")

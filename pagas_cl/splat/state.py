@@ -44,8 +44,8 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
     """Every buffer of a level except photos: per target pixel, one view's scratch, `masked` unseen masks."""
     n, m = target.pixels, max(size.pixels for size in (*contexts, target))
     channels = 1 if config.loss.grey else 3
-    specs = [BufferSpec(name, (n,), np.float32) for name in ("depth", "depth_per_parallax", "gradient",
-                                                                "first", "second")]
+    specs = [BufferSpec(name, (n,), np.float32)
+             for name in ("depth", "depth_per_parallax", "gradient", "first", "second")]
     specs += [BufferSpec("cameras", (1 + len(contexts), 20), np.float32), BufferSpec("state", (8,), np.float32)]
     specs += [BufferSpec(name, (m, channels + 1), np.float32) for name in ("rendered", "v_rendered")]
     if config.loss.ssim > 0:
