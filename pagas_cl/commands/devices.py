@@ -10,19 +10,30 @@ import typer
 
 def command(
     name: str = typer.Option(None, "--device", help="Also say which device this name would choose."),
+    again: bool = typer.Option(False, "--again", help="Try each device anew, whatever an earlier trial has shown."),
 ):
-    """List the OpenCL platforms and devices, their drivers, their memory, and what each lacks."""
-    from pagas_cl.runtime import icd
+    """List the OpenCL platforms and devices, their drivers, their memory, what each lacks, and whether it works.
+
+    Each device that has what it takes is tried once: a step of the refinement is built and run on it in a process of
+    its own, and compared with the same step in NumPy.
+    """
+    from pagas_cl.runtime import icd, vendors
     from pagas_cl.runtime.device import open_device
     from pagas_cl.runtime.listing import list_devices
 
     devices = list_devices()
     for platform, members in groupby(devices, key=lambda info: info.platform):
-        sys.stdout.write(f"{platform}\n" + "".join(_describe(info) for info in members))
+        sys.stdout.write(f"{platform}\n")
+        for info in members:
+            sys.stdout.write(_describe(info))
+            sys.stdout.flush()
+            sys.stdout.write(f"    tried          {_tried(info, again)}\n")
     chosen = open_device(name)
-    sys.stdout.write(f"chosen: {chosen.info}\n")
+    sys.stdout.write(f"chosen: {chosen.info}{f', {chosen.lanes} lanes' if chosen.lanes > 1 else ''}\n")
     if not any(info.kind == "GPU" for info in devices):
         sys.stdout.write("no GPU among them; for one install its vendor's OpenCL driver\n")
+    if vendors.intel_is_incomplete():
+        sys.stdout.write('Intel\'s runtime for CPUs is installed in part: pip install "pagas-cl[cpu]" has all of it\n')
     for line in icd.loader_complaints():
         sys.stdout.write(f"a driver is registered but cannot be loaded: {line}\n")
 
@@ -40,6 +51,19 @@ def _describe(info) -> str:
     if info.does_without:
         lines.append(f"    does without   {'; '.join(info.does_without)}")
     return "\n".join(lines) + "\n"
+
+
+def _tried(info, again: bool) -> str:
+    """What a trial of the device has shown."""
+    from pagas_cl.runtime.trial import try_device
+
+    if info.lacks:
+        return "no, since it lacks what is needed"
+    trial = try_device(info, again)
+    if not trial.lanes:
+        return f"does not work: {trial.fault}"
+    side_by_side = f"{trial.lanes} pixels side by side" if trial.lanes > 1 else "one pixel a work-item"
+    return f"works, {side_by_side} (trial of {trial.seconds:.0f} s)" + (f"; {trial.fault}" if trial.fault else "")
 
 
 def _size(number: int) -> str:

@@ -21,7 +21,7 @@ _held: dict[str, object] = {}
 
 
 def known_devices(names=None) -> list[tuple]:
-    """(DeviceInfo, pyopencl.Device) of every device that `names` means and that works, best first.
+    """(DeviceInfo, pyopencl.Device, lanes) of every device that `names` means and that works, best first.
 
     Parameters
     ----------
@@ -29,15 +29,15 @@ def known_devices(names=None) -> list[tuple]:
         Parts of device names. "all" and None mean every device of the best kind there is: all GPUs, or else the CPU
         (one, since several drivers may offer the same one); None heeds the environment variable PAGAS_CL_DEVICE first.
     """
-    cl, chosen = devices.import_pyopencl(), []
-    found = devices.find_devices(cl)
+    chosen, found = [], devices.find_devices(devices.import_pyopencl())
     every = names is None or "all" in ([names] if isinstance(names, str) else names)
     for name in ([None if names is None else "auto"] if every else [names] if isinstance(names, str) else names):
         for pair in devices.candidates(found, name):
-            if pair[1] not in [other for _, other in chosen] and not devices.trial_fault(cl, pair[1]):
-                chosen.append(pair)
+            lanes = devices.try_device(pair[0]).lanes
+            if lanes and pair[1] not in [other for _, other, _ in chosen]:
+                chosen.append((*pair, lanes))
     if every:
-        best = [pair for pair in chosen if pair[0].kind == chosen[0][0].kind]
+        best = [device for device in chosen if device[0].kind == chosen[0][0].kind]
         chosen = best[:1] if best and best[0][0].kind == "CPU" else best
     if not chosen:
         raise DeviceError(f"no OpenCL device of {names!r} works: see 'pagas-cl devices'")
@@ -59,11 +59,11 @@ def claim_device(names=None) -> Device:
     share, known, until = devices.shares(), known_devices(names), time.monotonic() + WAIT
     while True:
         for slot in range(share):
-            for place, (info, cl_device) in enumerate(known):
+            for place, (info, cl_device, lanes) in enumerate(known):
                 name = f"{_identity(info, cl_device, place)}-{slot}"
                 if _lock(name):
                     try:
-                        return devices.opened(info, cl_device)
+                        return devices.opened(info, cl_device, lanes)
                     except cl.Error as error:
                         fault = f"{info.title} cannot be opened: {error}"
                         _unlock(name)
@@ -72,7 +72,7 @@ def claim_device(names=None) -> Device:
         time.sleep(0.5)
     if fault:
         raise DeviceError(f"{fault}; see 'pagas-cl devices'")
-    titles = ", ".join(info.title for info, _ in known)
+    titles = ", ".join(info.title for info, *_ in known)
     raise DeviceError(f"every device asked for ({titles}) is at work for another process; start one worker a device, "
                       f"or let several share one with {devices.SHARE}={share + 1}")
 

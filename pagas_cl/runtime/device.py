@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import threading
 import weakref
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 from pagas_cl.errors import DeviceError, InputError, NoDeviceError
-from pagas_cl.runtime import icd
+from pagas_cl.runtime import icd, listing
 from pagas_cl.runtime.info import DeviceInfo, describe
+from pagas_cl.runtime.trial import Trial, try_device
+from pagas_cl.runtime.vendors import import_pyopencl
 
 log = logging.getLogger("pagas_cl")
 
 ENVIRONMENT = "PAGAS_CL_DEVICE"
 SHARE = "PAGAS_CL_SHARE"  # how many processes may work on one device
-# A driver may list a processor that its compiler does not know: believed only after a kernel has been built.
-_TRIAL = "__kernel void trial(__global float *x) { x[get_global_id(0)] = exp(x[0]); }"
 _told: set[DeviceInfo] = set()
 _PREFERENCE = ("GPU", "accelerator", "CPU", "other")
 
@@ -34,6 +35,8 @@ class Device:
     cl_device : pyopencl.Device
     context : pyopencl.Context
     queue : pyopencl.CommandQueue
+    lanes : int
+        Pixels of a row that a work-item handles side by side: the most that have been seen to work here.
     profiling : bool
         Whether events of `queue` carry times.
     """
@@ -42,6 +45,7 @@ class Device:
     cl_device: Any
     context: Any
     queue: Any
+    lanes: int = 1
     profiling: bool = False
 
     @cached_property
@@ -57,7 +61,7 @@ class Device:
 
 
 def open_device(name=None, *, profiling: bool = False) -> Device:
-    """Open the OpenCL device called `name`.
+    """Open the OpenCL device called `name`, if a trial has shown that it works (runtime.trial; made once a driver).
 
     Parameters
     ----------
@@ -71,25 +75,28 @@ def open_device(name=None, *, profiling: bool = False) -> Device:
     Raises
     ------
     DeviceError
-        There is no platform, no device matches, the one that matches lacks something, or it cannot be opened. The
-        message says what was found and what to install.
+        There is no platform, no device matches, the one that matches lacks something, has failed its trial, or cannot
+        be opened. The message says what was found and what to install.
     """
     if isinstance(name, Device):
         return name
     cl = import_pyopencl()
     faults = []
     for info, cl_device in candidates(find_devices(cl), name):
+        trial = try_device(info)
         try:
-            device = _still_open(cl, cl_device, profiling) or _keep(opened(info, cl_device, profiling))
+            device = trial.lanes and (_still_open(cl, cl_device, profiling)
+                                      or _keep(opened(info, cl_device, trial.lanes, profiling)))
         except cl.Error as error:
-            faults.append(f"{info}: {_cause(error)}")
-            log.warning("OpenCL device %s does not work and is passed over: %s", info, _cause(error))
-            continue
-        _tell(info, name)
-        return device
+            device, trial = None, replace(trial, fault=cause(error))
+        if device:
+            _tell(device, name, trial)
+            return device
+        faults.append(f"{info}: {trial.fault}")
+        log.warning("OpenCL device %s does not work and is passed over: %s", info, trial.fault)
     raise DeviceError(f"no OpenCL device that matches works: {'; '.join(faults)}. Is it in use by another process, or "
-                      f"its driver older than the hardware? Choose another with device= or {ENVIRONMENT}. "
-                      f"{icd.CPU_ADVICE}")
+                      f"its driver older than the hardware ('pagas-cl devices --again' tries anew)? Choose another with "
+                      f"device= or {ENVIRONMENT}. {icd.cpu_advice()}")
 
 
 # Devices that this thread has open: a context of its own for every call would keep its programs, 20 MB, for ever.
@@ -136,21 +143,21 @@ def working(device: Device) -> Device:
     if device not in _given_up:
         return device
     try:
-        return _keep(opened(device.info, device.cl_device, device.profiling))
+        return _keep(opened(device.info, device.cl_device, device.lanes, device.profiling))
     except import_pyopencl().Error as error:
-        raise DeviceError(f"{device.info.title} was lost and cannot be opened again ({_cause(error)}): finished views "
+        raise DeviceError(f"{device.info.title} was lost and cannot be opened again ({cause(error)}): finished views "
                           "are kept, start the same command again or choose another device with "
                           f"{ENVIRONMENT}") from error
 
 
-def opened(info: DeviceInfo, cl_device, profiling: bool = False) -> Device:
-    """Open one device of `find_devices` and try it; a pyopencl error where it does not work."""
+def opened(info: DeviceInfo, cl_device, lanes: int, profiling: bool = False) -> Device:
+    """Open one device of `find_devices` with the `lanes` that it is known to work with; a pyopencl error where it
+    cannot be opened."""
     cl = import_pyopencl()
     context = cl.Context([cl_device])
     properties = cl.command_queue_properties.PROFILING_ENABLE if profiling else 0
     queue = cl.CommandQueue(context, cl_device, properties=properties)
-    cl.Program(context, _TRIAL).build(["-cl-std=CL1.2"])
-    return Device(info, cl_device, context, queue, profiling)
+    return Device(info, cl_device, context, queue, lanes, profiling)
 
 
 def shares() -> int:
@@ -161,49 +168,16 @@ def shares() -> int:
     return int(text)
 
 
-def import_pyopencl():
-    """The pyopencl module, or a DeviceError that says what is wrong with it."""
-    try:
-        import pyopencl
-    except ImportError as error:
-        raise NoDeviceError(icd.no_pyopencl(error)) from error
-    return pyopencl
-
-
 def find_devices(cl) -> list[tuple[DeviceInfo, Any]]:
-    """Every device of every platform, in the platforms' order, as (DeviceInfo, pyopencl.Device).
+    """Every device as listing.enumerate_devices has it, of the drivers that survive being asked.
 
     Raises
     ------
-    DeviceError
-        The loader finds no platform, or the platforms have no device.
+    NoDeviceError
+        There is none.
     """
-    try:
-        platforms = cl.get_platforms()
-    except cl.Error as error:
-        raise NoDeviceError(icd.no_platform(str(error))) from error
-    if not platforms:
-        raise NoDeviceError(icd.no_platform())
-    found = []
-    for platform in platforms:
-        try:
-            devices = platform.get_devices()
-        except cl.Error as error:
-            log.warning("OpenCL platform %s: its devices cannot be listed: %s", platform.name, error)
-            continue
-        found += [(describe(cl, platform, device), device) for device in devices]
-    if not found:
-        raise NoDeviceError(icd.no_device([platform.name.strip() for platform in platforms]))
-    return found
-
-
-def trial_fault(cl, cl_device) -> str:
-    """Why the device cannot be opened or cannot compile a small kernel; an empty string where it can."""
-    try:
-        cl.Program(cl.Context([cl_device]), _TRIAL).build(["-cl-std=CL1.2"])
-    except cl.Error as error:
-        return _cause(error)
-    return ""
+    listing.check_drivers()
+    return listing.enumerate_devices(cl)
 
 
 def _asked(name) -> tuple[str, str]:
@@ -213,7 +187,7 @@ def _asked(name) -> tuple[str, str]:
     return str(name), "device"
 
 
-def _cause(error) -> str:
+def cause(error) -> str:
     """The line of an OpenCL error that says what is wrong."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return next((line for line in lines if line.startswith("error:")), lines[0] if lines else repr(error))
@@ -230,16 +204,26 @@ def candidates(found, name):
     usable = [pair for pair in matching if not pair[0].lacks]
     if not usable:
         reasons = "; ".join(f"{info.title} lacks {', '.join(info.lacks)}" for info, _ in matching)
-        raise NoDeviceError(f"no usable OpenCL device: {reasons}. {icd.CPU_ADVICE}")
-    return sorted(usable, key=lambda pair: (_PREFERENCE.index(pair[0].kind), -pair[0].compute_units))
+        raise NoDeviceError(f"no usable OpenCL device: {reasons}. {icd.cpu_advice()}")
+    return sorted(usable, key=lambda pair: _rank(pair[0]))
 
 
-def _tell(info: DeviceInfo, name):
+def _rank(info: DeviceInfo) -> tuple:
+    """Smaller is better. Of two drivers for one processor Intel's is a quarter to a half faster than PoCL; of two PoCL
+    the newer one compiles for more processors."""
+    version = [-int(number) for number in re.findall(r"\d+", info.driver)[:3]]
+    return _PREFERENCE.index(info.kind), -info.compute_units, "Intel" not in info.platform, version
+
+
+def _tell(device: Device, name, trial: Trial):
     """Log the choice, once a process for each device: one run may open it for every view."""
+    info = device.info
     if info in _told:
         return
     _told.add(info)
-    log.info("OpenCL device: %s", info)
+    log.info("OpenCL device: %s%s", info, f", {device.lanes} lanes" if device.lanes > 1 else "")
+    if trial.fault:
+        log.info("it works with %d lanes, not with more: %s", device.lanes, trial.fault)
     if _asked(name)[0].strip().lower() == "auto" and info.kind != "GPU":
         log.warning("no usable OpenCL GPU found: running on %s, which is many times slower; "
                     "'pagas-cl devices' tells what is missing", info)

@@ -8,13 +8,29 @@ from __future__ import annotations
 import glob
 import os
 import re
+import shutil
 import subprocess
 import sys
 from ctypes.util import find_library
 from pathlib import Path
 
-CPU_ADVICE = ('For any CPU: pip install "pagas-cl[pocl]", or on Debian and Ubuntu: apt-get install pocl-opencl-icd; '
-              "for a GPU install its vendor's OpenCL driver.")
+INTEL = ('pip install "pagas-cl[cpu]" (Intel\'s runtime for any x86-64 processor, under Intel\'s licence)')
+
+
+def cpu_advice() -> str:
+    """What to install on this system to have an OpenCL device."""
+    return f"For the CPU: {_packager()}. For a GPU: its vendor's OpenCL driver."
+
+
+def _packager() -> str:
+    if sys.platform == "darwin":
+        return "conda install -c conda-forge pyopencl pocl"
+    if sys.platform == "win32":
+        return f"{INTEL}, or conda install -c conda-forge pyopencl pocl"
+    ways = (("apt-get", "apt-get install pocl-opencl-icd"), ("dnf", "dnf install pocl"),
+            ("pacman", "pacman -S pocl"), ("conda", "conda install -c conda-forge pyopencl pocl"))
+    here = [how for program, how in ways if shutil.which(program)] or ["conda install -c conda-forge pyopencl pocl"]
+    return f"{' or '.join(here)}, or {INTEL}"
 
 
 def no_pyopencl(error: ImportError) -> str:
@@ -41,7 +57,7 @@ def no_platform(reason: str = "") -> str:
     if nvidia and not _names_nvidia():
         parts.append(f"{nvidia} is here but no nvidia.icd: run 'mkdir -p /etc/OpenCL/vendors && "
                      "echo libnvidia-opencl.so.1 > /etc/OpenCL/vendors/nvidia.icd'")
-    return "; ".join(parts) + ". " + CPU_ADVICE
+    return "; ".join(parts) + ". " + cpu_advice()
 
 
 def no_device(platforms: list[str]) -> str:
@@ -51,7 +67,7 @@ def no_device(platforms: list[str]) -> str:
         message += "; may you read /dev/kfd? Add your user to the groups render and video, then log in again"
     if "POCL_DEVICES" in os.environ:
         message += f"; POCL_DEVICES is set to {os.environ['POCL_DEVICES']!r}, unset it"
-    return f"{message}. {CPU_ADVICE}"
+    return f"{message}. {cpu_advice()}"
 
 
 def search_folders() -> list[str]:
@@ -61,6 +77,14 @@ def search_folders() -> list[str]:
     if getattr(package, "__file__", None):
         folders.append(str(Path(package.__file__).parent / ".libs"))  # where its wheel's own loader looks
     return folders
+
+
+def system_files() -> list[str]:
+    """Every *.icd file that the loader reads where OCL_ICD_VENDORS is not set, and whose library can be there."""
+    names = sorted(glob.glob("/etc/OpenCL/vendors/*.icd"))
+    if Path(sys.prefix, "conda-meta").is_dir():
+        names += sorted(glob.glob(os.path.join(sys.prefix, "etc/OpenCL/vendors/*.icd")))
+    return names
 
 
 def icd_files() -> list[str]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
+WITHOUT = "PAGAS_CL_WITHOUT"   # extensions to be taken for absent, with commas between them
 LOCAL_MEMORY = 32 * 1024   # bytes of local memory that the kernels may use
 WORK_GROUP = 64            # work-items in a group that the kernels may ask for at least
 
@@ -20,11 +22,12 @@ class DeviceInfo:
         "GPU", "CPU", "accelerator" or "other".
     memory, max_alloc, local_memory : int
         Global memory, the largest single buffer, local memory of a work-group.
-    work_group, compute_units : int
+    work_group, compute_units, vector_width : int
+        `vector_width`: floats that its processor handles in one instruction, as the driver has it; 1 on a GPU.
     extensions : tuple of str
     available, compiler, little_endian : bool
     fault : str
-        Why the device does not do what it says, where a trial (`trial_fault`) has shown it.
+        Why the device does not do what it says, where a trial (runtime.trial) has shown it.
     """
 
     platform: str
@@ -39,6 +42,7 @@ class DeviceInfo:
     local_memory: int = 0
     work_group: int = 1
     compute_units: int = 1
+    vector_width: int = 1
     extensions: tuple[str, ...] = ()
     available: bool = True
     compiler: bool = True
@@ -61,7 +65,7 @@ class DeviceInfo:
             (self.local_memory < LOCAL_MEMORY, f"{LOCAL_MEMORY // 1024} kB of local memory"),
             (self.work_group < WORK_GROUP, f"work-groups of {WORK_GROUP} (it allows {self.work_group})"),
         )
-        tried = (f"a compiler that works ({self.fault})",) if self.fault else ()
+        tried = (f"a driver that works ({self.fault})",) if self.fault else ()
         return tuple(text for fault, text in faults if fault) + tried
 
     @property
@@ -78,6 +82,7 @@ class DeviceInfo:
 def describe(cl, platform, device) -> DeviceInfo:
     """Ask a pyopencl device for everything that DeviceInfo holds."""
     kinds = ((cl.device_type.GPU, "GPU"), (cl.device_type.CPU, "CPU"), (cl.device_type.ACCELERATOR, "accelerator"))
+    without = {word.strip() for word in os.environ.get(WITHOUT, "").split(",")}
     return DeviceInfo(
         platform=platform.name.strip(), name=device.name.strip(), vendor=device.vendor.strip(),
         kind=next((kind for bit, kind in kinds if device.type & bit), "other"),
@@ -85,7 +90,8 @@ def describe(cl, platform, device) -> DeviceInfo:
         driver=device.driver_version.strip(), memory=int(device.global_mem_size),
         max_alloc=int(device.max_mem_alloc_size), local_memory=int(device.local_mem_size),
         work_group=int(device.max_work_group_size), compute_units=int(device.max_compute_units),
-        extensions=tuple(device.extensions.split()), available=bool(device.available),
+        vector_width=int(device.native_vector_width_float),
+        extensions=tuple(word for word in device.extensions.split() if word not in without), available=bool(device.available),
         compiler=bool(device.compiler_available), little_endian=bool(device.endian_little))
 
 

@@ -1,63 +1,128 @@
-"""Listing the devices from a child process, so that a driver that crashes while it is asked does not take us along."""
+"""Which devices OpenCL offers, asked first by a child process: a driver that crashes then is left out, not we."""
 
 from __future__ import annotations
 
 import json
+import logging
 import os
-import signal
-import subprocess
 import sys
 from dataclasses import asdict
+from pathlib import Path
+from typing import Any
 
 from pagas_cl.errors import DeviceError, NoDeviceError
-from pagas_cl.runtime.device import DeviceInfo, find_devices, import_pyopencl, trial_fault
+from pagas_cl.runtime import cache, icd, vendors
+from pagas_cl.runtime.child import ask
+from pagas_cl.runtime.info import DeviceInfo, describe
+
+log = logging.getLogger("pagas_cl")
+
+LIMIT = 60.0              # seconds for the drivers to say what they have
 
 
-def list_devices(timeout: float = 60.0) -> list[DeviceInfo]:
+def list_devices() -> list[DeviceInfo]:
     """Every OpenCL device of this machine, in the platforms' order.
 
     Raises
     ------
     DeviceError
-        None is found, or a driver crashes or hangs while it is asked.
+        None is found, or the drivers crash or hang while they are asked.
+    """
+    vendors.register()
+    check_drivers()
+    answer = ask(__name__, {}, LIMIT)
+    if answer.value is None:
+        raise DeviceError(f"an OpenCL driver {answer.fault} while its devices were listed; set {vendors.VARIABLE} to "
+                          "the .icd file of one driver at a time to find which")
+    if "error" in answer.value:
+        raise NoDeviceError(answer.value["error"])
+    return [DeviceInfo(**{**d, "extensions": tuple(d["extensions"])}) for d in answer.value["devices"]]
+
+
+def check_drivers() -> None:
+    """Before this process loads any driver: leave out those that crash or hang when they are asked.
+
+    A child process asks them, once for each set of drivers.
+
+    Raises
+    ------
+    NoDeviceError
+        Those that are left crash, too.
+    """
+    key = cache.digest(os.environ.get(vendors.VARIABLE, ""), [_state(name) for name in icd.icd_files()])
+    known = cache.read("drivers", key)
+    if known is None:
+        known = {"left_out": [], "vendors": None} if not _falls() else _surviving()
+        cache.write("drivers", key, known)
+    if known["vendors"] == "":
+        raise NoDeviceError("every OpenCL driver here crashes or hangs when it is asked for its devices "
+                            f"({', '.join(icd.icd_files())}): remove or update them. {icd.cpu_advice()}")
+    if known["vendors"]:
+        log.warning("OpenCL drivers that crash or hang when they are asked for their devices are left out: %s",
+                    ", ".join(known["left_out"]))
+        os.environ[vendors.VARIABLE] = known["vendors"]
+
+
+def _surviving() -> dict[str, Any]:
+    """The drivers that crash when they are asked alone, and what OCL_ICD_VENDORS has to be for all others, or at least
+    for one of them; empty where none is left."""
+    alone = {name: not _falls({vendors.VARIABLE: name}) for name in icd.icd_files()}
+    well = [name for name, survives in alone.items() if survives]
+    for choice in ((vendors.folder_of(well), *well) if well else ()):      # a loader may have drivers beside these
+        if not _falls({vendors.VARIABLE: choice}):
+            return {"left_out": [name for name in alone if name not in well] or ["those beside " + choice],
+                    "vendors": choice}
+    return {"left_out": list(alone), "vendors": ""}
+
+
+def _falls(environment: dict[str, str] | None = None) -> bool:
+    """Whether asking the drivers ends or stops the process that asks."""
+    answer = ask(__name__, {}, LIMIT, environment)
+    return answer.hung or answer.crashed
+
+
+def _state(name: str) -> list[Any]:
+    """What tells an .icd file and its library from those of another version."""
+    text = Path(name).read_text(errors="replace").strip()
+    library = Path(text)
+    found = library.stat() if library.is_absolute() and library.is_file() else None
+    return [name, text, found and [found.st_size, found.st_mtime_ns]]
+
+
+def enumerate_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:
+    """Every device of every platform, in the platforms' order, as (DeviceInfo, pyopencl.Device), asked in this process.
+
+    Raises
+    ------
+    NoDeviceError
+        The loader finds no platform, or the platforms have no device.
     """
     try:
-        child = subprocess.run([sys.executable, "-m", "pagas_cl.runtime.listing"], timeout=timeout,
-                               stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
-                               env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)})
-    except subprocess.TimeoutExpired as error:
-        raise DeviceError(f"an OpenCL driver did not answer within {timeout:g} s; set OCL_ICD_VENDORS to the .icd "
-                          "file of one driver at a time to find which") from error
-    if child.returncode < 0:
-        raise DeviceError(f"an OpenCL driver crashed while its devices were listed ({_signal(-child.returncode)}); "
-                          "set OCL_ICD_VENDORS to the .icd file of one driver at a time to find which")
+        platforms = cl.get_platforms()
+    except cl.Error as error:
+        raise NoDeviceError(icd.no_platform(str(error))) from error
+    if not platforms:
+        raise NoDeviceError(icd.no_platform())
+    found: list[tuple[DeviceInfo, Any]] = []
+    for platform in platforms:
+        try:
+            devices = platform.get_devices()
+        except cl.Error as error:
+            log.warning("OpenCL platform %s: its devices cannot be listed: %s", platform.name, error)
+            continue
+        found += [(describe(cl, platform, device), device) for device in devices]
+    if not found:
+        raise NoDeviceError(icd.no_device([platform.name.strip() for platform in platforms]))
+    return found
+
+
+def _answer() -> dict[str, Any]:
+    """What the child process says: the devices, or the sentence that says why there is none."""
     try:
-        answer = json.loads(child.stdout.strip().splitlines()[-1])
-    except (IndexError, ValueError) as error:
-        last = (child.stderr.strip().splitlines() or ["no message"])[-1]
-        raise DeviceError(f"the OpenCL devices cannot be listed: {last}") from error
-    if "error" in answer:
-        raise NoDeviceError(answer["error"])
-    return [DeviceInfo(**{**d, "extensions": tuple(d["extensions"])}) for d in answer["devices"]]
-
-
-def _signal(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"
-
-
-def _answer() -> str:
-    """What the child process writes: the devices, each tried with a small kernel, or the sentence that says why there
-    is none; one line of JSON."""
-    try:
-        cl = import_pyopencl()
-        return json.dumps({"devices": [{**asdict(info), "fault": trial_fault(cl, device)}
-                                       for info, device in find_devices(cl)]})
+        return {"devices": [asdict(info) for info, _ in enumerate_devices(vendors.import_pyopencl())]}
     except DeviceError as error:
-        return json.dumps({"error": str(error)})
+        return {"error": str(error)}
 
 
 if __name__ == "__main__":
-    sys.stdout.write("\n" + _answer() + "\n")
+    sys.stdout.write("\n" + json.dumps(_answer()) + "\n")

@@ -17,7 +17,7 @@ from pagas_cl.errors import DeviceError, KernelBuildError
 
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$')
 GROUP_1D, GROUP_2D = (128,), (32, 4)
-OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-single-precision-constant")
+OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-single-precision-constant", "-w")     # warnings: nobody reads them
 
 
 @lru_cache(maxsize=None)

@@ -55,9 +55,8 @@ SCALAR = Tile(48, 10, 128, 1, 4, run=5), Tile(52, 12, 192, 1, 4, run=4)
 
 
 def columns_of(device, width: int) -> int:
-    """Pixels of a row of `width` that one work-item handles side by side: a native vector, 1 on a GPU."""
-    lanes = min(16, device.cl_device.native_vector_width_float)
-    return lanes if 4 <= lanes <= width else 1
+    """Pixels of a row of `width` that one work-item handles side by side: the lanes of the device, 1 on a GPU."""
+    return device.lanes if device.lanes <= width else 1
 
 
 def row_grid(size, columns: int) -> tuple[int, int]:
@@ -73,9 +72,9 @@ def row_group(columns: int) -> tuple[int, int]:
 
 def choose_tiles(device, sizes) -> tuple[Tile, Tile]:
     """The tiles of ssim.cl and of loss.cl for images of `sizes`, (width, height) pairs, on `device`."""
-    lanes = columns_of(device, min(width for width, _ in sizes))
-    if device.cl_device.native_vector_width_float < 4:
+    if device.lanes == 1:
         return SCALAR
+    lanes = columns_of(device, min(width for width, _ in sizes))
     tile = Tile(64, 16, 1, lanes, lanes)
     if all(w >= tile.width + HALO and h >= tile.height + HALO for w, h in sizes):
         return tile, tile

@@ -1,0 +1,67 @@
+"""Small facts about this machine that are worth keeping from one run to the next: JSON files in the user's cache."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from platformdirs import user_cache_dir
+
+log = logging.getLogger("pagas_cl")
+
+_MOST = 1_000_000                          # bytes that such a file may have
+_in_memory: dict[Path, dict[str, Any]] = {}   # where the disk takes none
+
+
+def folder() -> Path:
+    """Where they are; it need not exist."""
+    return Path(user_cache_dir("pagas_cl", appauthor=False))
+
+
+def digest(*parts: Any) -> str:
+    """A short name for what `parts` (plain JSON values) say."""
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def read(kind: str, key: str) -> dict[str, Any] | None:
+    """What was kept, or None: nothing, or nothing that can be read, which is then found out anew."""
+    path = folder() / kind / f"{key}.json"
+    if path in _in_memory:
+        return _in_memory[path]
+    try:
+        if not path.is_file() or path.stat().st_size > _MOST:
+            return None
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return value if isinstance(value, dict) else None
+
+
+def write(kind: str, key: str, value: dict[str, Any]) -> None:
+    """Keep `value` under `key`; for the life of this process alone where the disk does not take it."""
+    path = folder() / kind / f"{key}.json"
+    try:
+        write_whole(path, json.dumps(value, indent=1))
+        _in_memory.pop(path, None)
+    except OSError as error:
+        _in_memory[path] = value
+        log.info("what was found out about OpenCL here cannot be kept for the next run (%s): make %s writable, or name "
+                 "another folder with XDG_CACHE_HOME", error, folder())
+
+
+def write_whole(path: Path, text: str) -> None:
+    """A text file that is there as a whole or not at all; OSError where it cannot be."""
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem[:40]}-")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.replace(beside, path)
+    except OSError:
+        Path(beside).unlink(missing_ok=True)
+        raise

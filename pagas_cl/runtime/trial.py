@@ -1,0 +1,140 @@
+"""Whether a device does what it says: a whole step of ours, built and run on it by a process of its own.
+
+A driver may list a processor that its compiler does not know, abort while it compiles, never end, or compute another
+number. What a trial has shown is kept on disk (device, driver, kernels, lanes), so that it is made once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from importlib.resources import files
+from typing import Any
+
+from pagas_cl.errors import InputError
+from pagas_cl.runtime import cache, child
+from pagas_cl.runtime.info import DeviceInfo
+
+log = logging.getLogger("pagas_cl")
+
+LANES, LIMIT, KNOWN = "PAGAS_CL_LANES", "PAGAS_CL_TRIAL_SECONDS", "PAGAS_CL_TRIAL"
+WIDTHS = (16, 8, 4, 1)    # pixels of a row that a work-item may handle side by side (lanes.clh)
+MODULE = "pagas_cl.selftest.trial"    # what the child runs: one step of each blend against its float64 twin
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What trying a device has shown.
+
+    Attributes
+    ----------
+    lanes : int
+        Most pixels side by side with which it passed; 0 where it did not pass at all.
+    fault : str
+        Why it did not pass, or not with more lanes; empty where nothing was wrong.
+    seconds : float
+        What the trial took.
+    """
+
+    lanes: int
+    fault: str = ""
+    seconds: float = 0.0
+
+
+def try_device(info: DeviceInfo, again: bool = False) -> Trial:
+    """What a trial of the device has shown: kept from before, or made now.
+
+    Parameters
+    ----------
+    info : DeviceInfo
+    again : bool
+        Make it anew, whatever was kept.
+
+    Raises
+    ------
+    InputError
+        PAGAS_CL_LANES or PAGAS_CL_TRIAL_SECONDS does not hold what it may.
+    """
+    widths, limit = _widths(info), _limit()
+    key = cache.digest(identity(info), widths)
+    kept = None if again else _trial(cache.read("devices", key))
+    if kept:
+        return kept
+    log.info("trying %s: a step is compiled and run in a process of its own, which takes some seconds, once", info)
+    start, faults, lanes, lasting = time.monotonic(), [], 0, True
+    for lanes, answer in _attempts(info, widths, limit):
+        if not answer["fault"]:
+            break
+        faults.append((lanes, answer["fault"]))
+        lanes, lasting = 0, answer["lasting"]
+    trial = Trial(lanes, _in_words(faults), round(time.monotonic() - start, 1))
+    if lasting:      # a device that was busy may do the next time
+        cache.write("devices", key, {**asdict(trial), "device": str(info), "kernels": kernels()})
+    return trial
+
+
+def identity(info: DeviceInfo) -> list[Any]:
+    """What tells one device and driver from another; two boards of one kind are the same."""
+    return [info.platform, info.name, info.vendor, info.version, info.c_version, info.driver, *info.extensions]
+
+
+@lru_cache(maxsize=None)
+def kernels() -> str:
+    """What tells the kernels of this version from those of another."""
+    sources = sorted((file.name, file.read_bytes()) for file in files("pagas_cl.cl_kernels").iterdir()
+                     if file.name.endswith((".cl", ".clh")))
+    return hashlib.sha256(repr(sources).encode()).hexdigest()[:24]
+
+
+def _trial(kept: dict[str, Any] | None) -> Trial | None:
+    """The trial that a file holds, if it is one of these kernels; with PAGAS_CL_TRIAL=known, of any."""
+    if not kept or (kept.get("kernels") != kernels() and os.environ.get(KNOWN) != "known"):
+        return None
+    try:
+        return Trial(int(kept["lanes"]), str(kept["fault"]), float(kept["seconds"]))
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def _attempts(info: DeviceInfo, widths: tuple[int, ...], limit: float) -> Iterator[tuple[int, dict[str, Any]]]:
+    """(lanes, answer) with fewer and fewer lanes; straight with one after a compiler that does not end."""
+    hung = False
+    for lanes in widths:
+        if hung and lanes != widths[-1]:
+            continue
+        answer = child.ask(MODULE, {"identity": identity(info), "lanes": lanes}, limit)
+        hung = answer.hung
+        yield lanes, answer.value or {"fault": f"its driver {answer.fault}", "lasting": True}
+
+
+def _in_words(faults: list[tuple[int, str]]) -> str:
+    """One clause from (lanes, fault) pairs, the same fault told once."""
+    by_fault: dict[str, list[str]] = {}
+    for lanes, fault in faults:
+        by_fault.setdefault(fault, []).append(str(lanes))
+    return "; ".join(f"with {', '.join(lanes[:-1])}{' and ' * (len(lanes) > 1)}{lanes[-1]} "
+                     f"lane{'s' * (lanes != ['1'])} {fault}" for fault, lanes in by_fault.items())
+
+
+def _widths(info: DeviceInfo) -> tuple[int, ...]:
+    """Lanes to try, most first."""
+    text = os.environ.get(LANES, "16")
+    if text not in ("16", "8", "4", "1"):
+        raise InputError(f"environment variable {LANES} is {text!r}, expected 16, 8, 4 or 1")
+    return tuple(width for width in WIDTHS if width <= max(1, min(int(text), info.vector_width)))
+
+
+def _limit() -> float:
+    text = os.environ.get(LIMIT, "180")
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0 < seconds < 1e6:
+        raise InputError(f"environment variable {LIMIT} is {text!r}, expected seconds above 0")
+    return seconds

@@ -1,0 +1,81 @@
+"""The pyopencl module, with the drivers that it may load: Intel's CPU runtime where pip has installed it, none that
+crashes.
+
+An OpenCL loader finds drivers by files *.icd in one folder. Intel's packages put theirs beside the libraries of Python,
+with a path that does not exist; so a folder of our own takes the system's files and one that names the library where it
+is. A user who sets OCL_ICD_VENDORS has chosen, and nothing is done.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+from types import ModuleType
+
+from pagas_cl.errors import NoDeviceError
+from pagas_cl.runtime import cache, icd
+
+VARIABLE = "OCL_ICD_VENDORS"
+_INTEL, _LIBRARY = "intel-opencl-rt", "libintelocl.so"
+
+
+def import_pyopencl() -> ModuleType:
+    """The pyopencl module, or a NoDeviceError that says what is wrong with it."""
+    register()
+    try:
+        import pyopencl
+    except ImportError as error:
+        raise NoDeviceError(icd.no_pyopencl(error)) from error
+    return pyopencl
+
+
+def register() -> None:
+    """Have the loader find the system's drivers and Intel's from pip.
+
+    It looks when it is first asked: later calls change nothing in this process.
+    """
+    intel = None if VARIABLE in os.environ or not sys.platform.startswith("linux") else intel_library()
+    if intel and not any(_LIBRARY in Path(name).read_text(errors="replace") for name in icd.system_files()):
+        os.environ[VARIABLE] = folder_of(icd.system_files(), {"pagas_cl-intel-cpu.icd": f"{intel}\n"})
+
+
+def folder_of(names: list[str], more: dict[str, str] | None = None) -> str:
+    """A folder that holds copies of the .icd files `names`, and `more` (name -> text); made once for each such set."""
+    files = {Path(name).name: Path(name).read_text(errors="replace") for name in names} | (more or {})
+    folder = cache.folder() / "vendors" / cache.digest(files)
+    try:
+        _fill(folder, files)
+    except OSError:
+        folder = Path(tempfile.mkdtemp(prefix="pagas_cl-vendors-"))      # of this process alone
+        _fill(folder, files)
+    return str(folder)
+
+
+def intel_library() -> Path | None:
+    """Intel's OpenCL driver for CPUs, where pip has installed it with all that it loads; else None."""
+    try:
+        files = distribution(_INTEL).files or ()
+    except PackageNotFoundError:
+        return None
+    paths = [Path(str(file.locate())).resolve() for file in files if file.name == _LIBRARY]
+    return next((path for path in paths if path.is_file() and (path.parent / "libimf.so").is_file()), None)
+
+
+def intel_is_incomplete() -> bool:
+    """Whether Intel's driver is installed without the package that it takes its mathematics from."""
+    try:
+        distribution(_INTEL)
+    except PackageNotFoundError:
+        return False
+    return intel_library() is None
+
+
+def _fill(folder: Path, files: dict[str, str]) -> None:
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    for name, text in files.items():
+        path = folder / name
+        if not path.is_file() or path.read_text(errors="replace") != text:
+            cache.write_whole(path, text)
