@@ -28,7 +28,7 @@ ALLOWED = {
                "keep_mesh", "consistency", "progress"},
     "camera_check": {"scene", "surface"},
     "evaluate": {"scene"}, "synthetic": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
-    "selftest": {"scene", "splat", "reference"},
+    "selftest": {"scene", "runtime", "splat", "reference", "refine"},
 }
 WITHOUT_OPENCL = {"errors", "config", "presets", "progress", "scene", "reference", "report", "evaluate", "synthetic",
                   "result"}
