@@ -100,6 +100,7 @@ def test_bad_input(scene):
 
 
 def test_real_photos_and_command(data_dir, capsys):
+    pytest.importorskip("open3d")
     from pagas_cl.__main__ import run
 
     scene = data_dir / "dtu_scan24"
