@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
+from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import surface_depth
 from pagas_cl.scene.status import KEPT, NO_SURFACE, REFINED, REJECTED
+from pagas_cl.scene.view import View
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +88,43 @@ class DepthResult:
         status = np.where(depth > 0, KEPT, NO_SURFACE).astype(np.uint8)
         deviation = np.where(depth > 0, np.inf, 0).astype(np.float32)
         return cls(camera, depth, status, deviation, np.zeros_like(depth), reason, report or {}, name)
+
+
+@runtime_checkable
+class OnDisk(Protocol):
+    """A result whose depth map is a file, read when it is asked for."""
+
+    @property
+    def file(self) -> Path:
+        """The depth map's file."""
+
+
+def joined(views: Sequence[View], results: Sequence[DepthResult]) -> list[tuple[int, DepthResult]]:
+    """(place in `views`, result) for each result that is of one of the views, in the order of the results.
+
+    By the view's name; where several views have it, by the camera too. InputError where that leaves a choice.
+    """
+    called: dict[str, list[int]] = {}
+    for place, view in enumerate(views):
+        called.setdefault(view.name, []).append(place)
+    found: dict[int, DepthResult] = {}
+    for result in results:
+        places = called.get(result.name, [])
+        if len(places) > 1:
+            places = ([p for p in places if views[p].camera is result.camera]
+                      or [p for p in places if _same(views[p].camera, result.camera)])
+        if len(places) > 1:
+            raise InputError(f"{len(places)} views are called {result.name!r} and have the same camera, expected a "
+                             "name for each, by which its result is found")
+        if places and found.setdefault(places[0], result) is not result:
+            raise InputError(f"there are two results of view {result.name!r}, expected one")
+    return list(found.items())
+
+
+def _same(one: Camera, other: Camera) -> bool:
+    """Whether two cameras are the same in all their numbers."""
+    return ((one.width, one.height) == (other.width, other.height) and np.array_equal(one.K, other.K)
+            and np.array_equal(one.world_to_camera, other.world_to_camera))
 
 
 def confidence_of(depth: np.ndarray, deviation: np.ndarray, parallax: np.ndarray) -> npt.NDArray[np.float32]:
