@@ -73,7 +73,7 @@ def test_example_runs(path, folder, monkeypatch):
     names = {}
     exec(compile(text, str(path), "exec"), names)
     if '"fine.ply"' in text:
-        from pagas_cl.scene.mesh import read_mesh
+        from pagas_cl.scene.mesh_file import read_mesh
 
         assert len(read_mesh(folder / "fine.ply").faces) > 100
     if path.stem == "check_cameras":

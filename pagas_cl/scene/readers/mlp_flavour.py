@@ -8,7 +8,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError, MissingExtraError
 from pagas_cl.scene import patches
-from pagas_cl.scene.mesh import Surface, read_mesh
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_file import read_mesh
 
 if TYPE_CHECKING:
     from pagas_cl.scene.readers.meshlab import Project
