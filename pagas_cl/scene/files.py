@@ -7,6 +7,7 @@ NumPy parses a header with `ast.literal_eval`, which in CPython 3.11 fails now a
 from __future__ import annotations
 
 import io
+import math
 import os
 import struct
 import tokenize
@@ -18,6 +19,8 @@ from pathlib import Path
 from threading import Lock
 
 import numpy as np
+
+from pagas_cl.errors import InputError
 
 MOST_BYTES = 1 << 31       # of one array: a depth map of 268 megapixels of float64
 # what numpy, zipfile and Pillow raise on damaged files, as fuzzing found it
@@ -53,9 +56,14 @@ def read_first(path: str | Path) -> np.ndarray:
 def read_member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
     """One array of an archive, nothing unpickled; one of DAMAGE where it is none."""
     raw = io.BytesIO(archive.read(entry))
+    header = np.lib.format
     with _one_header:
-        values: np.ndarray = np.lib.format.read_array(raw, allow_pickle=False)
-    return values
+        read = header.read_array_header_1_0 if header.read_magic(raw) == (1, 0) else header.read_array_header_2_0
+        shape, fortran, dtype = read(raw)
+    count, left = math.prod(shape), len(raw.getbuffer()) - raw.tell()
+    if dtype.hasobject or count * dtype.itemsize > left:     # NumPy would take memory for the claim first
+        raise ValueError(f"its header says {shape} of {dtype}, expected no more than the {left} bytes that follow")
+    return np.frombuffer(raw.read(), dtype, count).reshape(shape, order="F" if fortran else "C")
 
 
 @contextmanager
@@ -69,3 +77,14 @@ def replaced(path: str | Path, suffix: str = "") -> Iterator[Path]:
         os.replace(beside, path)
     finally:
         beside.unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Write a text file whole, UTF-8; returns its path."""
+    path = Path(path)
+    try:
+        with replaced(path) as beside:
+            beside.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
+    return path
