@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pagas_cl.camera_check import check_cameras
+from pagas_cl.scene.check import check_cameras
 from pagas_cl.commands.check import table
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera, inverse_pose

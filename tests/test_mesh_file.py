@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.mesh import Surface, read_mesh
-from pagas_cl.scene.mesh_file import SUFFIXES, write_mesh
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_file import SUFFIXES, read_mesh, write_mesh
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import numpy as np
 from pagas_cl.errors import InputError
 from pagas_cl.jobs.disk import written
 from pagas_cl.scene.depthmap import load_depth
-from pagas_cl.scene.npy import read_npy
+from pagas_cl.scene.files import read_npy
 
 _CHUNK = 1 << 22
 
