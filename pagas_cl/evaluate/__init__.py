@@ -4,8 +4,15 @@ One module a figure: depth, predict, clouds (with DTU's masks; sample takes poin
 """
 
 from pagas_cl.evaluate.clouds import Chamfer, FScore, VisibleSpace, chamfer, f_score
-from pagas_cl.evaluate.depth import DepthErrors, DepthReport, compare_depth, depth_normals, depth_per_parallax
-from pagas_cl.evaluate.depth import dilate, find_discontinuities
+from pagas_cl.evaluate.depth import (
+           DepthErrors,
+           DepthReport,
+           compare_depth,
+           depth_normals,
+           depth_per_parallax,
+           dilate,
+           find_discontinuities,
+)
 from pagas_cl.evaluate.predict import Prediction, compare_predictions, predict_photo
 from pagas_cl.evaluate.sample import load_points, sample_surface
 
