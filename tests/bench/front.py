@@ -16,10 +16,9 @@ from pathlib import Path
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depthmap import find_depth, load_depth
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.tradeoffs.ablation import ablation_plan, ablation_table
 from pagas_cl.tradeoffs.case import BenchmarkCase, loaded, make_cases
-from pagas_cl.tradeoffs.page import markdown, notes
-from pagas_cl.tradeoffs.plan import front_plan
+from pagas_cl.tradeoffs.page import ablation_table, markdown, notes
+from pagas_cl.tradeoffs.plan import ablation_plan, front_plan
 from pagas_cl.tradeoffs.study import collect, measure
 
 PARTS = ("front", "ablation")
