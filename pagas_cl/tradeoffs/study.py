@@ -5,11 +5,8 @@ from __future__ import annotations
 import json
 import logging
 import time
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
-from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 from pagas_cl.errors import DeviceError, InputError
@@ -57,7 +54,7 @@ class Study:
 
 
 def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: int = 1, budget=None, settings=None,
-             device=None, report=None, repeats: int = 1, workers: int = 0, progress=None) -> Study:
+             device=None, report=None, repeats: int = 1, executor: Executor | None = None, progress=None) -> Study:
     """Measure error against time of many settings on a sample of a scene's views.
 
     Parameters
@@ -78,18 +75,18 @@ def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: in
         where that one ended.
     repeats : int
         Timed runs of each setting; the median counts.
-    workers : int
-        Processes that judge results while the device goes on; 0 judges in this one, which leaves the processor to the
-        device.
+    executor : concurrent.futures.Executor, optional
+        Judges results while the device goes on (processes are spawned: an OpenCL context does not survive a fork); by
+        default this process does, between the runs, which leaves the processor to the device.
     """
     most = max(setting.contexts for setting in settings or front_plan())
     cases = make_cases(views, depths, truth=truth, names=names, held_out=held_out, sample=sample, most_contexts=most)
-    return measure(cases, settings, budget=budget, device=device, report=report, repeats=repeats, workers=workers,
+    return measure(cases, settings, budget=budget, device=device, report=report, repeats=repeats, executor=executor,
                    progress=progress)
 
 
 def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *, budget=None, device=None, report=None,
-            repeats: int = 1, workers: int = 0, progress=None) -> Study:
+            repeats: int = 1, executor: Executor | None = None, progress=None) -> Study:
     """As `tradeoff`, on cases that are made already."""
     from pagas_cl.runtime.device import open_device
 
@@ -100,7 +97,8 @@ def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *
     cases = [loaded(case) for case in cases]
     book = Book(None if report is None else Path(report), device.info.title)
     initial = {case.name: score(case, case.initial) for case in cases}
-    left_out = _fill(book, cases, settings, device, budget, repeats, workers, progress)
+    executor = executor or SerialExecutor()
+    left_out = _fill(book, cases, settings, device, budget, repeats, executor, progress)
     study = collect(book.records, settings, initial, str(device.info), left_out)
     if report is not None:
         write_report(Path(report), study, book.device)
@@ -145,7 +143,7 @@ class Book:
             write_json(self.path, {"device": self.device, "records": self.records})
 
 
-def _fill(book, cases, settings, device, budget, repeats, workers, progress) -> list[str]:
+def _fill(book, cases, settings, device, budget, repeats, executor, progress) -> list[str]:
     """Run what the book does not have; returns the names of what did not fit into the budget."""
     began, left_out, waiting = time.monotonic(), [], []
     todo = [(setting, k) for setting in settings for k, case in enumerate(cases) if not book.has(setting, case)]
@@ -154,22 +152,21 @@ def _fill(book, cases, settings, device, budget, repeats, workers, progress) -> 
         log.info("%d settings on %d views, %d runs still to do: about %.1f minutes%s", len(settings), len(cases),
                  len(todo), sum(guess.seconds(setting, cases[k]) for setting, k in todo) / 60,
                  f", at most {budget:g}" if budget else "")
-    with _judges(cases, workers) as judge:
-        for done, (setting, k) in enumerate(todo):
-            if progress:
-                progress("measure", done, len(todo))
-            began_run = time.monotonic()
-            if budget and began_run - began + guess.seconds(setting, cases[k]) > 60 * budget:
-                left_out.append(setting.name)
-                continue
-            record, depth = _record(setting, cases[k], device, repeats)
-            if depth is None:
-                book.add(record)
-                continue
-            waiting.append((record, judge(k, depth)))
-            _write_judged(book, waiting)
-            guess.learn(setting, cases[k], time.monotonic() - began_run)
-        _write_judged(book, waiting, wait=True)
+    for done, (setting, k) in enumerate(todo):
+        if progress:
+            progress("measure", done, len(todo))
+        started = time.monotonic()
+        if budget and started - began + guess.seconds(setting, cases[k]) > 60 * budget:
+            left_out.append(setting.name)
+            continue
+        record, depth = _record(setting, cases[k], device, repeats)
+        if depth is None:
+            book.add(record)
+            continue
+        waiting.append((record, executor.submit(score, cases[k], depth)))
+        _write_judged(book, waiting)
+        guess.learn(setting, cases[k], time.monotonic() - started)
+    _write_judged(book, waiting, wait=True)
     if progress:
         progress("measure", len(todo), len(todo))
     left_out = list(dict.fromkeys(left_out))
@@ -198,30 +195,3 @@ def _write_judged(book, waiting: list, wait: bool = False) -> None:
         waiting.remove(entry)
         record, scores = entry
         book.add({**record, "scores": scores.result()})
-
-
-@contextmanager
-def _judges(cases, workers: int):
-    """Context of judge(number of the case, depth) -> Future of its scores.
-
-    Found here and at once, or by so many processes while the device works on; these get the cases once.
-    """
-    if not workers:
-        yield lambda number, depth: SerialExecutor().submit(score, cases[number], depth)
-        return
-    pool = ProcessPoolExecutor(workers, get_context("spawn"), _keep, (cases,))
-    try:
-        yield partial(pool.submit, _score_kept)
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-_KEPT: list[BenchmarkCase] = []  # of a judging process
-
-
-def _keep(cases) -> None:
-    _KEPT[:] = cases
-
-
-def _score_kept(number: int, depth) -> dict[str, float]:
-    return score(_KEPT[number], depth)

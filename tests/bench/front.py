@@ -11,6 +11,8 @@ from __future__ import annotations
 import argparse
 import logging
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 from pagas_cl.runtime.device import open_device
@@ -49,7 +51,7 @@ def front(cases, out, device, given):
         if not some:
             continue
         study = measure(some, settings, device=device, report=out / "front" / name, repeats=given.repeats,
-                        workers=given.workers)
+                        executor=given.executor)
         for part in parts_of(study, settings):
             lines += [f"## {', '.join(part.initial)}", "", *notes(part), "", markdown(part.points)]
     return lines
@@ -68,7 +70,7 @@ def ablation(cases, out, device, given):
     for base in given.bases:
         settings = ablation_plan(base)
         study = measure(cases, settings, device=device, repeats=given.repeats, report=out / "ablation" / base,
-                        workers=given.workers)
+                        executor=given.executor)
         order = {s.name: k for k, s in enumerate(settings)}
         for part in parts_of(study, settings):
             rows = sorted(part.points, key=lambda p: order[p.name])
@@ -86,8 +88,9 @@ def main() -> None:
     parser.add_argument("--bases", nargs="*", default=("paper", "balanced"), help="presets of `ablation`")
     parser.add_argument("--device")
     parser.add_argument("--repeats", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=0, help="processes that judge while the device goes on")
     given = parser.parse_args()
+    given.executor = ProcessPoolExecutor(given.workers, get_context("spawn")) if given.workers else None
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     given.folders = [given.scenes / name for name in given.names if (given.scenes / name).is_dir()]
     cases, device = [loaded(case_of(folder)) for folder in given.folders], open_device(given.device)
