@@ -120,14 +120,11 @@ def _solve(measure, contexts: int, pixels: int, photo: float) -> Cost:
     def least(steps, each):
         return min(measure(steps, each) for _ in range(_REPEATS))
 
-    short, long, steps = least(_SHORT, 1), 0.0, 3 * _SHORT
-    while steps <= _MOST:
-        long = least(steps, 1)
-        if long - short >= _LEAST:
-            break
+    steps = 3 * _SHORT
+    short, long = least(_SHORT, 1), least(steps, 1)
+    while long - short < _LEAST and 3 * steps <= _MOST:
         steps *= 3
-    else:
-        steps //= 3
+        long = least(steps, 1)
     one = max(long - short, 1e-9) / (steps - _SHORT)        # seconds of a step with one view
     each = min(3, contexts)
     fewer = max(steps // each, _SHORT + 1)                  # as much work with several views a step
