@@ -213,7 +213,7 @@ def test_dtu_files(tmp_path):
     pytest.importorskip("scipy")
     from scipy.io import savemat
 
-    from pagas_cl.evaluate.dtu import load_ground, load_visible
+    from pagas_cl.evaluate.clouds import load_ground, load_visible
 
     savemat(tmp_path / "mask.mat", {"ObsMask": np.ones((2, 3, 4), np.uint8), "BB": np.array([[0, 0, 0], [1, 2, 3.0]]),
                                     "Res": 0.5})

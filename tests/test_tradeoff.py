@@ -7,6 +7,7 @@ import pytest
 
 import pagas_cl
 from pagas_cl.__main__ import run as run_command
+from pagas_cl.costs import view_steps
 from pagas_cl.errors import InputError
 from pagas_cl.presets import preset
 from pagas_cl.runtime.device import open_device
@@ -14,11 +15,11 @@ from pagas_cl.splat import PhotoStore
 from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.disk import write_scene
 from pagas_cl.tradeoffs import plan
-from pagas_cl.tradeoffs.ablation import ablation_plan, ablation_table
-from pagas_cl.tradeoffs.case import make_cases
-from pagas_cl.tradeoffs.front import fitted_exponent, pareto, rank_correlation
+from pagas_cl.tradeoffs.case import make_cases, score
+from pagas_cl.tradeoffs.front import pareto, rank_correlation
+from pagas_cl.tradeoffs.page import ablation_table
+from pagas_cl.tradeoffs.plan import ablation_plan
 from pagas_cl.tradeoffs.run import initial_depth, run
-from pagas_cl.tradeoffs.score import score
 from pagas_cl.tradeoffs.study import measure
 
 
@@ -54,10 +55,6 @@ def test_rank_correlation_is_spearmans():
     assert np.isnan(rank_correlation([1, 2], [1, 2]))
 
 
-def test_exponent_of_linear_times_is_one():
-    assert fitted_exponent([1, 2, 4, 8], [3, 6, 12, 24]) == pytest.approx(1)
-
-
 @pytest.mark.parametrize("settings", [plan.front_plan(), ablation_plan("paper"), ablation_plan("balanced")])
 def test_plans_have_no_setting_twice(settings):
     assert len({s.name for s in settings}) == len({s.key for s in settings}) == len(settings)
@@ -83,8 +80,8 @@ def test_settings_that_few_views_make_equal_are_measured_once():
 def test_work_counts_levels_by_their_pixels():
     config = preset("balanced").with_settings(pyramid__scales=(0.5, 1), pyramid__steps=(40, 10),
                                               solver__views_per_step=2)
-    assert plan.config_view_steps(config, 10) == pytest.approx(2 * (10 + 10))
-    assert plan.config_view_steps(config, 1) == pytest.approx(10 + 10)
+    assert view_steps(config, 10) == pytest.approx(2 * (10 + 10))
+    assert view_steps(config, 1) == pytest.approx(10 + 10)
 
 
 def test_held_out_views_take_no_part(case, made):

@@ -40,8 +40,8 @@ def command(
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.readers import read_scene
     from pagas_cl.tradeoffs import tradeoff
-    from pagas_cl.tradeoffs.ablation import ablation_plan, ablation_table
-    from pagas_cl.tradeoffs.page import markdown, notes
+    from pagas_cl.tradeoffs.page import ablation_table, markdown, notes
+    from pagas_cl.tradeoffs.plan import ablation_plan
 
     check_source(mesh, depth_dir, "where the refinement starts")
     found = read_scene(scene, format, **({"outside": True} if outside else {}))
