@@ -234,7 +234,7 @@ def fuse_results(views: list[View], results: list[DepthResult], config: Config, 
     from pagas_cl.consistency import LazyDepth, decide_consistency, device_for
     from pagas_cl.surface.agree import confirmed
     from pagas_cl.surface.blocks import fuse_within
-    from pagas_cl.surface.weights import weights_of
+    from pagas_cl.surface.fuse import weights_of
 
     device, by_camera = device_for(device), {id(result.camera): result for result in results}
     used = [view for view in views if id(view.camera) in by_camera]
