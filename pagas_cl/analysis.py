@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.effects import Decision, decide
+from pagas_cl.effects import Decision, decide, decide_consistency
 from pagas_cl.measurements import RULES, Measurements, measure
 from pagas_cl.presets import preset
 from pagas_cl.scene.inputs import asked_views, checked_depth
@@ -77,7 +77,6 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
     costs : bool
         Whether to time some steps with each effect on and off, on the first view that has context views.
     """
-    from pagas_cl.consistency import decide_consistency
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import PhotoStore
 

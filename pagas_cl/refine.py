@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pagas_cl.acceptance import rejection_reason
 from pagas_cl.config import Config
-from pagas_cl.effects import decide
+from pagas_cl.effects import decide, decide_consistency
 from pagas_cl.errors import InputError
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
 from pagas_cl.measurements import measure
@@ -231,15 +231,14 @@ def fuse_results(views: list[View], results: list[DepthResult], config: Config, 
     `executor`, if that is a concurrent.futures.Executor and photos and depth maps are files that it can read. Views are
     compared on `device` (as in refine_mesh), in NumPy where there is none.
     """
-    from pagas_cl.consistency import LazyDepth, decide_consistency, device_for
-    from pagas_cl.surface.agree import confirmed
+    from pagas_cl.surface.agree import comparison_device, confirmed
     from pagas_cl.surface.blocks import fuse_within
     from pagas_cl.surface.fuse import weights_of
 
-    device, by_camera = device_for(device), {id(result.camera): result for result in results}
+    device, by_camera = comparison_device(device), {id(result.camera): result for result in results}
     used = [view for view in views if id(view.camera) in by_camera]
     results, cameras = [by_camera[id(view.camera)] for view in used], [view.camera for view in used]
-    config, decision = decide_consistency(cameras, [LazyDepth(result) for result in results], config, device)
+    config, decision = decide_consistency(cameras, results, config, device)
     if decision is not None:
         log.info("%s", decision)
         if tell:
