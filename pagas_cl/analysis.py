@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from pagas_cl.config import Config
-from pagas_cl.effects import Decision, decide
+from pagas_cl.effects import Decision, decide, decide_consistency
 from pagas_cl.measurements import RULES, Measurements, measure
 from pagas_cl.presets import preset
 from pagas_cl.scene.inputs import asked_views, checked_depth, depth_array
@@ -62,7 +62,6 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
 
     `costs`: whether to time some steps with each effect on and off, on the first view that has context views.
     """
-    from pagas_cl.consistency import decide_consistency
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import PhotoStore
 

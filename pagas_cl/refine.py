@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from pagas_cl.acceptance import rejection_reason
 from pagas_cl.config import Config
-from pagas_cl.effects import Decision, decide
+from pagas_cl.effects import Decision, decide, decide_consistency
 from pagas_cl.errors import InputError
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
 from pagas_cl.measurements import Measurements, measure
@@ -272,15 +272,14 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     `executor`, if that is a concurrent.futures.Executor and photos and depth maps are files that it can read. Views are
     compared on `device` (as in refine_mesh), in NumPy where there is none.
     """
-    from pagas_cl.consistency import LazyDepth, decide_consistency, device_for
-    from pagas_cl.surface.agree import confirmed
+    from pagas_cl.surface.agree import comparison_device, confirmed
     from pagas_cl.surface.blocks import fuse_within
-    from pagas_cl.surface.weights import weights_of
+    from pagas_cl.surface.fuse import weights_of
 
-    device, pairs = device_for(device), sorted(joined(views, results), key=lambda pair: pair[0])
+    device, pairs = comparison_device(device), sorted(joined(views, results), key=lambda pair: pair[0])
     used, results = [views[place] for place, _ in pairs], [result for _, result in pairs]
     cameras = [view.camera for view in used]
-    config, decision = decide_consistency(cameras, [LazyDepth(result) for result in results], config, device)
+    config, decision = decide_consistency(cameras, results, config, device)
     if decision is not None:
         log.info("%s", decision)
         if tell:

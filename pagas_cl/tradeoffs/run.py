@@ -68,7 +68,7 @@ def _stages(stages, target, contexts, depth, device, photos):
 
 def _agreed(setting, case, depth, device, photos):
     """The depth where enough refined context views confirm it, 0 elsewhere."""
-    from pagas_cl.surface.agree import confirmations
+    from pagas_cl.surface.agree import counts
 
     views = [case.target, *case.contexts]
     known = [(view, start) for view, start in zip(case.contexts, case.context_depths) if start is not None]
@@ -77,8 +77,7 @@ def _agreed(setting, case, depth, device, photos):
         around = [other for other in views if other is not view]
         cameras.append(view.camera)
         others.append(_stages(setting.stages, view, around, start, device, photos)[0])
-    pixels = setting.stages[-1].fusion.agree_pixels
-    count = confirmations(case.target.camera, depth, cameras, others, pixels, device)
+    count, _ = counts(case.target.camera, depth, cameras, others, setting.stages[-1].fusion.agree_pixels, device)
     return np.where(count >= setting.agree, depth, np.float32(0))
 
 
