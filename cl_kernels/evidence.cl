@@ -113,9 +113,9 @@ __kernel void weigh(__global const float2 *warped, __global const uchar4 *target
 
 #define WINDOW 7                     // half the width of the surroundings in which patches must match
 
-// from: every `stride` floats a sum of 1 - correlation and a number of views; sums of them over WINDOW pixels to each
+// values: every `stride` floats a sum of 1 - correlation and a number of views; sums of them over WINDOW pixels to each
 // side, along rows (dx = 1) or columns (dy = 1). Twice gives the surroundings of each pixel.
-__kernel void sum_window(__global const float *from, int stride, int width, int height, int dx, int dy,
+__kernel void sum_window(__global const float *values, int stride, int width, int height, int dx, int dy,
                          __global float *sums)
 {
     const int column = get_global_id(0), row = get_global_id(1);
@@ -125,7 +125,7 @@ __kernel void sum_window(__global const float *from, int stride, int width, int 
     for (int k = -WINDOW; k <= WINDOW; ++k) {
         const int x = column + k * dx, y = row + k * dy;
         if (x >= 0 && y >= 0 && x < width && y < height) {
-            __global const float *e = from + stride * (y * width + x);
+            __global const float *e = values + stride * (y * width + x);
             sum += (float2)(e[0], e[1]);
         }
     }

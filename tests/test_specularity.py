@@ -16,7 +16,7 @@ from pagas_cl.synthetic import relief_scene
 def weights(device, specularity, **settings):
     scene = Scene.make(17, width=45, height=37, contexts=2)
     level = start_level(device, BALANCED.with_settings(smoothness__texture=0.5, **settings), scene, specularity)
-    found = level.read("weights", scene.initial.shape).astype(np.float64), "raised" in level.arena
+    found = level.read("weights", scene.initial.shape).astype(np.float64), level.buffers.raised is not None
     level.release()
     return found
 

@@ -1,8 +1,8 @@
-"""Device buffers declared as data: named, summed and compared with the device before anything is allocated."""
+"""Device buffers declared as data: planned, compared with the device and allocated from one declaration."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from math import prod
 
 import numpy as np
@@ -31,8 +31,8 @@ def total_bytes(specs) -> int:
     return sum(spec.nbytes for spec in specs)
 
 
-class Arena:
-    """The buffers of one level. One owner, released together.
+def allocate(device, specs: list[BufferSpec]) -> dict[str, cl.Buffer]:
+    """Buffers for `specs`, by name.
 
     Raises
     ------
@@ -41,44 +41,102 @@ class Arena:
     DeviceMemoryError
         They are more than may be held, or the device refuses one; none is kept then.
     """
+    largest = max(specs, key=lambda spec: spec.nbytes)
+    limit = device.info.max_alloc
+    if max(prod(spec.shape) for spec in specs) > MOST_ELEMENTS:
+        raise DeviceError("a buffer needs more than 2^31 elements, which the kernels cannot count: refine smaller "
+                          "images, or with a smaller splatting.radius")
+    if largest.nbytes > limit:
+        raise DeviceError(f"buffer {largest.name!r} needs {largest.nbytes / 2**20:.0f} MiB, {device.info.title} "
+                          f"allocates at most {limit / 2**20:.0f} MiB at once; refine smaller images")
+    made: dict[str, cl.Buffer] = {}
+    try:
+        for spec in specs:
+            made[spec.name] = device.memory.buffer(device.context, spec.nbytes, spec.name)
+    except DeviceMemoryError:
+        for buffer in made.values():
+            buffer.release()
+        raise
+    return made
 
-    def __init__(self, device, specs: list[BufferSpec]):
-        self.specs = {spec.name: spec for spec in specs}
-        largest = max(specs, key=lambda spec: spec.nbytes)
-        limit = device.info.max_alloc
-        if max(prod(spec.shape) for spec in specs) > MOST_ELEMENTS:
-            raise DeviceError("a buffer needs more than 2^31 elements, which the kernels cannot count: refine smaller "
-                              "images, or with a smaller splatting.radius")
-        if largest.nbytes > limit:
-            raise DeviceError(f"buffer {largest.name!r} needs {largest.nbytes / 2**20:.0f} MiB, {device.info.title} "
-                              f"allocates at most {limit / 2**20:.0f} MiB at once; refine smaller images")
-        self._buffers: dict[str, cl.Buffer] = {}
-        try:
-            for spec in specs:
-                self._buffers[spec.name] = device.memory.buffer(device.context, spec.nbytes, spec.name)
-        except DeviceMemoryError:
-            self.release()
-            raise
 
-    @property
-    def nbytes(self) -> int:
-        return total_bytes(self.specs.values())
+def declared(shape: tuple, dtype: type, unit: str, purpose: str, needed=lambda config: True, start=None, each=""):
+    """A field of a Buffers class.
 
-    def __getitem__(self, name: str) -> cl.Buffer:
-        return self._buffers[name]
+    Parameters
+    ----------
+    shape : tuple of int and str
+        A str names a property of the dimensions that a plan is made for.
+    dtype : type
+        Of an element.
+    unit : str
+        Of what an element says; "" for none.
+    purpose : str
+        What the buffer is for.
+    needed : callable of Config, optional
+        Whether there is one; the field is None otherwise.
+    start : NumPy scalar of 32 bits, optional
+        What it is filled with when it is allocated; left as it is by default.
+    each : str, optional
+        Names a property that is a list: the field is a tuple of buffers, with so many elements each.
+    """
+    return field(default=() if each else None,
+                 metadata=dict(shape=shape, dtype=dtype, unit=unit, purpose=purpose, needed=needed, start=start, each=each))
 
-    def __contains__(self, name: str) -> bool:
-        return name in self._buffers
 
-    def size(self, name: str) -> int:
-        """Bytes of the buffer `name`."""
-        return self.specs[name].nbytes
+def _specs(own, dimensions) -> list[BufferSpec]:
+    """What is allocated for one field."""
+    if not own.metadata["needed"](dimensions.config):
+        return []
+    shape = tuple(getattr(dimensions, part) if isinstance(part, str) else part for part in own.metadata["shape"])
+    shapes = {own.name: shape}
+    if own.metadata["each"]:
+        shapes = {f"{own.name}{k}": (n, *shape) for k, n in enumerate(getattr(dimensions, own.metadata["each"]))}
+    return [BufferSpec(name, shape, own.metadata["dtype"]) for name, shape in shapes.items()]
+
+
+@dataclass(eq=False)
+class Buffers:
+    """Buffers of one device, each a field; one owner, released together. A stage on its own needs only those that its
+    kernels read and write: the others may stay None."""
+
+    @classmethod
+    def plan(cls, dimensions) -> list[BufferSpec]:
+        """What is allocated for `dimensions`, an object with the properties that shapes name, and `config`."""
+        return [spec for own in fields(cls) for spec in _specs(own, dimensions)]
+
+    @classmethod
+    def allocated(cls, device, dimensions):
+        """All that is planned, on `device`; errors as of `allocate`."""
+        made, found = allocate(device, cls.plan(dimensions)), {}
+        for own in fields(cls):
+            buffers = tuple(made[spec.name] for spec in _specs(own, dimensions))
+            if own.metadata["start"] is not None:
+                for buffer in buffers:
+                    cl.enqueue_fill_buffer(device.queue, buffer, own.metadata["start"], 0, buffer.size)
+            found[own.name] = buffers if own.metadata["each"] else next(iter(buffers), None)
+        return cls(**found)
+
+    def hand_over(self, kind: type):
+        """The buffers of the class `kind`, the caller's from now on; the others are released."""
+        taken = kind(**{own.name: self.take(own.name) for own in fields(kind)})
+        self.release()
+        return taken
 
     def take(self, name: str) -> cl.Buffer:
         """The buffer `name`, the caller's from now on."""
-        return self._buffers.pop(name)
+        buffer = getattr(self, name)
+        setattr(self, name, None)
+        return buffer
 
-    def release(self, keep=()):
-        """Give all buffers but those named in `keep` back now instead of when Python gets to it."""
-        for name in [name for name in self._buffers if name not in keep]:
-            self._buffers.pop(name).release()
+    def release(self):
+        """Give all buffers back now instead of when Python gets to it."""
+        for buffer in self.held():
+            buffer.release()
+        for own in fields(self):
+            setattr(self, own.name, own.default)
+
+    def held(self) -> list[cl.Buffer]:
+        """All that there are."""
+        values = [getattr(self, own.name) for own in fields(self)]
+        return [buffer for value in values for buffer in (value if isinstance(value, tuple) else (value,)) if buffer]

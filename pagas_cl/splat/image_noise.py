@@ -28,10 +28,10 @@ class ImageNoise:
         program, (steps, across, down) = build(device, "image_noise.cl"), _samples(size)
         self.rows = rows = Rows(device, _RULES, across * down)
         run_once(device.queue, [
-            bind(program, "sample_noise", (rows.count,), None, photo, size.width, *steps, across, rows.count,
-                 rows.values),
+            bind(program, "sample_noise", (rows.count,), photo=photo, width=size.width, step_x=steps[0],
+                 step_y=steps[1], across=across, count=rows.count, rows=rows.values),
             rows.summarize(),
-            bind(program, "keep_smooth", (rows.count,), None, rows.summary, rows.count, rows.values),
+            bind(program, "keep_smooth", (rows.count,), summary=rows.summary, count=rows.count, rows=rows.values),
             rows.summarize()])
 
     @staticmethod

@@ -35,8 +35,8 @@ class Rows:
 
     def summarize(self):
         """The launch that fills `summary`."""
-        return bind(build(self.device, "summary.cl"), "summarize", (self.rows * _GROUP,), (_GROUP,), self.values,
-                    self.count, self._rules, self.summary)
+        return bind(build(self.device, "summary.cl"), "summarize", (self.rows * _GROUP,), (_GROUP,),
+                    rows=self.values, count=self.count, rules=self._rules, summary=self.summary)
 
     def read(self) -> np.ndarray:
         """`summary` on the host: (rows, 4) of number, mean, quantile, mean square; NaN in a row without values."""

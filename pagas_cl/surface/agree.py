@@ -94,10 +94,11 @@ def _on_device(target, depth, used, pixels: float, device, maps) -> tuple[np.nda
     cl.enqueue_fill_buffer(device.queue, found, np.uint32(0), 0, 4 * n)
     program, own = build(device, "agree.cl"), maps.map(depth)
     size, scale = (target.width, target.height), 1 / scene_scale
-    run_once(device.queue, [bind(program, "parallax", size, None, own, cameras, len(used), scale, parallax)])
+    given = {"depth": own, "cameras": cameras, "scale": scale, "depth_per_parallax": parallax}
+    run_once(device.queue, [bind(program, "parallax", size, views=len(used), **given)])
     for view, (_, other) in enumerate(used, start=1):
-        run_once(device.queue, [bind(program, "count_view", size, None, own, cameras, view, scale, maps.map(other),
-                                     parallax, float(pixels), found)])
+        run_once(device.queue, [bind(program, "count_view", size, view=view, map=maps.map(other), pixels=pixels,
+                                     counts=found, **given)])
     out = download(device, found, (*depth.shape, 2), np.uint16)
     return out[..., 0], out[..., 1]
 
