@@ -55,8 +55,9 @@ def start_level(device, config, scene: Scene, specularity=None, raised=True) -> 
                        scene.delta(config),
                        1.0, len(scene.contexts), specularity=specularity)
     level = Level(device, config, given)
-    level.prepare(lambda out: cl.enqueue_copy(device.queue, out, scene.initial))
-    level.start(lambda out: None)
+    cl.enqueue_copy(device.queue, level.buffers.depth, scene.initial)
+    level.prepare()
+    level.start()
     if raised:
         level.enter(Phase(config, raised=True))
     if config.loss.exposure:

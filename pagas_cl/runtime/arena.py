@@ -60,39 +60,40 @@ def allocate(device, specs: list[BufferSpec]) -> dict[str, cl.Buffer]:
     return made
 
 
-def declared(shape: tuple, dtype: type, unit: str, purpose: str, needed=lambda config: True, start=None, each=""):
+def declared(shape: tuple, dtype: type, unit: str, purpose: str, needed="", start=None, each=""):
     """A field of a Buffers class.
 
     Parameters
     ----------
     shape : tuple of int and str
-        A str names a property of the dimensions that a plan is made for.
+        A str names one of the dimensions that a plan is made for.
     dtype : type
         Of an element.
     unit : str
         Of what an element says; "" for none.
     purpose : str
         What the buffer is for.
-    needed : callable of Config, optional
-        Whether there is one; the field is None otherwise.
+    needed : str, optional
+        Names a dimension; the field is None where that is zero or False.
     start : NumPy scalar of 32 bits, optional
         What it is filled with when it is allocated; left as it is by default.
     each : str, optional
-        Names a property that is a list: the field is a tuple of buffers, with so many elements each.
+        Names a dimension that is a list: the field is a tuple of buffers, with so many elements each.
     """
-    return field(default=() if each else None,
-                 metadata=dict(shape=shape, dtype=dtype, unit=unit, purpose=purpose, needed=needed, start=start, each=each))
+    return field(default=() if each else None, metadata=dict(
+        shape=shape, dtype=dtype, unit=unit, purpose=purpose, needed=needed, start=start, each=each))
 
 
-def _specs(own, dimensions) -> list[BufferSpec]:
+def _specs(own, dimensions: dict) -> list[BufferSpec]:
     """What is allocated for one field."""
-    if not own.metadata["needed"](dimensions.config):
+    said = own.metadata
+    if said["needed"] and not dimensions[said["needed"]]:
         return []
-    shape = tuple(getattr(dimensions, part) if isinstance(part, str) else part for part in own.metadata["shape"])
-    shapes = {own.name: shape}
-    if own.metadata["each"]:
-        shapes = {f"{own.name}{k}": (n, *shape) for k, n in enumerate(getattr(dimensions, own.metadata["each"]))}
-    return [BufferSpec(name, shape, own.metadata["dtype"]) for name, shape in shapes.items()]
+    shape = tuple(dimensions[part] if isinstance(part, str) else part for part in said["shape"])
+    if said["each"]:
+        return [BufferSpec(f"{own.name}{k}", (length, *shape), said["dtype"])
+                for k, length in enumerate(dimensions[said["each"]])]
+    return [BufferSpec(own.name, shape, said["dtype"])]
 
 
 @dataclass(eq=False)
@@ -101,12 +102,12 @@ class Buffers:
     kernels read and write: the others may stay None."""
 
     @classmethod
-    def plan(cls, dimensions) -> list[BufferSpec]:
-        """What is allocated for `dimensions`, an object with the properties that shapes name, and `config`."""
+    def plan(cls, dimensions: dict) -> list[BufferSpec]:
+        """What is allocated for `dimensions`, by the names that the fields use."""
         return [spec for own in fields(cls) for spec in _specs(own, dimensions)]
 
     @classmethod
-    def allocated(cls, device, dimensions):
+    def allocated(cls, device, dimensions: dict):
         """All that is planned, on `device`; errors as of `allocate`."""
         made, found = allocate(device, cls.plan(dimensions)), {}
         for own in fields(cls):

@@ -93,8 +93,9 @@ def device_gradient(scene: HardScene, config: Config, device, initial, at, scene
     photos, views = PhotoStore(device), [scene.target, *scene.contexts]
     level = Level(device, config, LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene_scale,
                                              _threshold(initial, config), 1.0, len(scene.contexts)))
-    level.prepare(lambda out: cl.enqueue_copy(device.queue, out, initial))
-    level.start(lambda out: None)
+    cl.enqueue_copy(device.queue, level.buffers.depth, initial)
+    level.prepare()
+    level.start()
     level.enter(Phase(config, raised=True))
     cl.enqueue_copy(device.queue, level.buffers.depth, at)
     for launch in level.gradient_launches(0):

@@ -9,7 +9,7 @@ from pagas_cl.config import Config
 from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.runtime.arena import total_bytes
 from pagas_cl.scene.camera import Camera
-from pagas_cl.splat.buffers import Dimensions, EvidenceBuffers, LevelBuffers, Size, level_size
+from pagas_cl.splat.buffers import EvidenceBuffers, LevelBuffers, Size, dimensions, level_size
 from pagas_cl.splat.evidence import HISTOGRAM
 from pagas_cl.splat.measure import probe_bytes
 from pagas_cl.splat.photos import photo_bytes
@@ -63,14 +63,14 @@ def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, stre
     """The plan of one level."""
     cameras = cameras if scale == 1 else cameras[:1 + contexts]
     full, sizes = [level_size(camera, 1.0) for camera in cameras], [level_size(camera, scale) for camera in cameras]
-    dimensions = Dimensions(config, sizes[0], sizes[1:], contexts)
+    lengths = dimensions(config, sizes[0], sizes[1:], contexts)
     depths = 8 * full[0].pixels          # the initial one, as it came and in units; that of the level before, enlarged
     if scale > config.pyramid.scales[0]:
         depths += 4 * (sizes[0].pixels + _before(scale, cameras[0], config).pixels)
-    during = after = total_bytes(LevelBuffers.plan(dimensions)) + depths
+    during = after = total_bytes(LevelBuffers.plan(lengths)) + depths
     if scale == 1:           # evidence before and after: of the context views, and of one held-out view at a time
         judges = 2 if len(cameras) > 1 + contexts else 1
-        after = total_bytes(EvidenceBuffers.plan(dimensions)) + depths
+        after = total_bytes(EvidenceBuffers.plan(lengths)) + depths
         after += (24 * judges + 5) * full[0].pixels + HISTOGRAM * (judges - 1)
     return Plan(_photos(full, sizes, streamed), max(during, after))
 

@@ -70,73 +70,26 @@ class SampleGrid:
         return {"stride": self.stride, "across": self.across, "count": self.count}
 
 
-@dataclass(frozen=True)
-class Dimensions:
-    """What the shapes of the buffers of a level are made of: the sizes of `target` and of all `others`, of which the
-    first `contexts` are context views."""
-
-    config: Config
-    target: Size
-    others: list[Size]
-    contexts: int
-
-    @property
-    def pixels(self) -> int:
-        """N, of the target."""
-        return self.target.pixels
-
-    @property
-    def most_pixels(self) -> int:
-        """M, of the largest image."""
-        return max(size.pixels for size in (self.target, *self.others))
-
-    @property
-    def cameras(self) -> int:
-        return 1 + len(self.others)
-
-    @property
-    def exposures(self) -> int:
-        return 1 + self.contexts
-
-    @property
-    def samples(self) -> int:
-        return SampleGrid.over(self.target).count
-
-    @property
-    def layers(self) -> int:
-        """Channels, and coverage."""
-        return channels_of(self.config) + 1
-
-    @property
-    def partials(self) -> int:
-        """Three by channel and pixel of the largest image, by rows that start on 16 bytes, with a margin."""
-        rows = max(tiles.pitch(size.width) * size.height for size in (self.target, *self.others))
-        return 3 * channels_of(self.config) * rows + 2 * tiles.MARGIN
-
-    @property
-    def places(self) -> int:
-        """Bins that a Gaussian is listed in."""
-        return (2 * reach(self.config.splatting.radius) + 1) ** 2
-
-    @property
-    def bins(self) -> int:
-        """Of the largest image and the border around it."""
-        border = 2 * reach(self.config.splatting.radius) + 1
-        return max((size.width + border) * (size.height + border) for size in (self.target, *self.others))
-
-    @property
-    def masks(self) -> list[int]:
-        """Words of 32 pixels of each context view."""
-        return [size.pixels // 32 + 2 for size in self.others[:self.contexts]]
-
-    @property
-    def losses(self) -> int:
-        return max(self.config.pyramid.steps) + 1
-
-
 def channels_of(config: Config) -> int:
     """Channels that a view is rendered in."""
     return 1 if config.loss.grey else 3
+
+
+def dimensions(config: Config, target: Size, others: list[Size], contexts: int) -> dict:
+    """What the buffers of a level are made of, by the names that their fields below use: lengths, and whether an effect
+    is on. `others` are all images but the target's, of which the first `contexts` are context views."""
+    sizes, channels, side = (target, *others), channels_of(config), 2 * reach(config.splatting.radius) + 1
+    smooth, follows_loss = config.smoothness.kind != "none", config.solver.patience > 0
+    return dict(
+        pixels=target.pixels, most_pixels=max(size.pixels for size in sizes), cameras=len(sizes), contexts=contexts,
+        photos=1 + contexts, samples=SampleGrid.over(target).count, layers=channels + 1, places=side**2,
+        bins=max((size.width + side) * (size.height + side) for size in sizes),
+        partials=3 * channels * max(tiles.pitch(size.width) * size.height for size in sizes) + 2 * tiles.MARGIN,
+        words=[size.pixels // 32 + 2 for size in others[:contexts]], losses=max(config.pyramid.steps) + 1,
+        occlusion=config.splatting.occlusion, alpha=config.splatting.blend == "alpha", ssim=config.loss.ssim > 0,
+        exposure=config.loss.exposure, unseen_mask=config.loss.unseen_mask, filter=config.solver.gradient_filter > 0,
+        smooth=smooth, normal=config.smoothness.kind == "normal", follows_loss=follows_loss,
+        specularity=smooth and config.smoothness.specularity > 0, follows_smooth=smooth and follows_loss)
 
 
 @dataclass(eq=False)
@@ -149,7 +102,7 @@ class SurfaceBuffers(Buffers):
     cameras: cl.Buffer | None = declared(("cameras", 20), np.float32, "", "as scene.rig.camera_table, the target first")
     z_first: cl.Buffer | None = declared(
         ("most_pixels",), np.uint32, "units", "bits of the nearest depth in each pixel of the view at hand",
-        needed=lambda config: config.splatting.occlusion)
+        needed="occlusion")
 
 
 @dataclass(eq=False)
@@ -157,7 +110,7 @@ class EvidenceBuffers(SurfaceBuffers):
     """What serves the steps, and the evidence after them."""
 
     rendered: cl.Buffer | None = declared(
-        ("most_pixels", "layers"), np.float32, "", "the view at hand: colour (0 to 1) and coverage, or whole sums of them")
+        ("most_pixels", "layers"), np.float32, "", "the view at hand: colour and coverage, or whole sums of them")
     v_rendered: cl.Buffer | None = declared(("most_pixels", "layers"), np.float32, "1", "N dL/d rendered")
 
 
@@ -166,23 +119,11 @@ class ExposureBuffers(Buffers):
     """Gains and offsets of photos."""
 
     exposure: cl.Buffer | None = declared(
-        ("exposures", 2, 3), np.float32, "", "gain and offset by channel, of the target and each context view",
-        needed=lambda config: config.loss.exposure)
+        ("photos", 2, 3), np.float32, "", "gain and offset by channel, of the target and each context view",
+        needed="exposure")
     matches: cl.Buffer | None = declared(
-        ("contexts", "samples", 8), np.float32, "0 to 1", "colours of both photos at each sample, as exposure.cl has them",
-        needed=lambda config: config.loss.exposure)
-
-
-def _alpha(config):
-    return config.splatting.blend == "alpha"
-
-
-def _smooth(config):
-    return config.smoothness.kind != "none"
-
-
-def _normal(config):
-    return config.smoothness.kind == "normal"
+        ("contexts", "samples", 8), np.float32, "0 to 1", "colours of both photos at each sample (exposure.cl)",
+        needed="exposure")
 
 
 @dataclass(eq=False)
@@ -195,32 +136,33 @@ class LevelBuffers(EvidenceBuffers, ExposureBuffers):
     state: cl.Buffer | None = declared((8,), np.float32, "", "of the schedule, as in step.cl", start=_ZERO)
     partials: cl.Buffer | None = declared(
         ("partials",), np.float32, "1", "derivatives of SSIM by the means of its windows",
-        needed=lambda config: config.loss.ssim > 0)
+        needed="ssim")
     sums: cl.Buffer | None = declared(
         ("pixels",), np.float32, "1", "the gradient averaged across, per pixel of parallax",
-        needed=lambda config: config.solver.gradient_filter > 0)
+        needed="filter")
     heads: cl.Buffer | None = declared(
-        ("bins",), np.int32, "", "first link of each bin; NO_HEAD: empty", needed=_alpha, start=NO_HEAD)
-    links: cl.Buffer | None = declared(("pixels", 2), np.int32, "", "next Gaussian of the bin, and the key of the depth", needed=_alpha)
+        ("bins",), np.int32, "", "first link of each bin; NO_HEAD: empty", needed="alpha", start=NO_HEAD)
+    links: cl.Buffer | None = declared(
+        ("pixels", 2), np.int32, "", "next Gaussian of the bin, and the key of the depth", needed="alpha")
     alphas: cl.Buffer | None = declared(
         ("places", "pixels"), np.float32, "0 to 1", "weight of a Gaussian in each pixel around, then N dL/d of it",
-        needed=_alpha)
+        needed="alpha")
     kappa: cl.Buffer | None = declared(
-        ("pixels",), np.float32, "pixels * units", "pixels of parallax per inverse depth", needed=_smooth)
-    weights: cl.Buffer | None = declared(("pixels",), np.float32, "1", "of smoothness, by texture", needed=_smooth)
+        ("pixels",), np.float32, "pixels * units", "pixels of parallax per inverse depth", needed="smooth")
+    weights: cl.Buffer | None = declared(("pixels",), np.float32, "1", "of smoothness, by texture", needed="smooth")
     raised: cl.Buffer | None = declared(
         (2 * MOST_SAMPLES,), np.float32, "1", "factors of the weights by specularity, on a grid over the target",
-        needed=lambda config: _smooth(config) and config.smoothness.specularity > 0)
-    normals: cl.Buffer | None = declared(("pixels", 4), np.float32, "1", "unit normals", needed=_normal)
-    slopes: cl.Buffer | None = declared(("pixels", 4), np.float32, "1", "N dL_s/d normals", needed=_normal)
+        needed="specularity")
+    normals: cl.Buffer | None = declared(("pixels", 4), np.float32, "1", "unit normals", needed="normal")
+    slopes: cl.Buffer | None = declared(("pixels", 4), np.float32, "1", "N dL_s/d normals", needed="normal")
     seen: tuple[cl.Buffer, ...] = declared(
-        (), np.uint32, "", "of each context view: bits of the pixels that the initial depth covers", each="masks",
-        needed=lambda config: config.loss.unseen_mask)
+        (), np.uint32, "", "of each context view: bits of the pixels that the initial depth covers", each="words",
+        needed="unseen_mask")
     loss: cl.Buffer | None = declared(
         (1,), np.int64, "2^-40", "of the photos, summed over the views of a step", start=_ZERO,
-        needed=lambda config: config.solver.patience > 0)
+        needed="follows_loss")
     smooth_losses: cl.Buffer | None = declared(
         (SUM_GROUPS,), np.float32, "1", "parts of the loss of smoothness",
-        needed=lambda config: config.solver.patience > 0 and _smooth(config))
+        needed="follows_smooth")
     history: cl.Buffer | None = declared(
-        ("losses",), np.float32, "1", "loss of each step", needed=lambda config: config.solver.patience > 0)
+        ("losses",), np.float32, "1", "loss of each step", needed="follows_loss")

@@ -33,8 +33,8 @@ def match(programs, buffers, view):
 
 def fit(programs, buffers, views):
     """From buffers.matches to buffers.exposure."""
-    return programs.bind("exposure.cl", "fit_exposure", (3 * _FIT_GROUP, len(views)), buffers, None,
-                         (_FIT_GROUP, 1), all_matches=buffers.matches, count=SampleGrid.over(views[0].target_size).count)
+    return programs.bind("exposure.cl", "fit_exposure", (3 * _FIT_GROUP, len(views)), buffers, None, (_FIT_GROUP, 1),
+                         all_matches=buffers.matches, count=SampleGrid.over(views[0].target_size).count)
 
 
 def fitted_before(steps: int) -> set[int]:

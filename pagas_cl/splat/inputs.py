@@ -12,7 +12,7 @@ from pagas_cl.config import Config
 from pagas_cl.runtime.program import Upload
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import camera_table, footprint
-from pagas_cl.splat.buffers import Dimensions, Size
+from pagas_cl.splat.buffers import Size, dimensions
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +105,6 @@ class LevelInput:
                           self.sizes[0], self.photos[0], self.host[k - 1] if self.host and k else None)
                 for k, (camera, photo) in enumerate(zip(self.cameras, self.photos))]
 
-    def dimensions(self, config: Config) -> Dimensions:
-        """Of the buffers of a level."""
-        return Dimensions(config, self.sizes[0], self.sizes[1:], self.contexts)
+    def dimensions(self, config: Config) -> dict:
+        """Of the buffers of a level, as buffers.py has them."""
+        return dimensions(config, self.sizes[0], self.sizes[1:], self.contexts)

@@ -14,7 +14,6 @@ from pagas_cl.splat import composite, exposure, gradient_filter, loss, project, 
 from pagas_cl.splat.buffers import EvidenceBuffers, LevelBuffers
 from pagas_cl.splat.inputs import LevelInput
 from pagas_cl.splat.options import Programs
-from pagas_cl.splat.step_progress import StepProgress
 
 
 @dataclass(frozen=True)
@@ -71,14 +70,12 @@ class Level:
         self.phase = None
         self.target_view, self.view_launches, self.gradient_filter, self.smooth, self.ending = [], [], [], [], []
 
-    def prepare(self, write):
-        """Take units and unseen masks under the run's initial depth; `write(buffer)` enqueues its writing."""
-        write(self.buffers.depth)
+    def prepare(self):
+        """Take units and unseen masks under the run's initial depth, which buffers.depth holds."""
         run_once(self.device.queue, project.before_steps(self.programs, self.buffers, self.target, len(self.views)))
 
-    def start(self, write):
-        """The depth that the steps start from."""
-        write(self.buffers.depth)
+    def start(self):
+        """Get ready for the steps, which start from what buffers.depth holds."""
         run_once(self.device.queue, smooth.before_steps(self.programs, self.buffers, self.target))
         self.gradient_filter = gradient_filter.launches(self.programs, self.buffers, self.target.size)
         self.enter(Phase(self.config, raised=False))
@@ -141,7 +138,7 @@ class Level:
         """At most `steps` steps; returns how many were enqueued. `progress(done, total)` is told of those that are
         done."""
         schedule = schedule or Schedule.of(self.config, steps)
-        queue, solver, step_progress = self.device.queue, self.solver(), StepProgress(progress, steps)
+        queue, solver, step_progress = self.device.queue, self.solver(), step.StepProgress(progress, steps)
         self.ending = solver.launches
         for number in range(steps):
             if number in schedule.fits:

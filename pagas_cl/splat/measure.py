@@ -12,7 +12,7 @@ from pagas_cl.runtime.arena import declared, total_bytes
 from pagas_cl.runtime.program import run_once
 from pagas_cl.runtime.transfer import download
 from pagas_cl.splat import exposure, project
-from pagas_cl.splat.buffers import Dimensions, ExposureBuffers, SampleGrid, SurfaceBuffers
+from pagas_cl.splat.buffers import ExposureBuffers, SampleGrid, SurfaceBuffers, dimensions
 from pagas_cl.splat.image_noise import ImageNoise
 from pagas_cl.splat.options import Programs
 from pagas_cl.splat.summary import Rows
@@ -70,9 +70,9 @@ def probe_config(config: Config) -> Config:
 
 def probe_bytes(config: Config, sizes, views: int) -> int:
     """Bytes of the device that a Probe takes for photos of `sizes`, of which `views` are of context views."""
-    dimensions = Dimensions(probe_config(config), sizes[0], sizes[1:], views)
-    rows = Rows.nbytes(len(_ROWS) * views + 3, dimensions.samples)
-    return total_bytes(ProbeBuffers.plan(dimensions)) + rows + ImageNoise.nbytes(sizes[0])
+    lengths = dimensions(probe_config(config), sizes[0], sizes[1:], views)
+    rows = Rows.nbytes(len(_ROWS) * views + 3, lengths["samples"])
+    return total_bytes(ProbeBuffers.plan(lengths)) + rows + ImageNoise.nbytes(sizes[0])
 
 
 class Probe:
@@ -121,7 +121,8 @@ class Probe:
     def _judge(self) -> list:
         grid, given = self.grid, {"views": len(self.views), "values": self.view_samples.values}
         return [exposure.fit(self.programs, self.buffers, self.views),
-                self._bind("compare_colors", (grid.count, len(self.views)), across=grid.across, down=grid.down, **given),
+                self._bind("compare_colors", (grid.count, len(self.views)), across=grid.across, down=grid.down,
+                           **given),
                 self._bind("judge_samples", (grid.count,), rows=self.samples.values, **given, **grid.arguments),
                 self.view_samples.summarize(), self.samples.summarize()]
 

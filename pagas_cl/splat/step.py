@@ -1,6 +1,9 @@
-"""Launches of step.cl: Adam and its schedule (method section 6)."""
+"""Launches of step.cl, Adam and its schedule (method section 6); and progress that tells of steps when the device has
+done them, not when they are enqueued."""
 
 from __future__ import annotations
+
+from collections import deque
 
 import numpy as np
 import pyopencl as cl
@@ -9,6 +12,7 @@ from pagas_cl.runtime.transfer import download
 
 _LOOK_EVERY = 10          # steps between two looks of the host at the schedule
 _RATE, _BEST, _DONE, _LOSS = 0, 1, 3, 4
+AHEAD = 8          # steps that stay enqueued beyond the one that is told of: the device never waits for the host
 LOSS_ONE = 2.0**40         # of the photos' loss, a whole number; as in step.cl
 
 
@@ -64,3 +68,33 @@ class Solver:
         if not self.settings.patience or (number + 1) % _LOOK_EVERY:
             return False
         return bool(download(self.device, self.buffers.state, 8)[_DONE])
+
+
+class StepProgress:
+    """Calls `progress(done, total)` after each step; does nothing where that is None.
+
+    Parameters
+    ----------
+    progress : callable of (done, total), or None
+    total : int
+    """
+
+    def __init__(self, progress, total: int):
+        self.progress, self.total, self._under_way = progress, total, deque()
+
+    def enqueued(self, number: int, event):
+        """Step `number` (from 1) was; `event` ends it."""
+        if self.progress:
+            self._under_way.append((number, event))
+        while len(self._under_way) > AHEAD:
+            self._wait()
+
+    def finish(self):
+        """Wait for the last ones."""
+        while self._under_way:
+            self._wait()
+
+    def _wait(self):
+        number, event = self._under_way.popleft()
+        event.wait()
+        self.progress(number, self.total)

@@ -99,9 +99,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
                specularity=measured.local_specularity if measured else None)
     before, done, losses = None, [], []
     for number, (scale, steps) in enumerate(zip(config.pyramid.scales, config.pyramid.steps)):
-        level = Level(device, config, run.at(scale))
-        level.prepare(run.initial_writer(level))
-        level.start(run.start_writer(level, before))
+        level = run.level(scale, before)
         done.append(level.run(steps, _of_all(progress, config.pyramid.steps, number)))
         if level.buffers.history is not None:
             losses += level.read("history", max(config.pyramid.steps))[:done[-1]].tolist()
@@ -121,11 +119,7 @@ def _of_all(progress, steps: tuple[int, ...], level: int):
 
 def full_level(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None) -> Level:
     """The full-size level, ready for its first step from the initial depth."""
-    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device))
-    level = Level(device, config, run.at(1.0))
-    level.prepare(run.initial_writer(level))
-    level.start(run.start_writer(level, None))
-    return level
+    return _Run(target, contexts, depth, config, device, photos or PhotoStore(device)).level(1.0)
 
 
 def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
@@ -166,21 +160,19 @@ class _Run:
         """The initial depth at `size`."""
         self.resampler.shrink_depth(self.normalized.buffer, self.full, out, size)
 
-    def initial_writer(self, level: Level):
-        return lambda out: self.write_initial(out, level.target.size)
-
-    def start_writer(self, level: Level, before: tuple[cl.Buffer, Size] | None):
-        """`before`: depth of the level before, and its size."""
-        if before is None:
-            return lambda out: None
-
-        def write(out):
-            size = level.target.size
+    def level(self, scale: float, before: tuple[cl.Buffer, Size] | None = None) -> Level:
+        """The level at `scale`, ready for its first step from the initial depth, or from that of the level `before`, of
+        its size."""
+        level = Level(self.device, self.config, self.at(scale))
+        out, size = level.buffers.depth, level.target.size
+        self.write_initial(out, size)
+        level.prepare()
+        if before is not None:
             at_size = self.device.memory.buffer(self.device.context, 4 * size.pixels)
             self.write_initial(at_size, size)
             self.resampler.enlarge_depth(*before, at_size, out, size)
-
-        return write
+        level.start()
+        return level
 
     def finish(self, level: Level, prior: EvidencePrior, steps, losses, planned: int) -> Refinement:
         programs, buffers, initial = level.programs, level.hand_over(), self.normalized.buffer
