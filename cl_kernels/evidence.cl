@@ -1,5 +1,5 @@
 // What the photos say of each depth, apart from the loss that was minimised: patches of the target against the
-// context photos warped through the depth map (method section 9).
+// context photos warped through the depth map (method section 7).
 //
 //   warp_photo   a context photo seen from the target: grey value and its slope by the depth, per target pixel
 //   weigh        5x5 patches of it against the target: correlation, and how sharply it fixes the depth

@@ -1,4 +1,4 @@
-"""Twin of splat/evidence: what patches of the photos say of each depth (method section 9)."""
+"""Twin of splat/evidence: what patches of the photos say of each depth (method section 7)."""
 
 from __future__ import annotations
 

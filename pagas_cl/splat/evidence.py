@@ -1,4 +1,4 @@
-"""Launches of evidence.cl and deviation.cl: which depths the photos confirm, how sure each is (method section 9)."""
+"""Launches of evidence.cl and deviation.cl: which depths the photos confirm, how sure each is (method section 7)."""
 
 from __future__ import annotations
 

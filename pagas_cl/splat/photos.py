@@ -37,7 +37,7 @@ class PhotoStore:
         return [_resized(self.device, resampler, self.photo(view), _full_size(view), size)
                 for view, size in zip(views, sizes)], ()
 
-    def clear(self):
+    def clear(self) -> None:
         """Forget every photo, and the buffers that wait for another view."""
         self._photos.clear()
         self.device.memory.clear()
