@@ -13,10 +13,8 @@ __kernel void link_bins(__global const float *depth, __constant float *cameras, 
                         __global volatile int *heads, __global int2 *links, __global float *alphas)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= target.width || row >= target.height)
-        return;
-    const int i = row * target.width + column, count = target.width * target.height;
+    EACH_PIXEL(column, row, i, target.width, target.height)
+    const int count = target.width * target.height;
     const float d = depth[i];
     Splat s;
     SplatDerivative dsplat_ddepth;
@@ -41,9 +39,7 @@ void composite_alpha(__global const uchar4 *target_photo, __global const float *
                      int width, int height, float threshold, float relative, __global float *rendered)
 {
     __local ulong lists[SLOTS * GROUP];
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= width || row >= height)
-        return;
+    EACH_PIXEL(column, row, i, width, height)
     blend(look_around(heads, links, alphas, count, column, row, width),
           lists + get_local_id(1) * LIST_GROUP_W + get_local_id(0), target_photo, exposure, view, threshold,
           relative, row * width + column, rendered);
@@ -56,9 +52,7 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
 {
     __local ulong lists[SLOTS * GROUP];
     __local float held[SLOTS * GROUP];
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= width || row >= height)
-        return;
+    EACH_PIXEL(column, row, i, width, height)
     float v_coverage;
     const color_t v_color = load_v_rendered(v_rendered, row * width + column, &v_coverage);
     const int item = get_local_id(1) * LIST_GROUP_W + get_local_id(0);
@@ -70,10 +64,8 @@ __kernel void gather_alpha(__global const float *depth, __constant float *camera
                            __global const float *alphas, __global float *gradient, __global int *heads, int bins)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= target.width || row >= target.height)
-        return;
-    const int i = row * target.width + column, count = target.width * target.height;
+    EACH_PIXEL(column, row, i, target.width, target.height)
+    const int count = target.width * target.height;
     for (int bin = i; bin < bins; bin += count)
         heads[bin] = -1;
     const float d = depth[i];

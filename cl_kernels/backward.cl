@@ -3,7 +3,7 @@
 #include "splat.clh"
 
 // G . c + h of the pixels that are taken; whatever for the others.
-#if COLUMNS == 1
+#if ONE_PIXEL
 // Loads do not wait for what decides whether they are needed: those of all pixels of a Gaussian are under way together.
 float load_v_alpha(__global const float *v_rendered, int pixel, int taken, const float color[CHANNELS])
 {
@@ -65,7 +65,7 @@ UNROLL_SPAN
 UNROLL_SPAN
         for (int u = 0; u < SPAN; ++u) {
             const Reach r = reach_pixel(&g, context, u, v);
-            if (COLUMNS > 1 && !ANY(r.reached))
+            if (!ONE_PIXEL && !ANY(r.reached))
                 continue;
             const columns_t share = share_of(&g, r, z_first, threshold, relative);
             const mask_t taken = share > 0.0f;

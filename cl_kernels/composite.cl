@@ -36,9 +36,7 @@ void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
 #endif
 }
 
-#if COLUMNS == 1 && !defined(GREY)
-// A work-group adds up in local memory first: most pixels are reached by several of its Gaussians. Not worth its while
-// for the one addition a pair of a grey image.
+#ifdef BOXED
 __kernel IN_BOXES
 void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
                       __constant float *cameras, int view, float low_pass, float threshold,

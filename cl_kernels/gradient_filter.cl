@@ -9,10 +9,7 @@ __kernel void filter_across(__global const float *restrict gradient,
                             __global const float *restrict depth_per_parallax, int width, int height,
                             __global float *restrict sums)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height)
-        return;
-    const int i = y * width + x;
+    EACH_PIXEL(x, y, i, width, height)
     float sum = SHARE(0) * gradient[i] * depth_per_parallax[i];
 #pragma unroll
     for (int k = 1; k <= FILTER_RADIUS; ++k) {
@@ -28,10 +25,7 @@ __kernel void filter_down(__global const float *restrict sums,
                           __global const float *restrict depth_per_parallax, int width, int height,
                           __global float *restrict gradient)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height)
-        return;
-    const int i = y * width + x;
+    EACH_PIXEL(x, y, i, width, height)
     float sum = SHARE(0) * sums[i];
 #pragma unroll
     for (int k = 1; k <= FILTER_RADIUS; ++k) {

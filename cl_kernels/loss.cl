@@ -159,7 +159,7 @@ void loss_backward(__global const stored_t *rendered, __global const uchar4 *pho
                    __global const float *partials, __global const uint *seen, float l1_scale, float ssim_scale,
                    __global float *v_rendered, float loss_scale, __global uint *total)
 {
-    const int left = tile_start(get_group_id(0), TILE_W, width), top = tile_start(get_group_id(1), TILE_H, height);
+    const int left = span_start(get_group_id(0), TILE_W, width), top = span_start(get_group_id(1), TILE_H, height);
 #ifdef SSIM
     __local float sums[CHANNELS * SUMS] __attribute__((aligned(16)));
     if (ssim_scale > 0.0f) {

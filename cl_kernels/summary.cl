@@ -1,7 +1,6 @@
 // What rows of numbers have in common: how many there are, their mean, a quantile, the mean of their squares.
 #include "constants.clh"
 
-#define SUMMARY_GROUP 64                 // as in splat/summary.py
 #define BINS 2048
 
 // One work-group a row; NaN is left out. rules: of each row the lowest and highest value that count for the quantile,

@@ -23,7 +23,7 @@ ALLOWED = {
     "surface": {"scene", "runtime", "reference"}, "splat": {"scene", "runtime"}, "result": {"scene"},
     "jobs": {"scene", "runtime", "splat", "result", "progress"},
     "acceptance": {"result"},
-    "effects": {"measurements"}, "measurements": {"splat"},
+    "effects": {"measurements", "splat"}, "measurements": {"splat"},
     "refine": {"acceptance", "jobs", "scene", "runtime", "surface", "splat", "result", "measurements", "effects",
                "keep_mesh", "consistency", "progress"},
     "camera_check": {"scene", "surface"},
@@ -45,7 +45,8 @@ OLD_WORDS = {
 }
 # Kernel files that belong to a stage of another name.
 STAGE = {"alpha": "composite", "deviation": "evidence", "crowded": "composite"}
-REFERENCE = {"alpha": "composite", "deviation": "evidence", "backward": "composite", "ssim": "loss"}
+REFERENCE = {"alpha": "composite", "deviation": "evidence", "backward": "composite", "ssim": "loss",
+             "image_noise": "measure", "summary": "measure"}
 
 
 def shipped_files():

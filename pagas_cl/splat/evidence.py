@@ -11,11 +11,10 @@ import pyopencl as cl
 from pagas_cl.runtime.program import Fill, bind, build, run_once
 from pagas_cl.runtime.transfer import download
 from pagas_cl.splat import project
+from pagas_cl.splat.constants import CLEAR_NOISE, COST_BINS, COST_GROUP, COST_ONE
 
-_SUM_GROUP, _SUM_GROUPS, _ONE = 64, 256, 2**20      # as in evidence.cl
-
-_BINS = 1024        # of 1 - correlation, as in evidence.cl
-HISTOGRAM = 8 * _BINS       # bytes that count them, before and after
+_SUM_GROUPS = 256
+HISTOGRAM = 8 * COST_BINS   # bytes that count them, before and after
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +58,7 @@ class EvidencePrior:
     @property
     def slack(self) -> float:
         """By how much a correlation may fall by chance, in that of a clear photo."""
-        return max(1.0, (self.noise / 0.004) ** 2)
+        return max(1.0, (self.noise / CLEAR_NOISE) ** 2)
 
 
 NO_PRIOR = EvidencePrior()
@@ -115,11 +114,11 @@ class Evidence:
         """Mean 1 - correlation before and after, over the pixels that are seen both times."""
         sums = self._buffer(24 * _SUM_GROUPS)
         run_once(self.level.device.queue, [
-            bind(self.program, "sum_costs", (_SUM_GROUPS * _SUM_GROUP,), (_SUM_GROUP,), self._before, self._after,
+            bind(self.program, "sum_costs", (_SUM_GROUPS * COST_GROUP,), (COST_GROUP,), self._before, self._after,
                  self.level.target.pixels, sums)])
         before, after, pixels = download(self.level.device, sums, (_SUM_GROUPS, 3), np.int64).sum(axis=0).tolist()
         sums.release()
-        return (before / pixels / _ONE, after / pixels / _ONE) if pixels else (float("nan"), float("nan"))
+        return (before / pixels / COST_ONE, after / pixels / COST_ONE) if pixels else (float("nan"), float("nan"))
 
     def medians(self) -> tuple[float, float]:
         """Median 1 - correlation before and after, over the pixels that are seen both times;
@@ -129,7 +128,7 @@ class Evidence:
             Fill(counts, np.uint32(0), HISTOGRAM),
             bind(self.program, "count_costs", (self.level.target.pixels,), None, self._before, self._after,
                  self.level.target.pixels, counts)])
-        before, after = download(self.level.device, counts, (2, _BINS), np.uint32)
+        before, after = download(self.level.device, counts, (2, COST_BINS), np.uint32)
         counts.release()
         return _median(before), _median(after)
 

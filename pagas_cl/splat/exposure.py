@@ -10,8 +10,8 @@ import numpy as np
 from pagas_cl.runtime.arena import BufferSpec
 from pagas_cl.runtime.program import bind, build
 from pagas_cl.splat import project
+from pagas_cl.splat.constants import FIT_GROUP
 
-_FIT_GROUP = 64           # as in exposure.cl
 MOST_SAMPLES = 4096       # about; rows and columns are whole
 
 
@@ -65,8 +65,8 @@ def match(level, view: int):
 def fit(level):
     """From arena["matches"] to arena["exposure"]."""
     views = len(level.contexts)
-    return bind(build(level.device, "exposure.cl", level.defines), "fit_exposure", (3 * _FIT_GROUP, views),
-                (_FIT_GROUP, 1), level.arena["matches"], Grid.over(level.target).count, level.arena["exposure"])
+    return bind(build(level.device, "exposure.cl", level.defines), "fit_exposure", (3 * FIT_GROUP, views),
+                (FIT_GROUP, 1), level.arena["matches"], Grid.over(level.target).count, level.arena["exposure"])
 
 
 def fitted_before(steps: int) -> set[int]:

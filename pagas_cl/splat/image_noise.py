@@ -5,7 +5,8 @@ from __future__ import annotations
 from math import sqrt
 
 from pagas_cl.runtime.program import bind, build, run_once
-from pagas_cl.splat.summary import MEAN, NUMBER, QUANTILE, Rows
+from pagas_cl.splat.constants import MEAN, NUMBER, QUANTILE, SHARED
+from pagas_cl.splat.summary import Rows
 
 _SIDE = 256               # samples along each side of the photo
 _GREYS = 765              # grey values are sums of three channels
@@ -25,7 +26,7 @@ class ImageNoise:
         self.rows = None
         if size.width < 8:
             return
-        program, (steps, across, down) = build(device, "image_noise.cl"), _samples(size)
+        program, (steps, across, down) = build(device, "image_noise.cl", SHARED), _samples(size)
         self.rows = rows = Rows(device, _RULES, across * down)
         run_once(device.queue, [
             bind(program, "sample_noise", (rows.count,), None, photo, size.width, *steps, across, rows.count,

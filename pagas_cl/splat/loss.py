@@ -6,10 +6,11 @@ from math import prod
 
 from pagas_cl.runtime.program import bind, build
 from pagas_cl.splat import ssim
-from pagas_cl.splat.step import LOSS_ONE, loss_argument
+from pagas_cl.splat.constants import LOSS_ONE, TILE_ONE
+from pagas_cl.splat.step import loss_argument
 from pagas_cl.splat.tile import pitch
 
-_TO_LOSS = LOSS_ONE / 2.0**32      # from the sums of a tile (window.clh)
+_TO_LOSS = LOSS_ONE / TILE_ONE     # from the sums of a tile
 
 
 def launches(level, view: int) -> list:

@@ -12,17 +12,20 @@ from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.runtime.transfer import download
 from pagas_cl.scene.rig import camera_table
 from pagas_cl.splat import exposure, project
+from pagas_cl.splat.constants import OFFSETS, SHIFTS, define
 from pagas_cl.splat.image_noise import ImageNoise
 from pagas_cl.splat.level import threshold_in
 from pagas_cl.splat.options import defines, heaviest_pixel
 from pagas_cl.splat.summary import Rows
 
-SHIFTS = np.array([-4, -2, -1, 0, 1, 2, 4], np.float32)      # pixels of parallax, as in measure.cl
-_MOVES = len(SHIFTS) + 4
-# Rows of a context view, as in measure.cl: (name, lowest, highest, quantile's share).
+_MOVES = SHIFTS + OFFSETS
+# Rows of a context view: (name, lowest, highest, quantile's share).
 _ROWS = [("hidden", 0, 1, 0.5), ("size", 0, 8, 0.5), *[(f"change {c}", -1, 1, 0.5) for c in "rgb"],
          *[(f"epipolar_offset {k}", -2.5, 2.5, 0.5) for k in range(4)], ("specularity", 0, 1, 0.95),
          ("like", 0, 1, 0.5)]
+# The first row of each name, as measure.cl has it in capitals.
+_ROW_NUMBERS = define(**{name.split()[0].upper(): k for k, (name, *_) in reversed(list(enumerate(_ROWS)))},
+                      ROWS=len(_ROWS))
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +66,7 @@ def _buffers(sizes, views: int) -> list[BufferSpec]:
             BufferSpec("cameras", (len(sizes), 20), np.float32),
             BufferSpec("z_first", (max(size.pixels for size in sizes),), np.uint32), *exposure.buffers(target, views),
             BufferSpec("costs", (_MOVES, count), np.float32),
-            BufferSpec("totals", (len(SHIFTS) + 2, count), np.float32)]
+            BufferSpec("totals", (SHIFTS + 2, count), np.float32)]
 
 
 def probe_bytes(sizes, views: int) -> int:
@@ -138,7 +141,7 @@ class Probe:
 
     def _bind(self, name: str, size, *arguments):
         group = (64, 1) if len(size) == 2 else None          # rows are moves or views: none is added
-        return bind(build(self.device, "measure.cl", self.defines), name, size, group, *arguments)
+        return bind(build(self.device, "measure.cl", (*self.defines, *_ROW_NUMBERS)), name, size, group, *arguments)
 
     def release(self):
         """Give the buffers back."""

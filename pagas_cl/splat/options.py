@@ -6,6 +6,7 @@ from math import ceil, floor, log2
 
 from pagas_cl.config import Config
 from pagas_cl.scene.camera import Camera
+from pagas_cl.splat.constants import SHARED, define
 from pagas_cl.splat.tile import BOX_GROUP
 
 SLOTS = 12                # candidates that a pixel sorts at a time (lists.clh)
@@ -59,9 +60,9 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
                "BOX_GROUP_W": BOX_GROUP[0], "BOX_GROUP_H": BOX_GROUP[1], "FIXED_BITS": fixed_bits(weight)}
     if config.solver.gradient_filter > 0:
         numbers["FILTER_RADIUS"] = config.solver.gradient_filter
-    numbers["RADIUS"] = f"{float(splatting.radius)!r}f"
+    numbers["RADIUS"] = float(splatting.radius)
     if loss.huber > 0:
-        numbers["HUBER"] = f"{float(loss.huber)!r}f"
+        numbers["HUBER"] = float(loss.huber)
     if loss.robust > 0:
-        numbers["ROBUST"] = f"{float(loss.robust)!r}f"       # 2.0f, 1e-06f: always a floating constant of C
-    return tuple(name for name, on in switches.items() if on) + tuple(f"{k}={v}" for k, v in numbers.items())
+        numbers["ROBUST"] = float(loss.robust)
+    return (*(name for name, on in switches.items() if on), *define(**numbers), *SHARED)

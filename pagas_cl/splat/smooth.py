@@ -6,10 +6,10 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.runtime.program import bind, build
+from pagas_cl.splat.constants import PENALTY_GROUP, SPECULAR_PLACE
 
-SPECULARITY = 0.007                        # residual (0 to 1) that the default weight allows for
 AROUND = 3                           # samples around a specular one that are not trusted either
-SUM_GROUP, SUM_GROUPS = 256, 64      # work-items of a group, as in smooth.cl, and groups that share the pixels
+SUM_GROUPS = 64                      # groups that share the pixels
 
 
 def before_steps(level) -> list:
@@ -50,7 +50,7 @@ def factors_of(specularity: np.ndarray, most: float) -> np.ndarray:
     side = range(2 * AROUND + 1)
     largest = np.max([padded[y:y + specularity.shape[0], x:x + specularity.shape[1]] for y in side for x in side],
                      axis=0)
-    return np.clip((largest / SPECULARITY) ** 2, 1.0, most).astype(np.float32)
+    return np.clip((largest / SPECULAR_PLACE) ** 2, 1.0, most).astype(np.float32)
 
 
 def launches(level, weight: float) -> list:
@@ -74,10 +74,10 @@ def _loss(level, weight: float) -> list:
     s, a, size = level.config.smoothness, level.arena, level.target
     if "smooth_losses" not in a:
         return []
-    program, grid = build(level.device, "smooth.cl", level.defines), (SUM_GROUPS * SUM_GROUP,)
+    program, grid = build(level.device, "smooth.cl", level.defines), (SUM_GROUPS * PENALTY_GROUP,)
     shared = a["weights"], size.width, size.height
-    summed = (bind(program, "planar_loss", grid, (SUM_GROUP,), a["depth"], a["kappa"], *shared, float(s.huber),
+    summed = (bind(program, "planar_loss", grid, (PENALTY_GROUP,), a["depth"], a["kappa"], *shared, float(s.huber),
                    float(s.discontinuity), a["smooth_losses"]) if s.kind == "planar" else
-              bind(program, "normal_loss", grid, (SUM_GROUP,), a["normals"], *shared, a["smooth_losses"]))
+              bind(program, "normal_loss", grid, (PENALTY_GROUP,), a["normals"], *shared, a["smooth_losses"]))
     return [summed, bind(build(level.device, "step.cl", level.defines), "add_smoothness", (1,), None,
                          a["smooth_losses"], SUM_GROUPS, weight / size.pixels, a["state"])]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pagas_cl.runtime.program import bind, build
+from pagas_cl.splat.constants import HALO
 from pagas_cl.splat.step import loss_argument
-from pagas_cl.splat.tile import HALO, pitch
+from pagas_cl.splat.tile import pitch
 
 
 def windows(size) -> tuple[int, int]:

@@ -11,9 +11,10 @@ from pagas_cl.config import Config
 from pagas_cl.runtime.arena import Arena, BufferSpec
 from pagas_cl.scene.camera import Camera
 from pagas_cl.splat import exposure
-from pagas_cl.splat import tile as tiles
+from pagas_cl.splat.constants import MARGIN
 from pagas_cl.splat.options import reach
 from pagas_cl.splat.smooth import SUM_GROUPS
+from pagas_cl.splat.tile import pitch
 
 NO_HEAD = np.int32(-1)    # of an empty bin (alpha.cl)
 PHOTO_MARGIN = 16         # pixels behind a photo that may be read
@@ -49,8 +50,8 @@ def level_buffers(config: Config, target: Size, contexts: list[Size], masked: in
     specs += [BufferSpec("cameras", (1 + len(contexts), 20), np.float32), BufferSpec("state", (8,), np.float32)]
     specs += [BufferSpec(name, (m, channels + 1), np.float32) for name in ("rendered", "v_rendered")]
     if config.loss.ssim > 0:
-        rows = max(tiles.pitch(size.width) * size.height for size in (*contexts, target))
-        specs.append(BufferSpec("partials", (3 * channels * rows + 2 * tiles.MARGIN,), np.float32))
+        rows = max(pitch(size.width) * size.height for size in (*contexts, target))
+        specs.append(BufferSpec("partials", (3 * channels * rows + 2 * MARGIN,), np.float32))
     if config.solver.gradient_filter > 0:
         specs.append(BufferSpec("sums", (n,), np.float32))
     if config.splatting.occlusion:

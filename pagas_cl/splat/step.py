@@ -6,15 +6,14 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.runtime.program import bind, build
+from pagas_cl.splat.constants import BEST, DONE, LOSS, LOSS_ONE, RATE
 
 _LOOK_EVERY = 10          # steps between two looks of the host at the schedule
-_RATE, _BEST, _DONE, _LOSS = 0, 1, 3, 4
-LOSS_ONE = 2.0**40         # of the photos' loss, a whole number; as in step.cl
 
 
 def loss_of(level) -> float:
     """What the schedule follows, of the gradient made last; it has to be followed (solver.patience)."""
-    return float(level.read("loss", 1, np.int64)[0] / LOSS_ONE + level.read("state", 8)[_LOSS])
+    return float(level.read("loss", 1, np.int64)[0] / LOSS_ONE + level.read("state", 8)[LOSS])
 
 
 def loss_argument(level):
@@ -29,7 +28,7 @@ class Solver:
         self.level, a, solver = level, level.arena, level.config.solver
         self.queue, self.patience = level.device.queue, solver.patience
         state = np.zeros(8, np.float32)
-        state[_RATE], state[_BEST] = solver.rate, np.inf
+        state[RATE], state[BEST] = solver.rate, np.inf
         cl.enqueue_copy(self.queue, a["state"], state)
         program = build(level.device, "step.cl", level.defines)
         common = level.given.viewing_distance if solver.rate_unit == "distance" else 0.0
@@ -69,4 +68,4 @@ class Solver:
         """Whether the schedule has ended the level; asked only every few steps, since it waits for the device."""
         if not self.patience or (number + 1) % _LOOK_EVERY:
             return False
-        return bool(self.level.read("state", 8)[_DONE])
+        return bool(self.level.read("state", 8)[DONE])

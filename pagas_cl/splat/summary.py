@@ -6,9 +6,8 @@ import numpy as np
 
 from pagas_cl.runtime.program import bind, build
 from pagas_cl.runtime.transfer import download, upload
+from pagas_cl.splat.constants import SHARED, SUMMARY_GROUP
 
-_GROUP = 64               # as in summary.cl
-NUMBER, MEAN, QUANTILE, MEAN_SQUARE = range(4)
 
 
 class Rows:
@@ -35,8 +34,8 @@ class Rows:
 
     def summarize(self):
         """The launch that fills `summary`."""
-        return bind(build(self.device, "summary.cl"), "summarize", (self.rows * _GROUP,), (_GROUP,), self.values,
-                    self.count, self._rules, self.summary)
+        return bind(build(self.device, "summary.cl", SHARED), "summarize", (self.rows * SUMMARY_GROUP,),
+                    (SUMMARY_GROUP,), self.values, self.count, self._rules, self.summary)
 
     def read(self) -> np.ndarray:
         """`summary` on the host: (rows, 4) of number, mean, quantile, mean square; NaN in a row without values."""
