@@ -10,7 +10,9 @@
 #include "lists.clh"
 
 __kernel void link_bins(__global const float *depth, __constant float *cameras, int view, float low_pass,
-                        __global volatile int *heads, __global int2 *links, __global float *alphas)
+                        __global volatile int *heads,              // [H' + SIDE, W' + SIDE] Gaussian, -1 = none
+                        __global int2 *links,                      // [H, W] next Gaussian, bits of z
+                        __global float *alphas)                    // [PLACES, H, W]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     EACH_PIXEL(column, row, i, target.width, target.height)
@@ -35,8 +37,9 @@ __kernel void link_bins(__global const float *depth, __constant float *cameras, 
 
 __kernel IN_GROUPS
 void composite_alpha(__global const uchar4 *target_photo, __global const float *exposure, int view,
-                     __global const int *heads, __global const int2 *links, __global float *alphas, int count,
-                     int width, int height, float threshold, float relative, __global float *rendered)
+                     __global const int *heads, __global const int2 *links,             // as link_bins has them
+                     __global float *alphas, int count, int width, int height, float threshold, float relative,
+                     __global float *rendered)                          // [H', W', C and A]
 {
     __local ulong lists[SLOTS * GROUP];
     EACH_PIXEL(column, row, i, width, height)
@@ -47,8 +50,9 @@ void composite_alpha(__global const uchar4 *target_photo, __global const float *
 
 __kernel IN_GROUPS
 void composite_alpha_vjp(__global const uchar4 *target_photo, __global const float *exposure, int view,
-                         __global const int *heads, __global const int2 *links, __global float *alphas, int count,
-                         int width, int height, float threshold, float relative, __global const float *v_rendered)
+                         __global const int *heads, __global const int2 *links,             // as link_bins has them
+                         __global float *alphas, int count, int width, int height, float threshold, float relative,
+                         __global const float *v_rendered)                  // [H', W', dL/dC and dL/dA]
 {
     __local ulong lists[SLOTS * GROUP];
     __local float held[SLOTS * GROUP];
@@ -61,7 +65,9 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
 }
 
 __kernel void gather_alpha(__global const float *depth, __constant float *cameras, int view, float low_pass,
-                           __global const float *alphas, __global float *gradient, __global int *heads, int bins)
+                           __global const float *alphas,           // [PLACES, H, W] dL/dalpha
+                           __global float *gradient,               // [H, W] N dL/dd is added
+                           __global int *heads, int bins)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     EACH_PIXEL(column, row, i, target.width, target.height)

@@ -48,7 +48,8 @@ void add_columns(__global float *places, columns_t values, int first)
 __kernel void gather_gradient(__global const float *depth, __global const uchar4 *target_photo,
                               __constant float *cameras, int view, float low_pass, float threshold, float relative,
                               __global const uint *z_first, __global const float *exposure,
-                              __global const float *v_rendered, __global float *gradient)
+                              __global const float *v_rendered,    // [H', W', G and h]
+                              __global float *gradient)            // [H, W] N dL/dd is added
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;

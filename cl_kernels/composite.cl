@@ -39,9 +39,9 @@ void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
 #ifdef BOXED
 __kernel IN_BOXES
 void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                      __constant float *cameras, int view, float low_pass, float threshold,
-                      float relative, __global const uint *z_first, __global const float *exposure,
-                      __global volatile uint *sums)
+                      __constant float *cameras, int view, float low_pass, float threshold, float relative,
+                      __global const uint *z_first, __global const float *exposure,
+                      __global volatile uint *sums)                // [H', W', CHANNELS + 1]
 {
     __local uint boxed[(CHANNELS + 1) * BOX];
     __local int corners[4];
@@ -86,9 +86,9 @@ UNROLL_SPAN
 }
 #else
 __kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                               __constant float *cameras, int view, float low_pass, float threshold,
-                               float relative, __global const uint *z_first, __global const float *exposure,
-                               __global volatile uint *sums)
+                               __constant float *cameras, int view, float low_pass, float threshold, float relative,
+                               __global const uint *z_first, __global const float *exposure,
+                               __global volatile uint *sums)                // [H', W', CHANNELS + 1]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;

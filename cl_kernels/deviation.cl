@@ -17,7 +17,7 @@ float bend(__global const float *depth, int i, int stride, float u)
 
 // How much the surface bends at each pixel, along both directions.
 __kernel void bends(__global const float *depth, __global const float *depth_per_parallax, int width, int height,
-                    __global float *bent)
+                    __global float *bent)                          // [H, W] pixels of parallax
 {
     EACH_PIXEL(column, row, i, width, height)
     float sum = 0.0f;
@@ -37,8 +37,9 @@ __kernel void bends(__global const float *depth, __global const float *depth_per
 #define MISALIGNMENT 0.36f
 
 __kernel void deviate(__global const uchar *status, __global const float *depth_per_parallax, int width, int height,
-                      __global const float *before, __global const float *after, __global const float *bent,
-                      float error_factor, float misaligned, __global float *deviation)
+                      __global const float *before, __global const float *after,   // evidence, [H, W, 3]
+                      __global const float *bent,                  // [H, W] pixels of parallax
+                      float error_factor, float misaligned, __global float *deviation)     // [H, W] units
 {
     EACH_PIXEL(column, row, i, width, height)
     const float3 held = vload3(i, status[i] == REFINED ? after : before);

@@ -16,7 +16,8 @@
 #define CHANCE 0.02f                 // growth of 1 - correlation in a photo, mean around a pixel, that says nothing
 
 __kernel void warp_photo(__global const float *depth, __constant float *cameras, int view, float threshold,
-                         __global const uint *z_first, __global const uchar4 *photo, __global float2 *warped)
+                         __global const uint *z_first, __global const uchar4 *photo,
+                         __global float2 *warped)                  // [H, W] grey 0 to 1 or UNSEEN, slope by depth
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     EACH_PIXEL(column, row, i, target.width, target.height)
@@ -53,7 +54,7 @@ __kernel void warp_photo(__global const float *depth, __constant float *cameras,
 // perfect match have; looking up between pixels leaves 4/9 of it. Without it two flat patches match; with it, nothing
 // is known of them.
 __kernel void weigh(__global const float2 *warped, __global const uchar4 *target_photo, int width, int height,
-                    float noise_variance, __global float *evidence)
+                    float noise_variance, __global float *evidence)     // [H, W, 3], added
 {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= width || row >= height || warped[row * width + column].x == UNSEEN)
@@ -100,7 +101,7 @@ __kernel void weigh(__global const float2 *warped, __global const uchar4 *target
 // from: every `stride` floats a sum of 1 - correlation and a number of views; sums of them over WINDOW pixels to each
 // side, along rows (dx = 1) or columns (dy = 1). Twice gives the surroundings of each pixel.
 __kernel void sum_window(__global const float *from, int stride, int width, int height, int dx, int dy,
-                         __global float *sums)
+                         __global float *sums)                     // [H, W, 2]
 {
     EACH_PIXEL(column, row, i, width, height)
     float2 sum = 0.0f;
@@ -118,7 +119,8 @@ __kernel void sum_window(__global const float *from, int stride, int width, int 
 // to the initial one where its patches match worse than before, where the photos do not show the same thing around it
 // (moving content, wrong poses, no texture), where it moved too far, and where no other view sees it.
 __kernel void decide(__global const float *initial, __global float *depth, __global const float *depth_per_parallax,
-                     int count, __global const float *before, __global const float *after, __global const float *around,
+                     int count, __global const float *before, __global const float *after,     // evidence, [H, W, 3]
+                     __global const float *around,                 // [H, W, 2], twice through sum_window
                      float max_move, float tolerance, float mismatch, __global uchar *status)
 {
     EACH(i, count)
@@ -165,7 +167,8 @@ __kernel void feather(__global const float *initial, __global float *depth, __gl
 
 // Sums of 1 - correlation before and after, and the number of pixels that are seen both times: three numbers a group.
 __kernel __attribute__((reqd_work_group_size(COST_GROUP, 1, 1)))
-void sum_costs(__global const float *before, __global const float *after, int count, __global long *sums)
+void sum_costs(__global const float *before, __global const float *after, int count,       // evidence, [count, 3]
+               __global long *sums)                                // [groups, 3]
 {
     __local long scratch[3][COST_GROUP];
     const int lane = get_local_id(0);
@@ -192,7 +195,8 @@ void sum_costs(__global const float *before, __global const float *after, int co
 
 // How often each 1 - correlation occurs before and after, in COST_BINS bins of 0 to 2,
 // over the pixels that are seen both times.
-__kernel void count_costs(__global const float *before, __global const float *after, int count, __global uint *counts)
+__kernel void count_costs(__global const float *before, __global const float *after, int count,
+                          __global uint *counts)                   // [2, COST_BINS]
 {
     EACH(i, count)
     const float3 was = vload3(i, before), is = vload3(i, after);
@@ -203,7 +207,8 @@ __kernel void count_costs(__global const float *before, __global const float *af
 }
 
 // By how much 1 - correlation grew beyond chance, and 1; two zeros where it is not known.
-__kernel void worse_costs(__global const float *before, __global const float *after, int count, __global float *worse)
+__kernel void worse_costs(__global const float *before, __global const float *after, int count,
+                          __global float *worse)                   // [count, 2]
 {
     EACH(i, count)
     const float3 was = vload3(i, before), is = vload3(i, after);

@@ -25,7 +25,8 @@ bool unclipped(float3 c)
 
 __kernel void match_colors(__global const float *depth, __constant float *cameras, int view, float threshold,
                            __global const uint *z_first, __global const uchar4 *target_photo,
-                           __global const uchar4 *photo, int stride, int across, int count, __global float *matches)
+                           __global const uchar4 *photo, int stride, int across, int count,
+                           __global float *matches)                // [views, samples, 8]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     EACH(k, count)

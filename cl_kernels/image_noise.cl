@@ -13,7 +13,7 @@ float grey_at(__global const uchar4 *photo, int i)
 }
 
 __kernel void sample_noise(__global const uchar4 *photo, int width, int step_x, int step_y, int across, int count,
-                           __global float *rows)
+                           __global float *rows)                   // [3, count]
 {
     EACH(k, count)
     const int i = k / across * step_y * width + k % across * step_x + 1;     // never a row's first or last pixel

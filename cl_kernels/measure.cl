@@ -36,7 +36,7 @@ __global float *row_of(__global float *values, int view, int row, int count)
 
 __kernel void sample_view(__global const float *depth, __constant float *cameras, int view, float low_pass,
                           float threshold, __global const uint *z_first, __global const uchar4 *photo, int stride,
-                          int across, int count, __global float *values)
+                          int across, int count, __global float *values)               // [views, ROWS, samples]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     EACH(k, count)
@@ -99,8 +99,8 @@ float moved_cost(__global const float *depth, __global const float *depth_per_pa
 // Work-items (sample, move).
 __kernel void match_moved(__global const float *depth, __global const float *depth_per_parallax,
                           __constant float *cameras, int view, __global const uchar4 *target_photo,
-                          __global const uchar4 *photo, int stride,
-                          int across, int count, __global float *values, __global float *costs)
+                          __global const uchar4 *photo, int stride, int across, int count,
+                          __global float *values, __global float *costs)               // [MOVES, samples]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     EACH_PIXEL(k, move, i, count, MOVES)
@@ -134,7 +134,7 @@ float least_at(const float cost[5])
 }
 
 __kernel void judge_view(__global const float *costs, __constant float *cameras, int view, int stride, int across,
-                         int count, __global float *values, __global float *totals)
+                         int count, __global float *values, __global float *totals)    // [TOTALS, samples]
 {
     const Camera target = load_camera(cameras, 0);
     EACH(k, count)
@@ -168,8 +168,8 @@ float left_over(__global const float *match, __global const float *exposure, int
 
 // Work-items (sample, context view - 1). Averaged over 5x5 samples: texture averages out, a highlight does not. Where
 // the patches do not show the same texture, something else stands there, and it is no highlight.
-__kernel void compare_colors(__global const float *matches, __global const float *exposure, int across, int down,
-                             int views, __global float *values)
+__kernel void compare_colors(__global const float *matches,        // [views, samples, 8], see exposure.cl
+                             __global const float *exposure, int across, int down, int views, __global float *values)
 {
     const int k = get_global_id(0), view = get_global_id(1) + 1, count = across * down;
     if (k >= count || view > views)
@@ -196,7 +196,8 @@ __kernel void compare_colors(__global const float *matches, __global const float
 // more pixels of parallax away, 0 where they do not; mean specularity of the views. NaN where there is no surface, and
 // where no view can tell.
 __kernel void judge_samples(__global const float *depth, __constant float *cameras, __global const float *totals,
-                            __global float *values, int views, int stride, int across, int count, __global float *rows)
+                            __global float *values, int views, int stride, int across, int count,
+                            __global float *rows)                  // [3, samples]
 {
     const Camera target = load_camera(cameras, 0);
     EACH(k, count)

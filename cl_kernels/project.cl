@@ -43,7 +43,7 @@ UNROLL_SPAN
 }
 
 __kernel void mark_seen(__global const float *depth, __constant float *cameras, int view,
-                        __global volatile uint *seen)
+                        __global volatile uint *seen)              // [H' W' / 32] a bit a pixel
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     EACH_PIXEL(column, row, i, target.width, target.height)

@@ -21,7 +21,7 @@ float texture_weight(__global const uchar4 *photo, int x, int y, int width, int 
 // kappa: pixels of parallax per unit of inverse depth; weights: less where the photo has texture
 __kernel void smoothness_scale(__global const float *depth, __global const float *depth_per_parallax,
                                __global const uchar4 *photo, int width, int height, float texture,
-                               __global float *kappa, __global float *weights)
+                               __global float *kappa, __global float *weights)         // [H, W] both
 {
     EACH_PIXEL(x, y, i, width, height)
     kappa[i] = depth_per_parallax[i] > 0.0f ? depth[i] * depth[i] / depth_per_parallax[i] : 0.0f;
@@ -29,8 +29,8 @@ __kernel void smoothness_scale(__global const float *depth, __global const float
 }
 
 // Raise the weight of each pixel by what `factors`, a grid over the image, say around it.
-__kernel void raise_weights(__global const float *factors, int across, int down, int width, int height,
-                            __global float *weights)
+__kernel void raise_weights(__global const float *factors,         // [down, across]
+                            int across, int down, int width, int height, __global float *weights)
 {
     EACH_PIXEL(x, y, i, width, height)
     const float u = clamp((x + 0.5f) * across / width - 0.5f, 0.0f, across - 1.0f);
@@ -85,8 +85,7 @@ float v_bend(__global const float *depth, __global const float *kappa, __global 
 
 __kernel void smoothness_planar(__global const float *depth, __global const float *kappa,
                                 __global const float *weights, int width, int height, float scale, float h,
-                                float discontinuity,
-                                __global float *gradient)
+                                float discontinuity, __global float *gradient)         // [H, W] N dL/dd is added
 {
     EACH_PIXEL(x, y, i, width, height)
     const float d = depth[i];
@@ -111,7 +110,7 @@ float3 point_at(__global const float *depth, const Camera camera, int x, int y)
 }
 
 // n in xyz and 1 / |cross product| in w; w = 0 where a neighbour is missing
-__kernel void normal_map(__global const float *depth, __constant float *cameras, __global float *normals)
+__kernel void normal_map(__global const float *depth, __constant float *cameras, __global float *normals)  // [H, W, 4]
 {
     const Camera camera = load_camera(cameras, 0);
     const int x = get_global_id(0), y = get_global_id(1), width = camera.width, height = camera.height;
@@ -133,7 +132,7 @@ __kernel void normal_map(__global const float *depth, __constant float *cameras,
 
 // slope by the cross product of pixel i: of its pairs with all four neighbours
 __kernel void normal_slope(__global const float *normals, __global const float *weights, int width, int height,
-                           float scale, __global float *slopes)
+                           float scale, __global float *slopes)    // [H, W, 3 and 0]
 {
     EACH_PIXEL(x, y, i, width, height)
     const float4 n = vload4(i, normals);
@@ -187,7 +186,7 @@ void leave_sum(__local float *scratch, float sum, __global float *partials)
 
 __kernel __attribute__((reqd_work_group_size(PENALTY_GROUP, 1, 1)))
 void planar_loss(__global const float *depth, __global const float *kappa, __global const float *weights, int width,
-                 int height, float h, float discontinuity, __global float *partials)
+                 int height, float h, float discontinuity, __global float *partials)   // [groups]
 {
     __local float scratch[PENALTY_GROUP];
     float sum = 0.0f;
@@ -202,7 +201,7 @@ void planar_loss(__global const float *depth, __global const float *kappa, __glo
 // half of 1 - n . n' of each pixel and its neighbours to the right and below
 __kernel __attribute__((reqd_work_group_size(PENALTY_GROUP, 1, 1)))
 void normal_loss(__global const float *normals, __global const float *weights, int width, int height,
-                 __global float *partials)
+                 __global float *partials)                         // [groups]
 {
     __local float scratch[PENALTY_GROUP];
     float sum = 0.0f;

@@ -6,8 +6,10 @@
 
 // Without branches, so that compilers for CPUs make vectors of it. first_scale and second_scale undo the bias of the
 // first steps: 1 / (1 - beta1^pass) and 1 / (1 - beta2^pass).
-__kernel void adam(__global float *restrict depth, __global float *restrict gradient, __global float *restrict first,
-                   __global float *restrict second, __global const float *restrict depth_per_parallax,
+__kernel void adam(__global float *restrict depth,                 // [H, W] units
+                   __global float *restrict gradient,              // [H, W] N dL/dd, is cleared
+                   __global float *restrict first, __global float *restrict second,    // moments, [H, W]
+                   __global const float *restrict depth_per_parallax,
                    __global const float *restrict state, int count, float first_scale, float second_scale,
                    float beta1, float beta2, float damping, float common_length, float share)
 {
@@ -37,8 +39,9 @@ __kernel void add_smoothness(__global const float *partials, int count, float sc
 
 // The photos' loss is a sum of its own, that of smoothness is in the state. The rate falls by 10 when the loss has not
 // improved for `patience` steps; the level ends at `floor`.
-__kernel void plateau(__global float *state, __global long *photo_loss, __global float *history, int pass, int patience,
-                      float floor_rate)
+__kernel void plateau(__global float *state, __global long *photo_loss,                // one number: L_c LOSS_ONE
+                      __global float *history,                     // [steps] the loss of each
+                      int pass, int patience, float floor_rate)
 {
     const float loss = (float)photo_loss[0] * (1.0f / LOSS_ONE) + state[LOSS];
     history[pass - 1] = loss;
