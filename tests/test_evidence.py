@@ -14,7 +14,8 @@ from pagas_cl.reference.project import project
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.runtime.transfer import download
 from pagas_cl.scene.rig import footprint
-from pagas_cl.splat.evidence import _SUM_GROUP, _SUM_GROUPS, Evidence, EvidencePrior, _median
+from pagas_cl.splat.constants import COST_GROUP
+from pagas_cl.splat.evidence import _SUM_GROUPS, Evidence, EvidencePrior, _median
 from pagas_cl.splat.options import defines
 
 PRIOR = EvidencePrior(1.5, 0.2, 0.05)
@@ -137,8 +138,8 @@ def test_means_of_costs_equal_the_twin(kernels, count):
     rng = np.random.default_rng(count)
     before, after = random_evidence(rng, count), random_evidence(rng, count)
     before[0, 1], after[0, 1] = 2, 1                       # seen both times, be it the only one
-    *_, sums = kernels("sum_costs", (_SUM_GROUPS * _SUM_GROUP,), before, after, count,
-                       np.zeros((_SUM_GROUPS, 3), np.int64), group=(_SUM_GROUP,))
+    *_, sums = kernels("sum_costs", (_SUM_GROUPS * COST_GROUP,), before, after, count,
+                       np.zeros((_SUM_GROUPS, 3), np.int64), group=(COST_GROUP,))
     was, now, pixels = sums.sum(axis=0).tolist()
     assert pixels == np.count_nonzero(twin.costs(before, after)[2]) > 0
     want = twin.mean_costs(before.astype(np.float64), after.astype(np.float64))

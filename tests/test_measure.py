@@ -12,20 +12,16 @@ from kernel_cases import Scene, view_of
 from pagas_cl.presets import BALANCED
 from pagas_cl.reference import exposure as exposure_twin
 from pagas_cl.reference import measure as twin
-from pagas_cl.reference.image_noise import noise_and_texture
 from pagas_cl.reference.level import Photo, prepare
-from pagas_cl.reference.summary import summarize
 from pagas_cl.runtime.program import run_once
 from pagas_cl.splat import exposure, project
 from pagas_cl.splat.buffers import MOST_SAMPLES, SampleGrid, Size
-from pagas_cl.splat.image_noise import ImageNoise
 from pagas_cl.splat.inputs import LevelInput
-from pagas_cl.splat.measure import _ROWS, SHIFTS, Probe
+from pagas_cl.splat.measure import _ROWS, ImageNoise, Probe, Rows
 from pagas_cl.splat.photos import PhotoStore
-from pagas_cl.splat.summary import Rows
 from pagas_cl.synthetic import relief_scene
 
-MOVES = [(float(shift), 0.0) for shift in SHIFTS] + [(0.0, epipolar_offset) for epipolar_offset in (-2.0, -1.0, 1.0,
+MOVES = [(float(shift), 0.0) for shift in twin.SHIFTS] + [(0.0, epipolar_offset) for epipolar_offset in (-2.0, -1.0, 1.0,
                                                                                                     2.0)]
 
 
@@ -138,7 +134,7 @@ def test_judgement_of_samples_equals_the_twin(device, scene, probe):
     costs = rng.uniform(0, 1, (2, 1, *shape)) * rng.uniform(0.9, 1.1, (2, len(MOVES), *shape))
     costs = np.where(rng.uniform(size=costs.shape) < 0.03, twin.UNDEFINED, costs).astype(np.float32)
     cl.enqueue_copy(device.queue, probe.view_samples.values, values)
-    totals = np.zeros((2 + len(SHIFTS), *shape))
+    totals = np.zeros((2 + len(twin.SHIFTS), *shape))
     for view in (1, 2):
         cl.enqueue_copy(device.queue, probe.buffers.costs, costs[view - 1])
         run_once(device.queue, probe.sample(probe.views[view - 1])[2:])
@@ -207,17 +203,17 @@ def test_summaries(device):
     cl.enqueue_copy(device.queue, rows.values, values.astype(np.float32))
     run_once(device.queue, [rows.summarize()])
     got = rows.read()
-    assert got[0] == pytest.approx(summarize(values[0], 0.95), abs=1e-3)
-    assert got[1, [0, 1, 3]] == pytest.approx(np.array(summarize(values[1], 0.5))[[0, 1, 3]], abs=1e-6)
-    assert got[2] == pytest.approx(summarize(values[2], 0.5), nan_ok=True)
-    assert got[3] == pytest.approx(summarize(values[3], 0.25), abs=1e-3)     # those beyond the range: in the last bin
+    assert got[0] == pytest.approx(twin.summarize(values[0], 0.95), abs=1e-3)
+    assert got[1, [0, 1, 3]] == pytest.approx(np.array(twin.summarize(values[1], 0.5))[[0, 1, 3]], abs=1e-6)
+    assert got[2] == pytest.approx(twin.summarize(values[2], 0.5), nan_ok=True)
+    assert got[3] == pytest.approx(twin.summarize(values[3], 0.25), abs=1e-3)     # those beyond the range: in the last bin
 
 
 @pytest.mark.parametrize("noise", [0.0, 2.0, 6.0])
 def test_noise_and_texture_equal_the_twin(device, noise):
     view = relief_scene(120, 90, 1, held_out=0, noise=noise).views[0]
     got = ImageNoise(device, PhotoStore(device).photo(view), Size(120, 90)).read()
-    want = noise_and_texture(view.load_image())
+    want = twin.noise_and_texture(view.load_image())
     assert got[0] == pytest.approx(want[0], abs=0.6 * 1.4826 / 6**0.5 / 765)    # a median of whole numbers
     assert got[1] == pytest.approx(want[1], abs=0.02)
 

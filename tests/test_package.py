@@ -23,7 +23,7 @@ ALLOWED = {
     "surface": {"scene", "runtime", "reference"}, "splat": {"scene", "runtime"}, "result": {"scene"},
     "jobs": {"scene", "runtime", "splat", "result", "progress"},
     "acceptance": {"result"},
-    "effects": {"measurements"}, "measurements": {"splat"},
+    "effects": {"measurements", "splat"}, "measurements": {"splat"},
     "refine": {"acceptance", "jobs", "scene", "runtime", "surface", "splat", "result", "measurements", "effects",
                "keep_mesh", "consistency", "progress"},
     "camera_check": {"scene", "surface"},
@@ -44,7 +44,8 @@ OLD_WORDS = {
     "add_whole": "atomic_add_i64", "MadeScene": "SyntheticScene",
 }
 # Kernel files that belong to a stage, and a twin, of another name.
-STAGE = {"alpha": "composite", "backward": "composite", "deviation": "evidence", "ssim": "loss"}
+STAGE = {"alpha": "composite", "backward": "composite", "deviation": "evidence", "image_noise": "measure",
+         "ssim": "loss", "summary": "measure"}
 
 
 def shipped_files():

@@ -11,8 +11,9 @@ import pyopencl as cl
 from pagas_cl.config import Config
 from pagas_cl.runtime.arena import Buffers, declared
 from pagas_cl.scene.camera import Camera
-from pagas_cl.splat import tile as tiles
+from pagas_cl.splat.constants import MARGIN
 from pagas_cl.splat.options import reach
+from pagas_cl.splat.tile import pitch
 
 NO_HEAD = np.int32(-1)    # of an empty bin (alpha.cl)
 SUM_GROUPS = 64           # groups that share the pixels of a smoothness loss
@@ -84,7 +85,7 @@ def dimensions(config: Config, target: Size, others: list[Size], contexts: int) 
         pixels=target.pixels, most_pixels=max(size.pixels for size in sizes), cameras=len(sizes), contexts=contexts,
         photos=1 + contexts, samples=SampleGrid.over(target).count, layers=channels + 1, places=side**2,
         bins=max((size.width + side) * (size.height + side) for size in sizes),
-        partials=3 * channels * max(tiles.pitch(size.width) * size.height for size in sizes) + 2 * tiles.MARGIN,
+        partials=3 * channels * max(pitch(size.width) * size.height for size in sizes) + 2 * MARGIN,
         words=[size.pixels // 32 + 2 for size in others[:contexts]], losses=max(config.pyramid.steps) + 1,
         occlusion=config.splatting.occlusion, alpha=config.splatting.blend == "alpha", ssim=config.loss.ssim > 0,
         exposure=config.loss.exposure, unseen_mask=config.loss.unseen_mask, filter=config.solver.gradient_filter > 0,

@@ -12,11 +12,10 @@ from pagas_cl.runtime.program import Fill, run_once
 from pagas_cl.runtime.transfer import download
 from pagas_cl.splat import project
 from pagas_cl.splat.buffers import EvidenceBuffers
+from pagas_cl.splat.constants import CLEAR_NOISE, COST_BINS, COST_GROUP, COST_ONE
 
-_SUM_GROUP, _SUM_GROUPS, _ONE = 64, 256, 2**20      # as in evidence.cl
-
-_BINS = 1024        # of 1 - correlation, as in evidence.cl
-HISTOGRAM = 8 * _BINS       # bytes that count them, before and after
+_SUM_GROUPS = 256
+HISTOGRAM = 8 * COST_BINS   # bytes that count them, before and after
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +59,7 @@ class EvidencePrior:
     @property
     def slack(self) -> float:
         """By how much a correlation may fall by chance, in that of a clear photo."""
-        return max(1.0, (self.noise / 0.004) ** 2)
+        return max(1.0, (self.noise / CLEAR_NOISE) ** 2)
 
 
 NO_PRIOR = EvidencePrior()
@@ -116,11 +115,11 @@ class Evidence:
     def costs(self) -> tuple[float, float]:
         """Mean 1 - correlation before and after, over the pixels that are seen both times."""
         sums = self._buffer(24 * _SUM_GROUPS)
-        self._run([self._bind("sum_costs", grid=(_SUM_GROUPS * _SUM_GROUP,), group=(_SUM_GROUP,), sums=sums,
+        self._run([self._bind("sum_costs", grid=(_SUM_GROUPS * COST_GROUP,), group=(COST_GROUP,), sums=sums,
                               **self._both)])
         before, after, pixels = download(self.device, sums, (_SUM_GROUPS, 3), np.int64).sum(axis=0).tolist()
         sums.release()
-        return (before / pixels / _ONE, after / pixels / _ONE) if pixels else (float("nan"), float("nan"))
+        return (before / pixels / COST_ONE, after / pixels / COST_ONE) if pixels else (float("nan"), float("nan"))
 
     def medians(self) -> tuple[float, float]:
         """Median 1 - correlation before and after, over the pixels that are seen both times;
@@ -128,7 +127,7 @@ class Evidence:
         counts = self._buffer(HISTOGRAM)
         self._run([Fill(counts, np.uint32(0), HISTOGRAM),
                    self._bind("count_costs", grid=(self.size.pixels,), counts=counts, **self._both)])
-        before, after = download(self.device, counts, (2, _BINS), np.uint32)
+        before, after = download(self.device, counts, (2, COST_BINS), np.uint32)
         counts.release()
         return _median(before), _median(after)
 

@@ -6,8 +6,7 @@ import numpy as np
 
 from pagas_cl.splat import project
 from pagas_cl.splat.buffers import SampleGrid
-
-_FIT_GROUP = 64           # as in exposure.cl
+from pagas_cl.splat.constants import FIT_GROUP
 
 
 def neutral(contexts: int) -> np.ndarray:
@@ -33,7 +32,7 @@ def match(programs, buffers, view):
 
 def fit(programs, buffers, views):
     """From buffers.matches to buffers.exposure."""
-    return programs.bind("exposure.cl", "fit_exposure", (3 * _FIT_GROUP, len(views)), buffers, None, (_FIT_GROUP, 1),
+    return programs.bind("exposure.cl", "fit_exposure", (3 * FIT_GROUP, len(views)), buffers, None, (FIT_GROUP, 1),
                          all_matches=buffers.matches, count=SampleGrid.over(views[0].target_size).count)
 
 

@@ -6,10 +6,10 @@ from __future__ import annotations
 from math import prod
 
 from pagas_cl.splat.buffers import channels_of
-from pagas_cl.splat.step import LOSS_ONE
-from pagas_cl.splat.tile import HALO, pitch
+from pagas_cl.splat.constants import HALO, LOSS_ONE, TILE_ONE
+from pagas_cl.splat.tile import pitch
 
-_TO_LOSS = LOSS_ONE / 2.0**32      # from the sums of a tile (window.clh)
+_TO_LOSS = LOSS_ONE / TILE_ONE     # from the sums of a tile
 
 
 def windows(size) -> tuple[int, int]:

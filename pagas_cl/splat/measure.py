@@ -1,28 +1,104 @@
-"""Launches of measure.cl: every context view sampled under the initial depth (method section 8)."""
+"""Launches of measure.cl, every context view sampled under the initial depth; of image_noise.cl, noise and texture of
+one photo; and of summary.cl, what rows of numbers come to, so that few leave the device (method section 8)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.runtime.arena import declared, total_bytes
-from pagas_cl.runtime.program import run_once
-from pagas_cl.runtime.transfer import download
+from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.runtime.transfer import download, upload
 from pagas_cl.splat import exposure, project
 from pagas_cl.splat.buffers import ExposureBuffers, SampleGrid, SurfaceBuffers, dimensions
-from pagas_cl.splat.image_noise import ImageNoise
+from pagas_cl.splat.constants import MEAN, NUMBER, OFFSETS, QUANTILE, SHARED, SHIFTS, SUMMARY_GROUP, define
 from pagas_cl.splat.options import Programs
-from pagas_cl.splat.summary import Rows
 
-SHIFTS = np.array([-4, -2, -1, 0, 1, 2, 4], np.float32)      # pixels of parallax, as in measure.cl
-_MOVES = len(SHIFTS) + 4
-# Rows of a context view, as in measure.cl: (name, lowest, highest, quantile's share).
+_MOVES = SHIFTS + OFFSETS
+# Rows of a context view: (name, lowest, highest, quantile's share).
 _ROWS = [("hidden", 0, 1, 0.5), ("size", 0, 8, 0.5), *[(f"change {c}", -1, 1, 0.5) for c in "rgb"],
          *[(f"epipolar_offset {k}", -2.5, 2.5, 0.5) for k in range(4)], ("specularity", 0, 1, 0.95),
          ("like", 0, 1, 0.5)]
+# The first row of each name, as measure.cl has it in capitals.
+_ROW_NUMBERS = define(**{name.split()[0].upper(): k for k, (name, *_) in reversed(list(enumerate(_ROWS)))},
+                      ROWS=len(_ROWS))
+_SIDE = 256               # samples along each side of the photo
+_GREYS = 765              # grey values are sums of three channels
+_RULES = [(-0.5, 2047.5, 0.25), (-0.5, 2047.5, 0.5), (-0.5, 2047.5, 0.5)]     # bins of one grey value
+
+
+class Rows:
+    """Rows of `count` float32 on the device, NaN = no value, and what they come to.
+
+    Parameters
+    ----------
+    rules : list of (lowest, highest, share)
+        Of each row: the values that its quantile lies between, and the share of the values below it.
+    """
+
+    def __init__(self, device, rules, count: int):
+        self.device, self.rows, self.count = device, len(rules), count
+        self.values = device.memory.buffer(device.context, 4 * self.rows * count)
+        self.summary = device.memory.buffer(device.context, 16 * self.rows)
+        table = np.zeros((self.rows, 4), np.float32)
+        table[:, :3] = rules
+        self._rules = upload(device, table)
+
+    @staticmethod
+    def nbytes(rows: int, count: int) -> int:
+        """Bytes of the device that they take."""
+        return rows * (4 * count + 32)
+
+    def summarize(self):
+        """The launch that fills `summary`."""
+        return bind(build(self.device, "summary.cl", SHARED), "summarize", (self.rows * SUMMARY_GROUP,),
+                    (SUMMARY_GROUP,), rows=self.values, count=self.count, rules=self._rules, summary=self.summary)
+
+    def read(self) -> np.ndarray:
+        """`summary` on the host: (rows, 4) of number, mean, quantile, mean square; NaN in a row without values."""
+        return download(self.device, self.summary, (self.rows, 4)).astype(np.float64)
+
+
+def _samples(size):
+    """Pixels between samples, along x and y, and how many there are along each."""
+    steps = max(1, (size.width - 2) // _SIDE), max(1, size.height // _SIDE)
+    return steps, -(-(size.width - 2) // steps[0]), -(-size.height // steps[1])
+
+
+class ImageNoise:
+    """Measures a photo, a buffer of uchar4; nothing waits for the device until `read`."""
+
+    def __init__(self, device, photo, size):
+        self.rows = None
+        if size.width < 8:
+            return
+        program, (steps, across, down) = build(device, "image_noise.cl", SHARED), _samples(size)
+        self.rows = rows = Rows(device, _RULES, across * down)
+        run_once(device.queue, [
+            bind(program, "sample_noise", (rows.count,), photo=photo, width=size.width, step_x=steps[0],
+                 step_y=steps[1], across=across, count=rows.count, rows=rows.values),
+            rows.summarize(),
+            bind(program, "keep_smooth", (rows.count,), summary=rows.summary, count=rows.count, rows=rows.values),
+            rows.summarize()])
+
+    @staticmethod
+    def nbytes(size) -> int:
+        """Bytes of the device that it takes."""
+        _, across, down = _samples(size)
+        return Rows.nbytes(len(_RULES), max(0, across * down))
+
+    def read(self) -> tuple[float, float]:
+        """Standard deviation of the noise (0 to 1), from the second differences of the smoothest quarter of the pixels,
+        and the share of pixels with little texture."""
+        if self.rows is None:
+            return 0.0, 1.0
+        _, bend, textureless = self.rows.read()
+        noise = 1.4826 * max(bend[QUANTILE], 0.0) / sqrt(6) / _GREYS if bend[NUMBER] else 0.0
+        return float(noise), float(textureless[MEAN])
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +114,7 @@ class ProbeResult:
     gains : ndarray of shape (contexts, 3, 2)
         Gain and offset of each channel from the target's photo to each context photo.
     noise, textureless : float
-        Of the target's photo; see image_noise.py.
+        Of the target's photo; see ImageNoise.
     stride : int
         Pixels of the target between samples.
     local_specularity : ndarray of shape (down, across), float32
@@ -60,7 +136,7 @@ class ProbeBuffers(SurfaceBuffers, ExposureBuffers):
     """What measuring works on."""
 
     costs: cl.Buffer | None = declared((_MOVES, "samples"), np.float32, "1", "1 - correlation at each sample, by move")
-    totals: cl.Buffer | None = declared((len(SHIFTS) + 2, "samples"), np.float32, "1", "of the views, as in measure.cl")
+    totals: cl.Buffer | None = declared((SHIFTS + 2, "samples"), np.float32, "1", "of the views, as in measure.cl")
 
 
 def probe_config(config: Config) -> Config:
@@ -85,7 +161,8 @@ class Probe:
         self.device, config = device, probe_config(config)
         self.target, *views = given.views(config)
         self.views, self.grid = views[:given.contexts], SampleGrid.over(self.target.size)
-        self.programs = Programs(device, config.with_settings(loss__exposure=False), given.cameras)
+        self.programs = Programs(device, config.with_settings(loss__exposure=False), given.cameras,
+                                 {"measure.cl": _ROW_NUMBERS})
         number, count = len(self.views), self.grid.count
         self.view_samples = Rows(device, [rule for _, *rule in _ROWS] * number, count)
         self.samples = Rows(device, [(0, 1, 0.5)] * 3, count)

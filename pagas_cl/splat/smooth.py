@@ -6,10 +6,9 @@ import numpy as np
 
 from pagas_cl.runtime.program import Upload
 from pagas_cl.splat.buffers import SUM_GROUPS
+from pagas_cl.splat.constants import PENALTY_GROUP, SPECULAR_PLACE
 
-SPECULARITY = 0.007                  # residual (0 to 1) that the default weight allows for
 AROUND = 3                           # samples around a specular one that are not trusted either
-SUM_GROUP = 256                      # work-items of a group, as in smooth.cl
 
 
 def before_steps(programs, buffers, target) -> list:
@@ -39,7 +38,7 @@ def factors_of(specularity: np.ndarray, most: float) -> np.ndarray:
     side = range(2 * AROUND + 1)
     largest = np.max([padded[y:y + specularity.shape[0], x:x + specularity.shape[1]] for y in side for x in side],
                      axis=0)
-    return np.clip((largest / SPECULARITY) ** 2, 1.0, most).astype(np.float32)
+    return np.clip((largest / SPECULAR_PLACE) ** 2, 1.0, most).astype(np.float32)
 
 
 def launches(programs, buffers, target, weight: float) -> list:
@@ -56,7 +55,7 @@ def launches(programs, buffers, target, weight: float) -> list:
         smooth("normal_map"), smooth("normal_slope", scale=weight), smooth("normal_vjp")]
     if buffers.smooth_losses is None:
         return slopes
-    return [*slopes, smooth("planar_loss" if planar else "normal_loss", (SUM_GROUPS * SUM_GROUP,), (SUM_GROUP,),
+    return [*slopes, smooth("planar_loss" if planar else "normal_loss", (SUM_GROUPS * PENALTY_GROUP,), (PENALTY_GROUP,),
                             partials=buffers.smooth_losses, **(planar or {})),
             programs.bind("step.cl", "add_smoothness", (1,), buffers, partials=buffers.smooth_losses, count=SUM_GROUPS,
                           scale=weight / size.pixels)]

@@ -9,16 +9,15 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.runtime.transfer import download
+from pagas_cl.splat.constants import BEST, DONE, LOSS, LOSS_ONE, RATE
 
 _LOOK_EVERY = 10          # steps between two looks of the host at the schedule
-_RATE, _BEST, _DONE, _LOSS = 0, 1, 3, 4
 AHEAD = 8          # steps that stay enqueued beyond the one that is told of: the device never waits for the host
-LOSS_ONE = 2.0**40         # of the photos' loss, a whole number; as in step.cl
 
 
 def loss_of(device, buffers) -> float:
     """What the schedule follows, of the gradient made last; it has to be followed (solver.patience)."""
-    return float(download(device, buffers.loss, 1, np.int64)[0] / LOSS_ONE + download(device, buffers.state, 8)[_LOSS])
+    return float(download(device, buffers.loss, 1, np.int64)[0] / LOSS_ONE + download(device, buffers.state, 8)[LOSS])
 
 
 class Solver:
@@ -31,7 +30,7 @@ class Solver:
         self.device, self.buffers, self.settings = programs.device, buffers, programs.config.solver
         solver = self.settings
         state = np.zeros(8, np.float32)
-        state[_RATE], state[_BEST] = solver.rate, np.inf
+        state[RATE], state[BEST] = solver.rate, np.inf
         cl.enqueue_copy(self.device.queue, buffers.state, state)
         self._adam = programs.bind(
             "step.cl", "adam", (size.pixels,), buffers, count=size.pixels, first_scale=1.0, second_scale=1.0,
@@ -67,7 +66,7 @@ class Solver:
         """Whether the schedule has ended the level; asked only every few steps, since it waits for the device."""
         if not self.settings.patience or (number + 1) % _LOOK_EVERY:
             return False
-        return bool(download(self.device, self.buffers.state, 8)[_DONE])
+        return bool(download(self.device, self.buffers.state, 8)[DONE])
 
 
 class StepProgress:

@@ -13,6 +13,7 @@ from pagas_cl.errors import DeviceMemoryError, InputError
 from pagas_cl.reference import agree as twin
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import camera_table
+from pagas_cl.scene.scene_scale import NEAR
 
 log = logging.getLogger("pagas_cl")
 
@@ -94,7 +95,7 @@ def _on_device(target, depth, used, pixels: float, device, maps) -> tuple[np.nda
     cameras, n = upload(device, table), depth.size
     parallax, found = (device.memory.buffer(device.context, 4 * n) for _ in range(2))
     cl.enqueue_fill_buffer(device.queue, found, np.uint32(0), 0, 4 * n)
-    program, own = build(device, "agree.cl"), maps.map(depth)
+    program, own = build(device, "agree.cl", (f"NEAR={NEAR!r}f",)), maps.map(depth)
     size, scale = (target.width, target.height), 1 / scene_scale
     given = {"depth": own, "cameras": cameras, "scale": scale, "depth_per_parallax": parallax}
     run_once(device.queue, [bind(program, "parallax", size, views=len(used), **given)])
