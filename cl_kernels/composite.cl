@@ -36,14 +36,12 @@ void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
 #endif
 }
 
-#if COLUMNS == 1 && !defined(GREY)
-// A work-group adds up in local memory first: most pixels are reached by several of its Gaussians. Not worth its while
-// for the one addition a pair of a grey image.
+#ifdef BOXED
 __kernel IN_BOXES
 void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                      __constant float *cameras, int view, float low_pass, float threshold,
-                      float relative, __global const uint *z_first, __global const float *exposure,
-                      __global volatile uint *sums)
+                      __constant float *cameras, int view, float low_pass, float threshold, float relative,
+                      __global const uint *z_first, __global const float *exposure,
+                      __global volatile uint *sums)                // [H', W', CHANNELS + 1]
 {
     __local uint boxed[(CHANNELS + 1) * BOX];
     __local int corners[4];
@@ -88,9 +86,9 @@ UNROLL_SPAN
 }
 #else
 __kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                               __constant float *cameras, int view, float low_pass, float threshold,
-                               float relative, __global const uint *z_first, __global const float *exposure,
-                               __global volatile uint *sums)
+                               __constant float *cameras, int view, float low_pass, float threshold, float relative,
+                               __global const uint *z_first, __global const float *exposure,
+                               __global volatile uint *sums)                // [H', W', CHANNELS + 1]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;

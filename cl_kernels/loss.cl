@@ -155,11 +155,15 @@ long whole_loss(columns_t loss, int repeated)
 #endif
 
 __kernel TILE_LOOP
-void loss_backward(__global const stored_t *rendered, __global const uchar4 *photo, int width, int height, int pitch,
-                   __global const float *partials, __global const uint *seen, float l1_scale, float ssim_scale,
-                   __global float *v_rendered, float loss_scale, __global uint *total)
+void loss_backward(__global const stored_t *rendered,              // [H', W', CHANNELS + 1], see rendered.clh
+                   __global const uchar4 *photo, int width, int height, int pitch,
+                   __global const float *partials,                 // as window.clh says
+                   __global const uint *seen,                      // [H' W' / 32] a bit a pixel
+                   float l1_scale, float ssim_scale,
+                   __global float *v_rendered,                     // [H', W', CHANNELS + 1]
+                   float loss_scale, __global uint *total)         // a sum of 64 bits
 {
-    const int left = tile_start(get_group_id(0), TILE_W, width), top = tile_start(get_group_id(1), TILE_H, height);
+    const int left = span_start(get_group_id(0), TILE_W, width), top = span_start(get_group_id(1), TILE_H, height);
 #ifdef SSIM
     __local float sums[CHANNELS * SUMS] __attribute__((aligned(16)));
     if (ssim_scale > 0.0f) {

@@ -5,9 +5,7 @@
 __kernel void shrink_photo(__global const uchar4 *source, int source_width, int source_height,
                            __global uchar4 *photo, int width, int height)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height)
-        return;
+    EACH_PIXEL(x, y, i, width, height)
     const float sx = (float)source_width / width, sy = (float)source_height / height;
     const float left = x * sx, right = left + sx, top = y * sy, bottom = top + sy;
     float3 sum = 0.0f;
@@ -32,9 +30,7 @@ __kernel void shrink_photo(__global const uchar4 *source, int source_width, int 
 __kernel void shrink_depth(__global const float *source, int source_width, int source_height, __global float *depth,
                            int width, int height)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height)
-        return;
+    EACH_PIXEL(x, y, i, width, height)
     const float sx = (float)source_width / width, sy = (float)source_height / height;
     const float left = x * sx, right = left + sx, top = y * sy, bottom = top + sy;
     float sum = 0.0f, area = 0.0f;
@@ -56,10 +52,7 @@ __kernel void shrink_depth(__global const float *source, int source_width, int s
 __kernel void enlarge_depth(__global const float *source, int source_width, int source_height,
                             __global const float *full, __global float *depth, int width, int height)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height)
-        return;
-    const int i = y * width + x;
+    EACH_PIXEL(x, y, i, width, height)
     const float u = (x + 0.5f) * source_width / width - 0.5f, v = (y + 0.5f) * source_height / height - 0.5f;
     const int u0 = (int)floor(u), v0 = (int)floor(v);
     float sum = 0.0f, area = 0.0f;

@@ -1,5 +1,5 @@
-"""Twin of splat/measure: how well patches match when the depth, or the photo, is moved; the specularity of a surface
-(method section 8)."""
+"""Twin of splat/measure, splat/image_noise and splat/summary: how well patches match when the depth, or the photo, is
+moved; the specularity of a surface; the noise of a photo; what rows of numbers come to (method section 8)."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ HALF, LEAST_PIXELS, NOISE, UNDEFINED = 2, 15, 1.5e-5, 2.0
 TEXTURED, OTHER = 1.5, 0.5       # costs above these are of patches without texture, and of other content
 WORSE = 0.02                     # a depth that matches worse than another by more is not the right one
 SHIFTS = np.array([-4, -2, -1, 0, 1, 2, 4])      # pixels of parallax: the first costs of a sample
+NOISE_ROWS = 256                 # rows that are looked at for noise, spread over the photo
 BETTER = 0.05                    # by so much a depth far away must match better
 
 
@@ -143,6 +144,40 @@ def specularity(own, other, state, like, gain) -> np.ndarray:
     total = sum(_patch(np.where(ok, (other - own * gain[:, 0] - gain[:, 1]).mean(axis=-1), 0.0)))
     number = sum(_patch(ok.astype(float)))
     return np.where(number > 12, np.abs(total) / np.maximum(number, 1), np.nan)
+
+
+def noise_and_texture(image: np.ndarray) -> tuple[float, float]:
+    """Standard deviation of the noise, and the share of pixels with little texture.
+
+    Parameters
+    ----------
+    image : ndarray of shape (H, W, 3), uint8
+
+    Returns
+    -------
+    noise : float
+        In units of the full range. From the second differences of the smoothest quarter of the pixels, taken along
+        rows, whose median deviation is sqrt(6) times that of the noise.
+    textureless : float
+        Share of pixels where the photo changes by less than 0.02 to its right-hand neighbour (paper eq. 6).
+    """
+    step = max(1, image.shape[0] // NOISE_ROWS)
+    grey = image[::step].astype(np.float32).mean(axis=2) / 255
+    if grey.shape[1] < 8:
+        return 0.0, 1.0
+    bend = np.abs(grey[:, :-2] - 2 * grey[:, 1:-1] + grey[:, 2:])
+    slope = np.abs(grey[:, 2:] - grey[:, :-2])
+    flat = bend[slope <= np.quantile(slope, 0.25)]
+    return float(1.4826 * np.median(flat) / np.sqrt(6)), float((np.abs(np.diff(grey, axis=1)) < 0.02).mean())
+
+
+def summarize(row: np.ndarray, share: float) -> tuple[float, float, float, float]:
+    """How many values there are, their mean, the quantile with `share` of them below it, the mean of their squares; NaN
+    is left out."""
+    there = row[np.isfinite(row)]
+    if not there.size:
+        return 0, np.nan, np.nan, np.nan
+    return there.size, there.mean(), np.quantile(there, share), (there**2).mean()
 
 
 def look_up(image, landed, context, shape, moved=0.0, pixel=slice(None)):
