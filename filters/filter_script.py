@@ -14,10 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
 
+from pagas_cl.errors import InputError, need
 from pagas_cl.filters import native, parameters
 from pagas_cl.filters.parameters import FILTER
-
-from pagas_cl.errors import InputError, need
 from pagas_cl.scene.readers.safe_xml import read_xml
 from pagas_cl.scene.readers.untrusted import short, whole, word
 

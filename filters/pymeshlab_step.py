@@ -12,9 +12,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
 
 from pagas_cl.errors import InputError, need
+from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
 from pagas_cl.scene.view import Scene, View
 
 log = logging.getLogger("pagas_cl")

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision
 from pagas_cl.errors import DeviceError
+
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
 
 THRESHOLD = 0.04         # share of contradicted depths above which they are left out
 _WHAT = "share of depths that other views contradict"
@@ -25,7 +29,7 @@ class LazyDepth:
         return self.result.depth
 
 
-def device_for(name):
+def device_for(name) -> Device | None:
     """The device to compare depth maps on: that which `name` means (refine_mesh's `device`), the first of several; None
     where there is none."""
     from pagas_cl.runtime.device import open_device

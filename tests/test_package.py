@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = {"pagas_cl": ROOT / "pagas_cl", "pagas_cl/cl_kernels": ROOT / "cl_kernels",
            "pagas_cl/filters": ROOT / "filters"}
-SHIPPED = {".py", ".cl", ".clh", ".mlx"}
+SHIPPED = {".py", ".cl", ".clh", ".mlx", ".typed"}
 OPTIONAL = {"open3d", "pymeshlab", "pycolmap", "matplotlib", "skimage", "scipy", "dask", "distributed"}
 
 # What each part may import of the others; the flow is one way (and all may import errors, config, presets).
@@ -28,7 +28,7 @@ ALLOWED = {
                "keep_mesh", "consistency", "progress"},
     "camera_check": {"scene", "surface"},
     "evaluate": {"scene"}, "synthetic": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
-    "selftest": {"scene", "splat", "reference"},
+    "selftest": {"scene", "runtime", "splat", "reference", "refine"},
 }
 WITHOUT_OPENCL = {"errors", "config", "presets", "progress", "scene", "reference", "report", "evaluate", "synthetic",
                   "result"}

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 import rigs
 from fuzzing import bounded
-from pagas_cl.filters.filter_script import check_script
 
 from pagas_cl.commands._settings import build_config
 from pagas_cl.config import setting_names
 from pagas_cl.errors import InputError
+from pagas_cl.filters.filter_script import check_script
 from pagas_cl.presets import PRESETS
 from pagas_cl.scene import depthmap, npy
 from pagas_cl.scene.images import read_photo

@@ -6,12 +6,12 @@ import logging
 import sys
 import time
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import cache
 
 _LINE_EVERY = 10.0  # seconds between lines where standard error is a file
 
 
-@lru_cache(maxsize=None)
+@cache
 def console():
     """The one rich console on standard error, so that messages appear above a progress bar and not through it."""
     from rich.console import Console

@@ -89,7 +89,7 @@ def command(
         if output is not None:
             log.info("mesh: %s", output)
     _tell(results, save_depth, report)
-    _tell_failures(found, results)
+    _tell_failures(results)
     if folder is not None and save_depth is None:
         rmtree(folder, ignore_errors=True)
 
@@ -195,10 +195,9 @@ def _tell(results, save_depth, report) -> None:
         log.info("pictures: %s", report / "index.html")
 
 
-def _tell_failures(found, results) -> None:
+def _tell_failures(results) -> None:
     """The exit status says so when views were left out; what was made without them stays."""
-    by_camera = {id(view.camera): view.name for view in found.views}
-    failed = [(by_camera[id(r.camera)], r.report["failed"]) for r in results if "failed" in r.report]
+    failed = [(r.name, r.report["failed"]) for r in results if "failed" in r.report]
     if failed:
         names = ", ".join(name for name, _ in failed[:10]) + (", ..." if len(failed) > 10 else "")
         raise PagasError(f"{len(failed)} of {len(results)} views failed and were left out: {names} ({failed[0][1]}); "

@@ -94,6 +94,7 @@ class StoredResult:
         """The refined depth map's file."""
         return Path(self.folder) / f"{self.record.stem}.npz"
 
+    name = property(lambda self: self.record.name)
     reason = property(lambda self: self.record.reason)
     counts = property(lambda self: self.record.counts)
     report = property(lambda self: self.record.report)
@@ -107,7 +108,7 @@ class StoredResult:
     def loaded(self) -> DepthResult:
         """Everything in memory."""
         return DepthResult(self.camera, self.depth, self.status, self.deviation, self.parallax, self.reason,
-                           self.report)
+                           self.report, self.name)
 
     def _extra(self, name: str) -> np.ndarray:
         path = work_folder(self.folder) / f"{self.record.stem}.npz"

@@ -162,7 +162,9 @@ class _Collect:
 
     def _result(self, index: int):
         record, camera = self.records[self.views[index].name], self.views[index].camera
-        return DepthResult.missing(camera, record.error) if record.error else StoredResult(camera, self.folder, record)
+        if record.error:
+            return DepthResult.missing(camera, record.error, record.name)
+        return StoredResult(camera, self.folder, record)
 
 
 def _sampled(depths, asked) -> tuple[list, list[int]]:

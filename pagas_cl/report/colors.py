@@ -51,4 +51,4 @@ def normal_colors(normals, valid) -> np.ndarray:
 
 def css_gradient(map_name: str) -> str:
     """The colour map as a CSS background, for the legend of the page."""
-    return f"linear-gradient(90deg, {', '.join('rgb(%d,%d,%d)' % anchor for anchor in _MAPS[map_name])})"
+    return f"linear-gradient(90deg, {', '.join(f'rgb({r},{g},{b})' for r, g, b in _MAPS[map_name])})"

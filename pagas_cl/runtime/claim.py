@@ -110,7 +110,7 @@ def _lock(name: str) -> bool:
         return True
     folder = Path(tempfile.gettempdir()) / f"pagas_cl-{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
-    file = open(folder / f"{name}.lock", "w")
+    file = open(folder / f"{name}.lock", "w")  # noqa: SIM115  (held until this process ends)
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

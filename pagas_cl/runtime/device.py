@@ -13,7 +13,7 @@ from typing import Any
 
 from pagas_cl.errors import DeviceError, InputError, NoDeviceError
 from pagas_cl.runtime import icd, listing
-from pagas_cl.runtime.info import DeviceInfo, describe
+from pagas_cl.runtime.info import DeviceInfo
 from pagas_cl.runtime.trial import Trial, try_device
 from pagas_cl.runtime.vendors import import_pyopencl
 
@@ -95,8 +95,8 @@ def open_device(name=None, *, profiling: bool = False) -> Device:
         faults.append(f"{info}: {trial.fault}")
         log.warning("OpenCL device %s does not work and is passed over: %s", info, trial.fault)
     raise DeviceError(f"no OpenCL device that matches works: {'; '.join(faults)}. Is it in use by another process, or "
-                      f"its driver older than the hardware ('pagas-cl devices --again' tries anew)? Choose another with "
-                      f"device= or {ENVIRONMENT}. {icd.cpu_advice()}")
+                      f"its driver older than the hardware ('pagas-cl devices --again' tries anew)? Choose another "
+                      f"with device= or {ENVIRONMENT}. {icd.cpu_advice()}")
 
 
 # Devices that this thread has open: a context of its own for every call would keep its programs, 20 MB, for ever.

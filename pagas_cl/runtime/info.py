@@ -91,8 +91,9 @@ def describe(cl, platform, device) -> DeviceInfo:
         max_alloc=int(device.max_mem_alloc_size), local_memory=int(device.local_mem_size),
         work_group=int(device.max_work_group_size), compute_units=int(device.max_compute_units),
         vector_width=int(device.native_vector_width_float),
-        extensions=tuple(word for word in device.extensions.split() if word not in without), available=bool(device.available),
-        compiler=bool(device.compiler_available), little_endian=bool(device.endian_little))
+        extensions=tuple(word for word in device.extensions.split() if word not in without),
+        available=bool(device.available), compiler=bool(device.compiler_available),
+        little_endian=bool(device.endian_little))
 
 
 def _c_version(text: str) -> tuple[int, int]:

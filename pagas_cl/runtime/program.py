@@ -7,7 +7,7 @@ import warnings
 import weakref
 from collections import defaultdict, deque
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from importlib.resources import files
 
 import numpy as np
@@ -20,7 +20,7 @@ GROUP_1D, GROUP_2D = (128,), (32, 4)
 OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-single-precision-constant", "-w")     # warnings: nobody reads them
 
 
-@lru_cache(maxsize=None)
+@cache
 def source(name: str) -> str:
     """Text of the kernel file `name` with its includes pasted in, #line marks keeping the compiler's messages true."""
     return "\n".join(_pasted(name, set()))
@@ -194,7 +194,7 @@ def bind(program: cl.Program, name: str, global_size, local_size, *arguments) ->
     kernel.set_args(arguments)
     local_size = tuple(local_size) if local_size else usual_group(global_size)
     if local_size:
-        global_size = tuple(-(-g // l) * l for g, l in zip(global_size, local_size))
+        global_size = tuple(-(-items // group) * group for items, group in zip(global_size, local_size))
     return Launch(kernel, tuple(int(g) for g in global_size), local_size, name, source)
 
 

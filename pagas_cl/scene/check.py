@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera, inverse_pose
@@ -24,7 +25,7 @@ _READINGS = {
 }
 
 
-def check_seen(surface, cameras: list[Camera]) -> np.ndarray:
+def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDArray[np.float64]:
     """Raise InputError when the poses are such that hardly a camera sees the mesh, saying which reading would mend it.
 
     Parameters
@@ -46,11 +47,11 @@ def check_seen(surface, cameras: list[Camera]) -> np.ndarray:
     count = len(cameras)
     if 2 * seeing >= count:
         return inside
-    better = {}
+    better: dict[str, int] = {}
     for name, (change, _, _) in _READINGS.items():
         changed = [replace(camera, world_to_camera=change(camera.world_to_camera)) for camera in cameras]
         better[name] = int(np.count_nonzero(_shares(points, changed)[0] > _CHANCE))
-    best = max(better, key=better.get)  # the first of equals: the simplest reading
+    best = max(better, key=better.__getitem__)  # the first of equals: the simplest reading
     mends = better[best] >= 0.9 * count if seeing else better[best] >= max(1, 0.5 * count)
     if mends:
         _, what, constructor = _READINGS[best]
@@ -61,7 +62,7 @@ def check_seen(surface, cameras: list[Camera]) -> np.ndarray:
     return inside
 
 
-def sample_points(surface, count: int) -> np.ndarray:
+def sample_points(surface: Surface | np.ndarray, count: int) -> npt.NDArray[np.float64]:
     """Up to `count` vertices, evenly taken, and as many points on the faces, by area: float64 of shape (N, 3).
 
     The same points each time. Faces matter where triangles are larger than a photo's view.
@@ -104,7 +105,7 @@ def _who(seeing: int, count: int, front: np.ndarray) -> str:
 def _places(points: np.ndarray, cameras: list[Camera]) -> str:
     centers = np.array([camera.center for camera in cameras])
 
-    def box(places):
+    def box(places: np.ndarray) -> str:
         low, high = places.min(axis=0), places.max(axis=0)
         return f"({', '.join(f'{v:.4g}' for v in low)}) to ({', '.join(f'{v:.4g}' for v in high)})"
 

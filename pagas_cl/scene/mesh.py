@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.mesh_header import check_claims
+
+# What a user's mesh may be: an Open3D TriangleMesh (legacy or tensor), a pymeshlab Mesh or MeshSet, a pair (vertices,
+# faces), a Surface, or the path of a file. Open3D and pymeshlab are optional, so that it cannot be said in types.
+Mesh: TypeAlias = Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,13 +31,13 @@ class Surface:
         MeshLab's vertex quality; our confidence goes there.
     """
 
-    vertices: np.ndarray = field(repr=False)
-    faces: np.ndarray = field(repr=False)
-    normals: np.ndarray | None = field(default=None, repr=False)
-    colors: np.ndarray | None = field(default=None, repr=False)
-    quality: np.ndarray | None = field(default=None, repr=False)
+    vertices: npt.NDArray[np.float64] = field(repr=False)
+    faces: npt.NDArray[np.int32] = field(repr=False)
+    normals: npt.NDArray[np.float64] | None = field(default=None, repr=False)
+    colors: npt.NDArray[np.float64] | None = field(default=None, repr=False)
+    quality: npt.NDArray[np.float64] | None = field(default=None, repr=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         vertices, faces = _checked(self.vertices, self.faces)
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
@@ -48,7 +54,7 @@ class Surface:
         return f"Surface({len(self.vertices)} vertices, {len(self.faces)} faces)"
 
 
-def to_surface(mesh) -> Surface:
+def to_surface(mesh: Mesh) -> Surface:
     """Surface of an Open3D TriangleMesh (legacy or tensor), a pymeshlab Mesh or MeshSet (its current mesh, layer
     matrix applied), a pair (vertices, faces), a Surface, or the path of a mesh file.
 
@@ -67,7 +73,7 @@ def to_surface(mesh) -> Surface:
     return {"open3d": _from_legacy, "open3d.t": _from_tensor, "pymeshlab": _from_pymeshlab}[kind](mesh)
 
 
-def from_surface(surface: Surface, like):
+def from_surface(surface: Surface, like: Mesh) -> Mesh:
     """`surface` as the kind of mesh that `like` is (a path gives the Surface itself).
 
     Open3D's and pymeshlab's own classes come back new, `like` is left alone. pymeshlab keeps colours in 8 bits and
@@ -82,7 +88,7 @@ def from_surface(surface: Surface, like):
     return make(surface, like)
 
 
-def mesh_kind(mesh) -> str:
+def mesh_kind(mesh: Mesh) -> str:
     """"open3d", "open3d.t", "pymeshlab" or "pair"; InputError for anything else. Imports none of them."""
     module, name = type(mesh).__module__, type(mesh).__name__
     if module.startswith("open3d") and name == "TriangleMesh":
@@ -95,7 +101,7 @@ def mesh_kind(mesh) -> str:
                      "pymeshlab.Mesh, a pair (vertices, faces) or the path of a mesh file")
 
 
-def read_mesh(path) -> Surface:
+def read_mesh(path: str | Path) -> Surface:
     """Read a mesh file (.ply, .obj, .stl, .off, .glb ...) through Open3D."""
     path = Path(path)
     if not path.is_file():
@@ -117,7 +123,7 @@ def read_mesh(path) -> Surface:
         raise InputError(f"{str(path)!r}: {error}") from error
 
 
-def _checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
+def _checked(vertices: Any, faces: Any) -> tuple[np.ndarray, np.ndarray]:
     try:
         vertices, faces = np.ascontiguousarray(vertices, np.float64), np.asarray(faces)
     except (TypeError, ValueError) as error:
@@ -143,13 +149,13 @@ def _checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.ascontiguousarray(faces, np.int32)
 
 
-def _from_legacy(mesh) -> Surface:
+def _from_legacy(mesh: Any) -> Surface:
     return Surface(np.asarray(mesh.vertices), np.asarray(mesh.triangles),
                    np.array(mesh.vertex_normals) if mesh.has_vertex_normals() else None,
                    np.array(mesh.vertex_colors) if mesh.has_vertex_colors() else None)
 
 
-def to_legacy(surface: Surface, like=None):
+def to_legacy(surface: Surface, like: Mesh = None) -> Mesh:
     """A new Open3D legacy TriangleMesh; `like` is what the other ways need."""
     o3d = need("open3d", "mesh", "making an Open3D mesh")
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(surface.vertices),
@@ -161,7 +167,7 @@ def to_legacy(surface: Surface, like=None):
     return mesh
 
 
-def _from_tensor(mesh) -> Surface:
+def _from_tensor(mesh: Any) -> Surface:
     if "positions" not in mesh.vertex or "indices" not in mesh.triangle:
         raise InputError("the mesh is empty: an Open3D tensor mesh without vertex positions or triangle indices")
     take = {name: mesh.vertex[name].cpu().numpy() for name in ("positions", "normals", "colors", "quality")
@@ -174,7 +180,7 @@ def _from_tensor(mesh) -> Surface:
                    None if quality is None else quality.reshape(len(quality)))
 
 
-def _to_tensor(surface: Surface, like):
+def _to_tensor(surface: Surface, like: Mesh) -> Mesh:
     o3d = need("open3d", "mesh", "making an Open3D mesh")
     given = like.vertex["positions"].dtype if "positions" in like.vertex else o3d.core.float64
     span = np.ptp(surface.vertices, axis=0).max()
@@ -192,7 +198,7 @@ def _to_tensor(surface: Surface, like):
     return mesh
 
 
-def _from_pymeshlab(mesh) -> Surface:
+def _from_pymeshlab(mesh: Any) -> Surface:
     if hasattr(mesh, "current_mesh"):
         if mesh.mesh_number() == 0:
             raise InputError("the mesh is empty: a pymeshlab MeshSet without meshes")
@@ -205,7 +211,7 @@ def _from_pymeshlab(mesh) -> Surface:
     return Surface(vertices, mesh.face_matrix(), None, colors, quality)
 
 
-def _to_pymeshlab(surface: Surface, like=None):
+def _to_pymeshlab(surface: Surface, like: Mesh = None) -> Mesh:
     pymeshlab = need("pymeshlab", "meshlab", "making a pymeshlab mesh")
     more = {}
     if surface.normals is not None:

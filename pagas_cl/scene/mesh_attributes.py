@@ -8,16 +8,17 @@ from __future__ import annotations
 import copy
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pagas_cl.errors import InputError, need
-from pagas_cl.scene.mesh import Surface, mesh_kind
+from pagas_cl.scene.mesh import Mesh, Surface, mesh_kind
 
 log = logging.getLogger("pagas_cl")
 
 
-def load_whole(mesh):
+def load_whole(mesh: Mesh) -> Mesh:
     """A path as an Open3D legacy mesh with its textures; anything else as it is."""
     if not isinstance(mesh, (str, Path)):
         return mesh
@@ -32,7 +33,8 @@ def load_whole(mesh):
     return found
 
 
-def with_vertices(mesh, vertices: np.ndarray, subdivision=None, quality: np.ndarray | None = None):
+def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None,
+                  quality: np.ndarray | None = None) -> Mesh:
     """A new mesh of `mesh`'s kind with `vertices`, its faces split as `subdivision` says, all else carried along.
 
     Parameters
@@ -43,7 +45,7 @@ def with_vertices(mesh, vertices: np.ndarray, subdivision=None, quality: np.ndar
     quality : ndarray of shape (V',), optional
         Vertex quality, for the kinds that have one.
     """
-    carry = subdivision or _Same()
+    carry: Any = subdivision or _Same()
     if isinstance(mesh, Surface):
         return Surface(vertices, carry.faces_of(mesh.faces) if subdivision is None else subdivision.faces, None,
                        None if mesh.colors is None else carry.vertices(mesh.colors),
@@ -58,16 +60,17 @@ def with_vertices(mesh, vertices: np.ndarray, subdivision=None, quality: np.ndar
 class _Same:
     """A subdivision that splits nothing."""
 
-    def faces_of(self, faces):
+    def faces_of(self, faces: np.ndarray) -> np.ndarray:
         return faces
 
-    def vertices(self, values):
+    def vertices(self, values: np.ndarray) -> np.ndarray:
         return values
 
     corners = on_faces = vertices
 
 
-def _legacy(mesh, vertices, subdivision, carry, quality):
+def _legacy(mesh: Mesh, vertices: np.ndarray, subdivision: Any, carry: Any,
+            quality: np.ndarray | None) -> Mesh:
     o3d = need("open3d", "mesh", "making an Open3D mesh")
     new = copy.deepcopy(mesh)
     new.vertices = o3d.utility.Vector3dVector(vertices)
@@ -88,7 +91,8 @@ def _legacy(mesh, vertices, subdivision, carry, quality):
     return new
 
 
-def _tensor(mesh, vertices, subdivision, carry, quality):
+def _tensor(mesh: Mesh, vertices: np.ndarray, subdivision: Any, carry: Any,
+            quality: np.ndarray | None) -> Mesh:
     o3d = need("open3d", "mesh", "making an Open3D mesh")
     new = mesh.clone()
     corner_like = {"texture_uvs"}
@@ -114,7 +118,8 @@ def _tensor(mesh, vertices, subdivision, carry, quality):
     return new
 
 
-def _pymeshlab(mesh, vertices, subdivision, carry, quality):
+def _pymeshlab(mesh: Mesh, vertices: np.ndarray, subdivision: Any, carry: Any,
+               quality: np.ndarray | None) -> Mesh:
     pymeshlab = need("pymeshlab", "meshlab", "making a pymeshlab mesh")
     mesh = mesh.current_mesh() if hasattr(mesh, "current_mesh") else mesh
     more = {}
@@ -141,4 +146,5 @@ def _pymeshlab(mesh, vertices, subdivision, carry, quality):
 
 
 def _eight_bits(colors: np.ndarray) -> np.ndarray:
-    return np.rint(np.clip(colors, 0, 1) * 255) / 255  # pymeshlab truncates to 8 bits: give it whole ones
+    whole: np.ndarray = np.rint(np.clip(colors, 0, 1) * 255)  # pymeshlab truncates to 8 bits: give it whole ones
+    return whole / 255

@@ -13,7 +13,7 @@ from pagas_cl.scene.mesh import Surface, to_legacy
 SUFFIXES = (".ply", ".obj", ".stl", ".off")
 
 
-def check_mesh_path(path) -> None:
+def check_mesh_path(path: str | Path) -> None:
     """Raise InputError for a name that `write_mesh` could not write to: said before the work, not after it."""
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -24,7 +24,7 @@ def check_mesh_path(path) -> None:
         need("open3d", "mesh", f"writing {path.suffix} files")
 
 
-def write_mesh(path, surface: Surface) -> None:
+def write_mesh(path: str | Path, surface: Surface) -> None:
     """Write `surface` beside the name `path` first, then rename it; folders are made.
 
     .ply: binary, vertices as double, normals and quality (MeshLab's vertex quality) as float, colours as 8 bit. The
@@ -45,6 +45,7 @@ def write_mesh(path, surface: Surface) -> None:
 
 
 def _write_ply(path: Path, surface: Surface) -> None:
+    columns: list[tuple[str, str, str, np.ndarray]]  # name, dtype, type in the header, values
     columns = [(axis, "<f8", "double", surface.vertices[:, i]) for i, axis in enumerate("xyz")]
     if surface.normals is not None:
         columns += [("n" + axis, "<f4", "float", surface.normals[:, i]) for i, axis in enumerate("xyz")]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+from pathlib import Path
 from threading import Lock
 
 import numpy as np
@@ -17,7 +18,7 @@ MOST_BYTES = 1 << 31       # of one array: a depth map of 268 megapixels of floa
 _one_header = Lock()
 
 
-def read_npy(path) -> np.ndarray:
+def read_npy(path: str | Path) -> np.ndarray:
     """The array of a .npy file; ValueError, OSError or EOFError where it holds none."""
     with _one_header:
         values = np.load(path, allow_pickle=False)
@@ -26,7 +27,7 @@ def read_npy(path) -> np.ndarray:
     return values
 
 
-def read_first(path) -> np.ndarray:
+def read_first(path: str | Path) -> np.ndarray:
     """The first array of a .npz archive; ValueError, OSError or zipfile.BadZipFile where it holds none."""
     if not zipfile.is_zipfile(path):   # NumPy would speak of pickled data
         raise ValueError("it is no .npz archive; the file is damaged or cut off: write it again")

@@ -100,7 +100,8 @@ def choose_pairs(cameras: list[Camera], seen: np.ndarray, samples: Samples, most
     return pairs[:2 * most]
 
 
-def patch_correlation(cameras: list[Camera], greys: list, pairs, seen: np.ndarray, samples: Samples) -> np.ndarray:
+def patch_correlation(cameras: list[Camera], greys: list[np.ndarray], pairs: list[tuple[int, int]], seen: np.ndarray,
+                      samples: Samples) -> np.ndarray:
     """Zero-mean normalised correlation of each patch between the two views of each pair.
 
     Parameters
@@ -132,7 +133,8 @@ def _patches(points: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndar
     footprint = (camera.project(points)[1] / np.sqrt(camera.fx * camera.fy))[:, None, None]
     steps = np.arange(_SIDE) - (_SIDE - 1) / 2
     u, v = (grid.ravel()[None, :, None] for grid in np.meshgrid(steps, steps))
-    return points[:, None] + footprint * (u * right[:, None] + v * down[:, None])
+    grids: np.ndarray = points[:, None] + footprint * (u * right[:, None] + v * down[:, None])
+    return grids
 
 
 def _look_up(grey: np.ndarray, camera: Camera, points: np.ndarray) -> np.ndarray:
@@ -146,8 +148,9 @@ def _look_up(grey: np.ndarray, camera: Camera, points: np.ndarray) -> np.ndarray
     left, top = x.astype(np.intp), y.astype(np.intp)
     right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
     fx, fy = x - left, y - top
-    return ((grey[top, left] * (1 - fx) + grey[top, right] * fx) * (1 - fy)
-            + (grey[bottom, left] * (1 - fx) + grey[bottom, right] * fx) * fy)
+    above: np.ndarray = grey[top, left] * (1 - fx) + grey[top, right] * fx
+    below: np.ndarray = grey[bottom, left] * (1 - fx) + grey[bottom, right] * fx
+    return above * (1 - fy) + below * fy
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -110,7 +110,7 @@ class PhotoStore:
         return [resampler.photo(self.photo(view), Size(view.camera.width, view.camera.height), size)
                 for view, size in zip(views, sizes)], ()
 
-    def clear(self):
+    def clear(self) -> None:
         """Forget every photo, and the buffers that wait for another view."""
         self._photos.clear()
         self.device.memory.clear()

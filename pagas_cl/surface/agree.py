@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -108,12 +110,13 @@ def confirmations(target: Camera, depth: np.ndarray, cameras: list[Camera], dept
     return counts(target, depth, cameras, depths, pixels, device)[0]
 
 
-def confirmed(cameras: list[Camera], depths: list[np.ndarray | None], settings: Fusion,
-              neighbours: list | None = None, device=None) -> list[np.ndarray | None]:
+def confirmed(cameras: list[Camera], depths: Sequence[np.ndarray | Path | None], settings: Fusion,
+              neighbours: list | None = None, device=None) -> list[np.ndarray | Path | None]:
     """Copies of the depth maps without the depths that fewer than `settings.agree_views` others confirm.
 
     Parameters
     ----------
+    depths : list of ndarray of shape (H, W), or None; where nobody is asked also of paths, which stay what they are
     neighbours : list of sequences of int, optional
         For each view the others to ask (its context views); all others where it is left out.
     device : Device, optional

@@ -16,16 +16,16 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from stripped import EFFECTS, never_had, parameters_in, parameters_of  # noqa: E402
+from stripped import EFFECTS, never_had, parameters_in, parameters_of
 
-from pagas_cl.config import Effects  # noqa: E402
-from pagas_cl.presets import BALANCED  # noqa: E402
-from pagas_cl.runtime import program  # noqa: E402
-from pagas_cl.runtime.device import open_device  # noqa: E402
-from pagas_cl.runtime.timing import stage_times  # noqa: E402
-from pagas_cl.scene.view import View  # noqa: E402
-from pagas_cl.splat import view as refinement  # noqa: E402
-from pagas_cl.synthetic.layout import Relief, make_cameras  # noqa: E402
+from pagas_cl.config import Effects
+from pagas_cl.presets import BALANCED
+from pagas_cl.runtime import program
+from pagas_cl.runtime.device import open_device
+from pagas_cl.runtime.timing import stage_times
+from pagas_cl.scene.view import View
+from pagas_cl.splat import view as refinement
+from pagas_cl.synthetic.layout import Relief, make_cameras
 
 OFF = {"occlusion": dict(splatting__occlusion=False), "unseen_mask": dict(loss__unseen_mask=False),
        "exposure": dict(loss__exposure=False), "view_dependence": dict(loss__structure=False),

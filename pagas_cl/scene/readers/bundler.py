@@ -8,6 +8,7 @@ non-square pixels) is lost by whoever writes it; `write` refuses such cameras.
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +90,7 @@ def read_bundle(path: Path) -> tuple[list[tuple[float, np.ndarray, np.ndarray]],
     return found, np.array(places, np.float64).reshape(-1, 3)
 
 
-def _camera(rows, where: str) -> tuple[float, np.ndarray, np.ndarray]:
+def _camera(rows: Sequence[Sequence[str]], where: str) -> tuple[float, np.ndarray, np.ndarray]:
     f, k1, k2 = _three(rows[0], f"{where}: focal length and distortion")
     if f != 0 and (k1 != 0 or k2 != 0):
         raise InputError(f"{where}: distortion is {k1:g} {k2:g}, expected 0 0: photos must be undistorted first "
@@ -98,7 +99,7 @@ def _camera(rows, where: str) -> tuple[float, np.ndarray, np.ndarray]:
     return f, R, _three(rows[4], f"{where}: translation")
 
 
-def _three(row, what: str) -> np.ndarray:
+def _three(row: Sequence[str], what: str) -> np.ndarray:
     if len(row) != 3:
         raise InputError(f"{what} has {len(row)} numbers, expected 3")
     return untrusted.words(row, what)
@@ -122,6 +123,6 @@ def write(folder: Path, views: list[View]) -> Path:
         pose = _FLIP @ camera.world_to_camera[:3]
         rows.append(f"{camera.fx!r} 0 0")
         rows += [" ".join(repr(float(v)) for v in row) for row in (*pose[:, :3], pose[:, 3])]
-        names.append(Path(view.image).relative_to(folder).as_posix())
+        names.append(photos.file_of(view).relative_to(folder).as_posix())
     untrusted.write_text(folder / LISTS[0], "\n".join(names) + "\n")
     return untrusted.write_text(folder / FILES[0], "\n".join(rows) + "\n")

@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
+from typing import Any
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.readers import untrusted
@@ -23,13 +24,13 @@ CONVENTION = "opencv world_to_camera, pixel centres at +0.5"
 _KNOWN = ("image", "mask", "width", "height", "fx", "fy", "cx", "cy", "world_to_camera", "name")
 
 
-def detect(folder) -> bool:
+def detect(folder: str | Path) -> bool:
     """Whether `folder` holds a cameras.json of ours (it names its convention)."""
     path = Path(folder) / NAME
     return path.is_file() and '"world_to_camera"' in untrusted.read_text(path)
 
 
-def read(folder, *, outside: bool = False) -> Scene:
+def read(folder: str | Path, *, outside: bool = False) -> Scene:
     """Read SCENE/cameras.json."""
     folder = Path(folder)
     path = folder / NAME
@@ -43,7 +44,7 @@ def read(folder, *, outside: bool = False) -> Scene:
     return Scene([_view(folder, view, f"{path}, view {i}", outside) for i, view in enumerate(views)], str(path))
 
 
-def write(folder, views: list[View]) -> Path:
+def write(folder: str | Path, views: list[View]) -> Path:
     """Write SCENE/cameras.json for views whose photos lie in SCENE/images under their names."""
     path = Path(folder) / NAME
     entries = []
@@ -60,7 +61,7 @@ def write(folder, views: list[View]) -> Path:
     return path
 
 
-def _view(folder: Path, entry, where: str, outside: bool) -> View:
+def _view(folder: Path, entry: Any, where: str, outside: bool) -> View:
     if not isinstance(entry, dict):
         raise InputError(f"{where} is {untrusted.short(entry)}, expected an object")
     untrusted.refuse_near_misses(entry, _KNOWN, where)
@@ -69,7 +70,7 @@ def _view(folder: Path, entry, where: str, outside: bool) -> View:
         raise InputError(f"{where}: {absent[0]!r} is missing")
     image = _file(folder / "images", entry["image"], f"{where}: image", outside)
     fx, fy, cx, cy = (untrusted.number(entry[key], f"{where}: {key}") for key in ("fx", "fy", "cx", "cy"))
-    camera = untrusted.pinhole([[fx, 0, cx], [0, fy, cy], [0, 0, 1]],
+    camera = untrusted.pinhole([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
                                untrusted.matrix(entry["world_to_camera"], 4, 4, f"{where}: world_to_camera"),
                                entry["width"], entry["height"], entry["image"])
     mask = entry.get("mask")
@@ -80,7 +81,7 @@ def _view(folder: Path, entry, where: str, outside: bool) -> View:
     return view
 
 
-def _file(folder: Path, name, what: str, outside: bool) -> Path:
+def _file(folder: Path, name: Any, what: str, outside: bool) -> Path:
     path = inside(folder, name, what, outside=outside)
     if not path.is_file():
         raise InputError(f"{what} {untrusted.short(name)} is missing in {str(folder)!r}")

@@ -9,8 +9,10 @@ with CenterPx from the top and pixel centres at whole numbers: flavour "openmvs"
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from xml.etree.ElementTree import Element
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -123,11 +125,12 @@ def read_project(path: Path, *, outside: bool = False) -> Project:
     return Project(path, tuple(meshes), tuple(rasters))
 
 
-def _mesh(element, path: Path, number: int, outside: bool) -> MeshLayer:
+def _mesh(element: Element, path: Path, number: int, outside: bool) -> MeshLayer:
     where = f"{path}, mesh layer {number}"
     name = element.get("filename", "")
     text = element.findtext("MLMatrix44")
-    if element.find("MLMatrix44") is not None and element.find("MLMatrix44").get("BinaryData", "0") != "0":
+    stored = element.find("MLMatrix44")
+    if stored is not None and stored.get("BinaryData", "0") != "0":
         raise InputError(f"{where}: the matrix is stored as binary; save the project as .mlp, not .mlb")
     matrix = np.eye(4) if text is None else _numbers(text, 16, f"{where}: MLMatrix44").reshape(4, 4)
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-9 or abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
@@ -136,7 +139,7 @@ def _mesh(element, path: Path, number: int, outside: bool) -> MeshLayer:
     return MeshLayer(element.get("label", name), file, matrix, element.get("visible", "1") != "0")
 
 
-def _raster(element, path: Path, number: int, outside: bool) -> RasterLayer:
+def _raster(element: Element, path: Path, number: int, outside: bool) -> RasterLayer:
     where = f"{path}, raster layer {number} ({untrusted.short(element.get('label', ''))})"
     camera = element.find("VCGCamera")
     if camera is None:
@@ -154,13 +157,15 @@ def _raster(element, path: Path, number: int, outside: bool) -> RasterLayer:
                          "photos must be undistorted first")
     if (get["PixelSizeMm"] <= 0).any():
         raise InputError(f"{where}: PixelSizeMm is {get['PixelSizeMm'].tolist()}, expected numbers above 0")
-    size = tuple(untrusted.whole(n, 1, untrusted.MAX_SIDE, f"{where}: ViewportPx") for n in get["ViewportPx"].tolist())
+    width, height = (untrusted.whole(n, 1, untrusted.MAX_SIDE, f"{where}: ViewportPx")
+                     for n in get["ViewportPx"].tolist())
     with np.errstate(over="ignore"):
-        focal = tuple((get["FocalMm"][0] / get["PixelSizeMm"]).tolist())
+        fx, fy = (get["FocalMm"][0] / get["PixelSizeMm"]).tolist()
+    cx, cy = get["CenterPx"].tolist()
     plane = element.find("Plane")
     name = plane.get("fileName") if plane is not None else None
     file = photos.inside(path.parent, name, f"{where}: fileName of its Plane", outside=outside)
-    raster = RasterLayer(element.get("label", ""), file, size, focal, tuple(get["CenterPx"].tolist()),
+    raster = RasterLayer(element.get("label", ""), file, (width, height), (fx, fy), (cx, cy),
                          _pose(get["RotationMatrix"].reshape(4, 4), get["TranslationVector"], where))
     raster.camera()  # checks the rotation and the focal length now
     return raster
@@ -180,7 +185,7 @@ def _numbers(text: str | None, count: int, what: str) -> np.ndarray:
     return untrusted.words(tokens, what)
 
 
-def write_project(path: Path, views: list[View], meshes: list[MeshLayer] = ()) -> Path:
+def write_project(path: Path, views: list[View], meshes: Sequence[MeshLayer] = ()) -> Path:
     """Write a .mlp that MeshLab opens; every camera keeps all its digits (MeshLab itself keeps six).
 
     Photos and meshes are named relative to the project where they lie beside or below it, else by absolute path.
@@ -193,24 +198,23 @@ def write_project(path: Path, views: list[View], meshes: list[MeshLayer] = ()) -
                  *(_row(row) for row in np.asarray(layer.matrix, np.float64)), "</MLMatrix44>", "  </MLMesh>"]
     rows += [" </MeshGroup>", " <RasterGroup>"]
     for view in views:
-        if not isinstance(view.image, Path):
-            raise InputError(f"view {view.name!r}: its photo is an array; a project names files, so save it first")
         rows += [f"  <MLRaster label={quoteattr(view.name)}>", f"   <VCGCamera {_camera(view.camera)}/>",
-                 f'   <Plane semantic="1" fileName={_name(path, view.image)}/>', "  </MLRaster>"]
+                 f'   <Plane semantic="1" fileName={_name(path, photos.file_of(view))}/>', "  </MLRaster>"]
     return untrusted.write_text(path, "\n".join([*rows, " </RasterGroup>", "</MeshLabProject>", ""]))
 
 
 def _camera(camera: Camera) -> str:
     rotation = np.eye(4)
     rotation[:3, :3] = _FLIP @ camera.world_to_camera[:3, :3]
-    values = {"FocalMm": [camera.fx], "PixelSizeMm": [1.0, camera.fx / camera.fy],
-              "CenterPx": [camera.cx, camera.height - camera.cy], "LensDistortion": [0.0, 0.0],
-              "RotationMatrix": rotation.ravel(), "TranslationVector": [*(-camera.center), 1.0]}
+    values: dict[str, Iterable[float]] = {
+        "FocalMm": [camera.fx], "PixelSizeMm": [1.0, camera.fx / camera.fy],
+        "CenterPx": [camera.cx, camera.height - camera.cy], "LensDistortion": [0.0, 0.0],
+        "RotationMatrix": rotation.ravel(), "TranslationVector": [*(-camera.center), 1.0]}
     written = " ".join(f'{key}="{_row(value)}"' for key, value in values.items())
     return f'CameraType="0" BinaryData="0" ViewportPx="{camera.width} {camera.height}" {written}'
 
 
-def _row(values) -> str:
+def _row(values: Iterable[float]) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 

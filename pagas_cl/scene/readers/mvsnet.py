@@ -7,6 +7,7 @@ format itself does not say. It holds no image size either: that comes from the p
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -49,7 +50,7 @@ def read(folder: Path, *, pixel_center: float = 0.5, intrinsics_scale: float | N
     place = _camera_folder(folder)
     if place is None:
         raise InputError(f"{folder} has no NNNNNNNN_cam.txt in {', '.join(CAMERA_FOLDERS)}")
-    files = {int(_FILE.fullmatch(p.name)[1]): p for p in sorted(place.iterdir()) if _FILE.fullmatch(p.name)}
+    files = {int(match[1]): p for p in sorted(place.iterdir()) if (match := _FILE.fullmatch(p.name))}
     found = _photos_by_number(folder)
     if not set(files) & set(found):
         raise InputError(f"{folder}: none of the {len(found)} photos has the number of a camera file in {place}")
@@ -140,7 +141,7 @@ def read_pairs(path: Path) -> dict[int, list[tuple[int, float]]]:
     return pairs
 
 
-def _check_pairs(pairs: dict, cameras: set[int], path: Path) -> None:
+def _check_pairs(pairs: dict[int, list[tuple[int, float]]], cameras: set[int], path: Path) -> None:
     named = set(pairs) | {other for row in pairs.values() for other, _ in row}
     strange = sorted(named - cameras)
     if strange:
@@ -162,5 +163,5 @@ def write(folder: Path, views: list[View], depth_range: tuple[float, float] = (0
         untrusted.write_text(place / f"{int(view.stem):08d}_cam.txt", "\n".join(rows))
 
 
-def _row(values) -> str:
+def _row(values: Iterable[float]) -> str:
     return " ".join(repr(float(value)) for value in values)

@@ -11,6 +11,7 @@ import json
 import logging
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -56,7 +57,7 @@ def read(folder: Path, *, outside: bool = False) -> Scene:
     return Scene(views=views, source=str(path))
 
 
-def _view(folder: Path, path: Path, data: dict, frame, number: int, outside: bool) -> View:
+def _view(folder: Path, path: Path, data: dict[str, Any], frame: Any, number: int, outside: bool) -> View:
     where = f"{path}, frame {number}"
     if not isinstance(frame, dict):
         raise InputError(f"{where} is {untrusted.short(frame)}, expected an object")
@@ -77,7 +78,7 @@ def _view(folder: Path, path: Path, data: dict, frame, number: int, outside: boo
     return photos.view_of(folder, camera, photo, mask)
 
 
-def _photo(folder: Path, name, what: str, outside: bool) -> Path:
+def _photo(folder: Path, name: Any, what: str, outside: bool) -> Path:
     photo = photos.inside(folder, name, what, outside=outside)
     if not photo.suffix:  # NeRF's synthetic scenes leave the suffix out
         photo = next((photo.with_name(photo.name + s) for s in untrusted.IMAGE_SUFFIXES
@@ -85,7 +86,7 @@ def _photo(folder: Path, name, what: str, outside: bool) -> Path:
     return photos.existing(photo, what)
 
 
-def _refuse_distortion(values: dict, where: str) -> None:
+def _refuse_distortion(values: dict[str, Any], where: str) -> None:
     model = values.get("camera_model", "PINHOLE")
     if model not in _MODELS:
         raise InputError(f"{where}: camera_model is {untrusted.short(model)}, expected {' or '.join(_MODELS)} with "
@@ -96,15 +97,16 @@ def _refuse_distortion(values: dict, where: str) -> None:
                              "(colmap image_undistorter)")
 
 
-def _size(values: dict, photo: Path, where: str) -> tuple[int, int]:
+def _size(values: dict[str, Any], photo: Path, where: str) -> tuple[int, int]:
     if ("w" in values) != ("h" in values):
         raise InputError(f"{where}: only one of w and h is given; give both or neither")
     if "w" not in values:
         return photos.photo_size(photo)
-    return tuple(untrusted.whole(values[key], 1, untrusted.MAX_SIDE, f"{where}: {key}") for key in "wh")
+    width, height = (untrusted.whole(values[key], 1, untrusted.MAX_SIDE, f"{where}: {key}") for key in "wh")
+    return width, height
 
 
-def _intrinsics(values: dict, width: int, height: int, where: str) -> np.ndarray:
+def _intrinsics(values: dict[str, Any], width: int, height: int, where: str) -> np.ndarray:
     given = [key for key in _PINHOLE if key in values]
     if given and len(given) < 4:
         absent = next(key for key in _PINHOLE if key not in values)
@@ -120,7 +122,7 @@ def _intrinsics(values: dict, width: int, height: int, where: str) -> np.ndarray
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
 
 
-def _focal(values: dict, key: str, side: int, where: str) -> float:
+def _focal(values: dict[str, Any], key: str, side: int, where: str) -> float:
     angle = untrusted.number(values[key], f"{where}: {key}")
     if not 0 < angle < math.pi:
         raise InputError(f"{where}: {key} is {angle:g}, expected radians between 0 and pi")
@@ -133,8 +135,9 @@ def write(folder: Path, views: list[View]) -> Path:
     frames = []
     for view in views:
         camera = view.camera
-        frame = {"file_path": Path(view.image).relative_to(folder).as_posix(), "w": camera.width, "h": camera.height,
-                 "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,
+        frame = {"file_path": photos.file_of(view).relative_to(folder).as_posix(),
+                 "w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy,
+                 "cx": camera.cx, "cy": camera.cy,
                  "transform_matrix": (inverse_pose(camera.world_to_camera) @ _OPENGL).tolist()}
         frames.append(frame)
     return untrusted.write_text(folder / FILES[0], json.dumps({"camera_model": "PINHOLE", "frames": frames}, indent=1))

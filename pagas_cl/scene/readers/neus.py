@@ -10,6 +10,7 @@ import logging
 import re
 import zipfile
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -80,7 +81,8 @@ def read(folder: Path, *, frame: str = "world", pixel_center: float = 0.5) -> Sc
     return Scene(views=views, source=f"{path} (IDR/NeuS)")
 
 
-def _matched(images: list[Path], matrices: dict, path: Path):
+def _matched(images: list[Path], matrices: dict[int, dict[str, np.ndarray]],
+             path: Path) -> Iterable[tuple[int, Path]]:
     """Pairs (number, photo)."""
     keys = sorted(n for n in matrices if "world_mat" in matrices[n])
     numbered = {int(p.stem): p for p in images if re.fullmatch(r"\d{1,9}", p.stem, re.ASCII)}
@@ -148,7 +150,8 @@ def _matrix(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, what: str) -> np.n
     return values
 
 
-def camera_from_projection(P, width: int, height: int, name: str = "", *, pixel_center: float = 0.5) -> Camera:
+def camera_from_projection(P: np.ndarray, width: int, height: int, name: str = "", *,
+                           pixel_center: float = 0.5) -> Camera:
     """Camera of a projection matrix P = s K [R | t] of shape (3, 4), s any number but 0 (a similarity's scale goes
     into s, so that the pose stays rigid)."""
     P = np.asarray(P, np.float64)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -83,7 +84,7 @@ def read_json(path: Path, *, pixel_center: float = PIXEL_CENTER) -> list[Camera]
     return [_camera(entry, f"{path}, camera {i}", i, pixel_center) for i, entry in enumerate(entries)]
 
 
-def _camera(entry, where: str, number: int, pixel_center: float) -> Camera:
+def _camera(entry: Any, where: str, number: int, pixel_center: float) -> Camera:
     if not isinstance(entry, dict):
         raise InputError(f"{where} is {untrusted.short(entry)}, expected an object")
     pose = _columns(entry.get("extrinsic"), 4, f"{where}: extrinsic")
@@ -96,16 +97,16 @@ def read_intrinsic(path: Path) -> tuple[tuple[int, int], np.ndarray]:
     return _intrinsic(untrusted.read_json(Path(path)), str(path))
 
 
-def _intrinsic(value, where: str) -> tuple[tuple[int, int], np.ndarray]:
+def _intrinsic(value: Any, where: str) -> tuple[tuple[int, int], np.ndarray]:
     if not isinstance(value, dict):
         raise InputError(f"{where} is {untrusted.short(value)}, expected an object with width, height and "
                          "intrinsic_matrix")
-    size = tuple(untrusted.whole(value.get(side), 1, untrusted.MAX_SIDE, f"{where}: {side}")
-                 for side in ("width", "height"))
-    return size, _columns(value.get("intrinsic_matrix"), 3, f"{where}: intrinsic_matrix")
+    width, height = (untrusted.whole(value.get(side), 1, untrusted.MAX_SIDE, f"{where}: {side}")
+                     for side in ("width", "height"))
+    return (width, height), _columns(value.get("intrinsic_matrix"), 3, f"{where}: intrinsic_matrix")
 
 
-def _columns(values, side: int, what: str) -> np.ndarray:
+def _columns(values: Any, side: int, what: str) -> np.ndarray:
     """A square matrix that JSON holds as one list, column by column."""
     if not isinstance(values, list) or len(values) != side * side:
         raise InputError(f"{what} is {untrusted.short(values)}, expected {side * side} numbers")
@@ -142,7 +143,7 @@ def write_json(path: Path, cameras: list[Camera], *, pixel_center: float = PIXEL
     return untrusted.write_text(Path(path), json.dumps(data, indent=1))
 
 
-def _intrinsic_entry(camera: Camera, pixel_center: float) -> dict:
+def _intrinsic_entry(camera: Camera, pixel_center: float) -> dict[str, Any]:
     K = camera.K
     K[:2, 2] += pixel_center - 0.5
     return {"width": camera.width, "height": camera.height, "intrinsic_matrix": K.T.ravel().tolist()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
+from typing import Any
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
@@ -15,7 +16,7 @@ from pagas_cl.scene.view import View
 FOLDERS = ("images", "image", "color", "rgb", "blended_images")
 
 
-def inside(root: Path, name, what: str, *, outside: bool = False) -> Path:
+def inside(root: Path, name: Any, what: str, *, outside: bool = False) -> Path:
     """The path `name` out of a file, relative to `root`.
 
     InputError where it leads out of `root` (absolute, or through "..") and `outside` is false: a scene from a stranger
@@ -88,6 +89,13 @@ def one_photo_each(photos: list[Path], count: int, what: str) -> list[Path]:
         raise InputError(f"{what} has {count} cameras and {photos[0].parent} has {len(photos)} photos; the file names "
                          "no photos, so that there must be exactly one a camera, in the order of their names")
     return photos
+
+
+def file_of(view: View) -> Path:
+    """The photo's file, which the formats that name files ask for."""
+    if not isinstance(view.image, Path):
+        raise InputError(f"view {view.name!r}: its photo is no file; the format names files, so save it first")
+    return view.image
 
 
 def view_of(folder: Path, camera: Camera, photo: Path, mask: Path | None = None) -> View:

@@ -10,9 +10,12 @@ import io
 import json
 import os
 import re
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
@@ -42,10 +45,10 @@ def read_text(path: Path, limit: int = MAX_BYTES) -> str:
         raise InputError(f"{path} is no text (byte {error.start} is not UTF-8): is the file damaged?") from error
 
 
-def read_json(path: Path) -> dict:
+def read_json(path: Path) -> dict[str, Any]:
     """A JSON object; keys given twice are refused, since one of the two would be dropped in silence."""
 
-    def unique(pairs):
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         found = dict(pairs)
         if len(found) != len(pairs):
             names = [name for name, _ in pairs]
@@ -64,23 +67,23 @@ def read_json(path: Path) -> dict:
     return data
 
 
-def short(value) -> str:
+def short(value: object) -> str:
     """A value as a message may show it: its repr, cut to 60 characters."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def number(value, what: str) -> float:
+def number(value: Any, what: str) -> float:
     """A finite number out of a JSON value; booleans and text are refused."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise InputError(f"{what} is {short(value)}, expected a number")
     try:
-        value = float(value)
+        found = float(value)
     except OverflowError:
-        value = float("inf")
-    if not np.isfinite(value):
-        raise InputError(f"{what} is {value}, expected a finite number")
-    return value
+        found = float("inf")
+    if not np.isfinite(found):
+        raise InputError(f"{what} is {found}, expected a finite number")
+    return found
 
 
 def is_number(token: str) -> bool:
@@ -95,12 +98,12 @@ def word(token: str, what: str) -> float:
     return number(float(token), what)
 
 
-def words(tokens, what: str) -> np.ndarray:
+def words(tokens: Iterable[str], what: str) -> np.ndarray:
     """Several words of a text file as float64 of shape (N,)."""
     return np.array([word(token, what) for token in tokens], np.float64)
 
 
-def whole(value: float, low: int, high: int, what: str) -> int:
+def whole(value: Any, low: int, high: int, what: str) -> int:
     """A whole number within [low, high]."""
     value = number(value, what)
     if value != int(value) or not low <= value <= high:
@@ -108,7 +111,7 @@ def whole(value: float, low: int, high: int, what: str) -> int:
     return int(value)
 
 
-def matrix(value, rows: int, columns: int, what: str) -> np.ndarray:
+def matrix(value: Any, rows: int, columns: int, what: str) -> np.ndarray:
     """Nested JSON lists as float64 of shape (rows, columns)."""
     ok = isinstance(value, list) and len(value) == rows
     if not ok or not all(isinstance(row, list) and len(row) == columns for row in value):
@@ -116,7 +119,7 @@ def matrix(value, rows: int, columns: int, what: str) -> np.ndarray:
     return np.array([[number(cell, what) for cell in row] for row in value], np.float64)
 
 
-def refuse_near_misses(found: dict, known: tuple[str, ...], where: str) -> None:
+def refuse_near_misses(found: dict[str, Any], known: tuple[str, ...], where: str) -> None:
     """Refuse a key that differs by one letter from a known one that is absent: a default would replace the value."""
     for key in found:
         if key in known:
@@ -126,7 +129,8 @@ def refuse_near_misses(found: dict, known: tuple[str, ...], where: str) -> None:
                 raise InputError(f"{where}: unknown key {short(key)} while {name!r} is absent; is it a slip?")
 
 
-def pinhole(K, world_to_camera, width, height, name: str, *, pixel_center: float = 0.5) -> Camera:
+def pinhole(K: npt.ArrayLike, world_to_camera: npt.ArrayLike, width: int, height: int, name: str, *,
+            pixel_center: float = 0.5) -> Camera:
     """Camera.from_opencv_w2c for values out of a file: also refuses sizes and focal lengths that no photo has."""
     for side, value in (("width", width), ("height", height)):
         whole(value, 1, MAX_SIDE, f"camera {name!r}: {side}")
@@ -146,8 +150,8 @@ def write_text(path: Path, text: str) -> Path:
     return write_bytes(path, text.encode("utf-8"))
 
 
-def write_npz(path: Path, arrays: dict[str, np.ndarray]) -> Path:
-    """Write an .npz archive; returns its path."""
+def write_npz(path: Path, arrays: dict[str, Any]) -> Path:
+    """Write an .npz archive of arrays by name; returns its path."""
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)
     return write_bytes(path, buffer.getvalue())
