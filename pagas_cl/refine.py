@@ -45,7 +45,7 @@ class _Maps(Protocol):
 
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
-                config: Config | None = None, device: str | Device | Sequence[str] | None = None,
+                config: Config | None = None, device: str | Device | list[str] | tuple[str, ...] | None = None,
                 progress: Progress | None = None, output: str = "tsdf", subdivide: float | None = None,
                 executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
     """Refine a mesh with calibrated photos.
@@ -157,7 +157,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
 
 def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names: Collection[str] | None = None,
                  config: Config | None = None, preset: str | None = None,
-                 device: str | Device | Sequence[str] | None = None, progress: Progress | None = None,
+                 device: str | Device | list[str] | tuple[str, ...] | None = None, progress: Progress | None = None,
                  on_view: Callable[[View, Depth, DepthResult], Any] | None = None,
                  executor: Executor | str | None = None, folder: str | Path | None = None,
                  extras: bool = True) -> list[DepthResult]:
@@ -263,7 +263,8 @@ def initial_depths(surface: Surface, views: Sequence[View], progress: Progress |
 def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: Config,
                  progress: Progress | None = None, memory_mb: float | None = None,
                  tell: Callable[[str], Any] | None = None, *, executor: Executor | str | None = None,
-                 folder: str | Path | None = None, device: str | Device | Sequence[str] | None = None) -> Surface:
+                 folder: str | Path | None = None,
+                 device: str | Device | list[str] | tuple[str, ...] | None = None) -> Surface:
     """Keep what other views confirm, then TSDF: a Surface. In `memory_mb` of host memory, or what is free.
 
     Results find their views by name (see result.joined); views without one take no part.

@@ -26,7 +26,6 @@ ALLOWED = {
     "effects": {"measurements"}, "measurements": {"splat"},
     "refine": {"acceptance", "jobs", "scene", "runtime", "surface", "splat", "result", "measurements", "effects",
                "keep_mesh", "consistency", "progress"},
-    "camera_check": {"scene", "surface"},
     "evaluate": {"scene"}, "synthetic": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
     "selftest": {"scene", "runtime", "splat", "reference", "refine"},
 }

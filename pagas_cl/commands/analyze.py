@@ -9,8 +9,8 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.commands._initial import check_source, initial_depths
 from pagas_cl.commands._places import check_writable, write_file
+from pagas_cl.commands._scene import check_source, initial_depths, load_scene
 
 MANY = ("--views", "--set", "--effect")
 COLUMNS = ["view", "effect", "evidence", "threshold", "decision", "what is measured"]
@@ -37,11 +37,10 @@ def command(
     """Measure what SCENE calls for; refines nothing. The decisions are those that refine takes."""
     from pagas_cl.analysis import analyze
     from pagas_cl.commands._settings import build_config, effect_settings
-    from pagas_cl.scene.readers import read_scene
 
     check_source(mesh, depth_dir, "where a refinement would start")
     config = build_config(preset, [*settings, *effect_settings(effects)])
-    found = read_scene(scene, format, **({"outside": True} if outside else {}))
+    found = load_scene(scene, format, outside)
     names = [found.views[found.index(name)].name for name in views] or None
     check_writable("--json", output and output.parent)
     check_writable("--report", report)
