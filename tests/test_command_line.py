@@ -287,7 +287,7 @@ def test_no_opencl_platform(scene, tmp_path):
         env={"OCL_ICD_VENDORS": "/nonexistent", "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}, capture_output=True,
         text=True)
     assert done.returncode == 2
-    assert "no OpenCL platform found" in done.stderr and 'pip install "pagas-cl[pocl]"' in done.stderr
+    assert "no OpenCL platform found" in done.stderr and 'pip install "pagas-cl[cpu]"' in done.stderr
 
 
 # -- the parts ---------------------------------------------------------------------------------------------------
