@@ -21,8 +21,7 @@ from pagas_cl.splat.measure import _ROWS, ImageNoise, Probe, Rows
 from pagas_cl.splat.photos import PhotoStore
 from pagas_cl.synthetic import relief_scene
 
-MOVES = [(float(shift), 0.0) for shift in twin.SHIFTS] + [(0.0, epipolar_offset) for epipolar_offset in (-2.0, -1.0, 1.0,
-                                                                                                    2.0)]
+MOVES = [(float(shift), 0.0) for shift in twin.SHIFTS] + [(0.0, offset) for offset in (-2.0, -1.0, 1.0, 2.0)]
 
 
 @pytest.fixture(scope="module")
@@ -206,7 +205,8 @@ def test_summaries(device):
     assert got[0] == pytest.approx(twin.summarize(values[0], 0.95), abs=1e-3)
     assert got[1, [0, 1, 3]] == pytest.approx(np.array(twin.summarize(values[1], 0.5))[[0, 1, 3]], abs=1e-6)
     assert got[2] == pytest.approx(twin.summarize(values[2], 0.5), nan_ok=True)
-    assert got[3] == pytest.approx(twin.summarize(values[3], 0.25), abs=1e-3)     # those beyond the range: in the last bin
+    # those beyond the range: in the last bin
+    assert got[3] == pytest.approx(twin.summarize(values[3], 0.25), abs=1e-3)
 
 
 @pytest.mark.parametrize("noise", [0.0, 2.0, 6.0])

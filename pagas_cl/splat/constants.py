@@ -21,8 +21,8 @@ SHIFTS, OFFSETS = 7, 4        # moves of a patch along the direction of depth, a
 # chosen on the scenes of tests/bench/effects.py.
 CLEAR_NOISE, MISALIGNED = 0.004, 0.13
 # The same of specularity, one residual (what the exposure fit leaves, measure.cl) in two statistics, so that it takes
-# two bars: whether a view is specular, by the 95th percentile of its samples (median over the context views), and where,
-# by the mean over the context views at a sample (largest around it), which is smaller.
+# two bars: whether a view is specular, by the 95th percentile of its samples (median over the context views), and
+# where, by the mean over the context views at a sample (largest around it), which is smaller.
 SPECULAR_VIEW, SPECULAR_PLACE = 0.009, 0.007
 # Specularity from which on depth errors exceed what the sharpness of a match tells, in proportion to it: fitted to
 # scenes with truth (tests/bench/calibration.py).
