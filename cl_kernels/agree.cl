@@ -5,7 +5,7 @@
 #define CAMERA_SPACE __global const      // all views of a scene at once, more than constant memory may hold
 #include "camera.clh"
 
-#define FRONT 1e-6f                      // share of the target's depth: nearer to a camera's plane than this is behind it
+#define FRONT 1e-6f                      // share of the target's depth: a point nearer to a camera is behind it
 #define OCCLUDED 0.05f                   // share of the depth: a surface nearer by more hides what is behind it
 
 // Where a depth of the target lands in another view: false behind it and outside its image.

@@ -61,18 +61,15 @@ __kernel void gather_gradient(__global const float *depth, __global const uchar4
     columns_t color[CHANNELS], sum = ZERO;
     load_exposed(target_photo, i, exposure, view, color);
     const LogSlope slope = log_slope(g.splat, g.dsplat_ddepth);
-UNROLL_SPAN
-    for (int v = 0; v < SPAN; ++v)
-UNROLL_SPAN
-        for (int u = 0; u < SPAN; ++u) {
-            const Reach r = reach_pixel(&g, context, u, v);
-            if (!ONE_PIXEL && !ANY(r.reached))
-                continue;
-            const columns_t share = share_of(&g, r, z_first, threshold, relative);
-            const mask_t taken = share > 0.0f;
-            const columns_t v_alpha = load_v_alpha(v_rendered, select((mask_t)(0), r.pixel, r.reached), taken, color);
-            const columns_t raw = raw_alpha(g.splat, r.dx, r.dy);
-            sum += select(ZERO, share * v_alpha * dalpha_ddepth(slope, g.dsplat_ddepth, r.dx, r.dy, raw), taken);
-        }
+    EACH_PLACE(u, v) {
+        const Reach r = reach_pixel(&g, context, u, v);
+        if (!ONE_PIXEL && !ANY(r.reached))
+            continue;
+        const columns_t share = share_of(&g, r, z_first, threshold, relative);
+        const mask_t taken = share > 0.0f;
+        const columns_t v_alpha = load_v_alpha(v_rendered, select((mask_t)(0), r.pixel, r.reached), taken, color);
+        const columns_t raw = raw_alpha(g.splat, r.dx, r.dy);
+        sum += select(ZERO, share * v_alpha * dalpha_ddepth(slope, g.dsplat_ddepth, r.dx, r.dy, raw), taken);
+    }
     add_columns(gradient + i, sum, get_global_id(0) * COLUMNS - column);
 }

@@ -165,6 +165,14 @@ __kernel void feather(__global const float *initial, __global float *depth, __gl
         depth[i] = initial[i] + clamp(2.0f * refined / all - 1.0f, 0.0f, 1.0f) * (depth[i] - initial[i]);
 }
 
+// 1 - correlation before and after of a pixel that is seen both times.
+bool costs_of(__global const float *before, __global const float *after, int i, float2 *costs)
+{
+    const float3 was = vload3(i, before), is = vload3(i, after);
+    *costs = (float2)(was.x / was.y, is.x / is.y);
+    return was.y > 0.0f && is.y > 0.0f;
+}
+
 // Sums of 1 - correlation before and after, and the number of pixels that are seen both times: three numbers a group.
 __kernel __attribute__((reqd_work_group_size(COST_GROUP, 1, 1)))
 void sum_costs(__global const float *before, __global const float *after, int count,       // evidence, [count, 3]
@@ -174,11 +182,11 @@ void sum_costs(__global const float *before, __global const float *after, int co
     const int lane = get_local_id(0);
     long was_sum = 0, is_sum = 0, pixels = 0;
     for (int i = get_global_id(0); i < count; i += get_global_size(0)) {
-        const float3 was = vload3(i, before), is = vload3(i, after);
-        if (!(was.y > 0.0f && is.y > 0.0f))
+        float2 costs;
+        if (!costs_of(before, after, i, &costs))
             continue;
-        was_sum += convert_long_rte(was.x / was.y * COST_ONE);
-        is_sum += convert_long_rte(is.x / is.y * COST_ONE);
+        was_sum += convert_long_rte(costs.x * COST_ONE);
+        is_sum += convert_long_rte(costs.y * COST_ONE);
         ++pixels;
     }
     scratch[0][lane] = was_sum;
@@ -199,11 +207,11 @@ __kernel void count_costs(__global const float *before, __global const float *af
                           __global uint *counts)                   // [2, COST_BINS]
 {
     EACH(i, count)
-    const float3 was = vload3(i, before), is = vload3(i, after);
-    if (!(was.y > 0.0f && is.y > 0.0f))
+    float2 costs;
+    if (!costs_of(before, after, i, &costs))
         return;
-    atomic_inc(counts + clamp((int)(was.x / was.y * (COST_BINS / 2)), 0, COST_BINS - 1));
-    atomic_inc(counts + COST_BINS + clamp((int)(is.x / is.y * (COST_BINS / 2)), 0, COST_BINS - 1));
+    atomic_inc(counts + clamp((int)(costs.x * (COST_BINS / 2)), 0, COST_BINS - 1));
+    atomic_inc(counts + COST_BINS + clamp((int)(costs.y * (COST_BINS / 2)), 0, COST_BINS - 1));
 }
 
 // By how much 1 - correlation grew beyond chance, and 1; two zeros where it is not known.
@@ -211,9 +219,9 @@ __kernel void worse_costs(__global const float *before, __global const float *af
                           __global float *worse)                   // [count, 2]
 {
     EACH(i, count)
-    const float3 was = vload3(i, before), is = vload3(i, after);
-    const bool known = was.y > 0.0f && is.y > 0.0f;
-    vstore2(known ? (float2)(is.x / is.y - was.x / was.y - CHANCE, 1.0f) : (float2)(0.0f), i, worse);
+    float2 costs;
+    const bool known = costs_of(before, after, i, &costs);
+    vstore2(known ? (float2)(costs.y - costs.x - CHANCE, 1.0f) : (float2)(0.0f), i, worse);
 }
 
 // A refined depth is rejected where a photo that took no part matches worse around it.

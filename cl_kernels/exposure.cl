@@ -138,7 +138,8 @@ void fit_exposure(__global const float *all_matches, int count, __global float *
             xx += weight * dx * dx;
             yy += weight * dy * dy;
         }
-        const float var_x = sum_of_group(xx, scratch, FIT_GROUP) / total, var_y = sum_of_group(yy, scratch, FIT_GROUP) / total;
+        const float var_x = sum_of_group(xx, scratch, FIT_GROUP) / total;
+        const float var_y = sum_of_group(yy, scratch, FIT_GROUP) / total;
         const float ratio = my / mx;
         gain = sqrt((var_y + PRIOR * ratio * ratio) / (var_x + PRIOR));
         offset = my - gain * mx;

@@ -11,8 +11,7 @@ __kernel void filter_across(__global const float *restrict gradient,            
 {
     EACH_PIXEL(x, y, i, width, height)
     float sum = SHARE(0) * gradient[i] * depth_per_parallax[i];
-#pragma unroll
-    for (int k = 1; k <= FILTER_RADIUS; ++k) {
+    UNROLL for (int k = 1; k <= FILTER_RADIUS; ++k) {
         const int left = x >= k ? i - k : i, right = x + k < width ? i + k : i;
         const float before = x >= k ? gradient[left] * depth_per_parallax[left] : 0.0f;
         const float after = x + k < width ? gradient[right] * depth_per_parallax[right] : 0.0f;
@@ -27,8 +26,7 @@ __kernel void filter_down(__global const float *restrict sums,                  
 {
     EACH_PIXEL(x, y, i, width, height)
     float sum = SHARE(0) * sums[i];
-#pragma unroll
-    for (int k = 1; k <= FILTER_RADIUS; ++k) {
+    UNROLL for (int k = 1; k <= FILTER_RADIUS; ++k) {
         const float before = y >= k ? sums[i - k * width] : 0.0f;
         const float after = y + k < height ? sums[i + k * width] : 0.0f;
         sum += SHARE(k) * (before + after);

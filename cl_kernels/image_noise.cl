@@ -3,7 +3,7 @@
 #include "constants.clh"
 
 #define SLOPE 0                          // change from the pixel before to the one after
-#define ROUGHNESS 1                           // second difference; of the smoothest pixels alone, once keep_smooth has run
+#define ROUGHNESS 1                      // second difference; of the smoothest pixels alone, once keep_smooth has run
 #define TEXTURELESS 2                    // 1 where the photo changes by less than LITTLE to the pixel after, else 0
 #define LITTLE (GRADIENT_LOW * 765)
 

@@ -6,16 +6,16 @@
 //   judge_samples   what all views say of each sample
 //
 // Values of a context view are ROWS rows of one number a sample, NaN where there is none; summary.cl sums them up.
-// Which row is which, splat/measure.py says:
-#include "splat.clh"
-#include "lookup.clh"
-
+// In this order (numbered by splat/measure.py):
 //   HIDDEN            1 hidden behind a nearer surface, 0 seen
 //   SIZE              standard deviation of the projected Gaussian, pixels
 //   CHANGE            colour of the context photo less the target's, three channels
 //   EPIPOLAR_OFFSET   pixels that the photo is off across the direction of depth, by the target's quadrant
 //   SPECULARITY       what the exposure fit leaves, averaged over neighbouring samples
 //   LIKE              0 where the photos show other things there, or show that the depth is wrong; else 1
+#include "splat.clh"
+#include "lookup.clh"
+
 #define TOTALS (SHIFTS + 2)      // of a sample: views that see it, views that can tell, their costs by shift
 
 #define HALF 2

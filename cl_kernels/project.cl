@@ -26,20 +26,17 @@ __kernel void nearest(__global const float *depth, __constant float *cameras, in
     STORE_COLUMNS(g.splat.z, z);
     // without an exponential a pair
     const columns_t visible = 2.0f / LOG2_E * log2(g.splat.opacity * (1.0f / ALPHA_SEEN));
-UNROLL_SPAN
-    for (int v = 0; v < SPAN; ++v)
-UNROLL_SPAN
-        for (int u = 0; u < SPAN; ++u) {
-            const Reach r = reach_pixel(&g, context, u, v);
-            if (!ANY(r.reached))
-                continue;
-            int pixel[COLUMNS], seen[COLUMNS];
-            STORE_COLUMNS(r.pixel, pixel);
-            STORE_COLUMNS(r.reached & (falloff(g.splat, r.dx, r.dy) < visible), seen);
-            for (int k = 0; k < COLUMNS; ++k)
-                if (seen[k])
-                    lower(&z_first[pixel[k]], depth_key(z[k]));
-        }
+    EACH_PLACE(u, v) {
+        const Reach r = reach_pixel(&g, context, u, v);
+        if (!ANY(r.reached))
+            continue;
+        int pixel[COLUMNS], seen[COLUMNS];
+        STORE_COLUMNS(r.pixel, pixel);
+        STORE_COLUMNS(r.reached & (falloff(g.splat, r.dx, r.dy) < visible), seen);
+        for (int k = 0; k < COLUMNS; ++k)
+            if (seen[k])
+                lower(&z_first[pixel[k]], depth_key(z[k]));
+    }
 }
 
 __kernel void mark_seen(__global const float *depth, __constant float *cameras, int view,

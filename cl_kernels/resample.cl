@@ -1,6 +1,13 @@
 // Pyramid levels (method section 6): photos and depth maps to another size.
 #include "splat.clh"
 
+// Share of pixel (u, v) of the source inside a box of it, at most 1.
+float covered(int u, int v, float left, float right, float top, float bottom)
+{
+    const float across = fmin(right, u + 1.0f) - fmax(left, (float)u);
+    return across * (fmin(bottom, v + 1.0f) - fmax(top, (float)v));
+}
+
 // Mean over the area of the source that a pixel covers; valid (w = 255) only where all of it is.
 __kernel void shrink_photo(__global const uchar4 *source, int source_width, int source_height,
                            __global uchar4 *photo, int width, int height)
@@ -13,8 +20,7 @@ __kernel void shrink_photo(__global const uchar4 *source, int source_width, int 
     bool valid = true;
     for (int v = (int)top; v < min((int)ceil(bottom), source_height); ++v)
         for (int u = (int)left; u < min((int)ceil(right), source_width); ++u) {
-            const float across = fmin(right, u + 1.0f) - fmax(left, (float)u);
-            const float w = across * (fmin(bottom, v + 1.0f) - fmax(top, (float)v));
+            const float w = covered(u, v, left, right, top, bottom);
             const uchar4 p = source[v * source_width + u];
             if (!(w > 1e-6f))
                 continue;
@@ -36,8 +42,7 @@ __kernel void shrink_depth(__global const float *source, int source_width, int s
     float sum = 0.0f, area = 0.0f;
     for (int v = (int)top; v < min((int)ceil(bottom), source_height); ++v)
         for (int u = (int)left; u < min((int)ceil(right), source_width); ++u) {
-            const float across = fmin(right, u + 1.0f) - fmax(left, (float)u);
-            const float w = across * (fmin(bottom, v + 1.0f) - fmax(top, (float)v));
+            const float w = covered(u, v, left, right, top, bottom);
             const float d = source[v * source_width + u];
             if (!(w > 1e-6f) || !(d > 0.0f))
                 continue;

@@ -63,8 +63,7 @@ float penalty(float e, float h, float discontinuity)
     return quadratic + fading_integral(size, discontinuity) - fading_integral(inner, discontinuity);
 }
 
-// Second difference of inverse depth centred at i along `stride`, pixels of parallax.
-// Zero where a neighbour is missing.
+// Second difference of inverse depth w centred at i along `stride`, pixels of parallax; 0 where a neighbour is missing.
 float bend(__global const float *depth, __global const float *kappa, int i, int stride, int along, int length)
 {
     if (along < 1 || along >= length - 1)
@@ -75,7 +74,8 @@ float bend(__global const float *depth, __global const float *kappa, int i, int 
     return kappa[i] * second_difference(before, d, after);
 }
 
-// Slope of its penalty by w of its ends; twice that, negated, is the slope by w_i.
+// Slope of its penalty by w of its ends, 0 where `along` is at or beyond an end of the line; twice that, negated, is the
+// slope by w_i.
 float v_bend(__global const float *depth, __global const float *kappa, __global const float *weights, int i, int stride,
              int along, int length, float h, float discontinuity)
 {
@@ -93,14 +93,10 @@ __kernel void smoothness_planar(__global const float *depth, __global const floa
         return;
     float v_inverse = -2.0f * (v_bend(depth, kappa, weights, i, 1, x, width, h, discontinuity)
                                 + v_bend(depth, kappa, weights, i, width, y, height, h, discontinuity));
-    if (x > 0)
-        v_inverse += v_bend(depth, kappa, weights, i - 1, 1, x - 1, width, h, discontinuity);
-    if (x + 1 < width)
-        v_inverse += v_bend(depth, kappa, weights, i + 1, 1, x + 1, width, h, discontinuity);
-    if (y > 0)
-        v_inverse += v_bend(depth, kappa, weights, i - width, width, y - 1, height, h, discontinuity);
-    if (y + 1 < height)
-        v_inverse += v_bend(depth, kappa, weights, i + width, width, y + 1, height, h, discontinuity);
+    v_inverse += v_bend(depth, kappa, weights, i - 1, 1, x - 1, width, h, discontinuity);
+    v_inverse += v_bend(depth, kappa, weights, i + 1, 1, x + 1, width, h, discontinuity);
+    v_inverse += v_bend(depth, kappa, weights, i - width, width, y - 1, height, h, discontinuity);
+    v_inverse += v_bend(depth, kappa, weights, i + width, width, y + 1, height, h, discontinuity);
     gradient[i] -= scale * v_inverse / (d * d);
 }
 

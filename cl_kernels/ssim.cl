@@ -41,15 +41,12 @@ void blur_down(__local const float *xs, __local const shade_t *ys, __local float
     for (int t = get_local_id(0); t < (TILE_H / RUN) * ACROSS; t += LOSS_GROUP) {
         const int y = t / ACROSS * RUN, x = span_start(t % ACROSS, COLUMNS, WIDE), place = y * STRIDE + x;
         columns_t sum_x[RUN], sum_y[RUN], sum_squares[RUN], sum_product[RUN];
-#pragma unroll
-        for (int k = 0; k < RUN; ++k)
+        UNROLL for (int k = 0; k < RUN; ++k)
             sum_x[k] = sum_y[k] = sum_squares[k] = sum_product[k] = ZERO;
-#pragma unroll
-        for (int j = 0; j < TAPS + RUN - 1; ++j) {
+        UNROLL for (int j = 0; j < TAPS + RUN - 1; ++j) {
             const columns_t a = LOAD_COLUMNS(xs + place + j * STRIDE), b = LOAD_SHADES(ys + place + j * STRIDE);
             const columns_t squares = a * a + b * b, product = a * b;
-#pragma unroll
-            for (int k = 0; k < RUN; ++k)
+            UNROLL for (int k = 0; k < RUN; ++k)
                 if (j >= k && j - k < TAPS) {
                     const float w = WINDOW[j - k];
                     sum_x[k] += w * a;
@@ -58,8 +55,7 @@ void blur_down(__local const float *xs, __local const shade_t *ys, __local float
                     sum_product[k] += w * product;
                 }
         }
-#pragma unroll
-        for (int k = 0; k < RUN; ++k) {
+        UNROLL for (int k = 0; k < RUN; ++k) {
             __local float *out = sums + place + k * STRIDE;
             STORE_COLUMNS(sum_x[k], out);
             STORE_COLUMNS(sum_y[k], out + TILE_H * STRIDE);

@@ -7,8 +7,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.splat.constants import (CLEAR_NOISE, MEAN, MEAN_SQUARE, MISALIGNED, NUMBER, QUANTILE, SPECULAR_VIEW,
-                                      SURE_SPECULARITY)
+from pagas_cl.splat.constants import (
+    CLEAR_NOISE,
+    MEAN,
+    MEAN_SQUARE,
+    MISALIGNED,
+    NUMBER,
+    QUANTILE,
+    SPECULAR_VIEW,
+    SURE_SPECULARITY,
+)
 
 _QUANTISATION = 0.0012   # noise that rounding to 8 bits alone leaves
 _MISALIGNED = 0.4        # pixels by which cameras may be off for colours to be compared through them

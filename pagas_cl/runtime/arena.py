@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable
+from dataclasses import Field, dataclass, field, fields
 from math import prod
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceError, DeviceMemoryError
+
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
+
+Handed = TypeVar("Handed", bound="Buffers")
 
 MOST_ELEMENTS = 2**31 - 1         # kernels count in 32 bits
 
@@ -26,12 +33,12 @@ class BufferSpec:
         return max(1, prod(self.shape)) * np.dtype(self.dtype).itemsize
 
 
-def total_bytes(specs) -> int:
+def total_bytes(specs: Iterable[BufferSpec]) -> int:
     """Bytes that `specs` take together."""
     return sum(spec.nbytes for spec in specs)
 
 
-def allocate(device, specs: list[BufferSpec]) -> dict[str, cl.Buffer]:
+def allocate(device: Device, specs: list[BufferSpec]) -> dict[str, cl.Buffer]:
     """Buffers for `specs`, by name.
 
     Raises
@@ -60,7 +67,8 @@ def allocate(device, specs: list[BufferSpec]) -> dict[str, cl.Buffer]:
     return made
 
 
-def declared(shape: tuple, dtype: type, unit: str, purpose: str, needed="", start=None, each=""):
+def declared(shape: tuple[int | str, ...], dtype: type, unit: str, purpose: str, needed: str = "",
+             start: Any = None, each: str = "") -> Any:
     """A field of a Buffers class.
 
     Parameters
@@ -84,7 +92,7 @@ def declared(shape: tuple, dtype: type, unit: str, purpose: str, needed="", star
         shape=shape, dtype=dtype, unit=unit, purpose=purpose, needed=needed, start=start, each=each))
 
 
-def _specs(own, dimensions: dict) -> list[BufferSpec]:
+def _specs(own: Field[Any], dimensions: dict[str, Any]) -> list[BufferSpec]:
     """What is allocated for one field."""
     said = own.metadata
     if said["needed"] and not dimensions[said["needed"]]:
@@ -102,12 +110,12 @@ class Buffers:
     kernels read and write: the others may stay None."""
 
     @classmethod
-    def plan(cls, dimensions: dict) -> list[BufferSpec]:
+    def plan(cls, dimensions: dict[str, Any]) -> list[BufferSpec]:
         """What is allocated for `dimensions`, by the names that the fields use."""
         return [spec for own in fields(cls) for spec in _specs(own, dimensions)]
 
     @classmethod
-    def allocated(cls, device, dimensions: dict):
+    def allocated(cls: type[Handed], device: Device, dimensions: dict[str, Any]) -> Handed:
         """All that is planned, on `device`; errors as of `allocate`."""
         made, found = allocate(device, cls.plan(dimensions)), {}
         for own in fields(cls):
@@ -118,7 +126,7 @@ class Buffers:
             found[own.name] = buffers if own.metadata["each"] else next(iter(buffers), None)
         return cls(**found)
 
-    def hand_over(self, kind: type):
+    def hand_over(self, kind: type[Handed]) -> Handed:
         """The buffers of the class `kind`, the caller's from now on; the others are released."""
         taken = kind(**{own.name: self.take(own.name) for own in fields(kind)})
         self.release()
@@ -126,11 +134,11 @@ class Buffers:
 
     def take(self, name: str) -> cl.Buffer:
         """The buffer `name`, the caller's from now on."""
-        buffer = getattr(self, name)
+        buffer: cl.Buffer = getattr(self, name)
         setattr(self, name, None)
         return buffer
 
-    def release(self):
+    def release(self) -> None:
         """Give all buffers back now instead of when Python gets to it."""
         for buffer in self.held():
             buffer.release()

@@ -6,15 +6,20 @@ import re
 import warnings
 import weakref
 from collections import defaultdict, deque
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceError, KernelBuildError
+
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
 
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$')
 GROUP_1D, GROUP_2D = (128,), (32, 4)
@@ -70,10 +75,10 @@ def _parameter(declaration: str) -> tuple[str, str]:
     return words[-1], "" if "*" in declaration else words[-2]
 
 
-_programs: dict[tuple, Program] = {}
+_programs: dict[tuple[int, str, tuple[str, ...]], Program] = {}
 
 
-def build(device, name: str, defines: tuple[str, ...] = ()) -> Program:
+def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
     """Compile the kernel file `name` for `device` with `defines` ("NAME" or "NAME=value").
 
     Programs are kept for the life of the process; pyopencl keeps the binaries on disk, keyed by source, options,
@@ -104,13 +109,14 @@ class _Kernel:
     looking at ten."""
 
     def __init__(self, program: Program, name: str):
-        self.cl_kernel, self.name, self._values = cl.Kernel(program.built, name), name, None
+        self.cl_kernel, self.name = cl.Kernel(program.built, name), name
+        self._values: list[Any] = []            # as _remembered tells them; none before the first time
         self._places = {argument: (index, kind) for index, (argument, kind) in
                         enumerate(program.signatures[name].items())}
 
-    def set(self, arguments: dict):
+    def set(self, arguments: Mapping[str, Any]) -> None:
         """Set arguments by name; the first time all of them."""
-        if self._values is None:
+        if not self._values:
             values = [_argument(arguments[name], kind, self.name) for name, (_, kind) in self._places.items()]
             self.cl_kernel.set_args(*values)
             self._values = [_remembered(value) for value in values]
@@ -124,7 +130,7 @@ class _Kernel:
                 self._values[index] = remembered                     # not if it was refused
 
 
-def _remembered(value):
+def _remembered(value: Any) -> Any:
     """What tells an argument from another one: the bits of a number; of a buffer, which must not be kept alive here,
     the very object. Equal to nothing where that cannot be told."""
     if isinstance(value, np.generic):
@@ -135,6 +141,20 @@ def _remembered(value):
         return object()
 
 
+class Work(Protocol):
+    """What a queue is given: a launch, a fill or an upload."""
+
+    @property
+    def stage(self) -> str:
+        """What its time is counted as."""
+
+    def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
+        """Put it into the queue, any number of times."""
+
+    def release(self) -> None:
+        """It will not be enqueued again."""
+
+
 @dataclass(frozen=True)
 class Launch:
     """A kernel with its arguments bound, ready to be enqueued any number of times."""
@@ -143,20 +163,20 @@ class Launch:
     global_size: tuple[int, ...]
     local_size: tuple[int, ...] | None = None
     stage: str = ""
-    source: tuple = ()
+    source: tuple[int, str] = (0, "")
 
     @property
     def kernel(self) -> cl.Kernel:
         return self.bound.cl_kernel
 
-    def set(self, **values):
+    def set(self, **values: Any) -> None:
         """Other values for some arguments, by name."""
         self.bound.set(values)
 
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         return cl.enqueue_nd_range_kernel(queue, self.bound.cl_kernel, self.global_size, self.local_size)
 
-    def release(self):
+    def release(self) -> None:
         """Give the kernel back for other arguments; what is enqueued keeps those that it was enqueued with."""
         _idle[self.source].append(self.bound)
 
@@ -171,9 +191,10 @@ class Fill:
     stage: str = "clear"
 
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
-        return cl.enqueue_fill_buffer(queue, self.buffer, self.pattern, 0, self.size)
+        pattern: Any = self.pattern  # a NumPy scalar is a buffer, which NumPy's types do not say
+        return cl.enqueue_fill_buffer(queue, self.buffer, pattern, 0, self.size)
 
-    def release(self):
+    def release(self) -> None:
         """Nothing is held."""
 
 
@@ -188,11 +209,11 @@ class Upload:
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         return cl.enqueue_copy(queue, self.buffer, self.array, is_blocking=False)
 
-    def release(self):
+    def release(self) -> None:
         """Nothing is held."""
 
 
-def run_once(queue: cl.CommandQueue, launches):
+def run_once(queue: cl.CommandQueue, launches: Iterable[Work]) -> None:
     """Enqueue `launches` in order and release them."""
     for launch in launches:
         launch.enqueue(queue)
@@ -201,10 +222,10 @@ def run_once(queue: cl.CommandQueue, launches):
 
 # Kernels that wait for arguments, by (program, name): making one takes ten times as long as setting its arguments. The
 # one that has waited longest goes first, so that each comes back to the view that it served.
-_idle: dict[tuple, deque[_Kernel]] = defaultdict(deque)
+_idle: dict[tuple[int, str], deque[_Kernel]] = defaultdict(deque)
 
 
-def usual_group(global_size) -> tuple[int, ...] | None:
+def usual_group(global_size: Sequence[int]) -> tuple[int, ...] | None:
     """Work-items of a group where a kernel does not mind: left to the driver, a prime width gets groups of one.
 
     Global sizes are rounded up to it, so that every such kernel looks where its data ends; a single item stays alone.
@@ -214,8 +235,8 @@ def usual_group(global_size) -> tuple[int, ...] | None:
     return GROUP_1D if global_size[0] > 1 else None
 
 
-def bind(program: Program, name: str, global_size, local_size=None, known=MappingProxyType({}), /,
-         **arguments) -> Launch:
+def bind(program: Program, name: str, global_size: Sequence[int], local_size: Sequence[int] | None = None,
+         known: Mapping[str, Any] = MappingProxyType({}), /, **arguments: Any) -> Launch:
     """A Launch of `name` with its own argument set, each argument by the name that the kernel has for it.
 
     Parameters
@@ -245,13 +266,13 @@ def bind(program: Program, name: str, global_size, local_size=None, known=Mappin
     source = (program.built.int_ptr, name)
     kernel = _idle[source].popleft() if _idle[source] else _Kernel(program, name)
     kernel.set({argument: arguments[argument] if argument in arguments else known[argument] for argument in signature})
-    local_size = tuple(local_size) if local_size else usual_group(global_size)
-    if local_size:
-        global_size = tuple(-(-items // group) * group for items, group in zip(global_size, local_size))
-    return Launch(kernel, tuple(int(g) for g in global_size), local_size, name, source)
+    group = tuple(local_size) if local_size else usual_group(global_size)
+    if group:
+        global_size = [-(-items // side) * side for items, side in zip(global_size, group)]
+    return Launch(kernel, tuple(int(items) for items in global_size), group, name, source)
 
 
-def _argument(value, kind: str, name: str):
+def _argument(value: Any, kind: str, name: str) -> Any:
     if kind == "float":
         return np.float32(value)
     if kind == "int":
