@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 import pyopencl as cl
 import pytest
 from close import assert_kernel_close
-from kernel_cases import SEES_LOSS, Scene, device_gradient, start_level, twin_gradient
+from kernel_cases import SEES_LOSS, Scene, device_gradient, start_level, twin_gradient, view_of
 
 from pagas_cl.presets import BALANCED, PAPER
 from pagas_cl.reference.level import prepare, run_level
+from pagas_cl.reference.pairs import candidates, nearest_surface
+from pagas_cl.reference.project import project as twin_project
+from pagas_cl.runtime.program import run_once
+from pagas_cl.runtime.transfer import download, upload
+from pagas_cl.splat import project
+from pagas_cl.splat.buffers import LevelBuffers
+from pagas_cl.splat.inputs import LevelInput
+from pagas_cl.splat.options import Programs
+from pagas_cl.splat.photos import PhotoStore
 from pagas_cl.splat.tile import SCALAR, Tile
 
 PLAIN = BALANCED.with_settings(smoothness__kind="none", smoothness__weight=0.0, splatting__radius=1.0,
@@ -150,3 +161,28 @@ def test_a_gpu_can_hold_it(device, monkeypatch, scene, base):
     for launch in level_launches(device, base, scene):
         assert launch.kernel.get_work_group_info(info.LOCAL_MEM_SIZE, device.cl_device) <= 32 * 1024, launch.stage
         assert np.prod(launch.local_size or 1) <= 256, launch.stage
+
+
+def test_a_stage_needs_only_its_own_buffers(device, scene):
+    """No level: programs, three buffers and a view are enough for the nearest surfaces of a context photo."""
+    photos, views = PhotoStore(device), [view_of(p) for p in (scene.target, *scene.contexts)]
+    given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.scene_scale,
+                       scene.delta(PLAIN), 1.0, len(scene.contexts))
+    view = given.views(PLAIN)[1]
+    buffers = LevelBuffers(depth=upload(device, scene.moved), cameras=upload(device, given.camera_table),
+                           z_first=upload(device, np.zeros(view.size.pixels, np.float32)))
+    run_once(device.queue, project.nearest(Programs(device, PLAIN, given.cameras), buffers, view))
+    found = download(device, buffers.z_first, view.size.pixels)
+    want = nearest_surface(candidates(twin_project(scene.moved.astype(np.float64), scene.target.camera,
+                                                   scene.contexts[0].camera, PLAIN.splatting.low_pass,
+                                                   scene.scene_scale), *view.size.grid, PLAIN.splatting),
+                           view.size.pixels)
+    same = np.isclose(found, want, rtol=1e-5)
+    assert same.mean() > 0.99 and np.isfinite(want).mean() > 0.3
+    buffers.release()
+    assert buffers.held() == []
+
+
+def test_every_buffer_says_what_it_holds():
+    for own in fields(LevelBuffers):
+        assert {"shape", "dtype", "unit"} <= own.metadata.keys() and own.metadata["purpose"], own.name

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pagas_cl.errors import DeviceError
-from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.runtime.program import bind, build, run_once, signatures
 from pagas_cl.splat.constants import SHARED
 
 
@@ -60,3 +60,18 @@ def test_a_kernel_that_is_used_again_has_the_arguments_of_now(device):
         cl.enqueue_copy(device.queue, found, history)
         assert found[2 if repeat % 2 else 0] == 5 + repeat
         del launch, state, loss, history
+
+
+def test_an_argument_of_another_name_or_one_too_few_is_refused(device):
+    program, given = build(device, "summary.cl", SHARED), dict(rows=None, count=1, rules=None)
+    with pytest.raises(TypeError, match=r"kernel summarize takes rows, count, rules, summary: missing \['summary'\]"):
+        bind(program, "summarize", (64,), **given)
+    with pytest.raises(TypeError, match=r"missing \[\], unknown \['sums'\]"):
+        bind(program, "summarize", (64,), summary=None, sums=None, **given)
+
+
+def test_signatures_are_read_from_the_source():
+    text = """__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+    void f(__global const float *restrict depth,   // [H, W], units (device, not scene)
+           int width, /* of the image, */ CONSTANT float *cameras, float scale) { g(depth); }"""
+    assert signatures(text) == {"f": {"depth": "", "width": "int", "cameras": "", "scale": "float"}}

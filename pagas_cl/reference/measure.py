@@ -1,4 +1,4 @@
-"""Twin of splat/measure, splat/image_noise and splat/summary: how well patches match when the depth, or the photo, is
+"""Twin of splat/measure: how well patches match when the depth, or the photo, is
 moved; the specularity of a surface; the noise of a photo; what rows of numbers come to (method section 8)."""
 
 from __future__ import annotations
