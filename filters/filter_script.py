@@ -18,8 +18,7 @@ from pagas_cl.filters import native, parameters
 from pagas_cl.filters.parameters import FILTER
 
 from pagas_cl.errors import InputError, need
-from pagas_cl.scene.readers.safe_xml import read_xml
-from pagas_cl.scene.readers.untrusted import short, whole, word
+from pagas_cl.scene.readers.untrusted import read_xml, short, whole, word
 
 log = logging.getLogger("pagas_cl")
 

@@ -22,7 +22,6 @@ from pagas_cl.scene.camera import Camera, intrinsics
 from pagas_cl.scene.files import write_text
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.readers.mlp_flavour import FLAVOURS, settle_flavour
-from pagas_cl.scene.readers.safe_xml import read_xml
 from pagas_cl.scene.view import Scene, View
 
 _FLIP = np.diag([1.0, -1.0, -1.0])
@@ -120,7 +119,7 @@ def read_project(path: Path, *, outside: bool = False) -> Project:
         Whether its meshes and photos may lie outside its folder; relative paths start there.
     """
     path = Path(path)
-    root = read_xml(path, "MeshLabProject")
+    root = untrusted.read_xml(path, "MeshLabProject")
     meshes = [_mesh(e, path, i, outside) for i, e in enumerate(root.findall("MeshGroup/MLMesh"))]
     rasters = [_raster(e, path, i, outside) for i, e in enumerate(root.findall("RasterGroup/MLRaster"))]
     strays = len(list(root.iter("VCGCamera"))) - len(rasters) - len(root.findall("MeshGroup/MLMesh/VCGCamera"))
@@ -162,7 +161,8 @@ def _raster(element: Element, path: Path, number: int, outside: bool) -> RasterL
                          "photos must be undistorted first")
     if (get["PixelSizeMm"] <= 0).any():
         raise InputError(f"{where}: PixelSizeMm is {get['PixelSizeMm'].tolist()}, expected numbers above 0")
-    size = untrusted.size(*get["ViewportPx"].tolist()[:2], where=f"{where}: ViewportPx")
+    width, height = get["ViewportPx"].tolist()
+    size = untrusted.size(width, height, f"{where}: ViewportPx")
     with np.errstate(over="ignore"):
         fx, fy = (get["FocalMm"][0] / get["PixelSizeMm"]).tolist()
     cx, cy = get["CenterPx"].tolist()
