@@ -32,13 +32,13 @@ _one_header = Lock()
 
 
 @contextmanager
-def translated(before: str, after: str = "") -> Iterator[None]:
-    """Context: DAMAGE becomes an InputError that says `before`, the reason, `after`."""
+def translated(before: str, after: str = "", damage: tuple[type[Exception], ...] = DAMAGE) -> Iterator[None]:
+    """Context: what is raised on damaged files becomes an InputError that says `before`, the reason, `after`."""
     try:
         yield
     except InputError:
         raise
-    except DAMAGE as error:
+    except damage as error:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:120]
         raise InputError(f"{before}{reason}{after}") from error
 

@@ -81,10 +81,6 @@ class Project:
         views = [photos.view_of(self.path.parent, raster.camera(flavour), raster.path) for raster in self.rasters]
         return Scene(views=views, source=f"{self.path} (MeshLab project, {flavour})")
 
-    def readings_differ(self) -> float:
-        """How many pixels lie between the two readings of CenterPx, the most of all raster layers."""
-        return max((abs(raster.size[1] - 2 * raster.center[1] - 0.5) for raster in self.rasters), default=0.0)
-
 
 def detect(folder: Path) -> bool:
     """Whether `folder` holds a .mlp file (or is one)."""

@@ -26,7 +26,7 @@ def settle_flavour(project: Project) -> tuple[str, str]:
     reading is taken where the two hardly differ, where there is no mesh or photo to compare, and where the photos do
     not prefer the other one.
     """
-    apart = project.readings_differ()
+    apart = max((abs(raster.size[1] - 2 * raster.center[1] - 0.5) for raster in project.rasters), default=0.0)
     what = f"{project.path}: CenterPx.y"
     if apart < _SAME:
         return "meshlab", f"{what} reads the same from the top and from the bottom (within {_SAME:g} pixel)"
