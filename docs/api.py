@@ -28,7 +28,9 @@ def undocumented(part: Module | Class) -> list[str]:
             continue
         if isinstance(member, Class):
             missing += undocumented(member)
-        elif not member.docstring and (isinstance(member, Function) or isinstance(vars(part.obj).get(name), PROPERTIES)):
+        elif member.docstring:
+            continue
+        elif isinstance(member, Function) or isinstance(vars(part.obj).get(name), PROPERTIES):
             missing.append(member.fullname)
     return missing
 

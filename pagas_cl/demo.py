@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pagas_cl.evaluate import DepthReport, compare_depth, compare_predictions
+from pagas_cl.presets import settings_of
 from pagas_cl.progress import ViewProgress
 from pagas_cl.synthetic import SyntheticScene, relief_scene
 
@@ -55,7 +56,7 @@ class DemoResult:
         return head + "".join(rows) + f"correlation with the held-out photo: {old:.4f} -> {new:.4f}\n"
 
 
-def run_demo(folder, *, width=288, height=216, contexts=4, preset="balanced", config=None, device=None,
+def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = None, config=None, device=None,
              progress=None, **settings) -> DemoResult:
     """Make a relief scene, refine the depth of each of its views, compare with the truth, fuse a mesh.
 

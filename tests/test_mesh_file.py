@@ -17,6 +17,7 @@ def surface():
 
 
 def test_ply_keeps_everything(surface, tmp_path):
+    pytest.importorskip("open3d")
     path = tmp_path / "new" / "a.ply"
     write_mesh(path, surface)
     read = read_mesh(path)

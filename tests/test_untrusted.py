@@ -16,11 +16,11 @@ import pytest
 import rigs
 import scene_writers
 from fuzzing import bounded
-from pagas_cl.filters.filter_script import check_script
 
 from pagas_cl.commands._settings import build_config
 from pagas_cl.config import setting_names
 from pagas_cl.errors import InputError
+from pagas_cl.filters.filter_script import check_script
 from pagas_cl.presets import PRESETS
 from pagas_cl.scene import depthmap, files
 from pagas_cl.scene.images import read_photo

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import typer
 
+from pagas_cl.commands._scene import load_scene
+
 
 def command(
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with photos and cameras, in any known format."),
@@ -22,9 +24,8 @@ def command(
     """
     from pagas_cl.errors import InputError
     from pagas_cl.scene.check import check_views
-    from pagas_cl.scene.readers import read_scene
 
-    found = read_scene(scene, format, **({"outside": True} if outside else {}))
+    found = load_scene(scene, format, outside)
     report = check_views(mesh, found.cameras, found.views)
     sys.stdout.write(json.dumps(report.as_dict(), indent=1) + "\n" if as_json else table(report))
     if not report.ok:

@@ -15,7 +15,7 @@ from pagas_cl.scene.pyramid import depth_down, depth_up
 
 log = logging.getLogger("pagas_cl")
 
-# What became of each pixel's depth, as cl_kernels/status.clh numbers it; DepthResult.status says what each means.
+# What became of each pixel's depth; DepthResult.status says what each means.
 NO_SURFACE, REFINED, KEPT, REJECTED = range(4)
 SUFFIXES = (".npz", ".npy", ".pfm", ".png", ".geometric.bin", ".photometric.bin")
 

@@ -19,8 +19,8 @@ from pagas_cl.scene.view import View
 Cameras: TypeAlias = Sequence[Camera] | Any
 # One a camera: arrays (H, W, 3) or paths in the order of the cameras, or by camera name; or the folder that holds them.
 Images: TypeAlias = Iterable[np.ndarray | str | Path] | Mapping[str, np.ndarray | str | Path] | str | Path
-# A depth map (H, W), or what loads it.
-Depth: TypeAlias = npt.ArrayLike | Loads
+# A depth map (H, W), z-depth in scene units, or what loads it.
+Depth: TypeAlias = np.ndarray | Loads
 
 
 def as_cameras(cams: Cameras) -> list[Camera]:
@@ -73,6 +73,11 @@ def checked_depth(depth: npt.ArrayLike, view: View) -> np.ndarray:
         raise InputError(f"depth map of view {view.name!r} has no valid pixel (all are zero, negative or not finite); "
                          "expected z-depths in scene units")
     return depth
+
+
+def depth_array(depth: Depth) -> np.ndarray:
+    """The depth map itself, read where an object with load() stands for it."""
+    return np.asarray(depth.load() if isinstance(depth, Loads) else depth)
 
 
 def _any_surface(depth: np.ndarray) -> bool:

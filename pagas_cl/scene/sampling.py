@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 SAMPLES = 2000  # depths of a view that planning looks at
-NEAR, FAR = 1e-3, 1e6     # units: nearer and farther depths have no Gaussian; as in constants.clh and units.cl
+NEAR, FAR = 1e-3, 1e6     # units: nearer and farther depths have no Gaussian
 MEDIAN_SAMPLES = 65536
 
 

@@ -157,7 +157,7 @@ def _raster(element: Element, path: Path, number: int, outside: bool) -> RasterL
                          "photos must be undistorted first")
     if (get["PixelSizeMm"] <= 0).any():
         raise InputError(f"{where}: PixelSizeMm is {get['PixelSizeMm'].tolist()}, expected numbers above 0")
-    width, height = get["ViewportPx"].tolist()
+    width, height = get["ViewportPx"].tolist()[:2]
     size = untrusted.size(width, height, f"{where}: ViewportPx")
     with np.errstate(over="ignore"):
         fx, fy = (get["FocalMm"][0] / get["PixelSizeMm"]).tolist()
