@@ -17,8 +17,7 @@ from xml.etree import ElementTree
 from pagas_cl.errors import InputError, need
 from pagas_cl.filters import native, parameters
 from pagas_cl.filters.parameters import FILTER
-from pagas_cl.scene.readers.safe_xml import read_xml
-from pagas_cl.scene.readers.untrusted import short
+from pagas_cl.scene.readers.untrusted import read_xml, short
 
 log = logging.getLogger("pagas_cl")
 

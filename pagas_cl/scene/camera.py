@@ -94,7 +94,7 @@ class Camera:
                         pixel_center: float = 0.5, name: str = "") -> Camera:
         """From OpenGL axes (x right, y up, looking along -z; nerfstudio, Blender) and a camera-to-world pose."""
         pose = _checked_pose(camera_to_world, f"camera {name!r}") @ _OPENGL_TO_OPENCV
-        return cls.from_opencv_w2c(K, inverse_pose(pose), width, height, pixel_center=pixel_center, name=name)
+        return cls.from_c2w(K, pose, width, height, pixel_center=pixel_center, name=name)
 
     @classmethod
     def from_colmap(cls, camera: Any, image: Any) -> Camera:

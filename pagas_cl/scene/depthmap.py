@@ -10,11 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.files import DAMAGE, read_first, read_npy, replaced
+from pagas_cl.scene.files import read_first, read_npy, replaced, translated
 from pagas_cl.scene.pyramid import depth_down, depth_up
 
 log = logging.getLogger("pagas_cl")
 
+# What became of each pixel's depth; DepthResult.status says what each means.
+NO_SURFACE, REFINED, KEPT, REJECTED = range(4)
 SUFFIXES = (".npz", ".npy", ".pfm", ".png", ".geometric.bin", ".photometric.bin")
 
 
@@ -59,13 +61,8 @@ def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
                          "millimetres in a scene of metres)")
     if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise InputError(f"depth scale is {scale}, expected a number above 0")
-    try:
+    with translated(f"depth map {str(path)!r} cannot be read: "):
         values = read(path)
-    except DAMAGE as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"depth map {str(path)!r} cannot be read: "
-                         f"{(str(error) or type(error).__name__).splitlines()[0]}") from error
     depth = clean_depth(values if scale is None else values / scale, str(path))
     return depth if size is None else resize_depth(depth, *size)
 

@@ -17,17 +17,30 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
+from xml.parsers import expat
 
 import numpy as np
 
 from pagas_cl.errors import InputError
 
 MOST_BYTES = 1 << 31       # of one array: a depth map of 268 megapixels of float64
-# what numpy, zipfile and Pillow raise on damaged files, as fuzzing found it
-DAMAGE = (OSError, ValueError, EOFError, KeyError, IndexError, SyntaxError, MemoryError, RuntimeError, OverflowError,
-          zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
+# what numpy, zipfile, Pillow, json, struct and XML parsers raise on damaged files, as fuzzing found it
+DAMAGE = (OSError, ValueError, EOFError, LookupError, SyntaxError, MemoryError, RuntimeError, OverflowError,
+          zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error, expat.ExpatError)
 
 _one_header = Lock()
+
+
+@contextmanager
+def translated(before: str, after: str = "", damage: tuple[type[Exception], ...] = DAMAGE) -> Iterator[None]:
+    """Context: what is raised on damaged files becomes an InputError that says `before`, the reason, `after`."""
+    try:
+        yield
+    except InputError:
+        raise
+    except damage as error:
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:120]
+        raise InputError(f"{before}{reason}{after}") from error
 
 
 def read_npy(path: str | Path) -> np.ndarray:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.files import translated
 from pagas_cl.scene.images import bilinear, read_mask, read_photo
 
 _ROWS = 256  # rows of the map made at a time
@@ -41,16 +42,13 @@ class Lens:
     def from_colmap(cls, camera: Any, name: str = "") -> Lens:
         """The lens of a pycolmap Camera; the pinhole is the one that `colmap image_undistorter` would choose."""
         pycolmap = need("pycolmap", "colmap", "undistorting photos")
-        try:
+        with translated(f"camera of image {name!r} is {camera.model.name} and cannot be undistorted (",
+                        "); undistort first: colmap image_undistorter"):
             pinhole = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
             found = (int(pinhole.width), int(pinhole.height), pinhole.focal_length_x, pinhole.focal_length_y,
                      pinhole.principal_point_x, pinhole.principal_point_y)
             if not np.isfinite(found).all() or min(found[:2]) < 1:
                 raise ValueError("it has no pinhole equivalent")
-        except (RuntimeError, ValueError, OverflowError) as error:
-            reason = (str(error).strip().splitlines() or ["it has no pinhole equivalent"])[0]
-            raise InputError(f"camera of image {name!r} is {camera.model.name} and cannot be undistorted ({reason}); "
-                             "undistort first: colmap image_undistorter") from error
         return cls(camera.model.name, tuple(float(p) for p in camera.params),
                    (int(camera.width), int(camera.height)), found)
 

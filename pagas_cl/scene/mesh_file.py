@@ -54,40 +54,33 @@ def _check_claims(path: Path) -> None:
     size = path.stat().st_size
     with open(path, "rb") as file:
         head = file.read(_HEADER)
-    claimed = sum(_claimed(head))
+    claimed, least = _claims(head)
     if claimed > size:
         raise InputError(f"mesh {str(path)!r} claims {claimed} vertices and faces but has {size} bytes: is the file "
                          "damaged or cut off?")
-    least = _least_bytes(head)
     if least > size:
         raise InputError(f"mesh {str(path)!r} has {size} bytes, and what its header claims takes {least} or more: the "
                          "file is cut off, copy or write it again")
 
 
-def _claimed(head: bytes) -> list[int]:
-    """Numbers of elements that the first bytes of a mesh file claim; none where the format claims none."""
-    if head[:3] == b"ply":
-        header = head.partition(b"end_header")[0]
-        return [int(n) for n in re.findall(rb"^\s*element\s+\S+\s+(\d{1,20})", header, re.M)]
-    off = re.match(rb"\s*(?:ST|C|N|4|n)*OFF\s*(?:#[^\n]*\n\s*)*(\d{1,20})\s+(\d{1,20})", head)
-    return [int(n) for n in off.groups()] if off else []
-
-
-def _least_bytes(head: bytes) -> int:
-    """Fewest bytes that a binary .ply with this header has, its faces triangles; 0 for what is none."""
+def _claims(head: bytes) -> tuple[int, int]:
+    """Number of elements that the first bytes of a .ply or .off file claim, and the fewest bytes that a binary .ply
+    with this header has, its faces triangles; 0 of what the format does not claim."""
+    if head[:3] != b"ply":
+        off = re.match(rb"\s*(?:ST|C|N|4|n)*OFF\s*(?:#[^\n]*\n\s*)*(\d{1,20})\s+(\d{1,20})", head)
+        return sum(int(n) for n in off.groups()) if off else 0, 0
     header, end, _ = head.partition(b"end_header")
-    if head[:3] != b"ply" or not end or b"format binary" not in header:
-        return 0
-    least, count = len(header) + len(end) + 1, 0  # its line's end
+    claimed, count, least = 0, 0, len(header) + len(end) + 1  # its line's end
     for words in (line.split() for line in header.decode("ascii", "replace").splitlines()):
-        if words[:1] == ["element"] and len(words) == 3 and words[2].isdigit():
-            count = int(words[2])
+        if words[:1] == ["element"] and len(words) > 2 and words[2].isdecimal():
+            count = int(words[2][:20])
+            claimed += count
         elif words[:2] == ["property", "list"] and len(words) == 5:
             corners = 3 if words[4] in ("vertex_indices", "vertex_index") else 0
             least += count * (_BYTES.get(words[2], 0) + corners * _BYTES.get(words[3], 0))
         elif words[:1] == ["property"] and len(words) == 3:
             least += count * _BYTES.get(words[1], 0)
-    return least
+    return claimed, least if end and b"format binary" in header else 0
 
 
 def check_mesh_path(path: str | Path) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.scene.status import NO_SURFACE, REFINED
+from pagas_cl.scene.depthmap import NO_SURFACE, REFINED
 from pagas_cl.selftest.case import BOTH, Case, config_of
 from pagas_cl.selftest.scenes import HardScene
 from pagas_cl.selftest.table import CASES

@@ -5,8 +5,8 @@ SHARED are the -D defines of every kernel file but agree.cl.
 
 from __future__ import annotations
 
-from pagas_cl.scene.scene_scale import FAR, NEAR
-from pagas_cl.scene.status import KEPT, NO_SURFACE, REFINED, REJECTED
+from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED
+from pagas_cl.scene.sampling import FAR, NEAR
 
 # Work-items of the groups that sum up, and whole numbers that stand for 1 in sums of any order.
 SUMMARY_GROUP, FIT_GROUP, COST_GROUP, PENALTY_GROUP = 64, 64, 64, 256

@@ -20,7 +20,7 @@ HISTOGRAM = 8 * COST_BINS   # bytes that count them, before and after
 
 @dataclass(frozen=True, eq=False)
 class EvidenceDecision:
-    """On the device, per pixel: status uint8, as in scene/status.py; standard deviation of the depth, float32, device
+    """On the device, per pixel: status uint8, as in scene/depthmap.py; standard deviation of the depth, float32, device
     units, infinite where nothing is known. Before and after, over the pixels that are seen: mean 1 - correlation with
     the views' photos, of all refined depth, and median with each held-out view's photo, of what is accepted."""
 

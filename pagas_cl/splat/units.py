@@ -6,7 +6,7 @@ import numpy as np
 
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.runtime.transfer import download, upload
-from pagas_cl.scene.scene_scale import scene_scale_of
+from pagas_cl.scene.sampling import scene_scale_of
 from pagas_cl.splat.constants import SHARED
 
 _NONE_YET = np.array([np.inf, 0], np.float32)

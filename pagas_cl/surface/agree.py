@@ -15,7 +15,7 @@ from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError
 from pagas_cl.reference import agree as twin
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import camera_table
-from pagas_cl.scene.scene_scale import NEAR
+from pagas_cl.scene.sampling import NEAR
 
 log = logging.getLogger("pagas_cl")
 

@@ -22,7 +22,6 @@ from pagas_cl.scene.camera import Camera, intrinsics
 from pagas_cl.scene.files import write_text
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.readers.mlp_flavour import FLAVOURS, settle_flavour
-from pagas_cl.scene.readers.safe_xml import read_xml
 from pagas_cl.scene.view import Scene, View
 
 _FLIP = np.diag([1.0, -1.0, -1.0])
@@ -82,10 +81,6 @@ class Project:
         views = [photos.view_of(self.path.parent, raster.camera(flavour), raster.path) for raster in self.rasters]
         return Scene(views=views, source=f"{self.path} (MeshLab project, {flavour})")
 
-    def readings_differ(self) -> float:
-        """How many pixels lie between the two readings of CenterPx, the most of all raster layers."""
-        return max((abs(raster.size[1] - 2 * raster.center[1] - 0.5) for raster in self.rasters), default=0.0)
-
 
 def detect(folder: Path) -> bool:
     """Whether `folder` holds a .mlp file (or is one)."""
@@ -120,7 +115,7 @@ def read_project(path: Path, *, outside: bool = False) -> Project:
         Whether its meshes and photos may lie outside its folder; relative paths start there.
     """
     path = Path(path)
-    root = read_xml(path, "MeshLabProject")
+    root = untrusted.read_xml(path, "MeshLabProject")
     meshes = [_mesh(e, path, i, outside) for i, e in enumerate(root.findall("MeshGroup/MLMesh"))]
     rasters = [_raster(e, path, i, outside) for i, e in enumerate(root.findall("RasterGroup/MLRaster"))]
     strays = len(list(root.iter("VCGCamera"))) - len(rasters) - len(root.findall("MeshGroup/MLMesh/VCGCamera"))

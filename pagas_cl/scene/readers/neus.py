@@ -16,7 +16,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.files import DAMAGE, read_member
+from pagas_cl.scene.files import read_member, translated
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
 
@@ -95,21 +95,16 @@ def read_matrices(path: Path) -> dict[int, dict[str, np.ndarray]]:
     Sizes and headers are checked before anything is unpacked, and nothing is unpickled.
     """
     found: dict[int, dict[str, np.ndarray]] = {}
-    try:
-        with zipfile.ZipFile(path) as archive:
-            if len(archive.infolist()) > _ENTRIES:
-                raise InputError(f"{path} has {len(archive.infolist())} entries, expected at most {_ENTRIES}")
-            for entry in archive.infolist():
-                key = _KEY.fullmatch(entry.filename.removesuffix(".npy"))
-                if key:
-                    of_view = found.setdefault(int(key[2]), {})
-                    if key[1] in of_view:
-                        raise InputError(f"{path}: {key[0]} is there twice")
-                    of_view[key[1]] = _matrix(archive, entry, f"{path}: {key[0]}")
-    except DAMAGE as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path} cannot be read ({str(error)[:120]}): is the file damaged?") from error
+    with translated(f"{path} cannot be read (", "): is the file damaged?"), zipfile.ZipFile(path) as archive:
+        if len(archive.infolist()) > _ENTRIES:
+            raise InputError(f"{path} has {len(archive.infolist())} entries, expected at most {_ENTRIES}")
+        for entry in archive.infolist():
+            key = _KEY.fullmatch(entry.filename.removesuffix(".npy"))
+            if key:
+                of_view = found.setdefault(int(key[2]), {})
+                if key[1] in of_view:
+                    raise InputError(f"{path}: {key[0]} is there twice")
+                of_view[key[1]] = _matrix(archive, entry, f"{path}: {key[0]}")
     if not any("world_mat" in mats for mats in found.values()):
         raise InputError(f"{path} has no world_mat_0, world_mat_1 ...: is it a camera file of IDR or NeuS?")
     return found

@@ -8,18 +8,23 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+import xml.etree.ElementTree as ElementTree
+from collections import Counter
+from collections.abc import Hashable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
+from xml.parsers import expat
 
 import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.files import translated
 
 MAX_BYTES = 256 << 20      # a camera file of 100,000 views has some 100 MB
 MAX_SIDE = 1 << 20         # pixels; larger sides are damage, not photos
+_XML_DEPTH, _XML_BYTES = 32, 64 << 20
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)  # float() would take "1_0", "nan", "inf"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".ppm")
 
@@ -47,22 +52,61 @@ def read_json(path: Path) -> dict[str, Any]:
     """A JSON object; keys given twice are refused, since one of the two would be dropped in silence."""
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        found = dict(pairs)
-        if len(found) != len(pairs):
-            names = [name for name, _ in pairs]
-            twice = next(name for name in names if names.count(name) > 1)
-            raise InputError(f"{path}: the key {short(twice)} is given twice in one object; remove one")
-        return found
+        key = twice([name for name, _ in pairs])
+        if key is not None:
+            raise InputError(f"{path}: the key {short(key)} is given twice in one object; remove one")
+        return dict(pairs)
 
-    try:
+    with translated(f"{path} is not valid JSON (", "): is the file damaged?"):
         data = json.loads(read_text(path), object_pairs_hook=unique)
-    except InputError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not valid JSON ({str(error)[:120]}): is the file damaged?") from error
     if not isinstance(data, dict):
         raise InputError(f"{path} holds a JSON {type(data).__name__}, expected an object")
     return data
+
+
+def read_xml(path: Path, root: str) -> ElementTree.Element:
+    """The root element of an XML file, which must be called `root`.
+
+    InputError for anything that is not plain, well-formed XML: entity declarations (which can expand without bound, or
+    read other files) are refused before anything is expanded.
+    """
+    data = read_bytes(Path(path), _XML_BYTES)
+    with translated(f"{path} is not valid XML (", "): is the file damaged?"):
+        _inspect_xml(data, path)
+        element = ElementTree.fromstring(data)
+    if element.tag != root:
+        raise InputError(f"{path}: the root element is <{element.tag[:40]}>, expected <{root}>")
+    return element
+
+
+def _inspect_xml(data: bytes, path: Path) -> None:
+    """Walk through once with handlers that refuse what the second parse must not see."""
+    depth = 0
+
+    def refuse(*_: object) -> NoReturn:
+        raise InputError(f"{path} declares XML entities, which are not read; remove them from its DOCTYPE")
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > _XML_DEPTH:
+            raise InputError(f"{path} nests its elements more than {_XML_DEPTH} deep: is the file damaged?")
+
+    def end(name: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    parser = expat.ParserCreate()
+    parser.EntityDeclHandler = refuse
+    parser.UnparsedEntityDeclHandler = refuse
+    parser.ExternalEntityRefHandler = refuse
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.Parse(data, True)
+
+
+def twice(values: Sequence[Hashable]) -> Hashable:
+    """The first of `values` that is there twice, or None."""
+    return None if len(set(values)) == len(values) else Counter(values).most_common(1)[0][0]
 
 
 def short(value: object) -> str:
