@@ -75,10 +75,8 @@ def patchwork(width, height, size, rng, *, kind="photos", contrast=1.0, tile=Non
         kind = "noise"
     if kind == "flat":
         texels = np.full((tile, tile, 3), 0.5, np.float32)
-    elif kind == "noise":
-        texels = noise(width, height, rng)
     else:
-        texels = _tiles(width, height, tile, rng)
+        texels = noise(width, height, rng) if kind == "noise" else _tiles(width, height, tile, rng)
     return Texture((0.5 + contrast * (texels - 0.5)).astype(np.float32), float(size))
 
 
@@ -97,30 +95,19 @@ def noise(width, height, rng) -> np.ndarray:
 
 
 def _tiles(width, height, tile, rng):
+    from PIL import Image
+
+    folder = Path(find_spec("skimage").origin).parent / "data"
     across, down = -(-width // tile), -(-height // tile)
     texels = np.empty((down * tile, across * tile, 3), np.float32)
     order = []
     for row in range(down):
         for column in range(across):
-            if not order:
-                order = list(rng.permutation(len(PHOTOGRAPHS)))
-            photo = _photograph(PHOTOGRAPHS[order.pop()])
-            texels[row * tile:(row + 1) * tile, column * tile:(column + 1) * tile] = _cut(photo, tile, rng)
+            order = order or list(rng.permutation(len(PHOTOGRAPHS)))
+            with Image.open(folder / PHOTOGRAPHS[order.pop()]) as photo:
+                pixels = np.asarray(photo.convert("RGB"), np.float32) / 255.0
+            # a square of the photograph; mirrored where the photograph is smaller
+            rows, columns = (_mirror(rng.integers(0, max(size - tile, 0) + 1) + np.arange(tile), size)
+                             for size in pixels.shape[:2])
+            texels[row * tile:(row + 1) * tile, column * tile:(column + 1) * tile] = pixels[rows][:, columns]
     return texels
-
-
-def _cut(photo, tile, rng):
-    """A square of the photograph; mirrored where the photograph is smaller."""
-    h, w = photo.shape[:2]
-    top, left = rng.integers(0, max(h - tile, 0) + 1), rng.integers(0, max(w - tile, 0) + 1)
-    rows = _mirror(np.arange(top, top + tile), h)
-    columns = _mirror(np.arange(left, left + tile), w)
-    return photo[rows][:, columns]
-
-
-def _photograph(name) -> np.ndarray:
-    from PIL import Image
-
-    folder = Path(find_spec("skimage").origin).parent / "data"
-    with Image.open(folder / name) as photo:
-        return np.asarray(photo.convert("RGB"), np.float32) / 255.0
