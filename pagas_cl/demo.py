@@ -16,26 +16,14 @@ _log = logging.getLogger("pagas_cl")
 
 @dataclass(frozen=True, eq=False)
 class DemoResult:
-    """What came out.
+    """What came out."""
 
-    Attributes
-    ----------
-    before, after : dict of str to DepthReport
-        Errors of each view's initial and refined depth.
-    prediction : tuple of two floats
-        Median correlation of 7x7 patches of the target with a photo that took no part, before and after.
-    page, mesh : Path or None
-        The report's page; the fused mesh (None without Open3D).
-    seconds : float
-        Spent on refining, the device's compiler included.
-    """
-
-    before: dict[str, DepthReport]
-    after: dict[str, DepthReport]
-    prediction: tuple[float, float]
-    page: Path
-    mesh: Path | None
-    seconds: float
+    before: dict[str, DepthReport]      # errors of each view's initial depth
+    after: dict[str, DepthReport]       # and of its refined depth
+    prediction: tuple[float, float]     # median correlation of 7x7 patches with a photo that took no part, the same
+    page: Path                          # of the report
+    mesh: Path | None                   # fused; None without Open3D
+    seconds: float                      # spent on refining, the device's compiler included
 
     def table(self) -> str:
         """The errors as text."""

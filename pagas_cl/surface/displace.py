@@ -38,16 +38,13 @@ class Displacement:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """A view's initial and refined depth, and how far to trust the latter; arrays (H, W), 0 = no surface.
-
-    `parallax`: depth that moves a pixel by one pixel in the context views; `confidence`: 0 to 1.
-    """
+    """A view's initial and refined depth, and how far to trust the latter; arrays (H, W), 0 = no surface."""
 
     camera: Camera
     initial: np.ndarray = field(repr=False)
     refined: np.ndarray = field(repr=False)
-    parallax: np.ndarray = field(repr=False)
-    confidence: np.ndarray = field(repr=False)
+    parallax: np.ndarray = field(repr=False)    # depth that moves a pixel by one pixel in the context views
+    confidence: np.ndarray = field(repr=False)  # 0 to 1
 
 
 def displace(surface: Surface, views: list[Observed], *, agree_views: int = 1,

@@ -16,29 +16,15 @@ _SUN = np.array([0.35, -0.45, -0.82]) / np.linalg.norm([0.35, -0.45, -0.82])
 
 @dataclass(frozen=True)
 class Look:
-    """How a surface turns light into colour, and a camera light into a photo.
+    """How a surface turns light into colour, and a camera light into a photo: colour * gain + offset + noise."""
 
-    Attributes
-    ----------
-    shading : float
-        Share of the light that falls off with the angle to a distant sun; the same in every view.
-    shine : float
-        Strength of a highlight that moves with the viewer (1 is white).
-    gain, offset : float
-        The photo is colour * gain + offset.
-    noise, seed : float, int
-        Standard deviation of the sensor's noise, share of full scale, and what it is drawn from.
-    backdrop : Texture or None
-        Seen, fixed to the photo (coordinates are pixels), where a ray meets nothing; None is black.
-    """
-
-    shading: float = 0.3
-    shine: float = 0.0
+    shading: float = 0.3    # share of the light that falls off with the angle to a distant sun; the same in every view
+    shine: float = 0.0      # strength of a highlight that moves with the viewer (1 is white)
     gain: float = 1.0
     offset: float = 0.0
-    noise: float = 0.0
-    seed: int = 0
-    backdrop: Texture | None = None
+    noise: float = 0.0      # standard deviation, share of full scale
+    seed: int = 0           # of the noise
+    backdrop: Texture | None = None     # where a ray meets nothing, coordinates are pixels; None is black
 
 
 def depth_and_part(solid: Solid, camera):

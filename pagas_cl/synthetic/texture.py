@@ -18,18 +18,11 @@ _log = logging.getLogger("pagas_cl")
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """Colours on the plane (x, y).
+    """Colours on the plane (x, y); texel (row, column) is centred at ((column + 0.5) * size, (row + 0.5) * size) from
+    the corner."""
 
-    Parameters
-    ----------
-    texels : ndarray of shape (h, w, 3), float32
-        Colours, 0 to 1; texel (row, column) is centred at ((column + 0.5) * size, (row + 0.5) * size) from the corner.
-    size : float
-        Edge of a texel, scene units.
-    """
-
-    texels: np.ndarray
-    size: float
+    texels: np.ndarray      # (h, w, 3) float32, 0 to 1
+    size: float             # edge of a texel, scene units
 
     def __call__(self, x, y) -> np.ndarray:
         """Colours (float32 of shape (n, 3)) at points, bilinear, mirrored beyond the edges; (0, 0) is the middle."""
@@ -55,16 +48,10 @@ def _mirror(index, number):
 
 
 def patchwork(width, height, size, rng, *, kind="photos", contrast=1.0, tile=None) -> Texture:
-    """A texture of about `width` x `height` texels.
+    """A texture of about `width` x `height` texels, its departures from mid grey multiplied by `contrast`.
 
-    Parameters
-    ----------
-    kind : str
-        "photos": tiles cut from photographs; "noise": smooth noise of many scales; "flat": one grey.
-    contrast : float
-        The texture's departures from mid grey are multiplied by this.
-    tile : int or None
-        Texels along a tile's edge; None picks a third of the width, at most 300.
+    `kind` is "photos" (tiles cut from photographs), "noise" (smooth, of many scales) or "flat" (one grey). `tile` is a
+    tile's edge, texels: a third of the width by default, at most 300.
     """
     if kind not in ("photos", "noise", "flat"):
         raise InputError(f"texture is {kind!r}, expected 'photos', 'noise' or 'flat'")

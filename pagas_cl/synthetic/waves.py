@@ -11,24 +11,12 @@ _CHUNK = 32768  # points at a time: the temporaries stay in the processor's cach
 
 @dataclass(frozen=True, eq=False)
 class Waves:
-    """sum_k amplitude_k sin(2 pi (turns_k . (x, y) + phase_k)), optionally times a slow envelope.
+    """sum_k amplitude_k sin(2 pi (turns_k . (x, y) + phase_k)), times 1 + a slow envelope."""
 
-    Parameters
-    ----------
-    amplitude : ndarray of shape (n,)
-        Scene units.
-    turns : ndarray of shape (n, 2)
-        Waves per scene unit along x and y: direction / wavelength.
-    phase : ndarray of shape (n,)
-        Turns, 0 to 1.
-    envelope : Waves or None
-        Multiplies the sum by 1 + envelope(x, y), so that detail is strong in some places and weak in others.
-    """
-
-    amplitude: np.ndarray
-    turns: np.ndarray
-    phase: np.ndarray
-    envelope: Waves | None = None
+    amplitude: np.ndarray   # (n,), scene units
+    turns: np.ndarray       # (n, 2), waves per scene unit along x and y: direction / wavelength
+    phase: np.ndarray       # (n,), turns, 0 to 1
+    envelope: Waves | None = None       # makes detail strong in some places and weak in others
 
     @classmethod
     def random(cls, rng, number, shortest, longest, power, *, envelope=None) -> Waves:
