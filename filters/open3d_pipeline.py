@@ -14,17 +14,17 @@ import logging
 from dataclasses import replace
 
 import numpy as np
-from pagas_cl.filters.open3d_frames import Frame, give_back, read_frames
 
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError, need
-from pagas_cl.presets import preset as named_preset
+from pagas_cl.filters.open3d_frames import Frame, give_back, read_frames
+from pagas_cl.presets import settings_of
 
 log = logging.getLogger("pagas_cl")
 
 
 def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | None = None,
-                depth_trunc: float | None = None, pixel_center: float = 0.0, preset: str = "balanced",
+                depth_trunc: float | None = None, pixel_center: float = 0.0, preset: str | None = None,
                 config: Config | None = None, device=None, progress=None, agree_within: float | None = None) -> list:
     """Refine the depth of RGB-D frames with each other's colours.
 
@@ -55,7 +55,7 @@ def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | Non
         Depth is float32 in the numbers that came in (times depth_scale); valid where it was. Colours of tensors are
         float32 from 0 to 1, which VoxelBlockGrid wants beside floating point depth.
     """
-    config = named_preset(preset) if config is None else config
+    config = settings_of(preset, config)
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,
                        pixel_center=pixel_center)
     pairs = _refined(read, config, device, progress)
@@ -67,7 +67,7 @@ def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | Non
 
 def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: float | None = None,
                          depth_scale: float | None = None, depth_trunc: float | None = None, pixel_center: float = 0.0,
-                         preset: str = "balanced", config: Config | None = None, device=None, progress=None):
+                         preset: str | None = None, config: Config | None = None, device=None, progress=None):
     """Refine the frames, integrate them into a VoxelBlockGrid and extract the mesh.
 
     Parameters
@@ -85,7 +85,7 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
     from pagas_cl.refine import fuse_results
     from pagas_cl.surface.vertices import vertex_confidence
 
-    config = named_preset(preset) if config is None else config
+    config = settings_of(preset, config)
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,
                        pixel_center=pixel_center)
     if voxel_size is not None:

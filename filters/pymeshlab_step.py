@@ -12,9 +12,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
 
 from pagas_cl.errors import InputError, need
+from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
 from pagas_cl.scene.view import Scene, View
 
 log = logging.getLogger("pagas_cl")
@@ -76,9 +76,7 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
     """
     from pagas_cl.filters.filter_script import restore_history, saved_history
 
-    values = to_values(preset=preset, output=output, subdivide=subdivide, context_views=context_views, radius=radius,
-                       smoothness=smoothness, max_move=max_move, voxel=voxel, agree_views=agree_views,
-                       effects=effects, settings=settings, device=device)
+    values = to_values(locals())
     asked, history = request(values, FILTER), saved_history(self)
     try:
         counts = refine_layer(self, scene_views(scene), asked, progress=progress)
@@ -126,7 +124,7 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
     label, matrix = layer.label(), np.array(layer.transform_matrix())
     surface = to_surface(layer)  # the layer's matrix applied
     if asked.output == "displace":
-        surface = _without_quality(surface)
+        surface = replace(surface, quality=None, colors=None, normals=None)
     depths = initial_depths(surface, views, progress)
     if asked.output == "displace" and asked.subdivide is not None:
         surface = _subdivided(meshes, surface, views, depths, asked.subdivide, matrix)
@@ -137,10 +135,6 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
         fused = fuse_results(views, results, asked.config, progress, device=device or asked.device)
         _add_layer(meshes, fused, results, f"{label} refined", matrix)
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
-
-
-def _without_quality(surface):
-    return replace(surface, quality=None, colors=None, normals=None)
 
 
 def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
@@ -215,4 +209,4 @@ def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: 
                          f"than {_MOST_FACES:.0e}; use a larger number")
     scale = np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
     meshes.meshing_surface_subdivision_midpoint(iterations=12, threshold=pymeshlab.PureValue(longest / scale))
-    return _without_quality(to_surface(meshes.current_mesh()))
+    return replace(to_surface(meshes.current_mesh()), quality=None, colors=None, normals=None)

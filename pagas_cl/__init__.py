@@ -1,32 +1,47 @@
 """Refine a coarse mesh or depth maps with calibrated photos: PAGaS in OpenCL, for Open3D and pymeshlab.
 
 The public names below are imported when they are first used: `import pagas_cl` alone loads no pyopencl, open3d or
-pymeshlab and does no work.
+pymeshlab and does no work. Editors and type checkers read them from the imports under TYPE_CHECKING.
 """
 
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
 
-_HOME = {
-    "Camera": "pagas_cl.scene.camera",
-    "View": "pagas_cl.scene.view",
-    "Scene": "pagas_cl.scene.view",
-    "Surface": "pagas_cl.scene.mesh",
-    "read_scene": "pagas_cl.scene.readers",
-    "Config": "pagas_cl.config",
-    "preset": "pagas_cl.presets",
-    "refine_mesh": "pagas_cl.refine",
-    "refine_depth": "pagas_cl.refine",
-    "tradeoff": "pagas_cl.tradeoffs",
-    "check_cameras": "pagas_cl.camera_check",
-    "PagasError": "pagas_cl.errors",
-    "InputError": "pagas_cl.errors",
-    "DeviceError": "pagas_cl.errors",
-    "KernelBuildError": "pagas_cl.errors",
-    "MissingExtraError": "pagas_cl.errors",
+if TYPE_CHECKING:
+    from pagas_cl.config import Config
+    from pagas_cl.errors import DeviceError, InputError, KernelBuildError, MissingExtraError, PagasError
+    from pagas_cl.presets import preset
+    from pagas_cl.refine import refine_depth, refine_mesh, refine_views
+    from pagas_cl.result import DepthResult
+    from pagas_cl.scene.camera import Camera
+    from pagas_cl.scene.check import check_cameras
+    from pagas_cl.scene.depthmap import find_depth, load_depth, save_depth
+    from pagas_cl.scene.mesh import Surface
+    from pagas_cl.scene.readers import read_scene
+    from pagas_cl.scene.view import Scene, View
+    from pagas_cl.tradeoffs import tradeoff
+
+__all__ = [
+    "Camera", "Config", "DepthResult", "DeviceError", "InputError", "KernelBuildError", "MissingExtraError",
+    "PagasError", "Scene", "Surface", "View", "check_cameras", "find_depth", "load_depth", "preset", "read_scene",
+    "refine_depth", "refine_mesh", "refine_views", "save_depth", "tradeoff",
+]
+
+_HOME = {  # as the imports above
+    "config": ["Config"],
+    "errors": ["DeviceError", "InputError", "KernelBuildError", "MissingExtraError", "PagasError"],
+    "presets": ["preset"],
+    "refine": ["refine_depth", "refine_mesh", "refine_views"],
+    "result": ["DepthResult"],
+    "scene.camera": ["Camera"],
+    "scene.check": ["check_cameras"],
+    "scene.depthmap": ["find_depth", "load_depth", "save_depth"],
+    "scene.mesh": ["Surface"],
+    "scene.readers": ["read_scene"],
+    "scene.view": ["Scene", "View"],
+    "tradeoffs": ["tradeoff"],
 }
-
-__all__ = sorted(_HOME)
 
 try:
     __version__ = version("pagas-cl")
@@ -34,13 +49,16 @@ except PackageNotFoundError:  # a source tree that was never installed
     __version__ = "0+unknown"
 
 
-def __getattr__(name):
-    if name not in _HOME:
+if not TYPE_CHECKING:  # a checker would take any misspelt name for one that is loaded lazily
+
+    def __getattr__(name):
+        for module, names in _HOME.items():
+            if name in names:
+                value = getattr(import_module(f"pagas_cl.{module}"), name)
+                globals()[name] = value
+                return value
         raise AttributeError(f"module 'pagas_cl' has no attribute {name!r}")
-    value = getattr(import_module(_HOME[name]), name)
-    globals()[name] = value
-    return value
 
 
-def __dir__():
+def __dir__() -> list[str]:
     return sorted([*globals(), *__all__])

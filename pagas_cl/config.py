@@ -14,29 +14,32 @@ from pagas_cl.errors import InputError
 # cameras of a view, its contexts and held-out views, lie in 64 kB of constant memory, which every device has
 MOST_CONTEXTS, MOST_WEIGHT = 800, 100.0
 
+# a value, whether it holds, what is expected
+_Rule = tuple[object, bool, str]
 
-def _check(stage: str, **rules):
+
+def _check(stage: str, **rules: _Rule) -> None:
     """Raise InputError for the first `field=(value, holds, expected)` that does not hold."""
     for name, (value, holds, expected) in rules.items():
         if not holds:
             raise InputError(f"setting {stage}.{name} is {value!r}, expected {expected}")
 
 
-def _one_of(value, *choices):
+def _one_of(value: object, *choices: str) -> _Rule:
     return value, value in choices, " or ".join(repr(c) for c in choices)
 
 
-def _within(value, low, high):
+def _within(value: object, low: float, high: float) -> _Rule:
     ok = isinstance(value, (int, float)) and not isinstance(value, bool) and low <= value <= high
     return value, ok, f"a number from {low:g} to {high:g}"
 
 
-def _whole(value, low, high):
+def _whole(value: object, low: int, high: int) -> _Rule:
     ok = isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
     return value, ok, f"a whole number from {low} to {high}"
 
 
-def _flag(value):
+def _flag(value: object) -> _Rule:
     return value, isinstance(value, bool), "true or false"
 
 
@@ -79,7 +82,7 @@ class Splatting:
     low_pass: float = 0.0
     normalize: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _check("splatting", blend=_one_of(self.blend, "order_free", "alpha"), radius=_within(self.radius, 0, 8),
                final_radius=_within(self.final_radius, 0, self.radius if isinstance(self.radius, (int, float)) else 8),
                occlusion=_flag(self.occlusion), depth_slices=_within(self.depth_slices, 1e-6, 1e9),
@@ -130,7 +133,7 @@ class Loss:
     robust: float = 0.0
     target_view: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _check("loss", ssim=_within(self.ssim, 0, 1), huber=_within(self.huber, 0, 1),
                robust=_within(self.robust, 0, 2),
                **{name: _flag(getattr(self, name)) for name in ("gradient_weight", "coverage_weight", "unseen_mask",
@@ -171,7 +174,7 @@ class Smoothness:
     huber: float = 1.0
     discontinuity: float = 0.3
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _check("smoothness", kind=_one_of(self.kind, "none", "normal", "planar"),
                weight=_within(self.weight, 0, MOST_WEIGHT), full_views=_whole(self.full_views, 1, 1000),
                texture=_within(self.texture, 0, 1), specularity=_within(self.specularity, 0, 1e4),
@@ -179,7 +182,7 @@ class Smoothness:
 
     def weight_with(self, contexts: int) -> float:
         """lambda_s where there are so many context views, at most the largest weight there is."""
-        return min(MOST_WEIGHT, self.weight * max(1.0, self.full_views / contexts) ** (2 / 3))
+        return min(MOST_WEIGHT, self.weight * float(max(1.0, self.full_views / contexts) ** (2 / 3)))
 
 
 @dataclass(frozen=True)
@@ -237,7 +240,7 @@ class Solver:
     tolerance: float = 0.03
     mismatch: float = 0.45
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _check("solver", rate=_within(self.rate, 1e-12, 100), rate_unit=_one_of(self.rate_unit, "parallax", "distance"),
                damping=_within(self.damping, 0, 1e3), early_damping=_within(self.early_damping, 1, 1e3),
                beta1=_within(self.beta1, 0, 0.9999), beta2=_within(self.beta2, 0, 0.9999),
@@ -272,7 +275,7 @@ class Pyramid:
     scales: tuple[float, ...] = (1.0,)
     steps: tuple[int, ...] = (180,)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "scales", tuple(float(s) for s in self.scales))
         object.__setattr__(self, "steps", tuple(self.steps))
         rising = all(a < b for a, b in zip(self.scales, self.scales[1:]))
@@ -302,7 +305,7 @@ class Context:
     max_angle: float = 60.0
     min_overlap: float = 0.1
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _check("context", number=_whole(self.number, 1, MOST_CONTEXTS), min_angle=_within(self.min_angle, 0, 180),
                max_angle=_within(self.max_angle, self.min_angle, 180), min_overlap=_within(self.min_overlap, 0, 1))
 
@@ -338,7 +341,7 @@ class Fusion:
     least_weight: float = 1.0
     min_component: float = 0.05
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _check("fusion", voxel=_within(self.voxel, 0.05, 1000), truncation=_within(self.truncation, 1, 100),
                min_views=_whole(self.min_views, 1, 1000), agree_views=_whole(self.agree_views, 0, 1000),
                agree_pixels=_within(self.agree_pixels, 0, 1e6), least_weight=_within(self.least_weight, 0, 1),
@@ -366,7 +369,7 @@ class Effects:
     pyramid: str = "auto"
     consistency: str = "auto"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _check("effects", **{f.name: _one_of(getattr(self, f.name), "auto", "on", "off", "set") for f in fields(self)})
 
     @property
@@ -393,7 +396,7 @@ class Config:
     fusion: Fusion = field(default_factory=Fusion)
     effects: Effects = field(default_factory=Effects)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for stage in fields(self):
             value = getattr(self, stage.name)
             if not is_dataclass(value) or type(value).__name__ != stage.type:
@@ -416,14 +419,14 @@ class Config:
             by_stage.setdefault(stage, {})[name] = value
         return replace(self, **{stage: replace(getattr(self, stage), **values) for stage, values in by_stage.items()})
 
-    def as_dict(self) -> dict:
+    def as_dict(self) -> dict[str, dict[str, Any]]:
         """Plain nested dictionary, ready for JSON."""
         return asdict(self)
 
 
 def setting_names() -> list[str]:
     """Every setting as "stage.field", in order."""
-    return [f"{stage.name}.{f.name}" for stage in fields(Config) for f in fields(globals()[stage.type])]
+    return [f"{stage.name}.{f.name}" for stage in fields(Config) for f in fields(globals()[str(stage.type)])]
 
 
 def _nearest(key: str) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pagas_cl.evaluate import DepthReport, compare_depth, compare_predictions
+from pagas_cl.presets import settings_of
 from pagas_cl.progress import ViewProgress
 from pagas_cl.synthetic import SyntheticScene, relief_scene
 
@@ -39,7 +40,7 @@ class DemoResult:
         return head + "".join(rows) + f"correlation with the held-out photo: {old:.4f} -> {new:.4f}\n"
 
 
-def run_demo(folder, *, width=288, height=216, contexts=4, preset="balanced", config=None, device=None,
+def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = None, config=None, device=None,
              progress=None, **settings) -> DemoResult:
     """Make a relief scene, refine the depth of each of its views, compare with the truth, fuse a mesh.
 
@@ -66,7 +67,7 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset="balanced", co
     write_scene(synthetic, folder / "scene")
     progress("make the scene", len(synthetic.cameras), len(synthetic.cameras))
     start = time.perf_counter()
-    results = _refined(synthetic, preset, config, device, progress)
+    results = _refined(synthetic, settings_of(preset, config), device, progress)
     seconds = time.perf_counter() - start
     depths = [result.depth for result in results]
     initial = [synthetic.initial_depth(view.camera) for view in synthetic.views]
@@ -84,15 +85,15 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset="balanced", co
                       folder / "report" / "index.html", _mesh(synthetic, depths, folder, progress), seconds)
 
 
-def _refined(synthetic: SyntheticScene, preset, config, device, progress):
+def _refined(synthetic: SyntheticScene, config, device, progress):
     from pagas_cl.refine import refine_depth
 
     results, view_progress = [], ViewProgress(progress, len(synthetic.views))
     for number, view in enumerate(synthetic.views):
         view_progress.at(number)
         others = [other for other in synthetic.views if other is not view]
-        results.append(refine_depth(view, others, synthetic.initial_depth(view.camera), preset=preset, config=config,
-                                    device=device, progress=view_progress.inside(number)))
+        results.append(refine_depth(view, others, synthetic.initial_depth(view.camera), config=config, device=device,
+                                    progress=view_progress.inside(number)))
     view_progress.at(len(synthetic.views))
     return results
 

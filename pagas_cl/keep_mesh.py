@@ -11,6 +11,7 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError
+from pagas_cl.result import joined
 from pagas_cl.scene.mesh import Surface, to_surface
 from pagas_cl.scene.mesh_attributes import load_whole, with_vertices
 from pagas_cl.scene.view import View
@@ -60,8 +61,8 @@ def observed_views(views: list[View], depths, results) -> list:
     """What surface.displace takes, of what refine_views took and gave."""
     from pagas_cl.surface.displace import Observed
 
-    initial = {id(view.camera): depth for view, depth in zip(views, depths)}
-    return [Observed(r.camera, np.asarray(initial[id(r.camera)]), r.depth, r.parallax, r.confidence) for r in results]
+    return [Observed(r.camera, np.asarray(depths[place]), r.depth, r.parallax, r.confidence)
+            for place, r in joined(views, results)]
 
 
 def write_whole(path, mesh) -> None:

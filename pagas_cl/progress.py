@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+# What a caller is told of a run by: (stage, done, total).
+Progress: TypeAlias = Callable[[str, float, float], Any]
 _STEPS = 0.95       # of a view's time; what judges and writes its depth comes after
 
 
@@ -18,7 +23,7 @@ class ViewProgress:
         Views.
     """
 
-    def __init__(self, progress, total: int):
+    def __init__(self, progress: Progress | None, total: int):
         self.progress, self.total, self._most = progress, total, -1.0
 
     def at(self, done: float) -> None:
@@ -27,6 +32,6 @@ class ViewProgress:
             self._most = done
             self.progress("refine", done, self.total)
 
-    def inside(self, done: int):
+    def inside(self, done: int) -> Progress | None:
         """Progress of refine_depth for the view after the first `done`; None where nobody is told."""
         return self.progress and (lambda stage, steps, of: self.at(done + _STEPS * steps / of))

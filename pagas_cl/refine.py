@@ -4,28 +4,50 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
 
 from pagas_cl.acceptance import rejection_reason
 from pagas_cl.config import Config
-from pagas_cl.effects import decide, decide_consistency
+from pagas_cl.effects import Decision, decide, decide_consistency
 from pagas_cl.errors import InputError
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
-from pagas_cl.measurements import measure
-from pagas_cl.presets import preset as named_preset
-from pagas_cl.progress import ViewProgress
-from pagas_cl.result import DepthResult
-from pagas_cl.scene.inputs import as_views, asked_views, checked_depth
-from pagas_cl.scene.mesh import from_surface, to_surface
+from pagas_cl.measurements import Measurements, measure
+from pagas_cl.presets import settings_of
+from pagas_cl.progress import Progress, ViewProgress
+from pagas_cl.result import DepthResult, OnDisk, joined
+from pagas_cl.scene.images import Loads
+from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth
+from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
 from pagas_cl.scene.partners import PartnerChooser, Partners
 from pagas_cl.scene.view import View
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from pagas_cl.runtime.device import Device
+    from pagas_cl.splat import NormalizedDepth, PhotoStore
+    from pagas_cl.splat.view import Refinement
 
 log = logging.getLogger("pagas_cl")
 
 
-def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=None, device=None, progress=None,
-                output="tsdf", subdivide=None, executor=None, folder=None):
+@runtime_checkable
+class _Maps(Protocol):
+    """An executor, as opposed to the address of one."""
+
+    def map(self, work: Callable[..., Any], /, *arguments: Any) -> Any:
+        """The results of `work` on each of the arguments."""
+
+
+def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
+                config: Config | None = None, device: str | Device | list[str] | tuple[str, ...] | None = None,
+                progress: Progress | None = None, output: str = "tsdf", subdivide: float | None = None,
+                executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
     """Refine a mesh with calibrated photos.
 
     mesh -> depth of every view -> refine each view by itself -> keep what other views confirm -> TSDF -> mesh
@@ -38,8 +60,10 @@ def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=Non
     images : list of arrays (H, W, 3) (uint8, or floating point from 0 to 1) or paths, one a camera, or a folder
     masks : list of arrays (H, W) bool or paths, optional
         True = used, of the target and of the context views; what is masked out of a view keeps its depth.
-    preset : str
-        Name of the settings to start from; `config` (a Config) replaces them.
+    preset : str, optional
+        Name of the settings: "fast", "balanced" (where neither is given), "accurate" or "paper".
+    config : Config, optional
+        All settings, in place of `preset`: `pagas_cl.preset("fast").with_settings(...)`.
     device : str, optional
         Part of the name of an OpenCL device; a GPU before a CPU by default. "all", or a list of names: one process on
         each of these devices of this machine.
@@ -65,7 +89,7 @@ def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=Non
     if output not in ("tsdf", "displace"):
         raise InputError(f"output is {output!r}, expected 'tsdf' or 'displace'")
     check_subdivide(subdivide)
-    config = _config(preset, config)
+    config = settings_of(preset, config)
     views = as_views(cams, images, masks)
     surface = to_surface(mesh)
     depths = initial_depths(surface, views, progress)
@@ -77,8 +101,9 @@ def refine_mesh(mesh, cams, images, *, masks=None, preset="balanced", config=Non
     return from_surface(fused, like=mesh)
 
 
-def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced", config=None, device=None,
-                 progress=None, held_out: Sequence[View] = (), photos=None) -> DepthResult:
+def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *, preset: str | None = None,
+                 config: Config | None = None, device: str | Device | None = None, progress: Progress | None = None,
+                 held_out: Sequence[View] = (), photos: PhotoStore | None = None) -> DepthResult:
     """Refine the depth map of one view. Needs neither Open3D nor a mesh.
 
     Parameters
@@ -107,12 +132,12 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
     from pagas_cl.splat import NormalizedDepth, PhotoStore, refine_levels
     from pagas_cl.splat.fit import fit_memory
 
-    config, depth, device = _config(preset, config), checked_depth(depth, target), open_device(device)
+    config, depth, device = settings_of(preset, config), checked_depth(depth, target), open_device(device)
     if not contexts:
-        return DepthResult.unrefined(target.camera, depth, "no context views were given")
+        return DepthResult.unrefined(target.camera, depth, "no context views were given", name=target.name)
     start, steps_done = time.perf_counter(), _steps_of(progress, target)
 
-    def attempt(photos):
+    def attempt(photos: PhotoStore) -> tuple[Refinement, list[Decision], Measurements | None]:
         normalized = NormalizedDepth(target, depth, device)
         settled, decisions, measured = settle(target, contexts, depth, config, device, photos, normalized=normalized)
         refined = refine_levels(target, contexts, depth, settled, device, photos, progress=steps_done,
@@ -125,12 +150,17 @@ def refine_depth(target: View, contexts: list[View], depth, *, preset="balanced"
     reason = rejection_reason(refined, depth, len(contexts), held_out, measured)
     if reason:
         log.warning("view %s is kept as it came: %s", target.name, reason)
-        return DepthResult.unrefined(target.camera, depth, reason, report)
-    return DepthResult(target.camera, refined.depth, refined.status, refined.deviation, refined.parallax, "", report)
+        return DepthResult.unrefined(target.camera, depth, reason, report, target.name)
+    return DepthResult(target.camera, refined.depth, refined.status, refined.deviation, refined.parallax, "", report,
+                       target.name)
 
 
-def refine_views(views: list[View], depths, *, names=None, config=None, preset="balanced", device=None, progress=None,
-                 on_view=None, executor=None, folder=None, extras=True) -> list[DepthResult]:
+def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names: Collection[str] | None = None,
+                 config: Config | None = None, preset: str | None = None,
+                 device: str | Device | list[str] | tuple[str, ...] | None = None, progress: Progress | None = None,
+                 on_view: Callable[[View, Depth, DepthResult], Any] | None = None,
+                 executor: Executor | str | None = None, folder: str | Path | None = None,
+                 extras: bool = True) -> list[DepthResult]:
     """Refine the depth maps of many views, each by itself.
 
     Parameters
@@ -161,27 +191,31 @@ def refine_views(views: list[View], depths, *, names=None, config=None, preset="
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import PhotoStore
 
-    config, asked = _config(preset, config), asked_views(views, depths, names)
+    config, asked = settings_of(preset, config), asked_views(views, depths, names)
     if executor is not None or folder is not None or device == "all" or isinstance(device, (list, tuple)):
         from pagas_cl.jobs import refine_all
 
         return refine_all(refine_one, views, depths, asked, config, device=device, executor=executor, folder=folder,
                           extras=extras, progress=progress, on_view=on_view)
     device, results, view_progress = open_device(device), [], ViewProgress(progress, len(asked))
-    photos, chooser = PhotoStore(device), PartnerChooser([view.camera for view in views], depths, config.context)
+    arrays = {place: depth.load() if isinstance(depth, Loads) else depth
+              for place, depth in enumerate(depths) if depth is not None}
+    photos, chooser = PhotoStore(device), PartnerChooser([view.camera for view in views],
+                                                         [arrays.get(k) for k in range(len(views))], config.context)
     for done, index in enumerate(asked):
         view_progress.at(done)
-        result = refine_one(views, chooser.choose(index), depths[index], config, device, photos,
+        result = refine_one(views, chooser.choose(index), arrays[index], config, device, photos,
                             progress=view_progress.inside(done))
         results.append(result)
         if on_view:
-            on_view(views[index], depths[index], result)
+            on_view(views[index], arrays[index], result)
     photos.clear()
     view_progress.at(len(asked))
     return results
 
 
-def refine_one(views, partners: Partners, depth, config: Config, device, photos, progress=None) -> DepthResult:
+def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, depth: npt.ArrayLike, config: Config,
+               device: Device, photos: PhotoStore, progress: Progress | None = None) -> DepthResult:
     """One of many views, with the partners chosen for it: a pure function, which any worker may run.
 
     `views` by place: a list, or a dict with those that are needed. `progress` as in refine_depth.
@@ -189,12 +223,14 @@ def refine_one(views, partners: Partners, depth, config: Config, device, photos,
     target, depth = views[partners.target], checked_depth(depth, views[partners.target])
     if not partners.contexts:
         log.warning("view %s is kept as it came: %s", target.name, partners.reason)
-        return DepthResult.unrefined(target.camera, depth, partners.reason)
+        return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
     return refine_depth(target, [views[k] for k in partners.contexts], depth, config=config, device=device,
                         progress=progress, photos=photos, held_out=[views[k] for k in partners.held_out])
 
 
-def settle(target: View, contexts: list[View], depth, config: Config, device, photos, *, normalized=None):
+def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
+           photos: PhotoStore, *,
+           normalized: NormalizedDepth | None = None) -> tuple[Config, list[Decision], Measurements | None]:
     """Decide which effects this view calls for: the settings that follow, the decisions, and what they rest on."""
     if not config.effects.measured:
         return *decide(config, None), None
@@ -206,7 +242,8 @@ def settle(target: View, contexts: list[View], depth, config: Config, device, ph
     return config, decisions, measured
 
 
-def initial_depths(surface, views: list[View], progress=None, keep=None) -> list:
+def initial_depths(surface: Surface, views: Sequence[View], progress: Progress | None = None,
+                   keep: Callable[[np.ndarray], Any] | None = None) -> list[Any]:
     """Depth of every view from the surface, by ray casting: float32 of shape (H, W), 0 = no surface.
 
     `keep` replaces each by what stands for it, such as the place where it put it.
@@ -223,10 +260,14 @@ def initial_depths(surface, views: list[View], progress=None, keep=None) -> list
     return depths
 
 
-def fuse_results(views: list[View], results: list[DepthResult], config: Config, progress=None, memory_mb=None,
-                 tell=None, *, executor=None, folder=None, device=None):
+def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: Config,
+                 progress: Progress | None = None, memory_mb: float | None = None,
+                 tell: Callable[[str], Any] | None = None, *, executor: Executor | str | None = None,
+                 folder: str | Path | None = None,
+                 device: str | Device | list[str] | tuple[str, ...] | None = None) -> Surface:
     """Keep what other views confirm, then TSDF: a Surface. In `memory_mb` of host memory, or what is free.
 
+    Results find their views by name (see result.joined); views without one take no part.
     `tell(text)` is told whether other views were asked, and why. Where one grid does not fit, its boxes go to
     `executor`, if that is a concurrent.futures.Executor and photos and depth maps are files that it can read. Views are
     compared on `device` (as in refine_mesh), in NumPy where there is none.
@@ -235,33 +276,25 @@ def fuse_results(views: list[View], results: list[DepthResult], config: Config, 
     from pagas_cl.surface.blocks import fuse_within
     from pagas_cl.surface.fuse import weights_of
 
-    device, by_camera = comparison_device(device), {id(result.camera): result for result in results}
-    used = [view for view in views if id(view.camera) in by_camera]
-    results, cameras = [by_camera[id(view.camera)] for view in used], [view.camera for view in used]
+    device, pairs = comparison_device(device), sorted(joined(views, results), key=lambda pair: pair[0])
+    used, results = [views[place] for place, _ in pairs], [result for _, result in pairs]
+    cameras = [view.camera for view in used]
     config, decision = decide_consistency(cameras, results, config, device)
     if decision is not None:
         log.info("%s", decision)
         if tell:
             tell(str(decision))
     on_disk = config.fusion.agree_views == 0  # read one at a time, then
-    depths = [result.file if on_disk and hasattr(result, "file") else result.depth for result in results]
+    depths = [result.file if on_disk and isinstance(result, OnDisk) else result.depth for result in results]
     agreed = confirmed(cameras, depths, config.fusion, device=device)
     files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
-    elsewhere = executor if files and hasattr(executor, "map") else None
+    elsewhere = executor if files and isinstance(executor, _Maps) else None
     return fuse_within(used, agreed, config.fusion, memory_mb, weights=weights_of(results, config.fusion.least_weight),
                        progress=progress, executor=elsewhere, folder=folder)
 
 
-def _config(preset: str, config) -> Config:
-    if config is None:
-        return named_preset(preset)
-    if not isinstance(config, Config):
-        raise InputError(f"config is a {type(config).__name__}, expected pagas_cl.Config (start from "
-                         f"pagas_cl.preset({preset!r}))")
-    return config
-
-
-def _report(refined, decisions, contexts, held_out, seconds: float) -> dict:
+def _report(refined: Refinement, decisions: Sequence[Decision], contexts: Sequence[View], held_out: Sequence[View],
+            seconds: float) -> dict[str, Any]:
     """What DepthResult.report tells of a refinement."""
     return {"contexts": [view.name for view in contexts], "held_out": [view.name for view in held_out],
             "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
@@ -269,5 +302,5 @@ def _report(refined, decisions, contexts, held_out, seconds: float) -> dict:
             "planned_bytes": refined.planned_bytes, "seconds": seconds}
 
 
-def _steps_of(progress, target: View):
+def _steps_of(progress: Progress | None, target: View) -> Callable[[float, float], Any] | None:
     return (lambda done, total: progress(f"refine {target.name}", done, total)) if progress else None

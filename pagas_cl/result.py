@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+import numpy.typing as npt
 
+from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import surface_depth
 from pagas_cl.scene.status import KEPT, NO_SURFACE, REFINED, REJECTED
+from pagas_cl.scene.view import View
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,6 +25,7 @@ class DepthResult:
     Attributes
     ----------
     camera : Camera
+        Of the view that was refined.
     depth : ndarray, float32
         z-depth in scene units, 0 = no surface.
     status : ndarray, uint8
@@ -32,15 +39,21 @@ class DepthResult:
         Why the whole view was kept as it came; empty where it was refined.
     report : dict
         Plain numbers of the run: contexts, steps, cost before and after, held-out views, device_bytes, seconds.
+    name : str
+        The view's name, by which results find their views; the camera's where it is left out.
     """
 
     camera: Camera
-    depth: np.ndarray
-    status: np.ndarray
-    deviation: np.ndarray
-    parallax: np.ndarray
+    depth: npt.NDArray[np.float32]
+    status: npt.NDArray[np.uint8]
+    deviation: npt.NDArray[np.float32]
+    parallax: npt.NDArray[np.float32]
     reason: str = ""
-    report: dict = field(default_factory=dict)
+    report: dict[str, Any] = field(default_factory=dict)
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", self.name or self.camera.name)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -50,40 +63,78 @@ class DepthResult:
                 "no surface": int(number[NO_SURFACE])}
 
     @cached_property
-    def confidence(self) -> np.ndarray:
+    def confidence(self) -> npt.NDArray[np.float32]:
         """From 0 (the photos say nothing) to 1, float32: 1 / (1 + (deviation / parallax)^2), so that a deviation of
         one pixel of parallax gives a half."""
         return confidence_of(self.depth, self.deviation, self.parallax)
 
     @cached_property
-    def normals(self) -> np.ndarray:
+    def normals(self) -> npt.NDArray[np.float32]:
         """Unit normals in camera coordinates, towards the camera, float32 of shape (H, W, 3); 0 where a neighbour is
         missing. From central differences of the points of the depth map (method section 5)."""
         return normals_of(self.depth, self.camera)
 
     @classmethod
-    def missing(cls, camera: Camera, reason: str) -> DepthResult:
+    def missing(cls, camera: Camera, reason: str, name: str = "") -> DepthResult:
         """No surface anywhere, of a view that could not be refined."""
         nothing = np.zeros((camera.height, camera.width), np.float32)
-        return cls(camera, nothing, nothing.astype(np.uint8), nothing, nothing, reason, {"failed": reason})
+        return cls(camera, nothing, nothing.astype(np.uint8), nothing, nothing, reason, {"failed": reason}, name)
 
     @classmethod
-    def unrefined(cls, camera: Camera, depth: np.ndarray, reason: str, report: dict | None = None) -> DepthResult:
+    def unrefined(cls, camera: Camera, depth: npt.ArrayLike, reason: str, report: dict[str, Any] | None = None,
+                  name: str = "") -> DepthResult:
         """The input as it came, with the reason."""
         depth = surface_depth(np.asarray(depth))
         status = np.where(depth > 0, KEPT, NO_SURFACE).astype(np.uint8)
         deviation = np.where(depth > 0, np.inf, 0).astype(np.float32)
-        return cls(camera, depth, status, deviation, np.zeros_like(depth), reason, report or {})
+        return cls(camera, depth, status, deviation, np.zeros_like(depth), reason, report or {}, name)
 
 
-def confidence_of(depth: np.ndarray, deviation: np.ndarray, parallax: np.ndarray) -> np.ndarray:
+@runtime_checkable
+class OnDisk(Protocol):
+    """A result whose depth map is a file, read when it is asked for."""
+
+    @property
+    def file(self) -> Path:
+        """The depth map's file."""
+
+
+def joined(views: Sequence[View], results: Sequence[DepthResult]) -> list[tuple[int, DepthResult]]:
+    """(place in `views`, result) for each result that is of one of the views, in the order of the results.
+
+    By the view's name; where several views have it, by the camera too. InputError where that leaves a choice.
+    """
+    called: dict[str, list[int]] = {}
+    for place, view in enumerate(views):
+        called.setdefault(view.name, []).append(place)
+    found: dict[int, DepthResult] = {}
+    for result in results:
+        places = called.get(result.name, [])
+        if len(places) > 1:
+            places = ([p for p in places if views[p].camera is result.camera]
+                      or [p for p in places if _same(views[p].camera, result.camera)])
+        if len(places) > 1:
+            raise InputError(f"{len(places)} views are called {result.name!r} and have the same camera, expected a "
+                             "name for each, by which its result is found")
+        if places and found.setdefault(places[0], result) is not result:
+            raise InputError(f"there are two results of view {result.name!r}, expected one")
+    return list(found.items())
+
+
+def _same(one: Camera, other: Camera) -> bool:
+    """Whether two cameras are the same in all their numbers."""
+    return ((one.width, one.height) == (other.width, other.height) and np.array_equal(one.K, other.K)
+            and np.array_equal(one.world_to_camera, other.world_to_camera))
+
+
+def confidence_of(depth: np.ndarray, deviation: np.ndarray, parallax: np.ndarray) -> npt.NDArray[np.float32]:
     """Confidence of a depth map; see DepthResult.confidence."""
     with np.errstate(divide="ignore", invalid="ignore"):
         trust = 1 / (1 + np.square(deviation.astype(np.float64) / parallax))
     return np.where((depth > 0) & (parallax > 0) & np.isfinite(trust), trust, 0).astype(np.float32)
 
 
-def normals_of(depth: np.ndarray, camera: Camera) -> np.ndarray:
+def normals_of(depth: np.ndarray, camera: Camera) -> npt.NDArray[np.float32]:
     """Normals of a depth map; see DepthResult.normals."""
     points = camera.rays() * depth.astype(np.float64)[..., None]
     normals = np.zeros(points.shape, np.float32)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 
 from pagas_cl.synthetic import relief_scene
 
 
-@lru_cache(maxsize=None)
+@cache
 def tiny(**settings):
     """96 x 72 pixels, 3 context views, 1 held out; `settings` as in synthetic.Relief. Treat the result as read-only."""
     return relief_scene(**{"width": 96, "height": 72, "contexts": 3, "held_out": 1, **settings})
 
 
-@lru_cache(maxsize=None)
+@cache
 def small(**settings):
     """388 x 290 pixels, 5 context views, 1 held out: big enough for error figures to mean something."""
     return relief_scene(**{"width": 388, "height": 290, "contexts": 5, "held_out": 1, **settings})

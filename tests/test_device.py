@@ -1,8 +1,6 @@
 """Choosing a device, with a pyopencl that is made of plain objects, and once with the real one."""
 
-import json
 import logging
-import subprocess
 import sys
 from types import SimpleNamespace
 
@@ -10,7 +8,9 @@ import pytest
 
 from pagas_cl.errors import DeviceError
 from pagas_cl.runtime import icd, listing
+from pagas_cl.runtime.child import Answer, ask
 from pagas_cl.runtime.device import Device, DeviceInfo, find_devices, open_device
+from pagas_cl.runtime.trial import Trial
 
 GPU, CPU, ACCELERATOR = 4, 2, 8
 
@@ -24,8 +24,8 @@ def device(name, kind=GPU, units=10, **more):
         "name": name, "type": kind, "vendor": "vendor ", "version": "OpenCL 3.0 ", "driver_version": "1.2.3",
         "opencl_c_version": "OpenCL C 1.2 ", "global_mem_size": 2**33, "max_mem_alloc_size": 2**31,
         "local_mem_size": 48 * 1024, "max_work_group_size": 1024, "max_compute_units": units,
-        "extensions": "cl_khr_fp64 cl_khr_int64_base_atomics", "available": 1, "compiler_available": 1,
-        "endian_little": 1, **more})
+        "native_vector_width_float": 1, "extensions": "cl_khr_fp64 cl_khr_int64_base_atomics", "available": 1,
+        "compiler_available": 1, "endian_little": 1, **more})
 
 
 def platform(name, *devices):
@@ -34,17 +34,22 @@ def platform(name, *devices):
 
 @pytest.fixture
 def machine(monkeypatch):
-    """A function that puts platforms into a mocked pyopencl."""
+    """A function that puts platforms into a mocked pyopencl; `faults` of trials by device name."""
     monkeypatch.delenv("PAGAS_CL_DEVICE", raising=False)
     monkeypatch.setattr("pagas_cl.runtime.device._told", set())
+    monkeypatch.setattr(listing, "check_drivers", lambda: None)
 
-    def install(*platforms, get_platforms=None, Context=lambda devices: devices[0], build=lambda context: None):
+    def install(*platforms, get_platforms=None, Context=lambda devices: devices[0], faults=None):
+        def tried(info, again=False):
+            fault = (faults or {}).get(info.name, "")
+            return Trial(0 if fault else 1, fault)
+
+        monkeypatch.setattr("pagas_cl.runtime.device.try_device", tried)
         fake = SimpleNamespace(
             Error=ClError, Context=Context, get_platforms=get_platforms or (lambda: list(platforms)),
             device_type=SimpleNamespace(GPU=GPU, CPU=CPU, ACCELERATOR=ACCELERATOR),
             command_queue_properties=SimpleNamespace(PROFILING_ENABLE=2),
-            CommandQueue=lambda context, chosen, properties: ("queue", chosen.name, properties),
-            Program=lambda context, source: SimpleNamespace(build=lambda options: build(context)))
+            CommandQueue=lambda context, chosen, properties: ("queue", chosen.name, properties))
         monkeypatch.setitem(sys.modules, "pyopencl", fake)
         return fake
 
@@ -118,7 +123,7 @@ def test_no_platform_says_where_it_looked_and_what_to_install(machine, monkeypat
         with pytest.raises(DeviceError) as caught:
             open_device()
         for words in ("no OpenCL platform found", str(tmp_path), "broken.icd", "OCL_ICD_VENDORS", "libnothing.so",
-                      'pip install "pagas-cl[pocl]"'):
+                      'pip install "pagas-cl[cpu]"'):
             assert words in str(caught.value)
 
 
@@ -145,15 +150,20 @@ def test_a_platform_that_fails_does_not_hide_the_others(machine):
 
 
 def test_a_device_that_fails_is_passed_over_or_named(machine, caplog):
-    def fails(context):
-        if "H100" in context.name:
-            raise ClError("build failed\nerror: no such target")
-
-    machine(*TWO, build=fails)
+    machine(*TWO, faults={"NVIDIA H100": "with 1 lane its compiler fails (no such target)"})
     assert open_device().info.name == "NVIDIA T4"
-    assert "NVIDIA H100" in caplog.text and "passed over: error: no such target" in caplog.text
-    with pytest.raises(DeviceError, match="NVIDIA H100.*error: no such target.*driver older"):
+    assert "NVIDIA H100" in caplog.text and "passed over: with 1 lane its compiler fails" in caplog.text
+    with pytest.raises(DeviceError, match="NVIDIA H100.*no such target.*driver older"):
         open_device("h100")
+
+
+def test_of_two_drivers_for_a_processor_the_faster_one_is_taken(machine):
+    old, new = (platform("Portable Computing Language", device(name, CPU, 2, driver_version=version))
+                for name, version in (("old", "3.0-rc2"), ("new", "3.1+debian")))
+    machine(old, new)
+    assert open_device().info.name == "new"
+    machine(old, new, platform("Intel(R) OpenCL", device("intel", CPU, 2)))
+    assert open_device().info.name == "intel"
 
 
 def test_a_context_that_cannot_be_made(machine):
@@ -172,15 +182,10 @@ def test_pyopencl_that_cannot_be_loaded(monkeypatch):
     assert "--force-reinstall" in icd.no_pyopencl(ImportError("DLL load failed"))
 
 
-def test_the_listing_tries_every_device(machine):
-    def fails(context):
-        if "H100" in context.name:
-            raise ClError("error: no such target")
-
-    machine(*TWO, build=fails)
-    told = {d["name"]: DeviceInfo(**d) for d in json.loads(listing._answer())["devices"]}
-    assert "compiler that works (error: no such target)" in told["NVIDIA H100"].lacks[0]
-    assert not told["NVIDIA T4"].lacks
+def test_extensions_can_be_taken_for_absent(machine, monkeypatch):
+    monkeypatch.setenv("PAGAS_CL_WITHOUT", "cl_khr_int64_base_atomics, cl_khr_fp64")
+    machine(*TWO)
+    assert not open_device().info.extensions
 
 
 def test_does_without():
@@ -188,24 +193,27 @@ def test_does_without():
         "P", "D", "GPU", extensions=("cl_khr_fp64", "cl_khr_int64_base_atomics")).does_without
 
 
-@pytest.mark.parametrize("child, words", [
-    (SimpleNamespace(returncode=-11, stdout="", stderr=""), "crashed while .*SIGSEGV"),
-    (SimpleNamespace(returncode=1, stdout="", stderr="a\nImportError: b"), "cannot be listed: ImportError: b"),
-    (SimpleNamespace(returncode=0, stdout='noise\n{"error": "no OpenCL platform"}\n', stderr=""),
-     "no OpenCL platform")])
-def test_listing_survives_a_bad_driver(monkeypatch, child, words):
-    monkeypatch.setattr(subprocess, "run", lambda *a, **k: child)
+@pytest.mark.parametrize("answer, words", [
+    (Answer(None, "crashed (SIGSEGV: no message)", crashed=True), "crashed .*SIGSEGV.* while its devices were listed"),
+    (Answer(None, "gave no answer within 60 s", hung=True), "no answer within 60 s"),
+    (Answer({"error": "no OpenCL platform"}), "no OpenCL platform")])
+def test_listing_survives_a_bad_driver(monkeypatch, answer, words):
+    monkeypatch.setattr(listing, "check_drivers", lambda: None)
+    monkeypatch.setattr(listing, "ask", lambda *arguments: answer)
     with pytest.raises(DeviceError, match=words):
         listing.list_devices()
 
 
-def test_listing_tells_of_a_driver_that_hangs(monkeypatch):
-    def hangs(*a, timeout, **k):
-        raise subprocess.TimeoutExpired("x", timeout)
-
-    monkeypatch.setattr(subprocess, "run", hangs)
-    with pytest.raises(DeviceError, match="did not answer within"):
-        listing.list_devices()
+@pytest.mark.parametrize("program, fault", [
+    ("import os; os.abort()", "crashed (SIGABRT: no message)"),
+    ("import sys; sys.exit('LLVM ERROR: no')", "ended with status 1 (LLVM ERROR: no)"),
+    ("print('no JSON')", "ended with status 0 (no message)"),
+    ("import time; time.sleep(60)", "gave no answer within 2 s")])
+def test_a_child_that_gives_no_answer(tmp_path, monkeypatch, program, fault):
+    (tmp_path / "driver_of_the_test.py").write_text(program)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    answer = ask("driver_of_the_test", {}, 2.0)
+    assert answer.value is None and answer.fault == fault and answer.hung == ("no answer" in fault)
 
 
 def test_the_real_machine():

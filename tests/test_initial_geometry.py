@@ -100,7 +100,7 @@ def test_depth_maps_of_another_size_go_in(name, scene, made):
 
 def test_real_openmvs_mesh_and_cameras(data_dir):
     """The castle: OpenMVS's own mesh is where its cameras look."""
-    from pagas_cl.camera_check import check_cameras
+    from pagas_cl.scene.check import check_cameras
     from pagas_cl.scene.readers import read_scene
 
     scene = read_scene(data_dir / "sceaux_castle")
@@ -111,9 +111,9 @@ def test_real_openmvs_mesh_and_cameras(data_dir):
 def test_five_steps_on_the_real_castle(data_dir, tmp_path):
     """A mixed script on a real project: photos at a twelfth of their size, OpenMVS's mesh, ours in the middle."""
     pymeshlab = pytest.importorskip("pymeshlab")
-    from pagas_cl.filters.filter_script import check_script
     from test_filter_script import FIVE, script
 
+    from pagas_cl.filters.filter_script import check_script
     from pagas_cl.scene.readers import read_scene
     from pagas_cl.scene.readers.meshlab import MeshLayer, read_project, write_project
     from pagas_cl.scene.view import View

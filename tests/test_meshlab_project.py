@@ -122,7 +122,7 @@ def test_without_a_mesh_the_reading_is_told(project, caplog):
 
 
 def test_entities_are_not_expanded(tmp_path):
-    lol = "".join(f'<!ENTITY l{i + 1} "{"&l%d;" % i * 10}">' for i in range(9))
+    lol = "".join(f'<!ENTITY l{i + 1} "{f"&l{i};" * 10}">' for i in range(9))
     for declared in ('<!ENTITY l0 "ha">' + lol, '<!ENTITY l9 SYSTEM "file:///etc/passwd">',
                      '<!ENTITY % p SYSTEM "file:///etc/passwd"> %p;'):
         (tmp_path / "p.mlp").write_text(f"<!DOCTYPE MeshLabDocument [{declared}]><MeshLabProject>&l9;</MeshLabProject>")

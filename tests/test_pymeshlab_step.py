@@ -7,10 +7,9 @@ import pytest
 
 pymeshlab = pytest.importorskip("pymeshlab")
 
+from pagas_cl.errors import InputError  # noqa: E402
 from pagas_cl.filters.filter_script import saved_history  # noqa: E402
 from pagas_cl.filters.pymeshlab_step import METHOD, register, scene_views  # noqa: E402
-
-from pagas_cl.errors import InputError  # noqa: E402
 from pagas_cl.synthetic import relief_scene  # noqa: E402
 
 FAST = "pyramid.steps=8"
@@ -121,9 +120,8 @@ def test_displaced_layer_keeps_all_that_sits_on_it(made, tmp_path, subdivide):
 
 def test_same_as_refine_mesh(made):
     """The step is refine_mesh, in the layer's frame."""
-    from pagas_cl.filters.parameters import request
-
     import pagas_cl
+    from pagas_cl.filters.parameters import request
 
     meshes = Meshes()
     meshes.add_mesh(pymeshlab.Mesh(*made.initial_mesh(3.0)), "wall")

@@ -6,9 +6,9 @@ from conftest import look_at, plane_depth
 
 pytest.importorskip("open3d")
 
-from pagas_cl.scene.camera import Camera  # noqa: E402
-from pagas_cl.scene.mesh import Surface, to_surface  # noqa: E402
-from pagas_cl.surface import raster  # noqa: E402
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.mesh import Surface, to_surface
+from pagas_cl.surface import raster
 
 NORMAL = np.array([0.3, 0.2, -0.93]) / np.linalg.norm([0.3, 0.2, -0.93])
 

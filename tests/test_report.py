@@ -8,8 +8,7 @@ from PIL import Image
 
 from pagas_cl import Camera, View
 from pagas_cl.report import Report
-from pagas_cl.report.colors import NOTHING, colored, normal_colors
-from pagas_cl.report.pictures import depth_range, parallax_change, view_pictures
+from pagas_cl.report.pictures import NOTHING, colored, depth_range, normal_colors, parallax_change, view_pictures
 from pagas_cl.report.writer import file_stem
 
 WIDTH, HEIGHT = 40, 30
@@ -88,8 +87,8 @@ def test_report_writes_pictures_page_and_numbers(tmp_path):
     assert "a &lt;title&gt;" in page and "&lt;b&gt;.png" in page and "<b>.png" not in page
     assert page.count("data:image/jpeg") == 7 and "http" not in page
     assert "rejected = the input stays, since" in page and "dark grey = no value" in page
-    told = json.loads((folder / "report.json").read_text())
-    assert told["views"][0]["refined"] == 7000 and "<td>7,000</td>" in page and told["views"][0]["mean confidence"] == 0.5
+    told = json.loads((folder / "report.json").read_text())["views"][0]
+    assert told["refined"] == 7000 and "<td>7,000</td>" in page and told["mean confidence"] == 0.5
     names = sorted(path.name for path in folder.iterdir())
     assert len(names) == 9 and not any("part" in name for name in names)
     assert Image.open(folder / "b_depth_after.png").size == (WIDTH, HEIGHT)

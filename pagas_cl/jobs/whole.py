@@ -8,17 +8,13 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import numpy as np
-
 from pagas_cl.errors import InputError, PagasError
-from pagas_cl.jobs.disk import clear_parts, translate_os_errors
-from pagas_cl.jobs.executors import SerialExecutor, dask_executor, local_pool, worker_count
+from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.finished import StoredResult, find_finished, work_folder
-from pagas_cl.jobs.identity import code_version
 from pagas_cl.jobs.plan import Planner, groups, on_disk
 from pagas_cl.jobs.run import Run
-from pagas_cl.jobs.store import Store
-from pagas_cl.jobs.task import Batch, Record
+from pagas_cl.jobs.store import Store, clear_parts, translate_os_errors
+from pagas_cl.jobs.task import Batch, Record, code_version
 from pagas_cl.jobs.worker import STOP, close_worker_contexts
 from pagas_cl.progress import ViewProgress
 from pagas_cl.result import DepthResult
@@ -64,19 +60,18 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
     folder = Path(folder).resolve()
     store = Store(work_folder(folder) / "inputs")
     samples, asked = _sampled(depths, asked)
-    kept = [store.put(depth) if isinstance(depth, np.ndarray) else depth for depth in depths]
-    planner = Planner(on_disk(views, store), kept, samples, config, work)
-    pipeline, renew, own = _executor(executor, device)
-    template = Batch(work, {}, {}, (), config, folder, _sent_device(device, pipeline), code_version(), extras)
+    planner = Planner(on_disk(views, store), store.put_arrays(depths), samples, config, work)
+    workers = Workers(executor, device)
+    template = Batch(work, {}, {}, (), config, folder, workers.device, code_version(), extras)
     collect = _Collect(asked, views, folder, progress, on_view)
     _make_ready(folder)
-    run = Run(pipeline, folder, renew, collect, progress and collect.inside)
+    run = Run(workers, folder, collect, progress and collect.inside)
     try:
-        run.finish(_unfinished(planner, groups(asked, views, worker_count(pipeline)), template, collect))
+        run.finish(_unfinished(planner, groups(asked, views, workers.count()), template, collect))
     except _Ended as ended:
         raise ended.error from None
     finally:
-        if own:
+        if workers.own:
             run.close()
         close_worker_contexts()
     shutil.rmtree(store.folder, ignore_errors=True)
@@ -162,7 +157,9 @@ class _Collect:
 
     def _result(self, index: int):
         record, camera = self.records[self.views[index].name], self.views[index].camera
-        return DepthResult.missing(camera, record.error) if record.error else StoredResult(camera, self.folder, record)
+        if record.error:
+            return DepthResult.missing(camera, record.error, record.name)
+        return StoredResult(camera, self.folder, record)
 
 
 def _sampled(depths, asked) -> tuple[list, list[int]]:
@@ -178,26 +175,6 @@ def _sampled(depths, asked) -> tuple[list, list[int]]:
     if len(valid) < len(asked):
         log.warning("%d views have a depth map without a valid pixel and are left out", len(asked) - len(valid))
     return samples, valid
-
-
-def _executor(executor, device):
-    """The executor, what renews it, and whether it is ours to close."""
-    if isinstance(executor, str):
-        return dask_executor(executor), None, True
-    if executor is not None:
-        return executor, None, False
-    if device == "all" or isinstance(device, (list, tuple)):
-        return local_pool(device), lambda: local_pool(device), True
-    return SerialExecutor(), None, True
-
-
-def _sent_device(device, executor):
-    """What the workers are told: this process opens its device here, others choose from what is named."""
-    if isinstance(executor, SerialExecutor):
-        from pagas_cl.runtime.device import open_device
-
-        return open_device(device)
-    return tuple(device) if isinstance(device, list) else device
 
 
 def _make_ready(folder: Path) -> None:

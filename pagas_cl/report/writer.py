@@ -14,8 +14,8 @@ from pagas_cl.report.pictures import change_in_units, parallax_change, view_pict
 LEGEND = ["Pixels: refined = moved by the photos; kept = the input stays, since no other photo sees the pixel, it is "
           "masked out, or the whole view came back as it came; rejected = the input stays, since the photos speak "
           "against the new depth; no surface = no depth to start from.",
-          "Change: how far the surface moved as the other photos see it, in pixels of parallax (px). Confidence: 1 = the "
-          "photos fix the depth, 0.5 = they fix it to one pixel of parallax, 0 = they say nothing.",
+          "Change: how far the surface moved as the other photos see it, in pixels of parallax (px). Confidence: 1 = "
+          "the photos fix the depth, 0.5 = they fix it to one pixel of parallax, 0 = they say nothing.",
           "Pictures: click for full size; dark grey = no value; the strip below a picture is its scale, from left to "
           "right."]
 
@@ -53,14 +53,13 @@ class Report:
         Parameters
         ----------
         view : pagas_cl.View
-        before, after : ndarray of shape (H, W)
-            z-depth, 0 = no surface.
+        before, after, confidence : ndarray of shape (H, W)
+            As in `view_pictures`.
         contexts : list of Camera
             Cameras of the context views, to measure the change by (`parallax_change`).
         parallax : ndarray of shape (H, W), optional
             Instead of `contexts`: change of depth that is one pixel of parallax, 0 = unknown. Without either of them
             there is no picture of the change.
-        confidence : ndarray of shape (H, W), optional
         counts : dict of str to number, optional
             Columns of the table.
         remarks : list of str

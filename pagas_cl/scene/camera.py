@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 
@@ -37,10 +39,10 @@ class Camera:
     fy: float
     cx: float
     cy: float
-    world_to_camera: np.ndarray = field(repr=False)
+    world_to_camera: npt.NDArray[np.float64] = field(repr=False)
     name: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         who = f"camera {self.name!r}" if self.name else "camera"
         for side in ("width", "height"):
             value = getattr(self, side)
@@ -58,7 +60,8 @@ class Camera:
     # -- constructors: each says which convention comes in -------------------------------------------------------
 
     @classmethod
-    def from_opencv_w2c(cls, K, world_to_camera, width, height, *, pixel_center=0.5, name="") -> Camera:
+    def from_opencv_w2c(cls, K: npt.ArrayLike, world_to_camera: npt.ArrayLike, width: int, height: int, *,
+                        pixel_center: float = 0.5, name: str = "") -> Camera:
         """From OpenCV axes (x right, y down, z forward) and a world-to-camera pose.
 
         Parameters
@@ -76,22 +79,25 @@ class Camera:
         if abs(K[0, 1]) > 1e-6 * abs(K[0, 0]):
             raise InputError(f"camera {name!r}: K has skew {K[0, 1]:g}, expected 0; undistort the photos first")
         shift = 0.5 - float(pixel_center)
-        return cls(width, height, K[0, 0], K[1, 1], K[0, 2] + shift, K[1, 2] + shift, world_to_camera, name)
+        pose = np.asarray(world_to_camera, np.float64)
+        return cls(width, height, K[0, 0], K[1, 1], K[0, 2] + shift, K[1, 2] + shift, pose, name)
 
     @classmethod
-    def from_c2w(cls, K, camera_to_world, width, height, *, pixel_center=0.5, name="") -> Camera:
+    def from_c2w(cls, K: npt.ArrayLike, camera_to_world: npt.ArrayLike, width: int, height: int, *,
+                 pixel_center: float = 0.5, name: str = "") -> Camera:
         """From OpenCV axes and a camera-to-world pose (the camera's place in the world); else as from_opencv_w2c."""
         pose = _checked_pose(camera_to_world, f"camera {name!r}")
         return cls.from_opencv_w2c(K, inverse_pose(pose), width, height, pixel_center=pixel_center, name=name)
 
     @classmethod
-    def from_opengl_c2w(cls, K, camera_to_world, width, height, *, pixel_center=0.5, name="") -> Camera:
+    def from_opengl_c2w(cls, K: npt.ArrayLike, camera_to_world: npt.ArrayLike, width: int, height: int, *,
+                        pixel_center: float = 0.5, name: str = "") -> Camera:
         """From OpenGL axes (x right, y up, looking along -z; nerfstudio, Blender) and a camera-to-world pose."""
         pose = _checked_pose(camera_to_world, f"camera {name!r}") @ _OPENGL_TO_OPENCV
         return cls.from_opencv_w2c(K, inverse_pose(pose), width, height, pixel_center=pixel_center, name=name)
 
     @classmethod
-    def from_colmap(cls, camera, image) -> Camera:
+    def from_colmap(cls, camera: Any, image: Any) -> Camera:
         """From pycolmap's Camera and Image (PINHOLE or SIMPLE_PINHOLE; COLMAP counts pixel centres at +0.5)."""
         model = camera.model.name if hasattr(camera.model, "name") else str(camera.model)
         if model not in ("PINHOLE", "SIMPLE_PINHOLE"):
@@ -103,7 +109,7 @@ class Camera:
                    camera.principal_point_x, camera.principal_point_y, pose, image.name)
 
     @classmethod
-    def from_open3d(cls, parameters, *, pixel_center=0.0, name="") -> Camera:
+    def from_open3d(cls, parameters: Any, *, pixel_center: float = 0.0, name: str = "") -> Camera:
         """From Open3D's PinholeCameraParameters (extrinsic is world-to-camera).
 
         Open3D's legacy cameras count pixel centres at whole numbers, which is the default here.
@@ -115,28 +121,28 @@ class Camera:
     # -- what one asks of a camera -------------------------------------------------------------------------------
 
     @property
-    def K(self) -> np.ndarray:
+    def K(self) -> npt.NDArray[np.float64]:
         """Intrinsics, float64 of shape (3, 3), pixel centres at +0.5."""
-        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
+        return intrinsics(self.fx, self.fy, self.cx, self.cy)
 
     @property
-    def center(self) -> np.ndarray:
+    def center(self) -> npt.NDArray[np.float64]:
         """Centre of projection in world coordinates, float64 of shape (3,)."""
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
 
     @property
-    def direction(self) -> np.ndarray:
+    def direction(self) -> npt.NDArray[np.float64]:
         """Viewing direction (camera +z) in world coordinates, float64 of shape (3,), unit length."""
         return self.world_to_camera[2, :3].copy()
 
-    def rays(self) -> np.ndarray:
+    def rays(self) -> npt.NDArray[np.float64]:
         """Rays through the pixel centres with z = 1, camera coordinates: float64 of shape (height, width, 3)."""
         x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
         y = (np.arange(self.height) + 0.5 - self.cy) / self.fy
         x, y = np.meshgrid(x, y)
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 
-    def project(self, points) -> tuple[np.ndarray, np.ndarray]:
+    def project(self, points: npt.ArrayLike) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Project world `points` of shape (..., 3): pixel positions of shape (..., 2) and depth z of shape (...)."""
         p = np.asarray(points, np.float64) @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
         z = p[..., 2]
@@ -150,13 +156,18 @@ class Camera:
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx,
                        cy=self.cy * sy)
 
-    def relative_to(self, target: Camera) -> tuple[np.ndarray, np.ndarray]:
+    def relative_to(self, target: Camera) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Rotation R (3, 3) and translation tau (3,) from `target`'s camera frame to this one (method section 3).
 
         tau comes from the difference of the centres, so that it keeps its digits when both are far from the origin.
         """
         rotation = self.world_to_camera[:3, :3] @ target.world_to_camera[:3, :3].T
         return rotation, self.world_to_camera[:3, :3] @ (target.center - self.center)
+
+
+def intrinsics(fx: float, fy: float, cx: float, cy: float) -> npt.NDArray[np.float64]:
+    """K, float64 of shape (3, 3)."""
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 def inverse_pose(pose: np.ndarray) -> np.ndarray:
@@ -167,7 +178,7 @@ def inverse_pose(pose: np.ndarray) -> np.ndarray:
     return inverse
 
 
-def _checked_pose(pose, who: str) -> np.ndarray:
+def _checked_pose(pose: npt.ArrayLike, who: str) -> npt.NDArray[np.float64]:
     pose = np.asarray(pose, np.float64)
     if pose.shape == (3, 4):
         pose = np.vstack([pose, [0, 0, 0, 1]])

@@ -7,6 +7,7 @@ useful for depth. With many cameras the candidates are first cut by cheap geomet
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,7 +44,8 @@ class ContextChoice:
     reason: str = ""
 
 
-def choose_contexts(target: int, cameras: list[Camera], depths: list, settings: Context = Context()) -> ContextChoice:
+def choose_contexts(target: int, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None],
+                    settings: Context = Context()) -> ContextChoice:
     """Context views of camera `target`; for one target after another make a ContextChooser."""
     return ContextChooser(cameras, depths, settings).choose(target)
 
@@ -59,7 +61,8 @@ class ContextChooser:
     settings : config.Context
     """
 
-    def __init__(self, cameras: list[Camera], depths: list, settings: Context = Context()):
+    def __init__(self, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None],
+                 settings: Context = Context()):
         if len(cameras) != len(depths):
             raise InputError(f"there are {len(cameras)} cameras and {len(depths)} depth maps, expected one each")
         for camera, depth in zip(cameras, depths):
@@ -137,7 +140,8 @@ class ContextChooser:
         best = np.argsort(-score, kind="stable")[:keep]
         return np.sort(found[best])
 
-    def _project(self, target: int, which: np.ndarray, points: np.ndarray):
+    def _project(self, target: int, which: np.ndarray,
+                 points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points in cameras `which`: pixel positions (M, N, 2), depth (M, N), angle to the target's rays (M, N) deg."""
         away = points[None] - self._centers[which][:, None]
         local = away @ np.swapaxes(self._rotations[which], 1, 2)
@@ -151,7 +155,8 @@ class ContextChooser:
 
     def _inside(self, which: np.ndarray, uv: np.ndarray, depth: np.ndarray) -> np.ndarray:
         (u, v), (width, height) = np.moveaxis(uv, -1, 0), self._size[which].T[..., None]
-        return (depth > 0) & (u >= 0) & (v >= 0) & (u < width) & (v < height)
+        inside: np.ndarray = (depth > 0) & (u >= 0) & (v >= 0) & (u < width) & (v < height)
+        return inside
 
     def _hidden(self, which: np.ndarray, uv: np.ndarray, depth: np.ndarray, inside: np.ndarray) -> np.ndarray:
         """Points that lie behind the other view's own surface."""
@@ -166,7 +171,7 @@ class ContextChooser:
             hidden[k, inside[k]] = (surface > 0) & (depth[k][inside[k]] > _HIDDEN * surface)
         return hidden
 
-    def _reason(self, found: int, inside, seen, useful, angle) -> str:
+    def _reason(self, found: int, inside: np.ndarray, seen: np.ndarray, useful: np.ndarray, angle: np.ndarray) -> str:
         """Why so few of the candidates are usable: each counted under the first that fails."""
         least, s = self.settings.min_overlap, self.settings
         others = len(self.cameras) - 1
@@ -202,7 +207,8 @@ def _greedy(score: np.ndarray, usable: np.ndarray, number: int) -> list[int]:
     The root makes the second view of a region worth less than the first, so that no part of the target is left to
     chance by ten views of the other part.
     """
-    total, order, left = np.zeros(score.shape[1]), [], list(usable)
+    total, left = np.zeros(score.shape[1]), list(usable)
+    order: list[int] = []
     while left and len(order) < number:
         gain = np.sqrt(total + score[left]).sum(axis=1)
         best = left.pop(int(np.argmax(gain)))  # the first of equals

@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 import logging
-import os
-import struct
-import tokenize
-import zipfile
-import zlib
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
+import numpy.typing as npt
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.npy import read_first, read_npy
+from pagas_cl.scene.files import DAMAGE, read_first, read_npy, replaced
 from pagas_cl.scene.pyramid import depth_down, depth_up
 
 log = logging.getLogger("pagas_cl")
 
-# what numpy, zipfile and Pillow raise on damaged files, as fuzzing found it
-_DAMAGE = (OSError, ValueError, EOFError, KeyError, IndexError, SyntaxError, MemoryError, RuntimeError, OverflowError,
-           zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
-
 SUFFIXES = (".npz", ".npy", ".pfm", ".png", ".geometric.bin", ".photometric.bin")
 
 
-def find_depth(folder, image_name: str) -> Path | None:
+def find_depth(folder: str | Path, image_name: str) -> Path | None:
     """The depth map of a photo in `folder`: `<stem>` or the whole `<image name>` (as COLMAP does) plus a suffix."""
     folder = Path(folder)
     for suffix in SUFFIXES:
@@ -36,7 +29,8 @@ def find_depth(folder, image_name: str) -> Path | None:
     return None
 
 
-def load_depth(path, size: tuple[int, int] | None = None, *, scale: float | None = None) -> np.ndarray:
+def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
+               scale: float | None = None) -> npt.NDArray[np.float32]:
     """Read a depth map.
 
     Parameters
@@ -67,7 +61,7 @@ def load_depth(path, size: tuple[int, int] | None = None, *, scale: float | None
         raise InputError(f"depth scale is {scale}, expected a number above 0")
     try:
         values = read(path)
-    except _DAMAGE as error:
+    except DAMAGE as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"depth map {str(path)!r} cannot be read: "
@@ -76,7 +70,7 @@ def load_depth(path, size: tuple[int, int] | None = None, *, scale: float | None
     return depth if size is None else resize_depth(depth, *size)
 
 
-def surface_depth(depth: np.ndarray) -> np.ndarray:
+def surface_depth(depth: np.ndarray) -> npt.NDArray[np.float32]:
     """A copy as float32, 0 where there is no surface: 0, negative, not finite, or too large for float32."""
     with np.errstate(over="ignore"):
         depth = depth.astype(np.float32)
@@ -85,7 +79,7 @@ def surface_depth(depth: np.ndarray) -> np.ndarray:
     return depth
 
 
-def clean_depth(values, who: str = "depth map") -> np.ndarray:
+def clean_depth(values: npt.ArrayLike, who: str = "depth map") -> npt.NDArray[np.float32]:
     """Depth as (H, W) float32 with what is not finite, or below 0, set to 0 (and counted in the log)."""
     values = np.asarray(values)
     if values.ndim == 3 and 1 in (values.shape[0], values.shape[2]):
@@ -104,20 +98,13 @@ def clean_depth(values, who: str = "depth map") -> np.ndarray:
     return depth
 
 
-def save_depth(path, depth) -> None:
+def save_depth(path: str | Path, depth: npt.ArrayLike) -> None:
     """Write an .npz with one array, "depth", float32; beside the final name first, then renamed."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with open(beside, "wb") as file:
-            np.savez(file, depth=np.ascontiguousarray(depth, np.float32))
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with replaced(path) as beside, open(beside, "wb") as file:
+        np.savez(file, depth=np.ascontiguousarray(depth, np.float32))
 
 
-def resize_depth(depth: np.ndarray, width: int, height: int) -> np.ndarray:
+def resize_depth(depth: npt.ArrayLike, width: int, height: int) -> npt.NDArray[np.float32]:
     """Depth map at another size, float32 of shape (height, width).
 
     Linear at pixel centres where it grows and the area's mean where it shrinks, over valid depths only. Validity is
@@ -164,7 +151,7 @@ def _read_colmap(path: Path) -> np.ndarray:
         return _exactly(file, path, width, height, channels, "<f4").reshape(height, width)
 
 
-def _exactly(file, path: Path, width: int, height: int, channels: int, dtype: str) -> np.ndarray:
+def _exactly(file: BinaryIO, path: Path, width: int, height: int, channels: int, dtype: str) -> np.ndarray:
     """The rest of a file, refused before it is read when its size is not what the header claims."""
     want, got = 4 * width * height * channels, path.stat().st_size - file.tell()
     if want != got or want <= 0:

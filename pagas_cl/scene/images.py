@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
 from pagas_cl.errors import InputError
@@ -13,13 +15,21 @@ from pagas_cl.errors import InputError
 log = logging.getLogger("pagas_cl")
 
 
-def image_size(path) -> tuple[int, int]:
+@runtime_checkable
+class Loads(Protocol):
+    """What stands for an array, of a photo, a mask or a depth map: it is loaded each time it is asked for."""
+
+    def load(self) -> np.ndarray:
+        """The array."""
+
+
+def image_size(path: str | Path) -> tuple[int, int]:
     """Width and height of an image file, from its header alone."""
     with _opened(Path(path)) as image:
         return image.size
 
 
-def read_photo(path) -> np.ndarray:
+def read_photo(path: str | Path) -> npt.NDArray[np.uint8]:
     """Read a photo as it is stored: uint8 of shape (H, W, 3), RGB.
 
     An EXIF orientation is not applied, since cameras are calibrated on the stored pixels; transparency is dropped.
@@ -27,12 +37,12 @@ def read_photo(path) -> np.ndarray:
     return as_photo(_decoded(Path(path), "RGB"), f"image {str(path)!r}")
 
 
-def read_mask(path) -> np.ndarray:
+def read_mask(path: str | Path) -> npt.NDArray[np.bool_]:
     """Read a mask: bool of shape (H, W), true (white, or opaque where the image has an alpha channel) = keep."""
     return as_mask(_decoded(Path(path), "L"), f"mask {str(path)!r}")
 
 
-def as_photo(pixels, who: str = "image") -> np.ndarray:
+def as_photo(pixels: npt.ArrayLike, who: str = "image") -> npt.NDArray[np.uint8]:
     """Make 8-bit RGB of an array.
 
     Parameters
@@ -46,30 +56,30 @@ def as_photo(pixels, who: str = "image") -> np.ndarray:
     -------
     ndarray of shape (H, W, 3), uint8, C-contiguous
     """
-    pixels = np.asarray(pixels)
-    if pixels.ndim == 2:
-        pixels = pixels[..., None]
-    if pixels.ndim != 3 or pixels.shape[2] not in (1, 3, 4) or 0 in pixels.shape:
-        raise InputError(f"{who} has shape {pixels.shape}, expected (height, width, 3), RGB")
-    pixels = pixels[..., :3]
-    if pixels.dtype.kind == "f":
-        if not np.isfinite(pixels).all():
+    photo: np.ndarray = np.asarray(pixels)
+    if photo.ndim == 2:
+        photo = photo[..., None]
+    if photo.ndim != 3 or photo.shape[2] not in (1, 3, 4) or 0 in photo.shape:
+        raise InputError(f"{who} has shape {photo.shape}, expected (height, width, 3), RGB")
+    photo = photo[..., :3]
+    if photo.dtype.kind == "f":
+        if not np.isfinite(photo).all():
             raise InputError(f"{who} holds values that are not finite; photos are numbers from 0 to 1, or 8-bit")
-        low, high = float(pixels.min()), float(pixels.max())
+        low, high = float(photo.min()), float(photo.max())
         if low < -1e-3 or high > 1.001:
             raise InputError(f"{who} is floating point and runs from {low:.3g} to {high:.3g}, expected 0 to 1; "
                              "divide by 255, or pass uint8")
-        pixels = np.rint(np.clip(pixels, 0, 1) * 255).astype(np.uint8)
-    elif pixels.dtype == np.uint16:
-        pixels = np.rint(pixels / 257.0).astype(np.uint8)
-    elif pixels.dtype != np.uint8:
-        raise InputError(f"{who} has dtype {pixels.dtype}, expected uint8, uint16 or floating point from 0 to 1")
-    if pixels.shape[2] == 1:
-        pixels = np.repeat(pixels, 3, axis=2)
-    return np.ascontiguousarray(pixels)
+        photo = np.rint(np.clip(photo, 0, 1) * 255).astype(np.uint8)
+    elif photo.dtype == np.uint16:
+        photo = np.rint(photo / 257.0).astype(np.uint8)
+    elif photo.dtype != np.uint8:
+        raise InputError(f"{who} has dtype {photo.dtype}, expected uint8, uint16 or floating point from 0 to 1")
+    if photo.shape[2] == 1:
+        photo = np.repeat(photo, 3, axis=2)
+    return np.ascontiguousarray(photo)
 
 
-def as_mask(values, who: str = "mask") -> np.ndarray:
+def as_mask(values: npt.ArrayLike, who: str = "mask") -> npt.NDArray[np.bool_]:
     """Make a boolean array of shape (H, W) of a mask: true = keep.
 
     Boolean arrays stay; of integers, those above half of the dtype's range are true (above 0 where nothing exceeds
@@ -90,7 +100,24 @@ def as_mask(values, who: str = "mask") -> np.ndarray:
     return values.copy()
 
 
-def _opened(path: Path):
+def bilinear(pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Values of an image (H, W) or (H, W, C) at positions x, y of any shape, pixel centres at +0.5, border repeated.
+
+    Shares are of the positions' dtype. A position that is not finite gets some value or other.
+    """
+    height, width = pixels.shape[:2]
+    x, y = (np.nan_to_num(np.clip(at - 0.5, 0, side - 1)) for at, side in ((x, width), (y, height)))
+    left, top = np.minimum(x.astype(np.intp), max(width - 2, 0)), np.minimum(y.astype(np.intp), max(height - 2, 0))
+    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    fx, fy = (x - left).astype(x.dtype), (y - top).astype(y.dtype)
+    if pixels.ndim == 3:
+        fx, fy = fx[..., None], fy[..., None]
+    mixed: np.ndarray = ((pixels[top, left] * (1 - fx) + pixels[top, right] * fx) * (1 - fy)
+                         + (pixels[bottom, left] * (1 - fx) + pixels[bottom, right] * fx) * fy)
+    return mixed
+
+
+def _opened(path: Path) -> Image.Image:
     if not path.is_file():
         raise InputError(f"image {str(path)!r} does not exist" if not path.exists()
                          else f"image {str(path)!r} is not a file")

@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.images import Loads
 from pagas_cl.scene.view import View
 
+# A list of Camera, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction; of the last two, which are optional,
+# nothing can be said here.
+Cameras: TypeAlias = Sequence[Camera] | Any
+# One a camera: arrays (H, W, 3) or paths in the order of the cameras, or by camera name; or the folder that holds them.
+Images: TypeAlias = Iterable[np.ndarray | str | Path] | Mapping[str, np.ndarray | str | Path] | str | Path
+# A depth map (H, W), z-depth in scene units, or what loads it.
+Depth: TypeAlias = np.ndarray | Loads
 
-def as_cameras(cams) -> list[Camera]:
+
+def as_cameras(cams: Cameras) -> list[Camera]:
     """Cameras from a list of Camera, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction.
 
     A reconstruction's cameras come in the order of their image names. Open3D's pixel centres are whole numbers (see
@@ -22,16 +34,16 @@ def as_cameras(cams) -> list[Camera]:
     if hasattr(cams, "images") and hasattr(cams, "cameras"):
         images = sorted(cams.images.values(), key=lambda image: image.name)
         return [Camera.from_colmap(cams.cameras[image.camera_id], image) for image in images]
-    cams = list(cams)
-    for k, camera in enumerate(cams):
+    cameras = list(cams)
+    for k, camera in enumerate(cameras):
         if not isinstance(camera, Camera):
             raise InputError(f"cams[{k}] is a {type(camera).__name__}, expected pagas_cl.Camera (see its from_... "
                              "constructors), or an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction "
                              "instead of the list")
-    return cams
+    return cameras
 
 
-def as_views(cams, images, masks=None) -> list[View]:
+def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list[View]:
     """One View a camera.
 
     Parameters
@@ -45,12 +57,12 @@ def as_views(cams, images, masks=None) -> list[View]:
     if not cameras:
         raise InputError("no cameras were given, expected at least two")
     photos = _matched(images, cameras, "images")
-    masks = [None] * len(cameras) if masks is None else _matched(masks, cameras, "masks")
+    keep = [None] * len(cameras) if masks is None else _matched(masks, cameras, "masks")
     return [View(camera, photo, mask, camera.name or f"{k:05d}")
-            for k, (camera, photo, mask) in enumerate(zip(cameras, photos, masks))]
+            for k, (camera, photo, mask) in enumerate(zip(cameras, photos, keep))]
 
 
-def checked_depth(depth, view: View) -> np.ndarray:
+def checked_depth(depth: npt.ArrayLike, view: View) -> np.ndarray:
     """The depth map as an array, of the view's size and with at least one valid pixel."""
     depth = np.asarray(depth)
     size = view.camera.height, view.camera.width
@@ -63,17 +75,22 @@ def checked_depth(depth, view: View) -> np.ndarray:
     return depth
 
 
+def depth_array(depth: Depth) -> np.ndarray:
+    """The depth map itself, read where an object with load() stands for it."""
+    return np.asarray(depth.load() if isinstance(depth, Loads) else depth)
+
+
 def _any_surface(depth: np.ndarray) -> bool:
     return bool((np.isfinite(depth) & (depth > 0)).any())
 
 
-def asked_views(views, depths, names) -> list[int]:
+def asked_views(views: Sequence[View], depths: Sequence[Depth | None], names: Collection[str] | None) -> list[int]:
     """Places of the views called `names`; of all that have a depth map where names is None."""
     if len(depths) != len(views):
         raise InputError(f"{len(depths)} depth maps were given for {len(views)} views, expected one each "
                          "(None where there is none)")
     have = [k for k, depth in enumerate(depths)
-            if depth is not None and (hasattr(depth, "load") or np.any(np.asarray(depth) > 0))]
+            if depth is not None and (isinstance(depth, Loads) or np.any(np.asarray(depth) > 0))]
     if names is None:
         if not have:
             raise InputError("no view has a depth map with a valid pixel: nothing to refine")
@@ -81,25 +98,25 @@ def asked_views(views, depths, names) -> list[int]:
     known = {label: k for k, view in enumerate(views) for label in (view.name, view.stem)}
     unknown = [name for name in names if name not in known]
     if unknown:
-        names = ", ".join(sorted({v.name for v in views})[:10])
-        raise InputError(f"no view is called {unknown[0]!r}; known are {names}")
-    return [k for k in dict.fromkeys(known[name] for name in names)]
+        raise InputError(f"no view is called {unknown[0]!r}; known are "
+                         + ", ".join(sorted({v.name for v in views})[:10]))
+    return list(dict.fromkeys(known[name] for name in names))
 
 
-def _matched(given, cameras: list[Camera], what: str) -> list:
+def _matched(given: Images, cameras: list[Camera], what: str) -> list[Any]:
     if isinstance(given, (str, Path)):
         folder = Path(given)
         if not folder.is_dir():
             raise InputError(f"{what}: {folder} is no folder; give a folder, a list in the order of the cameras, or a "
                              "dict by camera name")
         return [folder / camera.name for camera in cameras]
-    if isinstance(given, dict):
+    if isinstance(given, Mapping):
         missing = [camera.name for camera in cameras if camera.name not in given]
         if missing:
             raise InputError(f"{what}: none for camera {missing[0]!r} ({len(missing)} of {len(cameras)} are missing)")
         return [given[camera.name] for camera in cameras]
-    given = list(given)
-    if len(given) != len(cameras):
-        raise InputError(f"{len(given)} {what} were given for {len(cameras)} cameras, expected one each, "
+    each = list(given)
+    if len(each) != len(cameras):
+        raise InputError(f"{len(each)} {what} were given for {len(cameras)} cameras, expected one each, "
                          "in the same order")
-    return given
+    return each

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.images import read_mask, read_photo
+from pagas_cl.scene.images import bilinear, read_mask, read_photo
 
 _ROWS = 256  # rows of the map made at a time
 
@@ -33,42 +35,32 @@ class Lens:
     model: str
     params: tuple[float, ...]
     size: tuple[int, int]
-    pinhole: tuple[float, ...]
+    pinhole: tuple[int, int, float, float, float, float]
 
     @classmethod
-    def from_colmap(cls, camera, name: str = "") -> Lens:
+    def from_colmap(cls, camera: Any, name: str = "") -> Lens:
         """The lens of a pycolmap Camera; the pinhole is the one that `colmap image_undistorter` would choose."""
         pycolmap = need("pycolmap", "colmap", "undistorting photos")
         try:
             pinhole = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
-            size = (int(pinhole.width), int(pinhole.height))
-            numbers = (pinhole.focal_length_x, pinhole.focal_length_y, pinhole.principal_point_x,
-                       pinhole.principal_point_y)
-            if not np.isfinite(numbers).all() or min(size) < 1:
+            found = (int(pinhole.width), int(pinhole.height), pinhole.focal_length_x, pinhole.focal_length_y,
+                     pinhole.principal_point_x, pinhole.principal_point_y)
+            if not np.isfinite(found).all() or min(found[:2]) < 1:
                 raise ValueError("it has no pinhole equivalent")
         except (RuntimeError, ValueError, OverflowError) as error:
             reason = (str(error).strip().splitlines() or ["it has no pinhole equivalent"])[0]
             raise InputError(f"camera of image {name!r} is {camera.model.name} and cannot be undistorted ({reason}); "
                              "undistort first: colmap image_undistorter") from error
         return cls(camera.model.name, tuple(float(p) for p in camera.params),
-                   (int(camera.width), int(camera.height)), (*size, *numbers))
+                   (int(camera.width), int(camera.height)), found)
 
-    def camera(self, world_to_camera, name: str) -> Camera:
+    def camera(self, world_to_camera: npt.NDArray[np.float64], name: str) -> Camera:
         """The pinhole at a pose."""
         return Camera(*self.pinhole, world_to_camera, name)
 
     def undistorted(self, pixels: np.ndarray) -> np.ndarray:
         """Resample (H, W) bool or (H, W, 3) uint8 as taken to the pinhole, bilinear; outside the photo: the border."""
-        x, y = _positions(self)
-        height, width = pixels.shape[:2]
-        x, y = np.clip(x - 0.5, 0, width - 1), np.clip(y - 0.5, 0, height - 1)
-        left, top = np.minimum(x.astype(np.intp), max(width - 2, 0)), np.minimum(y.astype(np.intp), max(height - 2, 0))
-        right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-        fx, fy = (x - left).astype(np.float32), (y - top).astype(np.float32)
-        if pixels.ndim == 3:
-            fx, fy = fx[..., None], fy[..., None]
-        mixed = ((pixels[top, left] * (1 - fx) + pixels[top, right] * fx) * (1 - fy)
-                 + (pixels[bottom, left] * (1 - fx) + pixels[bottom, right] * fx) * fy)
+        mixed = bilinear(pixels, *_positions(self))
         return mixed > 0.5 if pixels.dtype == bool else np.rint(mixed).astype(np.uint8)
 
 
@@ -86,6 +78,7 @@ class ThroughLens:
         return self.lens.size
 
     def load(self) -> np.ndarray:
+        """The pixels, as the pinhole sees them."""
         pixels = (read_mask if self.kind == "mask" else read_photo)(self.path)
         if pixels.shape[1::-1] != self.size:
             raise InputError(f"{self.kind} {str(self.path)!r} is {pixels.shape[1]} x {pixels.shape[0]}, its camera "

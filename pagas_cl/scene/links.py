@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Iterable
 from pathlib import Path
+
+from pagas_cl.scene.view import View
 
 log = logging.getLogger("pagas_cl")
 
 
-def tell_links(views, folder) -> list[Path]:
+def tell_links(views: Iterable[View], folder: str | Path) -> list[Path]:
     """Log which files of `views` a symbolic link takes out of the scene's `folder` (or file); returns them.
 
     A link is made by whoever owns the disk or by whoever packed the scene, and cannot be told apart: a scene with its

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from pagas_cl.errors import InputError, need
-from pagas_cl.scene.mesh_header import check_claims
+
+# What a user's mesh may be: an Open3D TriangleMesh (legacy or tensor), a pymeshlab Mesh or MeshSet, a pair (vertices,
+# faces), a Surface, or the path of a file. Open3D and pymeshlab are optional, so that it cannot be said in types.
+Mesh: TypeAlias = Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,13 +30,13 @@ class Surface:
         MeshLab's vertex quality; our confidence goes there.
     """
 
-    vertices: np.ndarray = field(repr=False)
-    faces: np.ndarray = field(repr=False)
-    normals: np.ndarray | None = field(default=None, repr=False)
-    colors: np.ndarray | None = field(default=None, repr=False)
-    quality: np.ndarray | None = field(default=None, repr=False)
+    vertices: npt.NDArray[np.float64] = field(repr=False)
+    faces: npt.NDArray[np.int32] = field(repr=False)
+    normals: npt.NDArray[np.float64] | None = field(default=None, repr=False)
+    colors: npt.NDArray[np.float64] | None = field(default=None, repr=False)
+    quality: npt.NDArray[np.float64] | None = field(default=None, repr=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         vertices, faces = _checked(self.vertices, self.faces)
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
@@ -48,7 +53,7 @@ class Surface:
         return f"Surface({len(self.vertices)} vertices, {len(self.faces)} faces)"
 
 
-def to_surface(mesh) -> Surface:
+def to_surface(mesh: Mesh) -> Surface:
     """Surface of an Open3D TriangleMesh (legacy or tensor), a pymeshlab Mesh or MeshSet (its current mesh, layer
     matrix applied), a pair (vertices, faces), a Surface, or the path of a mesh file.
 
@@ -60,14 +65,16 @@ def to_surface(mesh) -> Surface:
     if isinstance(mesh, Surface):
         return mesh
     if isinstance(mesh, (str, Path)):
+        from pagas_cl.scene.mesh_file import read_mesh
+
         return read_mesh(mesh)
     kind = mesh_kind(mesh)
     if kind == "pair":
         return Surface(*mesh)
-    return {"open3d": _from_legacy, "open3d.t": _from_tensor, "pymeshlab": _from_pymeshlab}[kind](mesh)
+    return {"open3d": from_legacy, "open3d.t": _from_tensor, "pymeshlab": _from_pymeshlab}[kind](mesh)
 
 
-def from_surface(surface: Surface, like):
+def from_surface(surface: Surface, like: Mesh) -> Mesh:
     """`surface` as the kind of mesh that `like` is (a path gives the Surface itself).
 
     Open3D's and pymeshlab's own classes come back new, `like` is left alone. pymeshlab keeps colours in 8 bits and
@@ -82,7 +89,7 @@ def from_surface(surface: Surface, like):
     return make(surface, like)
 
 
-def mesh_kind(mesh) -> str:
+def mesh_kind(mesh: Mesh) -> str:
     """"open3d", "open3d.t", "pymeshlab" or "pair"; InputError for anything else. Imports none of them."""
     module, name = type(mesh).__module__, type(mesh).__name__
     if module.startswith("open3d") and name == "TriangleMesh":
@@ -95,29 +102,7 @@ def mesh_kind(mesh) -> str:
                      "pymeshlab.Mesh, a pair (vertices, faces) or the path of a mesh file")
 
 
-def read_mesh(path) -> Surface:
-    """Read a mesh file (.ply, .obj, .stl, .off, .glb ...) through Open3D."""
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"mesh {str(path)!r} "
-                         + ("is a folder, expected a file" if path.is_dir() else "does not exist"))
-    o3d = need("open3d", "mesh", "reading a mesh file")
-    check_claims(path)
-    try:
-        with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-            mesh = o3d.io.read_triangle_mesh(str(path))
-    except MemoryError as error:
-        raise InputError(f"mesh {str(path)!r} does not fit into memory, or claims more than it holds") from error
-    if len(mesh.vertices) == 0:
-        raise InputError(f"mesh {str(path)!r} has no vertices, or is no mesh file that Open3D reads (.ply, .obj, .stl, "
-                         ".off, .gltf)")
-    try:
-        return _from_legacy(mesh)
-    except InputError as error:
-        raise InputError(f"{str(path)!r}: {error}") from error
-
-
-def _checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
+def _checked(vertices: Any, faces: Any) -> tuple[np.ndarray, np.ndarray]:
     try:
         vertices, faces = np.ascontiguousarray(vertices, np.float64), np.asarray(faces)
     except (TypeError, ValueError) as error:
@@ -143,13 +128,14 @@ def _checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.ascontiguousarray(faces, np.int32)
 
 
-def _from_legacy(mesh) -> Surface:
+def from_legacy(mesh: Any) -> Surface:
+    """Surface of an Open3D legacy TriangleMesh."""
     return Surface(np.asarray(mesh.vertices), np.asarray(mesh.triangles),
                    np.array(mesh.vertex_normals) if mesh.has_vertex_normals() else None,
                    np.array(mesh.vertex_colors) if mesh.has_vertex_colors() else None)
 
 
-def to_legacy(surface: Surface, like=None):
+def to_legacy(surface: Surface, like: Mesh = None) -> Mesh:
     """A new Open3D legacy TriangleMesh; `like` is what the other ways need."""
     o3d = need("open3d", "mesh", "making an Open3D mesh")
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(surface.vertices),
@@ -161,7 +147,7 @@ def to_legacy(surface: Surface, like=None):
     return mesh
 
 
-def _from_tensor(mesh) -> Surface:
+def _from_tensor(mesh: Any) -> Surface:
     if "positions" not in mesh.vertex or "indices" not in mesh.triangle:
         raise InputError("the mesh is empty: an Open3D tensor mesh without vertex positions or triangle indices")
     take = {name: mesh.vertex[name].cpu().numpy() for name in ("positions", "normals", "colors", "quality")
@@ -174,15 +160,10 @@ def _from_tensor(mesh) -> Surface:
                    None if quality is None else quality.reshape(len(quality)))
 
 
-def _to_tensor(surface: Surface, like):
+def _to_tensor(surface: Surface, like: Mesh) -> Mesh:
     o3d = need("open3d", "mesh", "making an Open3D mesh")
-    given = like.vertex["positions"].dtype if "positions" in like.vertex else o3d.core.float64
-    span = np.ptp(surface.vertices, axis=0).max()
-    # a float32 mesh stays one unless its coordinates are so large that a millionth of its size would be lost
-    fits = np.abs(surface.vertices).max() * 2.0**-24 < 1e-6 * span
-    dtype = np.float32 if given == o3d.core.float32 and fits else np.float64
     mesh = o3d.t.geometry.TriangleMesh()
-    mesh.vertex["positions"] = o3d.core.Tensor(surface.vertices.astype(dtype))
+    mesh.vertex["positions"] = positions(surface.vertices, like)
     mesh.triangle["indices"] = o3d.core.Tensor(surface.faces.astype(np.int64))
     for name, value in (("normals", surface.normals), ("colors", surface.colors)):
         if value is not None:
@@ -192,7 +173,18 @@ def _to_tensor(surface: Surface, like):
     return mesh
 
 
-def _from_pymeshlab(mesh) -> Surface:
+def positions(vertices: np.ndarray, like: Mesh) -> Any:
+    """Vertices (V, 3) as an Open3D Tensor for a mesh like `like`.
+
+    A float32 mesh stays one unless its coordinates are so large that a millionth of its size would be lost.
+    """
+    core = need("open3d", "mesh", "making an Open3D mesh").core
+    single = "positions" in like.vertex and like.vertex["positions"].dtype == core.float32
+    fits = np.abs(vertices).max() * 2.0**-24 < 1e-6 * np.ptp(vertices, axis=0).max()
+    return core.Tensor(vertices.astype(np.float32 if single and fits else np.float64))
+
+
+def _from_pymeshlab(mesh: Any) -> Surface:
     if hasattr(mesh, "current_mesh"):
         if mesh.mesh_number() == 0:
             raise InputError("the mesh is empty: a pymeshlab MeshSet without meshes")
@@ -205,15 +197,16 @@ def _from_pymeshlab(mesh) -> Surface:
     return Surface(vertices, mesh.face_matrix(), None, colors, quality)
 
 
-def _to_pymeshlab(surface: Surface, like=None):
+def _to_pymeshlab(surface: Surface, like: Mesh = None) -> Mesh:
     pymeshlab = need("pymeshlab", "meshlab", "making a pymeshlab mesh")
-    more = {}
-    if surface.normals is not None:
-        more["v_normals_matrix"] = surface.normals
-    if surface.colors is not None:
-        rgba = np.ones((len(surface.vertices), 4))
-        rgba[:, :3] = np.rint(np.clip(surface.colors, 0, 1) * 255) / 255  # it truncates to 8 bits: give it whole ones
-        more["v_color_matrix"] = rgba
-    if surface.quality is not None:
-        more["v_scalar_array"] = surface.quality
-    return pymeshlab.Mesh(surface.vertices, surface.faces, **more)
+    colors = surface.colors
+    if colors is not None:
+        colors = eight_bits(np.column_stack([colors, np.ones(len(colors))]))
+    more = {"v_normals_matrix": surface.normals, "v_color_matrix": colors, "v_scalar_array": surface.quality}
+    return pymeshlab.Mesh(surface.vertices, surface.faces, **{k: v for k, v in more.items() if v is not None})
+
+
+def eight_bits(colors: np.ndarray) -> np.ndarray:
+    """Colours of 0 to 1 such that pymeshlab, which truncates to 8 bits, keeps them: whole numbers of 255."""
+    whole: np.ndarray = np.rint(np.clip(colors, 0, 1) * 255)
+    return whole / 255

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from pagas_cl.config import MOST_CONTEXTS, Context
 from pagas_cl.scene.camera import Camera
@@ -40,12 +43,12 @@ class Partners:
         return (self.target, *self.contexts, *self.held_out)
 
 
-def for_planning(depth, views: int):
+def for_planning(depth: np.ndarray | DepthSample | None, views: int) -> np.ndarray | DepthSample | None:
     """What is needed of a depth map (or None) to choose partners among so many views: all of it, or a sample."""
     return depth if depth is None or views <= _MANY or isinstance(depth, DepthSample) else sample_depth(depth)
 
 
-def shared_out(usable, number: int):
+def shared_out(usable: tuple[int, ...], number: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Of usable views, most useful first: the context views, at most `number`, and the held-out views."""
     used = min(number, len(usable) - 1 if len(usable) >= SPARE_ONE else len(usable))
     return usable[:used], usable[used:number + MOST_HELD_OUT]
@@ -54,7 +57,8 @@ def shared_out(usable, number: int):
 class PartnerChooser:
     """Chooses for one target after another; parameters as in ContextChooser."""
 
-    def __init__(self, cameras: list[Camera], depths: list, settings: Context):
+    def __init__(self, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None],
+                 settings: Context):
         self._number = settings.number
         depths = [for_planning(depth, len(cameras)) for depth in depths]
         more = min(settings.number + MOST_HELD_OUT, MOST_CONTEXTS)
@@ -63,4 +67,5 @@ class PartnerChooser:
     def choose(self, target: int) -> Partners:
         """Partners of the view `target`."""
         choice = self._chooser.choose(target)
-        return Partners(target, *shared_out(choice.indices, self._number), choice.reason)
+        contexts, held_out = shared_out(choice.indices, self._number)
+        return Partners(target, contexts, held_out, choice.reason)

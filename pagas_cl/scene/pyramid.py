@@ -32,7 +32,8 @@ def photo_to(photo: np.ndarray, width: int, height: int) -> np.ndarray:
     """Area average of a photo (H, W, 3) uint8, rounded to 8 bit; where a side grows, that side is interpolated."""
     if photo.shape[:2] == (height, width):
         return photo
-    return np.rint(_resampled(photo, width, height)).astype(np.uint8)
+    rounded: np.ndarray = np.rint(_resampled(photo, width, height))
+    return rounded.astype(np.uint8)
 
 
 def mask_to(mask: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -62,5 +62,5 @@ def sample_pixels(depth: np.ndarray, samples: int = SAMPLES) -> tuple[np.ndarray
     return rows[finite][keep], columns[finite][keep]
 
 
-def _cell(shape) -> int:
+def _cell(shape: tuple[int, ...]) -> int:
     return -(-max(shape) // 64)

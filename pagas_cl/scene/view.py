@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.images import as_mask, as_photo, image_size, read_mask, read_photo
+from pagas_cl.scene.images import Loads, as_mask, as_photo, image_size, read_mask, read_photo
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +31,11 @@ class View:
     """
 
     camera: Camera
-    image: Any = field(repr=False)
-    mask: Any = field(default=None, repr=False)
+    image: np.ndarray | str | Path | Loads = field(repr=False)
+    mask: np.ndarray | str | Path | Loads | None = field(default=None, repr=False)
     name: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not isinstance(self.camera, Camera):
             raise InputError(f"view {self.name!r}: camera is a {type(self.camera).__name__}, expected pagas_cl.Camera")
         object.__setattr__(self, "name", str(self.name or self.camera.name))
@@ -52,11 +53,11 @@ class View:
         """The name without folders and suffix: what depth maps and pictures of this view are called."""
         return Path(self.name).stem
 
-    def load_image(self) -> np.ndarray:
+    def load_image(self) -> npt.NDArray[np.uint8]:
         """The photo, uint8 of shape (H, W, 3)."""
         return self._loaded(self.image, "image", read_photo)
 
-    def load_mask(self) -> np.ndarray | None:
+    def load_mask(self) -> npt.NDArray[np.bool_] | None:
         """The mask, bool of shape (H, W), true = keep; None where there is none."""
         return None if self.mask is None else self._loaded(self.mask, "mask", read_mask)
 
@@ -69,17 +70,18 @@ class View:
                 size = image_size(path)
                 self._check_size(size, getattr(source, "size", (self.camera.width, self.camera.height)), what)
 
-    def _loaded(self, source, what: str, read) -> np.ndarray:
+    def _loaded(self, source: np.ndarray | str | Path | Loads, what: str,
+                read: Callable[[str | Path], np.ndarray]) -> np.ndarray:
         if isinstance(source, np.ndarray):
             return source
-        return self._fitting(read(source) if isinstance(source, Path) else source.load(), what)
+        return self._fitting(read(source) if isinstance(source, (str, Path)) else source.load(), what)
 
     def _fitting(self, pixels: np.ndarray, what: str) -> np.ndarray:
         size = (pixels.shape[1], pixels.shape[0])
         self._check_size(size, (self.camera.width, self.camera.height), what)
         return pixels
 
-    def _check_size(self, size, wanted, what: str) -> None:
+    def _check_size(self, size: Sequence[int], wanted: Sequence[int], what: str) -> None:
         if tuple(size) == tuple(wanted):
             return
         ratio = (size[0] / wanted[0], size[1] / wanted[1])
@@ -109,9 +111,9 @@ class Scene:
 
     views: list[View]
     source: str = ""
-    points: np.ndarray | None = field(default=None, repr=False)
+    points: npt.NDArray[np.float64] | None = field(default=None, repr=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         names = [view.name for view in self.views]
         twice = {name for name in names if names.count(name) > 1} if len(set(names)) < len(names) else ()
         if twice:
@@ -119,6 +121,7 @@ class Scene:
 
     @property
     def cameras(self) -> list[Camera]:
+        """The cameras of the views, in their order."""
         return [view.camera for view in self.views]
 
     def index(self, name: str) -> int:

@@ -207,7 +207,7 @@ class _Weight:
 
 
 def weights_of(results, least: float) -> list[_Weight] | None:
-    """Weights for `fuse`: depths count as far as they are sure, no less than `least`; None where all count alike."""
+    """Weights for `fuse`: depths count as far as they are sure, at least `least`; None where all count alike."""
     return None if least == 1 else [_Weight(result, least) for result in results]
 
 

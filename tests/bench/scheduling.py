@@ -17,11 +17,11 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from conftest import look_at  # noqa: E402
-from job_scenes import QUICK, copy_depth  # noqa: E402
+from conftest import look_at
+from job_scenes import QUICK, copy_depth
 
-from pagas_cl.jobs import refine_all  # noqa: E402
-from pagas_cl.scene.view import View  # noqa: E402
+from pagas_cl.jobs import refine_all
+from pagas_cl.scene.view import View
 
 
 def ring(folder: Path, count: int):

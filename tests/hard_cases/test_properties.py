@@ -13,13 +13,13 @@ import pytest
 
 pytest.importorskip("hypothesis", reason="hypothesis is not installed: pip install 'pagas-cl[test]'")
 
-from hypothesis import HealthCheck, given, settings  # noqa: E402
-from hypothesis import strategies as st  # noqa: E402
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from pagas_cl.scene.view import View  # noqa: E402
-from pagas_cl.selftest import BLENDS, device_gradient, difference, given_surface, normalized, twin_gradient  # noqa: E402
-from pagas_cl.selftest import scenes as make  # noqa: E402
-from pagas_cl.splat import refine_levels  # noqa: E402
+from pagas_cl.scene.view import View
+from pagas_cl.selftest import BLENDS, device_gradient, difference, given_surface, normalized, twin_gradient
+from pagas_cl.selftest import scenes as make
+from pagas_cl.splat import refine_levels
 
 MANY = settings(max_examples=int(os.environ.get("PAGAS_CL_EXAMPLES", 5)), deadline=None,
                 derandomize="PAGAS_CL_EXAMPLES" not in os.environ, print_blob=True,

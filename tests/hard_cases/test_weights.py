@@ -9,15 +9,15 @@ import pytest
 
 pytest.importorskip("hypothesis", reason="hypothesis is not installed: pip install 'pagas-cl[test]'")
 
-from hypothesis import given, settings  # noqa: E402
-from hypothesis import strategies as st  # noqa: E402
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from pagas_cl.reference.pairs import candidates  # noqa: E402
-from pagas_cl.reference.project import project  # noqa: E402
-from pagas_cl.scene.view import View  # noqa: E402
-from pagas_cl.selftest import BLENDS, device_gradient, difference, normalized, twin_gradient  # noqa: E402
-from pagas_cl.selftest import scenes as make  # noqa: E402
-from pagas_cl.splat.options import fixed_bits, heaviest_pixel  # noqa: E402
+from pagas_cl.reference.pairs import candidates
+from pagas_cl.reference.project import project
+from pagas_cl.scene.view import View
+from pagas_cl.selftest import BLENDS, device_gradient, difference, normalized, twin_gradient
+from pagas_cl.selftest import scenes as make
+from pagas_cl.splat.options import fixed_bits, heaviest_pixel
 
 OPEN = BLENDS["order-free"].with_settings(splatting__depth_slices=1e-6)     # nothing is hidden: all take part
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.links import tell_links
@@ -31,7 +32,7 @@ def formats() -> list[str]:
     return [name for name, module in FORMATS.items() if find_spec(f"{__name__}.{module}") is not None]
 
 
-def read_scene(folder, format: str | None = None, **options) -> Scene:
+def read_scene(folder: str | Path, format: str | None = None, **options: Any) -> Scene:
     """Read the scene in `folder`.
 
     Parameters
@@ -56,7 +57,7 @@ def read_scene(folder, format: str | None = None, **options) -> Scene:
     for name in known if format is None else [format]:
         module = import_module(f"{__name__}.{FORMATS[name]}")
         if format is not None or module.detect(folder):
-            scene = module.read(folder, **options)
+            scene: Scene = module.read(folder, **options)
             tell_links(scene.views, folder)
             return scene
     raise InputError(f"scene {str(folder)!r} holds no cameras in a known format ({', '.join(known)}); expected for "

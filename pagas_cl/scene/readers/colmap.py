@@ -21,7 +21,7 @@ log = logging.getLogger("pagas_cl")
 _PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
 
 
-def detect(folder) -> bool:
+def detect(folder: str | Path) -> bool:
     """Whether `folder` holds a COLMAP model."""
     return model_folder(Path(folder)) is not None
 
@@ -35,7 +35,7 @@ def model_folder(folder: Path) -> Path | None:
     return None
 
 
-def read(folder, *, outside: bool = False) -> Scene:
+def read(folder: str | Path, *, outside: bool = False) -> Scene:
     """Read the scene; every registered image becomes a view, in the order of their names.
 
     Raises
@@ -61,7 +61,7 @@ def _views_of(model: Model, photos: Path, folder: Path, outside: bool) -> list[V
     paths = {image.name: inside(photos, image.name, f"image name in the COLMAP model of {str(photos.parent)!r}",
                                 outside=outside) for image in images}
     _check_photos(paths, photos)
-    lenses: dict[int, Lens | None] = {}
+    lenses: dict[int, Lens] = {}
     views = [_view(model, image, paths[image.name], folder, lenses) for image in images]
     for view in views:
         view.check_files()
@@ -70,7 +70,7 @@ def _views_of(model: Model, photos: Path, folder: Path, outside: bool) -> list[V
     return views
 
 
-def _view(model: Model, image: ModelImage, path: Path, folder: Path, lenses: dict) -> View:
+def _view(model: Model, image: ModelImage, path: Path, folder: Path, lenses: dict[int, Lens]) -> View:
     camera, mask = model.cameras[image.camera_id], _mask(folder, image.name, path)
     if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
         pinhole = untrusted.pinhole(camera.K, image.world_to_camera, camera.width, camera.height, image.name)

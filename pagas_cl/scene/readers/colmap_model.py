@@ -7,10 +7,13 @@ camera model ends the process. It is left what only it can do, the lens models (
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.readers import untrusted
@@ -22,6 +25,7 @@ MODELS = {0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 
           12: ("SIMPLE_DIVISION", 4), 13: ("DIVISION", 5), 14: ("SIMPLE_FISHEYE", 3), 15: ("FISHEYE", 4),
           16: ("EUCM", 6), 17: ("EQUIRECTANGULAR", 2)}
 _COUNTS = dict(MODELS.values())
+_Part = TypeVar("_Part")     # of a model: what one of its files holds
 _BYTES = 16 << 30
 _NAME = 4096
 _UNIT = 1e-2  # COLMAP writes unit quaternions; one further off is damage
@@ -42,7 +46,7 @@ class ModelCamera:
         fx, fy, cx, cy = self.params if self.model == "PINHOLE" else (self.params[0], *self.params)
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
 
-    def to_pycolmap(self):
+    def to_pycolmap(self) -> Any:
         """The same as a pycolmap.Camera."""
         pycolmap = need("pycolmap", "colmap", "undistorting photos")
         if self.model not in pycolmap.CameraModelId.__members__:
@@ -89,7 +93,7 @@ def read_model(place: Path) -> Model:
     return Model(cameras, images, found)
 
 
-def _guarded(path: Path, read):
+def _guarded(path: Path, read: Callable[[bytes, Path], _Part]) -> _Part:
     data = untrusted.read_bytes(path, _BYTES)
     try:
         return read(data, path)
@@ -100,7 +104,8 @@ def _guarded(path: Path, read):
                          "damaged?") from error
 
 
-def _camera(model: str, width, height, params, where: str) -> ModelCamera:
+def _camera(model: str, width: float, height: float, params: Sequence[float] | np.ndarray,
+            where: str) -> ModelCamera:
     if len(params) != _COUNTS[model]:
         raise InputError(f"{where}: {model} has {len(params)} parameters, expected {_COUNTS[model]}")
     for side, value in (("width", width), ("height", height)):
@@ -111,11 +116,11 @@ def _camera(model: str, width, height, params, where: str) -> ModelCamera:
     return ModelCamera(model, int(width), int(height), tuple(float(p) for p in params))
 
 
-def _image(numbers, camera: int, name: str, where: str) -> ModelImage:
+def _image(numbers: npt.ArrayLike, camera: int, name: str, where: str) -> ModelImage:
     """`numbers`: quaternion w x y z and translation."""
     numbers = np.asarray(numbers, np.float64)
     sane = np.isfinite(numbers).all() and np.abs(numbers[:4]).max() < 2
-    length = np.linalg.norm(numbers[:4]) if sane else np.nan
+    length = float(np.linalg.norm(numbers[:4])) if sane else np.nan
     if not abs(length - 1) < _UNIT:
         raise InputError(f"{where}: the quaternion {untrusted.short(numbers[:4].tolist())} has length {length:g}, "
                          "expected 1")
@@ -130,7 +135,7 @@ def _image(numbers, camera: int, name: str, where: str) -> ModelImage:
 
 def _records(data: bytes, least: int) -> int:
     """The count at the start of a binary file, refused where not even the smallest records would fit."""
-    (count,) = struct.unpack_from("<Q", data, 0)
+    count: int = struct.unpack_from("<Q", data, 0)[0]
     if count * least > len(data) - 8:
         raise ValueError(f"it says {count} records and has {len(data)} bytes")
     return count

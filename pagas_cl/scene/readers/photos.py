@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
@@ -15,7 +17,7 @@ from pagas_cl.scene.view import View
 FOLDERS = ("images", "image", "color", "rgb", "blended_images")
 
 
-def inside(root: Path, name, what: str, *, outside: bool = False) -> Path:
+def inside(root: Path, name: Any, what: str, *, outside: bool = False) -> Path:
     """The path `name` out of a file, relative to `root`.
 
     InputError where it leads out of `root` (absolute, or through "..") and `outside` is false: a scene from a stranger
@@ -42,6 +44,11 @@ def existing(path: Path, what: str) -> Path:
     if not found:
         raise InputError(f"{what}: there is no file {short(str(path))}")
     return path
+
+
+def first_file(folder: Path, names: Iterable[str | Path]) -> Path | None:
+    """The first of `names` that is a file in `folder`."""
+    return next((folder / name for name in names if (folder / name).is_file()), None)
 
 
 def list_photos(folder: Path) -> list[Path]:
@@ -90,8 +97,15 @@ def one_photo_each(photos: list[Path], count: int, what: str) -> list[Path]:
     return photos
 
 
-def view_of(folder: Path, camera: Camera, photo: Path, mask: Path | None = None) -> View:
+def file_of(view: View) -> Path:
+    """The photo's file, which the formats that name files ask for."""
+    if not isinstance(view.image, Path):
+        raise InputError(f"view {view.name!r}: its photo is no file; the format names files, so save it first")
+    return view.image
+
+
+def view_of(folder: Path, camera: Camera, photo: Path, mask: Path | None = None, name: str = "") -> View:
     """The view of `photo` with its mask, given or found; InputError where a file's size is not the camera's."""
-    view = View(camera=camera, image=photo, mask=mask or find_mask(folder, photo), name=photo.name)
+    view = View(camera, photo, mask or find_mask(folder, photo), name or photo.name)
     view.check_files()
     return view

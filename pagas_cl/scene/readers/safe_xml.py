@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from typing import NoReturn
 from xml.parsers import expat
 
 from pagas_cl.errors import InputError
@@ -36,16 +37,16 @@ def _inspect(data: bytes, path: Path) -> None:
     """Walk through once with handlers that refuse what the second parse must not see."""
     depth = 0
 
-    def refuse(*_):
+    def refuse(*_: object) -> NoReturn:
         raise InputError(f"{path} declares XML entities, which are not read; remove them from its DOCTYPE")
 
-    def start(name, attributes):
+    def start(name: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
         if depth > _DEPTH:
             raise InputError(f"{path} nests its elements more than {_DEPTH} deep: is the file damaged?")
 
-    def end(name):
+    def end(name: str) -> None:
         nonlocal depth
         depth -= 1
 
