@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_file import write_mesh
 from pagas_cl.scene.view import View
 from pagas_cl.synthetic import relief_scene
-from pagas_cl.synthetic.disk import write_ply, write_scene
+from pagas_cl.synthetic.disk import write_scene
 
 EXAMPLES = sorted((Path(__file__).parent / "examples").glob("*.py"))
 NEEDS = {"pymeshlab_method": ["pymeshlab", "open3d"], "filter_script": ["pymeshlab", "open3d"], "depth_maps": [],
@@ -34,7 +36,7 @@ def folder(tmp_path_factory):
     write_scene(made, folder / "SCENE")
     (folder / "mixed.mlx").write_text(MIXED)
     (folder / "train" / "ours_30000").mkdir(parents=True)
-    write_ply(folder / "train" / "ours_30000" / "fuse_post.ply", *made.initial_mesh())
+    write_mesh(folder / "train" / "ours_30000" / "fuse_post.ply", Surface(*made.initial_mesh()))
     for camera in made.cameras[:3]:
         save_depth(folder / "DEPTH" / f"{camera.name}.npz", resize_depth(made.initial_depth(camera), 40, 30))
     cameras = made.cameras[:3]

@@ -8,8 +8,9 @@ from PIL import Image
 
 from pagas_cl.__main__ import run
 from pagas_cl.scene.depthmap import find_depth, load_depth, resize_depth
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_file import write_mesh
 from pagas_cl.synthetic import relief_scene
-from pagas_cl.synthetic.disk import write_ply
 
 pytest.importorskip("open3d")
 pytest.importorskip("pycolmap")
@@ -47,7 +48,7 @@ MESHES = {
 def test_mesh_goes_in(name, scene, made):
     mesh = scene / MESHES[name]
     mesh.parent.mkdir(parents=True, exist_ok=True)
-    write_ply(mesh, *made.initial_mesh())
+    write_mesh(mesh, Surface(*made.initial_mesh()))
     if name in ("2DGS", "OpenMVS"):  # 2DGS writes colours, OpenMVS float vertices: through Open3D
         import open3d as o3d
 

@@ -155,10 +155,11 @@ def test_a_mesh_that_claims_to_be_huge(tmp_path, body):
 
 def test_a_mesh_that_is_cut_off(tmp_path):
     pytest.importorskip("open3d", reason="reading mesh files takes Open3D")
-    from pagas_cl.synthetic.disk import write_ply
+    from pagas_cl.scene.mesh import Surface
+    from pagas_cl.scene.mesh_file import write_mesh
 
     corners, faces = np.random.default_rng(1).random((30, 3)), np.arange(30).reshape(10, 3)
-    write_ply(tmp_path / "whole.ply", corners, faces)
+    write_mesh(tmp_path / "whole.ply", Surface(corners, faces))
     whole = (tmp_path / "whole.ply").read_bytes()
     assert len(to_surface(tmp_path / "whole.ply").faces) == 10
     for cut in (1, 13, 100, 300):  # in a face, at a face's end, in the faces, in the vertices

@@ -25,17 +25,9 @@ _STEPS = 3       # Newton steps along the normal; one is exact on a plane
 
 @dataclass(frozen=True, eq=False)
 class Displacement:
-    """Where the vertices go.
-
-    Attributes
-    ----------
-    vertices : ndarray of shape (V, 3), float64
-    moved : ndarray of shape (V,), bool
-        False: fewer views than asked for agreed, or a triangle would have turned over; the vertex stayed.
-    agreeing : ndarray of shape (V,), int
-        Views that agreed.
-    quality : ndarray of shape (V,), float64
-        Mean confidence (0 to 1) of the agreeing views; 0 where the vertex stayed.
+    """Where the vertices go: vertices (V, 3), float64; which have moved (V,), the others having too few views that
+    agree, or a triangle that would turn over; views that agree (V,); quality (V,), the mean confidence (0 to 1) of
+    those, 0 where the vertex stayed.
     """
 
     vertices: np.ndarray = field(repr=False)
@@ -46,16 +38,13 @@ class Displacement:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """A view's initial and refined depth, and how far to trust the latter; arrays (H, W), 0 = no surface.
-
-    `parallax`: depth that moves a pixel by one pixel in the context views; `confidence`: 0 to 1.
-    """
+    """A view's initial and refined depth, and how far to trust the latter; arrays (H, W), 0 = no surface."""
 
     camera: Camera
     initial: np.ndarray = field(repr=False)
     refined: np.ndarray = field(repr=False)
-    parallax: np.ndarray = field(repr=False)
-    confidence: np.ndarray = field(repr=False)
+    parallax: np.ndarray = field(repr=False)    # depth that moves a pixel by one pixel in the context views
+    confidence: np.ndarray = field(repr=False)  # 0 to 1
 
 
 def displace(surface: Surface, views: list[Observed], *, agree_views: int = 1,

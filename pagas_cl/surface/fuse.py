@@ -37,32 +37,15 @@ _KEYS_HELD = 1 << 21          # keys of blocks that are collected before doubles
 
 @dataclass(frozen=True, eq=False)
 class FusionPlan:
-    """What a fusion will do, known before it starts.
-
-    Attributes
-    ----------
-    settings : config.Fusion
-    voxel : float
-        Scene units.
-    depth_range : (float, float)
-        Of all valid depths, scene units.
-    middle : ndarray of shape (3,), float64
-        World origin of the grid's frame.
-    grid_scale : float
-        Scene units of one unit of the grid.
-    blocks : sequence of ndarray of shape (N, 3), int32
-        What each view touches; none for a view without depth.
-    block_count : int
-        Different blocks of all views together.
-    """
+    """What a fusion will do, known before it starts."""
 
     settings: Fusion
-    voxel: float
-    depth_range: tuple[float, float]
-    middle: np.ndarray
-    grid_scale: float
-    blocks: Sequence[np.ndarray]
-    block_count: int = 0
+    voxel: float                        # scene units
+    depth_range: tuple[float, float]    # of all valid depths, scene units
+    middle: np.ndarray                  # (3,) float64: world origin of the grid's frame
+    grid_scale: float                   # scene units of one unit of the grid
+    blocks: Sequence[np.ndarray]        # for each view those that it touches, (N, 3) int32; none without depth
+    block_count: int = 0                # different blocks of all views together
 
     @property
     def truncation(self) -> float:

@@ -18,25 +18,13 @@ _NEAR = 0.1  # voxels: a vertex that two boxes share lies on the side between th
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """What is remembered of a box's piece of the mesh.
-
-    Attributes
-    ----------
-    border : ndarray of shape (B,), int32
-        Indices of the vertices on the box's sides.
-    border_part : ndarray of shape (B,), int32
-        Their connected part: a place in `parts`.
-    parts : ndarray of shape (P,), int32
-        The least vertex index of each connected part.
-    sizes : ndarray of shape (P,), int64
-        Triangles of each.
-    """
+    """What is remembered of a box's piece of the mesh."""
 
     file: Path
-    border: np.ndarray
-    border_part: np.ndarray
-    parts: np.ndarray
-    sizes: np.ndarray
+    border: np.ndarray        # (B,) int32: indices of the vertices on the box's sides
+    border_part: np.ndarray   # (B,) int32: their connected part, a place in `parts`
+    parts: np.ndarray         # (P,) int32: the least vertex index of each connected part
+    sizes: np.ndarray         # (P,) int64: triangles of each
 
 
 def write_piece(file: Path, vertices, normals, colours, faces) -> None:
