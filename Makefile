@@ -1,19 +1,28 @@
-# make demo   refine a small scene made by the package itself; pictures, mesh and errors go to demo_out/
-# make test   run the test suite
-# make check  what ruff and mypy say of the source (settings: ruff.toml, mypy.ini)
-# make docs   the API reference, HTML in build/api, made from the docstrings
-# Demo and test set everything up first: system libraries, .venv, the package, an OpenCL device for the CPU (PoCL).
+# make demo    refine a small scene made by the package itself; pictures, mesh and errors go to demo_out/
+# make test    all tests
+# make quick   those that need no Open3D and little time: for every save
+# make kernels those that touch kernels: for every device and way to build them
+# make check   what ruff and mypy say of the source (settings: ruff.toml, mypy.ini)
+# make docs    the API reference, HTML in build/api, made from the docstrings
+# Each sets up first what it needs (`make setup`): system libraries, .venv, the package, an OpenCL device that works. What
+# is there is tried first; CPU=intel installs Intel's runtime for x86-64 processors, under Intel's licence.
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test check docs setup clean
+.PHONY: demo test quick kernels check docs setup clean FORCE
 
 demo: setup
 	$(BIN)/pagas-cl demo --output demo_out
 
 test: setup
 	$(BIN)/python -m pytest
+
+quick: setup
+	$(BIN)/python -m pytest -q -m "not slow"
+
+kernels: setup
+	$(BIN)/python -m pytest -q -m kernels
 
 check: $(BIN)/ruff
 	$(BIN)/ruff check .
@@ -29,7 +38,12 @@ $(BIN)/ruff $(BIN)/pdoc:
 setup: .venv/.installed
 
 .venv/.installed: pyproject.toml .ci/setup
-	@PYTHON=$(PYTHON) sh .ci/setup
+	@PYTHON=$(PYTHON) CPU=$(CPU) sh .ci/setup
+
+ifdef CPU
+.venv/.installed: FORCE
+endif
+FORCE:
 
 clean:
 	rm -rf .venv build dist demo_out *.egg-info

@@ -83,7 +83,7 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
     """
     from pagas_cl.refine import fuse_results
     from pagas_cl.scene.mesh import from_surface
-    from pagas_cl.surface.confidence import vertex_confidence
+    from pagas_cl.surface.vertices import vertex_confidence
 
     config = settings_of(preset, config)
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,
@@ -133,7 +133,7 @@ def _refined(read: list[Frame], config: Config, device, progress) -> list:
 
 def _agreed(read: list[Frame], depths: list[np.ndarray], share: float) -> list[np.ndarray]:
     """Refined depths where the refined frames agree on them, those that came in elsewhere."""
-    from pagas_cl.surface.disagreement import disagreement
+    from pagas_cl.surface.agree import disagreement
 
     if not (np.isfinite(share) and share > 0):
         raise InputError(f"agree_within is {share!r}, expected a share of the depth above 0, such as 0.01")

@@ -145,7 +145,7 @@ def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 def _add_layer(meshes, surface, results, label: str, matrix: np.ndarray) -> None:
     """The fused mesh as a new current layer with the old one's matrix, confidence as quality, unit normals."""
     from pagas_cl.scene.mesh import from_surface
-    from pagas_cl.surface.confidence import vertex_confidence
+    from pagas_cl.surface.vertices import vertex_confidence
 
     quality = vertex_confidence(surface.vertices, [r.camera for r in results], [r.depth for r in results],
                                 [r.confidence for r in results])
@@ -195,7 +195,7 @@ def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: 
     import pymeshlab
 
     from pagas_cl.scene.mesh import to_surface
-    from pagas_cl.surface.displace import footprints
+    from pagas_cl.surface.vertices import footprints
 
     finest = footprints(surface.vertices, [view.camera for view in views], depths)
     if not np.isfinite(finest).any():

@@ -10,10 +10,11 @@ import pytest
 from pagas_cl.__main__ import run
 from pagas_cl.commands._settings import build_config, effect_settings
 from pagas_cl.config import Effects
-from pagas_cl.consistency import THRESHOLD, contradicted, decide_consistency
+from pagas_cl.effects import CONTRADICTED, decide_consistency
 from pagas_cl.errors import InputError
 from pagas_cl.measurements import RULES
 from pagas_cl.presets import BALANCED
+from pagas_cl.surface.agree import contradicted
 from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.disk import write_scene
 
@@ -82,14 +83,14 @@ def maps(made):
 
 def test_true_depths_do_not_contradict_each_other(maps):
     config, decision = decide_consistency(*maps, BALANCED)
-    assert decision.evidence < THRESHOLD / 2 and not decision.on and config.fusion.agree_views == 0
+    assert decision.evidence < CONTRADICTED / 2 and not decision.on and config.fusion.agree_views == 0
 
 
 def test_a_view_that_is_off_is_found(maps, made):
     cameras, depths = maps
     wrong = [depths[0] - np.float32(6 * made.relief.parallax), *depths[1:]]
     config, decision = decide_consistency(cameras, wrong, BALANCED)
-    assert decision.evidence > THRESHOLD and decision.on and config.fusion.agree_views == 1
+    assert decision.evidence > CONTRADICTED and decision.on and config.fusion.agree_views == 1
     assert contradicted(cameras, wrong, 2.0) == decision.evidence
     assert decide_consistency(cameras, wrong, config) == (config, None)       # settled
 

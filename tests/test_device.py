@@ -24,8 +24,8 @@ def device(name, kind=GPU, units=10, **more):
         "name": name, "type": kind, "vendor": "vendor ", "version": "OpenCL 3.0 ", "driver_version": "1.2.3",
         "opencl_c_version": "OpenCL C 1.2 ", "global_mem_size": 2**33, "max_mem_alloc_size": 2**31,
         "local_mem_size": 48 * 1024, "max_work_group_size": 1024, "max_compute_units": units,
-        "native_vector_width_float": 1, "extensions": "cl_khr_fp64 cl_khr_int64_base_atomics", "available": 1, "compiler_available": 1,
-        "endian_little": 1, **more})
+        "native_vector_width_float": 1, "extensions": "cl_khr_fp64 cl_khr_int64_base_atomics", "available": 1,
+        "compiler_available": 1, "endian_little": 1, **more})
 
 
 def platform(name, *devices):

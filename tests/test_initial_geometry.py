@@ -99,7 +99,7 @@ def test_depth_maps_of_another_size_go_in(name, scene, made):
 
 def test_real_openmvs_mesh_and_cameras(data_dir):
     """The castle: OpenMVS's own mesh is where its cameras look."""
-    from pagas_cl.camera_check import check_cameras
+    from pagas_cl.scene.check import check_cameras
     from pagas_cl.scene.readers import read_scene
 
     scene = read_scene(data_dir / "sceaux_castle")

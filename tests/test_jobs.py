@@ -21,7 +21,7 @@ from pagas_cl.jobs.store import DepthFile, Store
 from pagas_cl.jobs.task import Batch
 from pagas_cl.jobs.worker import PhotoMemory
 from pagas_cl.refine import refine_one, refine_views
-from pagas_cl.scene import npy
+from pagas_cl.scene import files
 from pagas_cl.scene.partners import PartnerChooser
 from pagas_cl.scene.view import View
 
@@ -235,9 +235,9 @@ def test_many_threads_read_arrays(tmp_path):
         np.save(tmp_path / f"{k}.npy", array)
         np.savez_compressed(tmp_path / f"{k}.npz", depth=array)
     with ThreadPoolExecutor(8) as readers:
-        for read, suffix in ((npy.read_npy, "npy"), (npy.read_first, "npz")):
-            files = [tmp_path / f"{k}.{suffix}" for k in range(8)] * 50
-            assert all(np.array_equal(got, arrays[k % 8]) for k, got in enumerate(readers.map(read, files)))
+        for read, suffix in ((files.read_npy, "npy"), (files.read_first, "npz")):
+            paths = [tmp_path / f"{k}.{suffix}" for k in range(8)] * 50
+            assert all(np.array_equal(got, arrays[k % 8]) for k, got in enumerate(readers.map(read, paths)))
 
 
 def test_a_damaged_array_is_found(tmp_path):

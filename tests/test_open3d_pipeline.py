@@ -208,7 +208,7 @@ def test_tutorial_loop_with_and_without_the_step(data_dir):
 
 def test_disagreement_of_depth_maps(ring):
     """0 for exact depths of a plane; the error where one map is off; NaN where no other view looks."""
-    from pagas_cl.surface.disagreement import disagreement
+    from pagas_cl.surface.agree import disagreement
 
     depths = [plane_depth(camera, NORMAL, 0.0) for camera in ring[:3]]
     exact = disagreement(ring[0], depths[0], ring[1:3], depths[1:])

@@ -23,10 +23,9 @@ ALLOWED = {
     "surface": {"scene", "runtime", "reference"}, "splat": {"scene", "runtime"}, "result": {"scene"},
     "jobs": {"scene", "runtime", "splat", "result", "progress"},
     "acceptance": {"result"},
-    "effects": {"measurements"}, "measurements": {"splat"},
+    "effects": {"measurements", "surface"}, "measurements": {"splat"},
     "refine": {"acceptance", "jobs", "scene", "runtime", "surface", "splat", "result", "measurements", "effects",
-               "keep_mesh", "consistency", "progress"},
-    "camera_check": {"scene", "surface"},
+               "keep_mesh", "progress"},
     "evaluate": {"scene"}, "synthetic": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
     "selftest": {"scene", "runtime", "splat", "reference", "refine"},
 }

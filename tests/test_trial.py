@@ -77,7 +77,8 @@ def test_after_a_compiler_that_hangs_one_lane_is_tried_and_no_more(asked):
 
 
 def test_a_device_that_was_busy_is_tried_again_the_next_time(asked):
-    asked.answers = {lanes: Answer({"fault": "it fails (OUT_OF_RESOURCES)", "lasting": False}) for lanes in (16, 8, 4, 1)}
+    busy = Answer({"fault": "it fails (OUT_OF_RESOURCES)", "lasting": False})
+    asked.answers = dict.fromkeys(trial.WIDTHS, busy)
     assert try_device(CPU).lanes == 0 and "with 16, 8, 4 and 1 lanes it fails (OUT_OF" in try_device(CPU).fault
     asked.answers = {}
     assert try_device(CPU).lanes == 16
@@ -91,7 +92,8 @@ def test_without_a_disk_it_is_known_for_this_process(asked, monkeypatch):
     assert try_device(CPU).lanes == 16 and try_device(CPU).lanes == 16 and len(asked) == 1
 
 
-@pytest.mark.parametrize("name, value", [(trial.LANES, "3"), (trial.LANES, "x"), (trial.LIMIT, "0"), (trial.LIMIT, "no")])
+@pytest.mark.parametrize("name, value", [
+    (trial.LANES, "3"), (trial.LANES, "x"), (trial.LIMIT, "0"), (trial.LIMIT, "no")])
 def test_environment_that_is_wrong(asked, monkeypatch, name, value):
     monkeypatch.setenv(name, value)
     with pytest.raises(InputError, match=name):

@@ -22,8 +22,8 @@ def command(
 
     Status 2 when another reading of them fits better, or when none of them sees the mesh.
     """
-    from pagas_cl.camera_check import check_views
     from pagas_cl.errors import InputError
+    from pagas_cl.scene.check import check_views
 
     found = load_scene(scene, format, outside)
     report = check_views(mesh, found.cameras, found.views)

@@ -39,8 +39,8 @@ def command(
     """Run a plan of settings on a sample of views: error, time and memory of each, and the front of the best."""
     from pagas_cl.runtime.device import open_device
     from pagas_cl.tradeoffs import tradeoff
-    from pagas_cl.tradeoffs.ablation import ablation_plan, ablation_table
-    from pagas_cl.tradeoffs.page import markdown, notes
+    from pagas_cl.tradeoffs.page import ablation_table, markdown, notes
+    from pagas_cl.tradeoffs.plan import ablation_plan
 
     check_source(mesh, depth_dir, "where the refinement starts")
     found = load_scene(scene, format, outside)

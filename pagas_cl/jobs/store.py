@@ -14,7 +14,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, OutputError
 from pagas_cl.scene.depthmap import load_depth
-from pagas_cl.scene.npy import read_npy
+from pagas_cl.scene.files import read_npy
 
 _PART = ".part"
 _CHUNK = 1 << 22

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from math import prod
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceError, DeviceMemoryError
+
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
 
 MOST_ELEMENTS = 2**31 - 1         # kernels count in 32 bits
 
@@ -26,7 +31,7 @@ class BufferSpec:
         return max(1, prod(self.shape)) * np.dtype(self.dtype).itemsize
 
 
-def total_bytes(specs) -> int:
+def total_bytes(specs: Iterable[BufferSpec]) -> int:
     """Bytes that `specs` take together."""
     return sum(spec.nbytes for spec in specs)
 
@@ -42,7 +47,7 @@ class Arena:
         They are more than may be held, or the device refuses one; none is kept then.
     """
 
-    def __init__(self, device, specs: list[BufferSpec]):
+    def __init__(self, device: Device, specs: Sequence[BufferSpec]):
         self.specs = {spec.name: spec for spec in specs}
         largest = max(specs, key=lambda spec: spec.nbytes)
         limit = device.info.max_alloc
@@ -78,7 +83,7 @@ class Arena:
         """The buffer `name`, the caller's from now on."""
         return self._buffers.pop(name)
 
-    def release(self, keep=()):
+    def release(self, keep: Collection[str] = ()) -> None:
         """Give all buffers but those named in `keep` back now instead of when Python gets to it."""
         for name in [name for name in self._buffers if name not in keep]:
             self._buffers.pop(name).release()

@@ -6,21 +6,26 @@ import re
 import warnings
 import weakref
 from collections import defaultdict, deque
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from importlib.resources import files
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceError, KernelBuildError
 
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
+
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$')
 GROUP_1D, GROUP_2D = (128,), (32, 4)
 OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-single-precision-constant", "-w")     # warnings: nobody reads them
 
 
-@lru_cache(maxsize=None)
+@cache
 def source(name: str) -> str:
     """Text of the kernel file `name` with its includes pasted in, #line marks keeping the compiler's messages true."""
     return "\n".join(_pasted(name, set()))
@@ -40,10 +45,10 @@ def _pasted(name: str, seen: set[str]) -> list[str]:
     return lines
 
 
-_programs: dict[tuple, cl.Program] = {}
+_programs: dict[tuple[int, str, tuple[str, ...]], cl.Program] = {}
 
 
-def build(device, name: str, defines: tuple[str, ...] = ()) -> cl.Program:
+def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> cl.Program:
     """Compile the kernel file `name` for `device` with `defines` ("NAME" or "NAME=value").
 
     Programs are kept for the life of the process; pyopencl keeps the binaries on disk, keyed by source, options,
@@ -73,24 +78,25 @@ class _Kernel:
     looking at ten."""
 
     def __init__(self, program: cl.Program, name: str):
-        self.cl_kernel, self._arguments = cl.Kernel(program, name), None
+        self.cl_kernel = cl.Kernel(program, name)
+        self._arguments: list[Any] = []         # as _remembered tells them; none before the first time
 
-    def set_args(self, arguments: list):
-        if self._arguments is None:
+    def set_args(self, arguments: Sequence[Any]) -> None:
+        if not self._arguments:
             self.cl_kernel.set_args(*arguments)
             self._arguments = [_remembered(value) for value in arguments]
             return
         for index, value in enumerate(arguments):
             self.set_arg(index, value)
 
-    def set_arg(self, index: int, value):
+    def set_arg(self, index: int, value: Any) -> None:
         known, remembered = self._arguments[index], _remembered(value)
         if known is not remembered and known != remembered:      # the same object needs no comparison
             self.cl_kernel.set_arg(index, value)
             self._arguments[index] = remembered                  # not if it was refused
 
 
-def _remembered(value):
+def _remembered(value: Any) -> Any:
     """What tells an argument from another one: the bits of a number; of a buffer, which must not be kept alive here,
     the very object. Equal to nothing where that cannot be told."""
     if isinstance(value, np.generic):
@@ -101,6 +107,20 @@ def _remembered(value):
         return object()
 
 
+class Work(Protocol):
+    """What a queue is given: a launch, a fill or an upload."""
+
+    @property
+    def stage(self) -> str:
+        """What its time is counted as."""
+
+    def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
+        """Put it into the queue, any number of times."""
+
+    def release(self) -> None:
+        """It will not be enqueued again."""
+
+
 @dataclass(frozen=True)
 class Launch:
     """A kernel with its arguments bound, ready to be enqueued any number of times."""
@@ -109,20 +129,20 @@ class Launch:
     global_size: tuple[int, ...]
     local_size: tuple[int, ...] | None = None
     stage: str = ""
-    source: tuple = ()
+    source: tuple[int, str] = (0, "")
 
     @property
     def kernel(self) -> cl.Kernel:
         return self.bound.cl_kernel
 
-    def set_arg(self, index: int, value: np.generic):
+    def set_arg(self, index: int, value: np.generic) -> None:
         """Another value for one argument."""
         self.bound.set_arg(index, value)
 
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         return cl.enqueue_nd_range_kernel(queue, self.bound.cl_kernel, self.global_size, self.local_size)
 
-    def release(self):
+    def release(self) -> None:
         """Give the kernel back for other arguments; what is enqueued keeps those that it was enqueued with."""
         _idle[self.source].append(self.bound)
 
@@ -137,9 +157,10 @@ class Fill:
     stage: str = "clear"
 
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
-        return cl.enqueue_fill_buffer(queue, self.buffer, self.pattern, 0, self.size)
+        pattern: Any = self.pattern  # a NumPy scalar is a buffer, which NumPy's types do not say
+        return cl.enqueue_fill_buffer(queue, self.buffer, pattern, 0, self.size)
 
-    def release(self):
+    def release(self) -> None:
         """Nothing is held."""
 
 
@@ -154,11 +175,11 @@ class Upload:
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         return cl.enqueue_copy(queue, self.buffer, self.array, is_blocking=False)
 
-    def release(self):
+    def release(self) -> None:
         """Nothing is held."""
 
 
-def run_once(queue: cl.CommandQueue, launches):
+def run_once(queue: cl.CommandQueue, launches: Iterable[Work]) -> None:
     """Enqueue `launches` in order and release them."""
     for launch in launches:
         launch.enqueue(queue)
@@ -167,10 +188,10 @@ def run_once(queue: cl.CommandQueue, launches):
 
 # Kernels that wait for arguments, by (program, name): making one takes ten times as long as setting its arguments. The
 # one that has waited longest goes first, so that each comes back to the view that it served.
-_idle: dict[tuple, deque[_Kernel]] = defaultdict(deque)
+_idle: defaultdict[tuple[int, str], deque[_Kernel]] = defaultdict(deque)
 
 
-def usual_group(global_size) -> tuple[int, ...] | None:
+def usual_group(global_size: Sequence[int]) -> tuple[int, ...] | None:
     """Work-items of a group where a kernel does not mind: left to the driver, a prime width gets groups of one.
 
     Global sizes are rounded up to it, so that every such kernel looks where its data ends; a single item stays alone.
@@ -180,7 +201,8 @@ def usual_group(global_size) -> tuple[int, ...] | None:
     return GROUP_1D if global_size[0] > 1 else None
 
 
-def bind(program: cl.Program, name: str, global_size, local_size, *arguments) -> Launch:
+def bind(program: cl.Program, name: str, global_size: Sequence[int], local_size: Sequence[int] | None,
+         *arguments: Any) -> Launch:
     """A Launch of `name` with its own argument set: int -> int32, float -> float32, None -> a null buffer.
 
     Raises
@@ -188,17 +210,17 @@ def bind(program: cl.Program, name: str, global_size, local_size, *arguments) ->
     DeviceError
         A whole number does not fit into 32 bits.
     """
-    arguments = [_argument(value, name) for value in arguments]
+    values = [_argument(value, name) for value in arguments]
     source = (program.int_ptr, name)
     kernel = _idle[source].popleft() if _idle[source] else _Kernel(program, name)
-    kernel.set_args(arguments)
-    local_size = tuple(local_size) if local_size else usual_group(global_size)
-    if local_size:
-        global_size = tuple(-(-g // l) * l for g, l in zip(global_size, local_size))
-    return Launch(kernel, tuple(int(g) for g in global_size), local_size, name, source)
+    kernel.set_args(values)
+    group = tuple(local_size) if local_size else usual_group(global_size)
+    if group:
+        global_size = [-(-items // side) * side for items, side in zip(global_size, group)]
+    return Launch(kernel, tuple(int(items) for items in global_size), group, name, source)
 
 
-def _argument(value, name: str):
+def _argument(value: Any, name: str) -> Any:
     if isinstance(value, (int, np.integer)):
         # NumPy 1 would wrap it, and OpenCL refuse one of 64 bits without saying which
         if not -2**31 <= value < 2**31:

@@ -12,7 +12,7 @@ import os
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from functools import lru_cache
+from functools import cache as cached
 from importlib.resources import files
 from typing import Any
 
@@ -83,7 +83,7 @@ def identity(info: DeviceInfo) -> list[Any]:
     return [info.platform, info.name, info.vendor, info.version, info.c_version, info.driver, *info.extensions]
 
 
-@lru_cache(maxsize=None)
+@cached
 def kernels() -> str:
     """What tells the kernels of this version from those of another."""
     sources = sorted((file.name, file.read_bytes()) for file in files("pagas_cl.cl_kernels").iterdir()

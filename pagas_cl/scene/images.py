@@ -100,6 +100,23 @@ def as_mask(values: npt.ArrayLike, who: str = "mask") -> npt.NDArray[np.bool_]:
     return values.copy()
 
 
+def bilinear(pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Values of an image (H, W) or (H, W, C) at positions x, y of any shape, pixel centres at +0.5, border repeated.
+
+    Shares are of the positions' dtype. A position that is not finite gets some value or other.
+    """
+    height, width = pixels.shape[:2]
+    x, y = (np.nan_to_num(np.clip(at - 0.5, 0, side - 1)) for at, side in ((x, width), (y, height)))
+    left, top = np.minimum(x.astype(np.intp), max(width - 2, 0)), np.minimum(y.astype(np.intp), max(height - 2, 0))
+    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    fx, fy = (x - left).astype(x.dtype), (y - top).astype(y.dtype)
+    if pixels.ndim == 3:
+        fx, fy = fx[..., None], fy[..., None]
+    mixed: np.ndarray = ((pixels[top, left] * (1 - fx) + pixels[top, right] * fx) * (1 - fy)
+                         + (pixels[bottom, left] * (1 - fx) + pixels[bottom, right] * fx) * fy)
+    return mixed
+
+
 def _opened(path: Path) -> Image.Image:
     if not path.is_file():
         raise InputError(f"image {str(path)!r} does not exist" if not path.exists()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pagas_cl.errors import need
+
 _STRIDE = 4      # Open3D looks at every fourth pixel of every fourth row when it touches blocks (measured)
 # One look in each row and column of a 4 x 4 cell, so that a line one pixel wide is touched too.
 _FEW = ((0, 1), (1, 3), (2, 0), (3, 2))
@@ -37,7 +39,8 @@ class Grid:
         Whether colours are fused too.
     """
 
-    def __init__(self, voxel: float, truncation: float, blocks: int, depth_max: float, colour: bool, open3d):
+    def __init__(self, voxel: float, truncation: float, blocks: int, depth_max: float, colour: bool):
+        open3d = need("open3d", "mesh", "fusing depth maps to a mesh")
         self._o3c, self._geometry = open3d.core, open3d.t.geometry
         names, channels = ("tsdf", "weight", "color"), ((1), (1), (3))
         used = 3 if colour else 2

@@ -8,7 +8,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError, MissingExtraError
 from pagas_cl.scene import patches
-from pagas_cl.scene.mesh import Surface, read_mesh
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_file import read_mesh
 
 if TYPE_CHECKING:
     from pagas_cl.scene.readers.meshlab import Project
@@ -38,8 +39,8 @@ def settle_flavour(project: Project) -> tuple[str, str]:
     scores = {flavour: score for flavour, score in found.items() if score is not None}
     if len(scores) < len(FLAVOURS):
         return "meshlab", f"{unsettled}; photos could not settle it (too few textured patches are seen by two views)"
-    better = {f: patches.prefers(scores[f], scores[FLAVOURS[1 - i]])[0] for i, f in enumerate(FLAVOURS)}
-    medians = {f: _median(score) for f, score in scores.items()}
+    better = {f: patches.prefers(scores[f], scores[FLAVOURS[1 - i]]) for i, f in enumerate(FLAVOURS)}
+    medians = {f: float(np.nanmedian(score)) for f, score in scores.items()}
     agreement = f"(correlation {medians['meshlab']:.2f} from the bottom, {medians['openmvs']:.2f} from the top)"
     if better["openmvs"]:
         return "openmvs", (f"{what} was read from the TOP, as OpenMVS writes it: the photos prefer it {agreement}; "
@@ -48,10 +49,6 @@ def settle_flavour(project: Project) -> tuple[str, str]:
         return "meshlab", f"{what} was read from the bottom, as MeshLab writes it; the photos agree {agreement}"
     return "meshlab", (f"{unsettled}; the photos prefer neither {agreement}: pass flavour='openmvs' if OpenMVS wrote "
                        "the file")
-
-
-def _median(values: np.ndarray) -> float:
-    return float(np.nanmedian(values))
 
 
 def _surface(project: Project) -> Surface:
@@ -65,14 +62,12 @@ def _surface(project: Project) -> Surface:
 
 def _score(project: Project, surface: Surface, flavour: str) -> np.ndarray | None:
     """Correlations of patches between pairs of views; pairs and patches are those of MeshLab's reading."""
-    keep = np.unique(np.linspace(0, len(project.rasters) - 1, min(_VIEWS, len(project.rasters))).astype(int))
+    keep = patches.evenly(len(project.rasters), _VIEWS)
     views = [project.scene(flavour).views[k] for k in keep]
-    plain = [project.rasters[k].camera("meshlab") for k in keep]
     samples = patches.sample_surface(surface)
-    seen = np.array([patches.visible(camera, samples) for camera in plain])
-    pairs = patches.choose_pairs(plain, seen, samples)
+    seen, pairs = patches.overlaps([project.rasters[k].camera("meshlab") for k in keep], samples)
     if not pairs:
         return None
     greys = [patches.grey_of(view.load_image()) for view in views]
     scores = patches.patch_correlation([v.camera for v in views], greys, pairs, seen, samples)
-    return scores if np.isfinite(scores).sum() >= 30 else None
+    return scores if np.isfinite(scores).sum() >= patches.LEAST else None

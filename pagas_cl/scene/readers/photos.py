@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,11 @@ def existing(path: Path, what: str) -> Path:
     if not found:
         raise InputError(f"{what}: there is no file {short(str(path))}")
     return path
+
+
+def first_file(folder: Path, names: Iterable[str | Path]) -> Path | None:
+    """The first of `names` that is a file in `folder`."""
+    return next((folder / name for name in names if (folder / name).is_file()), None)
 
 
 def list_photos(folder: Path) -> list[Path]:
@@ -98,8 +104,8 @@ def file_of(view: View) -> Path:
     return view.image
 
 
-def view_of(folder: Path, camera: Camera, photo: Path, mask: Path | None = None) -> View:
+def view_of(folder: Path, camera: Camera, photo: Path, mask: Path | None = None, name: str = "") -> View:
     """The view of `photo` with its mask, given or found; InputError where a file's size is not the camera's."""
-    view = View(camera=camera, image=photo, mask=mask or find_mask(folder, photo), name=photo.name)
+    view = View(camera, photo, mask or find_mask(folder, photo), name or photo.name)
     view.check_files()
     return view
