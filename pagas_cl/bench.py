@@ -107,12 +107,11 @@ def copy_bandwidth(device) -> float:
 def _step(device, target, contexts, depth, config, repeats, copy):
     """The Stages of one step, slowest first, and the context views in it."""
     from pagas_cl.runtime.timing import stage_times
-    from pagas_cl.splat.step import Solver
     from pagas_cl.splat.view import full_level
 
     level = full_level(target, contexts, depth, config, device)
-    launches = [*level.step_launches(0), *Solver(level).launches]
-    moved = stage_bytes(config, level.target.pixels, max(size.pixels for size in level.contexts))
+    launches = [*level.step_launches(0), *level.solver().launches]
+    moved = stage_bytes(config, level.target.size.pixels, max(view.size.pixels for view in level.views))
     stages = []
     for name, (ms, count) in stage_times(device.queue, launches, repeats).items():
         fills = sum(launch.size for launch in launches if launch.stage == name and hasattr(launch, "size"))

@@ -48,9 +48,9 @@ class Cost:
 
     def seconds(self, config: Config, pixels: float, contexts: int, photos: float = 1.0) -> float:
         """Expected time of a view of `pixels` with `contexts` context views; an early stop may shorten it."""
-        contexts = min(contexts, config.context.number)
-        step = self.per_step + views_each(config, contexts) * self.per_view_step
-        return photos * self.photo + pixels * ((1 + contexts) * self.setup + full_steps(config) * step)
+        setup = (1 + min(contexts, config.context.number)) * self.setup
+        steps = self.per_step * full_steps(config) + self.per_view_step * view_steps(config, contexts)
+        return photos * self.photo + pixels * (setup + steps)
 
 
 def full_steps(config: Config, steps=None) -> float:
@@ -58,15 +58,10 @@ def full_steps(config: Config, steps=None) -> float:
     return sum(scale**2 * number for scale, number in zip(config.pyramid.scales, steps or config.pyramid.steps))
 
 
-def views_each(config: Config, contexts: int) -> int:
-    """Context views of a step where there are `contexts`."""
-    contexts = min(contexts, config.context.number)
-    return min(config.solver.views_per_step or contexts, contexts)
-
-
 def view_steps(config: Config, contexts: int, steps=None) -> float:
-    """Work of a view: how often its full-size pixels are gone through, once for each context view of a step."""
-    return full_steps(config, steps) * views_each(config, contexts)
+    """The same times the context views of a step, where there are `contexts` to choose from."""
+    contexts = min(contexts, config.context.number)
+    return full_steps(config, steps) * min(config.solver.views_per_step or contexts, contexts)
 
 
 @dataclass(frozen=True)
@@ -151,13 +146,7 @@ def photo_seconds(views, device) -> float:
 class Costs:
     """Expected times of any settings for the views of a scene, each kind of settings probed once.
 
-    Parameters
-    ----------
-    views : list of View
-    depths : list of (ndarray of shape (H, W), object with `load()`, or None)
-    device : Device
-    names : list of str, optional
-        Views to be refined; by default all with a depth.
+    `names` are the views to be refined, by default all with a depth; parameters as in refine_views.
     """
 
     def __init__(self, views, depths, device, names=None):

@@ -8,7 +8,8 @@ from dataclasses import asdict, dataclass, fields, replace
 import numpy as np
 
 from pagas_cl.config import MOST_WEIGHT, Config, Effects
-from pagas_cl.measurements import RULES, SPECULAR_RESIDUAL, Measurements
+from pagas_cl.measurements import RULES, Measurements
+from pagas_cl.splat.constants import SPECULAR_VIEW
 
 CONTRADICTED = 0.04      # share of depths that others contradict, above which those are left out of a fusion
 MOST_RAISED = 40.0       # times the weight of the smoothness
@@ -94,7 +95,7 @@ def _noise(config, decision, measured):
     if config.smoothness.kind == "none":
         return config
     factor = float(np.clip(measured.unexplained_everywhere**2, 1.0, MOST_RAISED)) if measured else 4.0
-    specular = measured and measured.residual > SPECULAR_RESIDUAL
+    specular = measured and measured.residual > SPECULAR_VIEW
     return config.with_settings(smoothness__weight=min(config.smoothness.weight * factor, MOST_WEIGHT),
                                 smoothness__specularity=MOST_RAISED if specular else 0.0)
 

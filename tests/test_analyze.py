@@ -137,9 +137,10 @@ def test_timed_steps_have_room_for_their_losses(made, device, monkeypatch):
 
     plain, rooms = Level.run, []
 
-    def run_steps(level, steps, progress=None):
-        rooms.append(level.arena.specs["history"].shape[0] - steps)
-        return plain(level, steps, progress) if rooms[-1] >= 0 else steps        # never past the end, on no device
+    def run_steps(level, steps, progress=None, schedule=None):
+        rooms.append(level.buffers.history.size // 4 - steps)
+        # never past the end, on no device
+        return plain(level, steps, progress, schedule) if rooms[-1] >= 0 else steps
 
     monkeypatch.setattr(Level, "run", run_steps)
     config = BALANCED.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=(1, 2), solver__patience=5)

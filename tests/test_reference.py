@@ -40,6 +40,8 @@ def test_whole_gradient_against_central_differences(name, masks):
                                            count=8 if masks else 20)
     assert len(got) >= 8 and skipped < 60, "too few pixels away from the thresholds"
     assert relative_errors(got, want).max() <= TWIN_RELATIVE, closeness(got, want)
+    for wrong in (got * (1 + 1e-5), got + 1e-5 * np.abs(want).max() * (np.arange(len(got)) == np.abs(got).argmin())):
+        assert relative_errors(wrong, want).max() > 5 * TWIN_RELATIVE, "1e-5 of the gradient is seen, at any pixel"
 
 
 def test_paper_preset_against_central_differences():

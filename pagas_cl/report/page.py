@@ -58,22 +58,10 @@ def figure(picture, link: str) -> str:
 
 def html_page(title: str, notes: list[str], header: list[str], rows: list[list[str]], sections: list[tuple] = (),
               legend: list[str] = (), picture: str = "", marked=()) -> str:
-    """The whole page.
+    """The whole page: `notes` below the title, a table, below it its `legend`, then the sections.
 
-    Parameters
-    ----------
-    notes : list of str
-        Lines below the title.
-    header, rows : list of str, list of list of str
-        The table; a first cell that names a section leads there.
-    sections : list of (name, figures, remarks)
-        A view's pictures as HTML, and lines of text.
-    legend : list of str
-        Lines below the table.
-    picture : str
-        Address of an image above the table.
-    marked : sequence of bool
-        Which rows stand out.
+    A section is (name, pictures as HTML, lines of text); a row whose first cell names one leads there. `picture` is the
+    address of an image above the table, `marked` (a sequence of bool) says which rows stand out.
     """
     parts = [f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
              f"<style>{_STYLE}</style><h1>{escape(title)}</h1>", _paragraphs(notes)]

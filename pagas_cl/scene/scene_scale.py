@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-NEAR, FAR = 1e-3, 1e6     # units: nearer and farther depths have no Gaussian; as in constants.clh and units.cl
+NEAR, FAR = 1e-3, 1e6     # units: nearer and farther depths have no Gaussian
 MEDIAN_SAMPLES = 65536
 
 

@@ -85,20 +85,22 @@ def device_gradient(scene: HardScene, config: Config, device, initial, at, scene
     all in units."""
     import pyopencl as cl
 
-    from pagas_cl.splat.level import Level, LevelInput
-    from pagas_cl.splat.state import PhotoStore
+    from pagas_cl.splat.inputs import LevelInput
+    from pagas_cl.splat.level import Level, Phase
+    from pagas_cl.splat.photos import PhotoStore
     from pagas_cl.splat.step import loss_of
 
     photos, views = PhotoStore(device), [scene.target, *scene.contexts]
     level = Level(device, config, LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene_scale,
                                              _threshold(initial, config), 1.0, len(scene.contexts)))
-    level.prepare(lambda out: cl.enqueue_copy(device.queue, out, initial))
-    level.start(lambda out: None)
-    level.raise_smoothness()
-    cl.enqueue_copy(device.queue, level.arena["depth"], at)
+    cl.enqueue_copy(device.queue, level.buffers.depth, initial)
+    level.prepare()
+    level.start()
+    level.enter(Phase(config, raised=True))
+    cl.enqueue_copy(device.queue, level.buffers.depth, at)
     for launch in level.gradient_launches(0):
         launch.enqueue(device.queue)
-    found = level.read("gradient", at.shape), loss_of(level), level.read("depth_per_parallax", at.shape)
+    found = level.read("gradient", at.shape), loss_of(device, level.buffers), level.read("depth_per_parallax", at.shape)
     level.release()
     return found
 

@@ -15,6 +15,7 @@ from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError
 from pagas_cl.reference import agree as twin
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import camera_table
+from pagas_cl.scene.scene_scale import NEAR
 
 log = logging.getLogger("pagas_cl")
 
@@ -95,12 +96,13 @@ def _on_device(target, depth, others, depths, pixels: float, device, maps) -> tu
     cameras, n = upload(device, camera_table(target, others, scene_scale)), depth.size
     parallax, found = (device.memory.buffer(device.context, 4 * n) for _ in range(2))
     cl.enqueue_fill_buffer(device.queue, found, np.uint32(0), 0, 4 * n)
-    program, own = build(device, "agree.cl"), maps.map(depth)
+    program, own = build(device, "agree.cl", (f"NEAR={NEAR!r}f",)), maps.map(depth)
     size, scale = (target.width, target.height), 1 / scene_scale
-    run_once(device.queue, [bind(program, "parallax", size, None, own, cameras, len(others), scale, parallax)])
+    given = {"depth": own, "cameras": cameras, "scale": scale, "depth_per_parallax": parallax}
+    run_once(device.queue, [bind(program, "parallax", size, views=len(others), **given)])
     for view, other in enumerate(depths, start=1):
-        run_once(device.queue, [bind(program, "count_view", size, None, own, cameras, view, scale, maps.map(other),
-                                     parallax, float(pixels), found)])
+        run_once(device.queue, [bind(program, "count_view", size, view=view, map=maps.map(other), pixels=pixels,
+                                     counts=found, **given)])
     out = download(device, found, (*depth.shape, 2), np.uint16)
     return out[..., 0], out[..., 1]
 

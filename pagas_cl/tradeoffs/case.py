@@ -28,29 +28,15 @@ _HELD_OUT_PLACES = (1, 4)  # of the choice of contexts: well-placed photos, but 
 
 @dataclass(frozen=True, eq=False)
 class BenchmarkCase:
-    """One view to measure on. Depth maps are (H, W) float32 z-depth, 0 = no surface.
-
-    Attributes
-    ----------
-    name : str
-    target : View
-    contexts : list of View
-        Most useful first; a setting with n context views takes the first n.
-    held_out : list of View
-        Photos that no setting sees.
-    initial : ndarray
-    truth : ndarray or None
-    context_depths : list of (ndarray or None)
-        Initial depth of each context view, for settings that compare refined views.
-    """
+    """One view to measure on. Depth maps are (H, W) float32 z-depth, 0 = no surface."""
 
     name: str
     target: View
-    contexts: list[View] = field(repr=False)
-    held_out: list[View] = field(repr=False)
+    contexts: list[View] = field(repr=False)            # most useful first; a setting with n of them takes the first n
+    held_out: list[View] = field(repr=False)            # photos that no setting sees
     initial: np.ndarray = field(repr=False)
     truth: np.ndarray | None = field(default=None, repr=False)
-    context_depths: list = field(default_factory=list, repr=False)
+    context_depths: list = field(default_factory=list, repr=False)  # initial ones, or None, to compare refined views
 
     @property
     def pixels(self) -> int:
@@ -75,20 +61,13 @@ class BenchmarkCase:
 
 def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int = 1, held_out=None,
                most_contexts: int = 10, scene_name: str = "") -> list[BenchmarkCase]:
-    """Cases from the views of a scene.
+    """Cases from the views of a scene; `depths` and `truth` as in `tradeoff`.
 
-    Parameters
-    ----------
-    views : list of View
-    depths : list of (ndarray of shape (H, W) or None)
-        Initial depth of each view.
-    truth : list of (ndarray or None), optional
-        True depth of each view.
     names : list of str, optional
         Views to measure on; by default `sample` of those with a depth (and truth), evenly spread.
     held_out : list of str, optional
-        Views that no setting may see; by default one or two well-placed ones of each target, where it has six context
-        views or more to choose from.
+        Views that no setting may see; by default two well-placed ones of each target, where it has six context views or
+        more to choose from.
     """
     truth = truth or [None] * len(views)
     banned = {_index(views, name) for name in held_out or ()}

@@ -19,28 +19,18 @@ _FULL = "0.456-0.458"
 
 @dataclass(frozen=True)
 class Setting:
-    """One point to measure.
+    """One point to measure: `stages` run one after the other, each from the depth that the one before left.
 
-    Attributes
-    ----------
-    name, group : str
-    stages : tuple of Config
-        Run one after the other, each from the depth that the one before left.
-    initial : str
-        "given"; "random": uniform over the range of the initial depth; "own error": the initial depth with a smooth
-        error of its own, half a pixel of parallax, as a depth map has that was made view by view.
-    agree : int
-        Before judging keep only the depths that this many refined context views confirm; 0 keeps all.
-    paper : str
-        What the paper says of the same change.
+    `initial`: "given"; "random": uniform over the range of the initial depth; "own error": the initial depth with a
+    smooth error of its own, half a pixel of parallax, as a depth map has that was made view by view.
     """
 
     name: str
     stages: tuple[Config, ...]
     group: str = ""
     initial: str = GIVEN
-    agree: int = 0
-    paper: str = ""
+    agree: int = 0     # keep only the depths that so many refined context views confirm; 0 keeps all
+    paper: str = ""    # what the paper says of the same change
 
     @property
     def contexts(self) -> int:

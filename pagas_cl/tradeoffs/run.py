@@ -18,22 +18,14 @@ from pagas_cl.tradeoffs.plan import OWN_ERROR, RANDOM, Setting
 class Outcome:
     """What one run gives.
 
-    Attributes
-    ----------
-    depth : ndarray of shape (H, W), float32
-    seconds : float
-        From photos on the device to the depth on the host, the measuring of effects included; median of the repeats.
-        The device's compiler and the upload of the photos are not counted.
-    view_steps : float
-        Full-size steps times context views that were done.
-    device_bytes : int
-        Most memory that was taken on the device, photos included.
+    `seconds` are from photos on the device to the depth on the host, the measuring of effects included; median of the
+    repeats. The device's compiler and the upload of the photos are not counted.
     """
 
-    depth: np.ndarray
+    depth: np.ndarray    # (H, W), float32
     seconds: float
-    view_steps: float
-    device_bytes: int
+    view_steps: float    # full-size steps times context views that were done
+    device_bytes: int    # most that was taken, photos included
 
 
 def run(setting: Setting, case: BenchmarkCase, device, photos, repeats: int = 1) -> Outcome:

@@ -24,29 +24,17 @@ log = logging.getLogger("pagas_cl")
 class Study:
     """What was measured.
 
-    Attributes
-    ----------
-    points : list of Point
-        Cheapest first; those of the front are marked.
-    figure : str
-        The error that the front is of: "depth" where there is truth, else "unpredicted".
-    initial : dict
-        Errors of each case's initial depth.
-    proxy : float
-        Rank correlation of "unpredicted" (held-out photos) with "depth" over the settings; nan without both.
-    left_out : list of str
-        Settings for which the budget did not suffice.
-    records : list of dict
-        Every run.
+    `figure` is the error that the front is of: "depth" where there is truth, else "unpredicted"; `proxy` the rank
+    correlation of "unpredicted" (held-out photos) with "depth" over the settings, nan without both.
     """
 
-    points: list[Point]
+    points: list[Point]         # cheapest first; those of the front are marked
     figure: str
-    initial: dict
+    initial: dict               # errors of each case's initial depth
     proxy: float
     device: str
-    left_out: list[str] = field(default_factory=list)
-    records: list[dict] = field(default_factory=list, repr=False)
+    left_out: list[str] = field(default_factory=list)               # names: the budget did not suffice
+    records: list[dict] = field(default_factory=list, repr=False)   # every run
 
     @property
     def front(self) -> list[Point]:
