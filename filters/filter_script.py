@@ -11,6 +11,7 @@ import logging
 import re
 import tempfile
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -150,7 +151,8 @@ def run_script(meshes, path, scene=None, *, outside: bool = False, device: str |
         raise InputError(f"{path}: the MeshSet has no mesh to start from; load one first")
     history = saved_history(meshes)
     try:
-        for stretch in _stretches(steps):
+        for _, neighbours in groupby(steps, lambda step: step.number if step.request else None):
+            stretch = list(neighbours)    # MeshLab's steps together, each of ours by itself
             if stretch[0].request is None:
                 _run_native(pymeshlab, meshes, stretch, path)
             else:
@@ -159,17 +161,6 @@ def run_script(meshes, path, scene=None, *, outside: bool = False, device: str |
     finally:
         restore_history(meshes, history)
     return steps
-
-
-def _stretches(steps: list[Step]) -> list[list[Step]]:
-    """Neighbouring steps of MeshLab's together, each of ours by itself."""
-    stretches: list[list[Step]] = []
-    for step in steps:
-        if step.request is None and stretches and stretches[-1][0].request is None:
-            stretches[-1].append(step)
-        else:
-            stretches.append([step])
-    return stretches
 
 
 def _run_native(pymeshlab, meshes, stretch: list[Step], path) -> None:

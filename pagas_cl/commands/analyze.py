@@ -9,8 +9,8 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.commands._places import check_writable, write_file
-from pagas_cl.commands._scene import check_source, initial_depths, load_scene
+from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
+from pagas_cl.scene.files import write_text
 
 MANY = ("--views", "--set", "--effect")
 COLUMNS = ["view", "effect", "evidence", "threshold", "decision", "what is measured"]
@@ -51,10 +51,10 @@ def command(
     show(analysis)
     text = json.dumps(analysis.as_dict(), indent=1) + "\n"
     if output is not None:
-        write_file(output, text)
+        write_text(output, text)
     if report is not None:
-        write_file(report / "analysis.json", text)
-        write_file(report / "index.html", page(analysis, found.source))
+        write_text(report / "analysis.json", text)
+        write_text(report / "index.html", page(analysis, found.source))
 
 
 def rows(analysis) -> list[list[str]]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import typer
 
-from pagas_cl.commands._scene import load_scene
+from pagas_cl.commands._start import load_scene
 
 
 def command(

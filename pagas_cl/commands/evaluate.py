@@ -9,8 +9,9 @@ from pathlib import Path
 
 import typer
 
-from pagas_cl.commands._places import check_writable, write_file
+from pagas_cl.commands._start import check_writable
 from pagas_cl.errors import InputError
+from pagas_cl.scene.files import write_text
 
 log = logging.getLogger("pagas_cl")
 
@@ -44,7 +45,7 @@ def command(
     for group, rows in figures.items():
         sys.stdout.write(_table(group, rows))
     if output is not None:
-        write_file(output, json.dumps(figures, indent=1))
+        write_text(output, json.dumps(figures, indent=1))
 
 
 def _depth_figures(folder, truth, scene, held_out, before, scale):

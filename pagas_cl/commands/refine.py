@@ -11,9 +11,8 @@ from shutil import rmtree
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.commands._places import check_writable
-from pagas_cl.commands._scene import check_source, initial_depths, load_scene
 from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
+from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
 from pagas_cl.errors import InputError, PagasError, need
 
 MANY = ("--views", "--set", "--effect")  # options that take several words: `--views a b c`

@@ -12,9 +12,9 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.commands._places import check_writable
-from pagas_cl.commands._scene import check_source, load_scene
+from pagas_cl.commands._start import check_source, check_writable, load_scene
 from pagas_cl.errors import InputError, need
+from pagas_cl.scene.files import replaced
 
 log = logging.getLogger("pagas_cl")
 
@@ -134,16 +134,10 @@ def _save(meshes, output: Path, scene) -> None:
 
 def save_layer(meshes, path: Path) -> None:
     """The current layer beside `path` first, then renamed; the file holds the layer's own coordinates."""
-    path = path.absolute()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
-    try:
+    with replaced(path.absolute(), path.suffix) as beside:
         meshes.save_current_mesh(str(beside))
         if not beside.is_file():
             raise InputError(f"pymeshlab did not write {str(path)!r}: is {path.suffix!r} a kind of mesh file?")
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 @contextmanager

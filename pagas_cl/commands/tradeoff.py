@@ -8,8 +8,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.commands._places import check_writable
-from pagas_cl.commands._scene import check_source, initial_depths, load_scene
+from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
 from pagas_cl.errors import InputError
 
 MANY = ("--views", "--held-out")

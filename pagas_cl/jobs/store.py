@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import socket
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -14,25 +13,16 @@ import numpy as np
 
 from pagas_cl.errors import InputError, OutputError
 from pagas_cl.scene.depthmap import load_depth
-from pagas_cl.scene.files import read_npy
+from pagas_cl.scene.files import read_npy, replaced
 
-_PART = ".part"
 _CHUNK = 1 << 22
 
 
 @contextmanager
 def written(path: Path):
     """Context of a binary file that gets the name `path` when all of it is on disk; errors as translate_os_errors."""
-    beside = path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}{_PART}")
-    with translate_os_errors(path):
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with open(beside, "wb") as file:
-                yield file
-            os.replace(beside, path)
-        finally:
-            if beside.exists():
-                beside.unlink()
+    with translate_os_errors(path), replaced(path) as beside, open(beside, "wb") as file:
+        yield file
 
 
 @contextmanager
@@ -49,7 +39,7 @@ def translate_os_errors(path: Path):
 
 def clear_parts(folder: Path) -> None:
     """Remove what killed runs have left beside final names."""
-    for left in list(folder.rglob(f".*{_PART}")):
+    for left in list(folder.rglob(".*.part")):
         left.unlink(missing_ok=True)
 
 

@@ -60,10 +60,11 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
     folder = Path(folder).resolve()
     store = Store(work_folder(folder) / "inputs")
     samples, asked = _sampled(depths, asked)
-    planner = Planner(on_disk(views, store), store.put_arrays(depths), samples, config, work)
+    depths = store.put_arrays(depths)
+    planner = Planner(on_disk(views, store), depths, samples, config, work)
     workers = Workers(executor, device)
     template = Batch(work, {}, {}, (), config, folder, workers.device, code_version(), extras)
-    collect = _Collect(asked, views, folder, progress, on_view)
+    collect = _Collect(asked, views, depths, folder, progress, on_view)
     _make_ready(folder)
     run = Run(workers, folder, collect, progress and collect.inside)
     try:
@@ -92,7 +93,6 @@ def _unfinished(planner: Planner, parts, template: Batch, collect: _Collect):
                 collect(Record(name, "", "", error=str(error), bad_input=True))
                 continue
             record = find_finished(template.folder, task, template.extras)
-            collect.planned(task)
             if record is None:
                 todo.append(task)
             else:
@@ -115,25 +115,23 @@ class _Ended(BaseException):
 class _Collect:
     """Takes the records as they come, tells of them in the order of the views."""
 
-    def __init__(self, asked, views, folder, progress, on_view):
-        self.asked, self.views, self.folder = asked, views, folder
+    def __init__(self, asked, views, depths, folder, progress, on_view):
+        self.asked, self.views, self.depths, self.folder = asked, views, depths, folder
         self.progress, self.on_view = ViewProgress(progress, len(asked)), on_view
-        self.tasks, self.records, self._told = {}, {}, 0
+        self.records, self._told = {}, 0
         self.progress.at(0)
-
-    def planned(self, task) -> None:
-        self.tasks[task.partners.target] = task
 
     def __call__(self, record) -> None:
         self.records[record.name] = record
         self.progress.at(len(self.records))
         while self.on_view and self._told < len(self.asked):
             index = self.asked[self._told]
-            if self.views[index].name not in self.records:
+            record = self.records.get(self.views[index].name)
+            if record is None:
                 break
             self._told += 1
-            if index in self.tasks:
-                self.on_view(self.views[index], self.tasks[index].depth.load(), self._result(index))
+            if record.key:  # it could be planned
+                self.on_view(self.views[index], self.depths[index].load(), self._result(index))
 
     def inside(self, number: int):
         """Progress of view `number` of the batch at hand, beside those that have come. What it raises ends the run: it

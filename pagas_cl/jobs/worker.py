@@ -35,7 +35,7 @@ class PhotoMemory:
     """The photos and masks used last, up to `limit` bytes, so that each is read once. Any thread may ask."""
 
     def __init__(self, limit: int = _PHOTO_BYTES):
-        self.limit, self._held, self._bytes, self._lock = limit, OrderedDict(), 0, Lock()
+        self.limit, self._held, self._lock = limit, OrderedDict(), Lock()
 
     def remembered(self, view: View, digest: str) -> View:
         """The same view, whose photo and mask come from here."""
@@ -45,28 +45,28 @@ class PhotoMemory:
     def get(self, key, load) -> np.ndarray:
         """The array `key`, by `load()` where it is not held; who comes while it is loaded waits for it."""
         with self._lock:
-            promise = self._held.pop(key, None)
-            first = promise is None
-            self._held[key] = promise = Future() if first else promise  # last in the order of use
+            first = key not in self._held
+            promise = self._held.setdefault(key, Future())
+            self._held.move_to_end(key)  # last in the order of use
         if first:
-            self._load(key, load, promise)
+            try:
+                pixels = load()
+            except BaseException as error:
+                with self._lock:
+                    del self._held[key]
+                promise.set_exception(error)
+            else:
+                promise.set_result(pixels)
+                self._make_room(key)
         return promise.result()
 
-    def _load(self, key, load, promise: Future) -> None:
-        try:
-            pixels = load()
-        except BaseException as error:
-            with self._lock:
-                self._held.pop(key, None)
-            promise.set_exception(error)
-            return
+    def _make_room(self, last) -> None:
         with self._lock:
-            promise.set_result(pixels)
-            self._bytes += pixels.nbytes
-            for old in [k for k, held in self._held.items() if held.done() and k != key]:
-                if self._bytes <= self.limit:
+            sizes = {key: promise.result().nbytes for key, promise in self._held.items() if promise.done()}
+            for key in [key for key in sizes if key != last]:
+                if sum(sizes.values()) <= self.limit:
                     break
-                self._bytes -= self._held.pop(old).result().nbytes
+                del sizes[key], self._held[key]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import math
 import os
+import socket
 import struct
 import tokenize
 import zipfile
@@ -84,7 +85,7 @@ def replaced(path: str | Path, suffix: str = "") -> Iterator[Path]:
     """Context: a name beside `path` to write to, ending in `suffix`, which gets the name `path` at the end."""
     path = Path(path)  # its folder is made
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part{suffix}")
+    beside = path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}.part{suffix}")
     try:
         yield beside
         os.replace(beside, path)

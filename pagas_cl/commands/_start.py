@@ -1,8 +1,10 @@
-"""What a refinement starts from: the scene, and the initial depth of every view, from --mesh or from --depth-dir."""
+"""What commands do before the work: try the places they write to, read the scene and the initial depth of its views."""
 
 from __future__ import annotations
 
 import logging
+import tempfile
+from pathlib import Path
 
 from pagas_cl.errors import InputError
 
@@ -13,6 +15,27 @@ def check_source(mesh, other, what: str, option: str = "--depth-dir") -> None:
     """Raise InputError unless exactly one of both is given; `what` says in the message what they are for."""
     if (mesh is None) == (other is None):
         raise InputError(f"expected either --mesh or {option} ({what}), got {'neither' if mesh is None else 'both'}")
+
+
+def check_writable(option: str, folder: Path | None) -> None:
+    """Raise InputError where no file can be made in `folder`, which need not exist: it is not made by this."""
+    if folder is None:
+        return
+    folder = folder.absolute()
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        file = next((path for path in (folder, *folder.parents) if path.is_file()), None)
+        why = f"{str(file)!r} is a file" if file else error.strerror or str(error)
+        raise InputError(f"{option}: cannot write in the folder {str(folder)!r} ({why}): choose another one"
+                         + ("" if file else ", or see to its permissions")) from error
+    finally:
+        for path in new:
+            if path.is_dir():
+                path.rmdir()
 
 
 def load_scene(scene, format, outside: bool):
