@@ -45,7 +45,7 @@ __kernel void normalize_depth(__global const float *given,         // [count] sc
     }
 }
 
-// What is given back of a view, in place; status as scene/status.py has it.
+// What is given back of a view, in place; status as scene/depthmap.py has it.
 __kernel void denormalize_depth(__global const float *given, int count, float scene_scale, __global float *depth,
                                 __global float *parallax, __global uchar *status,
                                 __global float *deviation)         // [count] all; units, scene units afterwards
