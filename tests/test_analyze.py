@@ -17,6 +17,8 @@ from pagas_cl.presets import BALANCED
 from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.disk import write_scene
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def made():

@@ -23,6 +23,8 @@ from pagas_cl.surface.blocks import cut, fuse_within  # noqa: E402
 from pagas_cl.surface.fuse import fuse, fusion_plan  # noqa: E402
 from pagas_cl.surface.touched import touched_by_views  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 NORMAL = np.array([0.3, 0.2, -0.93]) / np.linalg.norm([0.3, 0.2, -0.93])
 SETTINGS = Fusion(voxel=1.0, truncation=6.0, min_component=0.01)
 

@@ -12,6 +12,8 @@ from pagas_cl.scene.camera import Camera, inverse_pose
 from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.photo import photograph
 
+pytestmark = pytest.mark.slow
+
 FLIP = np.diag([1.0, -1, -1, 1])
 
 

@@ -14,6 +14,8 @@ from pagas_cl.splat.exposure import fitted_before
 from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.disk import write_scene
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def brief(monkeypatch):

@@ -13,6 +13,8 @@ from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.synthetic.disk import write_scene
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def folder(tmp_path):

@@ -12,6 +12,8 @@ from pagas_cl.surface.displace import Observed, displace, footprints
 from pagas_cl.surface.subdivide import subdivide
 from pagas_cl.synthetic import relief_scene
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def made():

@@ -34,6 +34,7 @@ def all_distances(a, b):
 
 @pytest.fixture
 def clouds():
+    pytest.importorskip("scipy")
     rng = np.random.default_rng(5)
     return rng.uniform(0, 1, (300, 3)), rng.uniform(0, 1.1, (400, 3))
 
@@ -170,6 +171,7 @@ def test_correlation_against_numpy():
     assert correlate(a, 0.5 * a + 20, valid, 7)[7, 9] == pytest.approx(1, abs=1e-6)  # blind to gain and offset
 
 
+@pytest.mark.slow
 def test_prediction_prefers_the_true_depth_and_one_set_of_pixels():
     made = small()
     target, other = made.views[0], made.held_out[0]
@@ -206,8 +208,7 @@ def test_bad_input(call, said):
 
 
 def test_dtu_files(tmp_path):
-    from scipy.io import savemat
-
+    savemat = pytest.importorskip("scipy.io").savemat
     from pagas_cl.evaluate.dtu import load_ground, load_visible
 
     savemat(tmp_path / "mask.mat", {"ObsMask": np.ones((2, 3, 4), np.uint8), "BB": np.array([[0, 0, 0], [1, 2, 3.0]]),
@@ -223,6 +224,7 @@ def test_dtu_files(tmp_path):
 
 
 def test_command_on_clouds(tmp_path, capsys):
+    pytest.importorskip("scipy")
     from pagas_cl.__main__ import run
 
     rng = np.random.default_rng(0)

@@ -17,6 +17,8 @@ from pagas_cl.scene.rig import footprint
 from pagas_cl.splat.evidence import _SUM_GROUP, _SUM_GROUPS, Evidence, EvidencePrior, _median
 from pagas_cl.splat.options import defines
 
+pytestmark = pytest.mark.kernels
+
 PRIOR = EvidencePrior(1.5, 0.2, 0.05)
 CONFIG = BALANCED.with_settings(solver__views_per_step=0)
 

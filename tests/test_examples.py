@@ -10,6 +10,8 @@ from pagas_cl.scene.view import View
 from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.disk import write_ply, write_scene
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = sorted((Path(__file__).parent / "examples").glob("*.py"))
 NEEDS = {"pymeshlab_method": ["pymeshlab", "open3d"], "filter_script": ["pymeshlab", "open3d"], "depth_maps": [],
          "other_formats": []}

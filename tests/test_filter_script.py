@@ -15,6 +15,8 @@ from pagas_cl.scene.readers.meshlab import MeshLayer, write_project  # noqa: E40
 from pagas_cl.scene.view import View  # noqa: E402
 from pagas_cl.synthetic import relief_scene  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 OURS = ('<filter name="PAGaS Depth Refinement"><Param type="RichString" name="settings" value="pyramid.steps=8"/>'
         '<Param type="RichFloat" name="voxel" value="2"/></filter>')
 SMOOTH = ('<filter name="Laplacian Smooth"><Param type="RichInt" name="stepSmoothNum" value="1"/>'

@@ -11,6 +11,8 @@ from pagas_cl.scene.depthmap import find_depth, load_depth, resize_depth
 from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.disk import write_ply
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("open3d")
 pytest.importorskip("pycolmap")
 FEW = ["--set", "pyramid.scales=1", "--set", "pyramid.steps=8", "--quiet"]

@@ -17,6 +17,8 @@ from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.layout import half_sizes
 from pagas_cl.synthetic.mesh import solid_mesh
 
+pytestmark = [pytest.mark.kernels, pytest.mark.slow]
+
 
 @pytest.fixture(scope="module")
 def made(device):

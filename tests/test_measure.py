@@ -24,6 +24,8 @@ from pagas_cl.splat.state import PhotoStore, Size
 from pagas_cl.splat.summary import Rows
 from pagas_cl.synthetic import relief_scene
 
+pytestmark = pytest.mark.kernels
+
 MOVES = [(float(shift), 0.0) for shift in SHIFTS] + [(0.0, epipolar_offset) for epipolar_offset in (-2.0, -1.0, 1.0,
                                                                                                     2.0)]
 

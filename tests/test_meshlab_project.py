@@ -15,6 +15,8 @@ from pagas_cl.scene.readers.mlp_flavour import settle_flavour
 from pagas_cl.scene.view import View
 from pagas_cl.synthetic import relief_scene
 
+pytestmark = pytest.mark.slow
+
 pymeshlab = pytest.importorskip("pymeshlab")
 
 

@@ -11,6 +11,8 @@ from pagas_cl.filters.open3d_pipeline import grid_intrinsic, refine_and_integrat
 from pagas_cl.presets import BALANCED  # noqa: E402
 from pagas_cl.synthetic import relief_scene  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 FEW = BALANCED.with_settings(pyramid__scales=(1.0,), pyramid__steps=(10,), fusion__voxel=2.0)
 o3c = o3d.core
 

@@ -10,6 +10,8 @@ from pagas_cl.progress import ViewProgress
 from pagas_cl.refine import refine_depth, refine_one, refine_views
 from pagas_cl.splat.step_progress import AHEAD, StepProgress
 
+pytestmark = pytest.mark.slow
+
 VIEWS = 8
 
 

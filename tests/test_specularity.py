@@ -12,6 +12,8 @@ from pagas_cl.reference.smooth import raised
 from pagas_cl.refine import refine_depth
 from pagas_cl.synthetic import relief_scene
 
+pytestmark = pytest.mark.kernels
+
 
 def weights(device, specularity, **settings):
     scene = Scene.make(17, width=45, height=37, contexts=2)

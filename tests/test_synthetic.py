@@ -13,6 +13,8 @@ from pagas_cl.synthetic.solid import BAR, BLOCK, MISS, RELIEF, Solid
 from pagas_cl.synthetic.texture import Texture, noise
 from pagas_cl.synthetic.waves import Waves
 
+pytestmark = pytest.mark.slow
+
 
 def world_points(camera, depth):
     points = depth[..., None] * camera.rays()

@@ -22,6 +22,8 @@ from pagas_cl.tradeoffs.run import initial_depth, run
 from pagas_cl.tradeoffs.score import score
 from pagas_cl.tradeoffs.study import measure
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def made():

@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from stripped import EFFECTS, never_had, parameters_in, parameters_of
+from stripped import never_had, parameters_in, parameters_of
+from support.effects import COMPILED
 
 from pagas_cl.config import Effects
 from pagas_cl.presets import BALANCED
@@ -27,9 +28,6 @@ from pagas_cl.scene.view import View
 from pagas_cl.splat import view as refinement
 from pagas_cl.synthetic.layout import Relief, make_cameras
 
-OFF = {"occlusion": dict(splatting__occlusion=False), "unseen_mask": dict(loss__unseen_mask=False),
-       "exposure": dict(loss__exposure=False), "view_dependence": dict(loss__structure=False),
-       "antialiasing": dict(splatting__low_pass=0.0)}
 ROUNDS, REPEATS = 7, 20
 
 
@@ -81,8 +79,8 @@ def main():
     depth = np.full((cameras[0].height, cameras[0].width), 650, np.float32)
     depth += 5 * np.sin(np.arange(depth.shape[1], dtype=np.float32) / 40)
     lines = ["| effect, off | step, ms | the same, never written, ms | ratio |", "|---|---|---|---|"]
-    for effect in EFFECTS:
-        config = BALANCED.with_settings(**OFF[effect], **{f"effects__{name}": "set" for name in vars(Effects())})
+    for effect in COMPILED:
+        config = BALANCED.with_settings(**COMPILED[effect].off, **{f"effects__{name}": "set" for name in vars(Effects())})
         level = level_of(device, config, views, depth)
         with as_if_never_written(effect):
             bare = level_of(device, config, views, depth)

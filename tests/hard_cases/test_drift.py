@@ -17,6 +17,8 @@ from pagas_cl.reference.level import Photo, refine
 from pagas_cl.splat.view import full_level
 from pagas_cl.synthetic import relief_scene
 
+pytestmark = pytest.mark.slow
+
 ORDER_FREE = BALANCED.with_settings(solver__max_move=1e9, solver__tolerance=2.0)
 ALPHA = PAPER.with_settings(pyramid__scales=(1.0,), pyramid__steps=(40,), solver__rate=1e-4, solver__damping=1e-3)
 

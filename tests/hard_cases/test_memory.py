@@ -24,6 +24,8 @@ from pagas_cl.splat import budget, fit
 from pagas_cl.surface.agree import counts
 from pagas_cl.synthetic import relief_scene
 
+pytestmark = pytest.mark.slow
+
 INFO = dict(title="a device", max_alloc=2**30, memory=2**32)
 CONFIGS = {
     "balanced": BALANCED.with_settings(pyramid__steps=(3,)),

@@ -13,6 +13,8 @@ from pagas_cl.refine import refine_views
 from pagas_cl.scene.choice import choose_contexts
 from pagas_cl.synthetic import relief_scene
 
+pytestmark = pytest.mark.slow
+
 CONTEXT = {
     "context.number = 1": dict(number=1),
     "context.number = 800": dict(number=800),
