@@ -6,7 +6,7 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
-from scenes import tiny
+from support.scenes import tiny
 
 from pagas_cl.__main__ import run
 from pagas_cl.scene.depthmap import load_depth

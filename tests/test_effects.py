@@ -129,7 +129,7 @@ def test_exposure_fit_of_one_colour_is_the_ratio():
 
 
 def measured_of(device, **settings) -> Measurements:
-    from pagas_cl.synthetic import relief_scene
+    from support.scenes import relief_scene
 
     made = relief_scene(120, 90, 3, held_out=0, **settings)
     target, *contexts = made.views
@@ -154,7 +154,7 @@ def test_measurements_tell_made_scenes_apart(device):
 
 
 def test_without_surface_nothing_is_measured(device):
-    from pagas_cl.synthetic import relief_scene
+    from support.scenes import relief_scene
 
     made = relief_scene(64, 48, 2, held_out=0)
     measured = measure(made.views[0], made.views[1:], np.zeros((48, 64), np.float32), BALANCED, device)

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from scenes import small, tiny
+from support.scenes import small, tiny
 
 from pagas_cl.errors import InputError
 from pagas_cl.evaluate import (

@@ -251,8 +251,9 @@ def _near(band):
 
 
 def test_a_worse_depth_is_sent_back_bit_for_bit(device):
+    from support.scenes import relief_scene
+
     from pagas_cl.splat import refine_levels
-    from pagas_cl.synthetic import relief_scene
 
     made = relief_scene(96, 72, 2)
     view, *others = made.views

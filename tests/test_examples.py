@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from support.scenes import relief_scene
 
 from pagas_cl.scene.view import View
-from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.disk import write_ply, write_scene
 
 pytestmark = pytest.mark.slow

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from support.scenes import relief_scene
 
 from pagas_cl.__main__ import run
 from pagas_cl.scene.depthmap import find_depth, load_depth, resize_depth
-from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.disk import write_ply
 
 pytestmark = pytest.mark.slow

@@ -218,7 +218,7 @@ def test_keys_follow_every_input(scene, monkeypatch):
 
 _REFINES = """
 import sys
-from pagas_cl.synthetic import relief_scene
+from support.scenes import relief_scene
 from pagas_cl import refine_depth
 made = relief_scene(48, 36, 2, held_out=0)
 seen = {name for name in sys.modules if name.startswith("pagas_cl.synthetic")}

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kernel_cases import Scene, view_of
+from support.scenes import relief_scene
 
 from pagas_cl.presets import BALANCED
 from pagas_cl.reference import exposure as exposure_twin
@@ -22,7 +23,6 @@ from pagas_cl.splat.level import LevelInput
 from pagas_cl.splat.measure import _ROWS, SHIFTS, Probe
 from pagas_cl.splat.state import PhotoStore, Size
 from pagas_cl.splat.summary import Rows
-from pagas_cl.synthetic import relief_scene
 
 pytestmark = pytest.mark.kernels
 

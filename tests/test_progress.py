@@ -70,7 +70,7 @@ def test_steps_of_all_levels(device, made):
 
 @pytest.fixture(scope="module")
 def made():
-    from pagas_cl.synthetic import relief_scene
+    from support.scenes import relief_scene
 
     return relief_scene(48, 36, 2, held_out=0)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import plane, small, tiny
+from support.scenes import plane, small, tiny
 
 from pagas_cl.errors import InputError
 from pagas_cl.evaluate import compare_depth, depth_normals, depth_per_parallax, dilate

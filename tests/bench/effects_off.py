@@ -80,7 +80,8 @@ def main():
     depth += 5 * np.sin(np.arange(depth.shape[1], dtype=np.float32) / 40)
     lines = ["| effect, off | step, ms | the same, never written, ms | ratio |", "|---|---|---|---|"]
     for effect in COMPILED:
-        config = BALANCED.with_settings(**COMPILED[effect].off, **{f"effects__{name}": "set" for name in vars(Effects())})
+        as_set = {f"effects__{name}": "set" for name in vars(Effects())}
+        config = BALANCED.with_settings(**COMPILED[effect].off, **as_set)
         level = level_of(device, config, views, depth)
         with as_if_never_written(effect):
             bare = level_of(device, config, views, depth)

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.scenes import relief_scene
 
 from pagas_cl.presets import BALANCED, PAPER
 from pagas_cl.reference.level import Photo, refine
 from pagas_cl.splat.view import full_level
-from pagas_cl.synthetic import relief_scene
 
 pytestmark = pytest.mark.slow
 

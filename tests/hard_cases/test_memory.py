@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pyopencl as cl
 import pytest
+from support.scenes import relief_scene
 
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError
 from pagas_cl.presets import BALANCED, FAST, PAPER
@@ -22,7 +23,6 @@ from pagas_cl.runtime.memory import Memory, limit_of
 from pagas_cl.scene.view import View
 from pagas_cl.splat import budget, fit
 from pagas_cl.surface.agree import counts
-from pagas_cl.synthetic import relief_scene
 
 pytestmark = pytest.mark.slow
 

@@ -19,8 +19,6 @@ from pagas_cl.selftest import BLENDS, device_gradient, normalized
 from pagas_cl.selftest import scenes as make
 from pagas_cl.splat import level, options, tile
 
-pytestmark = pytest.mark.kernels
-
 KERNELS = Path(program.files("pagas_cl.cl_kernels").joinpath("loss.cl")).parent
 FILES = sorted(path.name for path in KERNELS.glob("*.cl"))
 VARIANTS = {
@@ -39,6 +37,7 @@ def variant(name: str):
 ORDER_FREE_ONLY = ("composite.cl",)       # never built with the alpha blend
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("file, name", [(file, name) for file, name in itertools.product(FILES, VARIANTS)
                                         if not (file in ORDER_FREE_ONLY and name.startswith("alpha"))])
 def test_kernels_fit_any_device_of_opencl_1_2(device, file, name):
@@ -55,6 +54,7 @@ def test_kernels_fit_any_device_of_opencl_1_2(device, file, name):
             assert np.prod(group) <= 256, f"{kernel.function_name}: a work-group of {group}"
 
 
+@pytest.mark.kernels
 def test_no_double_and_no_newer_language():
     assert "-cl-std=CL1.2" in program.OPTIONS
     for path in KERNELS.glob("*.cl*"):
@@ -69,6 +69,7 @@ def gradients(device, config, size=(97, 51)):
     return got.tobytes(), loss
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("blend", BLENDS)
 def test_work_group_sizes_agree(device, blend, monkeypatch):
     """Tiles of 1, 32, 64 and 256 work-items, bit for bit."""
@@ -80,6 +81,7 @@ def test_work_group_sizes_agree(device, blend, monkeypatch):
     assert len(found) == 1
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("name", VARIANTS)
 def test_nothing_is_read_before_it_is_written(device, name, monkeypatch):
     """Buffers that start as NaN, as ones, and as zeros give the same bits."""
@@ -96,6 +98,7 @@ def test_nothing_is_read_before_it_is_written(device, name, monkeypatch):
     assert len(found) == 1
 
 
+@pytest.mark.slow
 def test_under_oclgrind():
     """No invalid access and no data race in any kernel."""
     run = command()
