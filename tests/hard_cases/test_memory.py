@@ -120,7 +120,7 @@ def limited(device):
 def test_peak_is_as_planned(device, name, held_out):
     gc.collect()
     before = device.memory.held             # of other tests
-    report = refined(device, CONFIGS[name], (301, 203), held_out).report
+    report = refined(device, CONFIGS[name], (151, 103), held_out).report
     assert 0.9 < (report["device_bytes"] - before) / report["planned_bytes"] < 1.001
     gc.collect()
     assert device.memory.held == before
