@@ -5,35 +5,30 @@
 #define CAMERA_SPACE __global const      // all views of a scene at once, more than constant memory may hold
 #include "camera.clh"
 
-#define FRONT 1e-6f                      // as in reference/agree.py
-#define OCCLUDED 0.05f
+#define FRONT 1e-6f                      // share of the target's depth: a point nearer to a camera is behind it
+#define OCCLUDED 0.05f                   // share of the depth: a surface nearer by more hides what is behind it
 
 // Where a depth of the target lands in another view: false behind it and outside its image.
 bool land(const Camera target, const Camera other, int column, int row, float d, float3 *mean)
 {
     *mean = project_mean(target, other, column, row, d);
-    return mean->z > FRONT * d && mean->x >= 0.0f && mean->x < other.width && mean->y >= 0.0f && mean->y < other.height;
+    return mean->z > FRONT * d && in_image(other, *mean);
 }
 
-__kernel void parallax(__global const float *depth, CAMERA_SPACE float *cameras, int views, float scale,
-                       __global float *depth_per_parallax)
+__kernel void parallax(__global const float *depth,                // [H, W] scene units, 0 = no surface
+                       CAMERA_SPACE float *cameras, int views, float scale,
+                       __global float *depth_per_parallax)         // [H, W] units, 0 = not known
 {
     const Camera target = load_camera(cameras, 0);
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= target.width || row >= target.height)
-        return;
-    const int i = row * target.width + column;
+    EACH_PIXEL(column, row, i, target.width, target.height)
     const float d = depth[i] * scale;
-    const float3 ray = pixel_ray(target, column, row);
     float sum = 0.0f, number = 0.0f;
     for (int view = 1; view <= views && d > 0.0f; ++view) {
         const Camera other = load_camera(cameras, view);
         float3 mean;
         if (!land(target, other, column, row, d, &mean))
             continue;
-        const float3 q = (float3)(dot(other.r0, ray), dot(other.r1, ray), dot(other.r2, ray));
-        const float2 moved = (float2)(other.fx * (q.x * other.t.z - q.z * other.t.x),
-                                      other.fy * (q.y * other.t.z - q.z * other.t.y)) / (mean.z * mean.z);
+        const float2 moved = dmean_ddepth(other, turned_ray(target, other, column, row)) / (mean.z * mean.z);
         sum += dot(moved, moved);
         number += 1.0f;
     }
@@ -60,15 +55,14 @@ float difference(__global const float *map, const Camera other, float3 mean, flo
 }
 
 // counts: views that confirm a depth to within `pixels` of parallax, views that should see it.
-__kernel void count_view(__global const float *depth, CAMERA_SPACE float *cameras, int view, float scale,
-                         __global const float *map, __global const float *depth_per_parallax, float pixels,
-                         __global ushort2 *counts)
+__kernel void count_view(__global const float *depth,              // [H, W] scene units
+                         CAMERA_SPACE float *cameras, int view, float scale,
+                         __global const float *map,                // [H', W'] scene units
+                         __global const float *depth_per_parallax, float pixels,
+                         __global ushort2 *counts)                 // [H, W]
 {
     const Camera target = load_camera(cameras, 0), other = load_camera(cameras, view);
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= target.width || row >= target.height)
-        return;
-    const int i = row * target.width + column;
+    EACH_PIXEL(column, row, i, target.width, target.height)
     const float d = depth[i] * scale;
     float3 mean;
     if (!(d > 0.0f) || !land(target, other, column, row, d, &mean))

@@ -10,13 +10,13 @@
 #include "lists.clh"
 
 __kernel void link_bins(__global const float *depth, __constant float *cameras, int view, float low_pass,
-                        __global volatile int *heads, __global int2 *links, __global float *alphas)
+                        __global volatile int *heads,              // [H' + SIDE, W' + SIDE] Gaussian, -1 = none
+                        __global int2 *links,                      // [H, W] next Gaussian, bits of z
+                        __global float *alphas)                    // [PLACES, H, W]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= target.width || row >= target.height)
-        return;
-    const int i = row * target.width + column, count = target.width * target.height;
+    EACH_PIXEL(column, row, i, target.width, target.height)
+    const int count = target.width * target.height;
     const float d = depth[i];
     Splat s;
     SplatDerivative dsplat_ddepth;
@@ -37,13 +37,12 @@ __kernel void link_bins(__global const float *depth, __constant float *cameras, 
 
 __kernel IN_GROUPS
 void composite_alpha(__global const uchar4 *target_photo, __global const float *exposure, int view,
-                     __global const int *heads, __global const int2 *links, __global float *alphas, int count,
-                     int width, int height, float threshold, float relative, __global float *rendered)
+                     __global const int *heads, __global const int2 *links,             // as link_bins has them
+                     __global float *alphas, int count, int width, int height, float threshold, float relative,
+                     __global float *rendered)                          // [H', W', C and A]
 {
     __local ulong lists[SLOTS * GROUP];
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= width || row >= height)
-        return;
+    EACH_PIXEL(column, row, i, width, height)
     blend(look_around(heads, links, alphas, count, column, row, width),
           lists + get_local_id(1) * LIST_GROUP_W + get_local_id(0), target_photo, exposure, view, threshold,
           relative, row * width + column, rendered);
@@ -51,14 +50,13 @@ void composite_alpha(__global const uchar4 *target_photo, __global const float *
 
 __kernel IN_GROUPS
 void composite_alpha_vjp(__global const uchar4 *target_photo, __global const float *exposure, int view,
-                         __global const int *heads, __global const int2 *links, __global float *alphas, int count,
-                         int width, int height, float threshold, float relative, __global const float *v_rendered)
+                         __global const int *heads, __global const int2 *links,             // as link_bins has them
+                         __global float *alphas, int count, int width, int height, float threshold, float relative,
+                         __global const float *v_rendered)                  // [H', W', dL/dC and dL/dA]
 {
     __local ulong lists[SLOTS * GROUP];
     __local float held[SLOTS * GROUP];
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= width || row >= height)
-        return;
+    EACH_PIXEL(column, row, i, width, height)
     float v_coverage;
     const color_t v_color = load_v_rendered(v_rendered, row * width + column, &v_coverage);
     const int item = get_local_id(1) * LIST_GROUP_W + get_local_id(0);
@@ -67,13 +65,13 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
 }
 
 __kernel void gather_alpha(__global const float *depth, __constant float *cameras, int view, float low_pass,
-                           __global const float *alphas, __global float *gradient, __global int *heads, int bins)
+                           __global const float *alphas,           // [PLACES, H, W] dL/dalpha
+                           __global float *gradient,               // [H, W] N dL/dd is added
+                           __global int *heads, int bins)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= target.width || row >= target.height)
-        return;
-    const int i = row * target.width + column, count = target.width * target.height;
+    EACH_PIXEL(column, row, i, target.width, target.height)
+    const int count = target.width * target.height;
     for (int bin = i; bin < bins; bin += count)
         heads[bin] = -1;
     const float d = depth[i];

@@ -3,7 +3,7 @@
 #include "splat.clh"
 
 // G . c + h of the pixels that are taken; whatever for the others.
-#if COLUMNS == 1
+#if ONE_PIXEL
 // Loads do not wait for what decides whether they are needed: those of all pixels of a Gaussian are under way together.
 float load_v_alpha(__global const float *v_rendered, int pixel, int taken, const float color[CHANNELS])
 {
@@ -48,7 +48,8 @@ void add_columns(__global float *places, columns_t values, int first)
 __kernel void gather_gradient(__global const float *depth, __global const uchar4 *target_photo,
                               __constant float *cameras, int view, float low_pass, float threshold, float relative,
                               __global const uint *z_first, __global const float *exposure,
-                              __global const float *v_rendered, __global float *gradient)
+                              __global const float *v_rendered,    // [H', W', G and h]
+                              __global float *gradient)            // [H, W] N dL/dd is added
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;
@@ -60,18 +61,15 @@ __kernel void gather_gradient(__global const float *depth, __global const uchar4
     columns_t color[CHANNELS], sum = ZERO;
     load_exposed(target_photo, i, exposure, view, color);
     const LogSlope slope = log_slope(g.splat, g.dsplat_ddepth);
-UNROLL_SPAN
-    for (int v = 0; v < SPAN; ++v)
-UNROLL_SPAN
-        for (int u = 0; u < SPAN; ++u) {
-            const Reach r = reach_pixel(&g, context, u, v);
-            if (COLUMNS > 1 && !ANY(r.reached))
-                continue;
-            const columns_t share = share_of(&g, r, z_first, threshold, relative);
-            const mask_t taken = share > 0.0f;
-            const columns_t v_alpha = load_v_alpha(v_rendered, select((mask_t)(0), r.pixel, r.reached), taken, color);
-            const columns_t raw = raw_alpha(g.splat, r.dx, r.dy);
-            sum += select(ZERO, share * v_alpha * dalpha_ddepth(slope, g.dsplat_ddepth, r.dx, r.dy, raw), taken);
-        }
+    EACH_PLACE(u, v) {
+        const Reach r = reach_pixel(&g, context, u, v);
+        if (!ONE_PIXEL && !ANY(r.reached))
+            continue;
+        const columns_t share = share_of(&g, r, z_first, threshold, relative);
+        const mask_t taken = share > 0.0f;
+        const columns_t v_alpha = load_v_alpha(v_rendered, select((mask_t)(0), r.pixel, r.reached), taken, color);
+        const columns_t raw = raw_alpha(g.splat, r.dx, r.dy);
+        sum += select(ZERO, share * v_alpha * dalpha_ddepth(slope, g.dsplat_ddepth, r.dx, r.dy, raw), taken);
+    }
     add_columns(gradient + i, sum, get_global_id(0) * COLUMNS - column);
 }

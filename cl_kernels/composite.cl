@@ -36,14 +36,12 @@ void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
 #endif
 }
 
-#if COLUMNS == 1 && !defined(GREY)
-// A work-group adds up in local memory first: most pixels are reached by several of its Gaussians. Not worth its while
-// for the one addition a pair of a grey image.
+#ifdef BOXED
 __kernel IN_BOXES
 void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                      __constant float *cameras, int view, float low_pass, float threshold,
-                      float relative, __global const uint *z_first, __global const float *exposure,
-                      __global volatile uint *sums)
+                      __constant float *cameras, int view, float low_pass, float threshold, float relative,
+                      __global const uint *z_first, __global const float *exposure,
+                      __global volatile uint *sums)                // [H', W', CHANNELS + 1]
 {
     __local uint boxed[(CHANNELS + 1) * BOX];
     __local int corners[4];
@@ -59,23 +57,20 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
     if (g.own) {
         float color[CHANNELS];
         load_exposed(target_photo, row * target.width + column, exposure, view, color);
-UNROLL_SPAN
-        for (int v = 0; v < SPAN; ++v)
-UNROLL_SPAN
-            for (int u = 0; u < SPAN; ++u) {
-                const Reach r = reach_pixel(&g, context, u, v);
-                const float share = r.reached ? share_of(&g, r, z_first, threshold, relative) : 0.0f;
-                if (!(share > 0.0f))
-                    continue;
-                int parts[CHANNELS + 1][1];
-                weigh_colors(&g, r, share, color, parts);
-                const int place = place_in_box(box, g.x + u, g.y + v);
-                if (place >= 0)
-                    for (int c = 0; c <= CHANNELS; ++c)
-                        atomic_add(&boxed[c * BOX + place], (uint)parts[c][0]);
-                else
-                    add_to_image(sums + r.pixel * (CHANNELS + 1), (const uint *)parts);
-            }
+        EACH_PLACE(u, v) {
+            const Reach r = reach_pixel(&g, context, u, v);
+            const float share = r.reached ? share_of(&g, r, z_first, threshold, relative) : 0.0f;
+            if (!(share > 0.0f))
+                continue;
+            int parts[CHANNELS + 1][1];
+            weigh_colors(&g, r, share, color, parts);
+            const int place = place_in_box(box, g.x + u, g.y + v);
+            if (place >= 0)
+                for (int c = 0; c <= CHANNELS; ++c)
+                    atomic_add(&boxed[c * BOX + place], (uint)parts[c][0]);
+            else
+                add_to_image(sums + r.pixel * (CHANNELS + 1), (const uint *)parts);
+        }
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int k = box_item(); k < box.width * box.height; k += BOX_GROUP) {
@@ -88,9 +83,9 @@ UNROLL_SPAN
 }
 #else
 __kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                               __constant float *cameras, int view, float low_pass, float threshold,
-                               float relative, __global const uint *z_first, __global const float *exposure,
-                               __global volatile uint *sums)
+                               __constant float *cameras, int view, float low_pass, float threshold, float relative,
+                               __global const uint *z_first, __global const float *exposure,
+                               __global volatile uint *sums)                // [H', W', CHANNELS + 1]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;
@@ -100,26 +95,23 @@ __kernel void splat_order_free(__global const float *depth, __global const uchar
         return;
     columns_t color[CHANNELS];
     load_exposed(target_photo, row * target.width + column, exposure, view, color);
-UNROLL_SPAN
-    for (int v = 0; v < SPAN; ++v)
-UNROLL_SPAN
-        for (int u = 0; u < SPAN; ++u) {
-            const Reach r = reach_pixel(&g, context, u, v);
-            if (!ANY(r.reached))
+    EACH_PLACE(u, v) {
+        const Reach r = reach_pixel(&g, context, u, v);
+        if (!ANY(r.reached))
+            continue;
+        int pixel[COLUMNS], taken[COLUMNS], parts[CHANNELS + 1][COLUMNS];
+        STORE_COLUMNS(r.pixel, pixel);
+        const columns_t share = share_of(&g, r, z_first, threshold, relative);
+        STORE_COLUMNS(share > 0.0f, taken);
+        weigh_colors(&g, r, share, color, parts);
+        for (int k = 0; k < COLUMNS; ++k) {
+            if (!taken[k])
                 continue;
-            int pixel[COLUMNS], taken[COLUMNS], parts[CHANNELS + 1][COLUMNS];
-            STORE_COLUMNS(r.pixel, pixel);
-            const columns_t share = share_of(&g, r, z_first, threshold, relative);
-            STORE_COLUMNS(share > 0.0f, taken);
-            weigh_colors(&g, r, share, color, parts);
-            for (int k = 0; k < COLUMNS; ++k) {
-                if (!taken[k])
-                    continue;
-                uint own[CHANNELS + 1];
-                for (int c = 0; c <= CHANNELS; ++c)
-                    own[c] = parts[c][k];
-                add_to_image(sums + pixel[k] * (CHANNELS + 1), own);
-            }
+            uint own[CHANNELS + 1];
+            for (int c = 0; c <= CHANNELS; ++c)
+                own[c] = parts[c][k];
+            add_to_image(sums + pixel[k] * (CHANNELS + 1), own);
         }
+    }
 }
 #endif

@@ -2,7 +2,6 @@
 //   bends        second differences of the depth, in pixels of parallax
 //   deviate      the standard deviation of each depth
 #include "splat.clh"
-#include "status.clh"
 
 #define AROUND 2                     // half the width of the surroundings of a pixel
 #define MOST_BENT 1.4f    // pixels of parallax: as much as counts, at a discontinuity or where the surface ends
@@ -13,17 +12,14 @@ float bend(__global const float *depth, int i, int stride, float u)
     const float d = depth[i], a = depth[i - stride], b = depth[i + stride];
     if (!(d > 0.0f && u > 0.0f))
         return 0.0f;
-    return a > 0.0f && b > 0.0f ? fabs((d - a) / (d * a) + (d - b) / (d * b)) * d * d / u : MOST_BENT;
+    return a > 0.0f && b > 0.0f ? fabs(second_difference(a, d, b)) * d * d / u : MOST_BENT;
 }
 
 // How much the surface bends at each pixel, along both directions.
 __kernel void bends(__global const float *depth, __global const float *depth_per_parallax, int width, int height,
-                    __global float *bent)
+                    __global float *bent)                          // [H, W] pixels of parallax
 {
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= width || row >= height)
-        return;
-    const int i = row * width + column;
+    EACH_PIXEL(column, row, i, width, height)
     float sum = 0.0f;
     if (column > 0 && column + 1 < width)
         sum += bend(depth, i, 1, depth_per_parallax[i]);
@@ -41,13 +37,11 @@ __kernel void bends(__global const float *depth, __global const float *depth_per
 #define MISALIGNMENT 0.36f
 
 __kernel void deviate(__global const uchar *status, __global const float *depth_per_parallax, int width, int height,
-                      __global const float *before, __global const float *after, __global const float *bent,
-                      float error_factor, float misaligned, __global float *deviation)
+                      __global const float *before, __global const float *after,   // evidence, [H, W, 3]
+                      __global const float *bent,                  // [H, W] pixels of parallax
+                      float error_factor, float misaligned, __global float *deviation)     // [H, W] units
 {
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= width || row >= height)
-        return;
-    const int i = row * width + column;
+    EACH_PIXEL(column, row, i, width, height)
     const float3 held = vload3(i, status[i] == REFINED ? after : before);
     if (status[i] == NO_SURFACE || !(held.y > 0.0f && held.z > 0.0f)) {
         deviation[i] = status[i] == NO_SURFACE ? 0.0f : INFINITY;

@@ -7,7 +7,6 @@
 //   decide       which refined depths are kept
 //   feather      no seams between those and the others
 #include "splat.clh"
-#include "status.clh"
 
 #define PATCH 2                      // half the width of a patch
 #define LEAST_PIXELS 6               // of a patch must be visible
@@ -16,37 +15,24 @@
 #define UNSEEN -1.0f
 #define CHANCE 0.02f                 // growth of 1 - correlation in a photo, mean around a pixel, that says nothing
 
-float grey_of(uchar4 p)
-{
-    return (0.299f * p.x + 0.587f * p.y + 0.114f * p.z) * (1.0f / 255.0f);
-}
-
 __kernel void warp_photo(__global const float *depth, __constant float *cameras, int view, float threshold,
-                         __global const uint *z_first, __global const uchar4 *photo, __global float2 *warped)
+                         __global const uint *z_first, __global const uchar4 *photo,
+                         __global float2 *warped)                  // [H, W] grey 0 to 1 or UNSEEN, slope by depth
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= target.width || row >= target.height)
-        return;
-    const int i = row * target.width + column;
+    EACH_PIXEL(column, row, i, target.width, target.height)
     const float d = depth[i];
     warped[i] = (float2)(UNSEEN, 0.0f);
     if (!(d > 0.0f))
         return;
-    const float3 ray = pixel_ray(target, column, row);
-    const float3 q = (float3)(dot(context.r0, ray), dot(context.r1, ray), dot(context.r2, ray));
-    const float3 p = d * q + context.t;
-    if (!(p.z > NEAR))
-        return;
-    const float inverse_z = 1.0f / p.z;
-    const float u = context.fx * p.x * inverse_z + context.cx - 0.5f;
-    const float v = context.fy * p.y * inverse_z + context.cy - 0.5f;
-    if (!(u >= 0.0f && v >= 0.0f && u <= context.width - 1.001f && v <= context.height - 1.001f))
+    const float3 q = turned_ray(target, context, column, row), m = project_ray(context, q, d);
+    const float u = m.x - 0.5f, v = m.y - 0.5f, inverse_z = 1.0f / m.z, zz = inverse_z * inverse_z;
+    if (!(m.z > NEAR && u >= 0.0f && v >= 0.0f && u <= context.width - 1.001f && v <= context.height - 1.001f))
         return;
     const int x = (int)u, y = (int)v, pixel = y * context.width + x;
     const float a = u - x, b = v - y;
 #ifdef OCCLUSION
-    if (p.z > as_float(z_first[(int)(v + 0.5f) * context.width + (int)(u + 0.5f)]) + threshold)
+    if (m.z > as_float(z_first[(int)(v + 0.5f) * context.width + (int)(u + 0.5f)]) + threshold)
         return;
 #endif
     const int right = x + 1 < context.width ? 1 : 0, below = y + 1 < context.height ? context.width : 0;
@@ -57,9 +43,8 @@ __kernel void warp_photo(__global const float *depth, __constant float *cameras,
     const float g00 = grey_of(p00), g10 = grey_of(p10), g01 = grey_of(p01), g11 = grey_of(p11);
     const float value = (1 - b) * ((1 - a) * g00 + a * g10) + b * ((1 - a) * g01 + a * g11);
     const float slope_u = (1 - b) * (g10 - g00) + b * (g11 - g01), slope_v = (1 - a) * (g01 - g00) + a * (g11 - g10);
-    const float zz = inverse_z * inverse_z;
-    const float slope = slope_u * context.fx * (q.x * context.t.z - q.z * context.t.x) * zz
-                      + slope_v * context.fy * (q.y * context.t.z - q.z * context.t.y) * zz;
+    const float2 moved = mean_slope(context, q);
+    const float slope = slope_u * context.fx * moved.x * zz + slope_v * context.fy * moved.y * zz;
     warped[i] = (float2)(value, slope);
 }
 
@@ -69,7 +54,7 @@ __kernel void warp_photo(__global const float *depth, __constant float *cameras,
 // perfect match have; looking up between pixels leaves 4/9 of it. Without it two flat patches match; with it, nothing
 // is known of them.
 __kernel void weigh(__global const float2 *warped, __global const uchar4 *target_photo, int width, int height,
-                    float noise_variance, __global float *evidence)
+                    float noise_variance, __global float *evidence)     // [H, W, 3], added
 {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= width || row >= height || warped[row * width + column].x == UNSEEN)
@@ -113,19 +98,17 @@ __kernel void weigh(__global const float2 *warped, __global const uchar4 *target
 
 #define WINDOW 7                     // half the width of the surroundings in which patches must match
 
-// from: every `stride` floats a sum of 1 - correlation and a number of views; sums of them over WINDOW pixels to each
+// values: every `stride` floats a sum of 1 - correlation and a number of views; sums of them over WINDOW pixels to each
 // side, along rows (dx = 1) or columns (dy = 1). Twice gives the surroundings of each pixel.
-__kernel void sum_window(__global const float *from, int stride, int width, int height, int dx, int dy,
-                         __global float *sums)
+__kernel void sum_window(__global const float *values, int stride, int width, int height, int dx, int dy,
+                         __global float *sums)                     // [H, W, 2]
 {
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= width || row >= height)
-        return;
+    EACH_PIXEL(column, row, i, width, height)
     float2 sum = 0.0f;
     for (int k = -WINDOW; k <= WINDOW; ++k) {
         const int x = column + k * dx, y = row + k * dy;
         if (x >= 0 && y >= 0 && x < width && y < height) {
-            __global const float *e = from + stride * (y * width + x);
+            __global const float *e = values + stride * (y * width + x);
             sum += (float2)(e[0], e[1]);
         }
     }
@@ -136,12 +119,11 @@ __kernel void sum_window(__global const float *from, int stride, int width, int 
 // to the initial one where its patches match worse than before, where the photos do not show the same thing around it
 // (moving content, wrong poses, no texture), where it moved too far, and where no other view sees it.
 __kernel void decide(__global const float *initial, __global float *depth, __global const float *depth_per_parallax,
-                     int count, __global const float *before, __global const float *after, __global const float *around,
+                     int count, __global const float *before, __global const float *after,     // evidence, [H, W, 3]
+                     __global const float *around,                 // [H, W, 2], twice through sum_window
                      float max_move, float tolerance, float mismatch, __global uchar *status)
 {
-    const int i = get_global_id(0);
-    if (i >= count)
-        return;
+    EACH(i, count)
     const float d0 = initial[i], d = depth[i];
     const float3 was = vload3(i, before), is = vload3(i, after);
     const float2 near = vload2(i, around);
@@ -167,10 +149,7 @@ __kernel void decide(__global const float *initial, __global float *depth, __glo
 __kernel void feather(__global const float *initial, __global float *depth, __global const uchar *status, int width,
                       int height)
 {
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= width || row >= height)
-        return;
-    const int i = row * width + column;
+    EACH_PIXEL(column, row, i, width, height)
     if (status[i] == REJECTED)
         depth[i] = initial[i];
     if (status[i] != REFINED)
@@ -186,22 +165,28 @@ __kernel void feather(__global const float *initial, __global float *depth, __gl
         depth[i] = initial[i] + clamp(2.0f * refined / all - 1.0f, 0.0f, 1.0f) * (depth[i] - initial[i]);
 }
 
-#define SUM_GROUP 64
-#define SUM_ONE 1048576.0f           // 2^20: sums in whole numbers do not depend on their order
+// 1 - correlation before and after of a pixel that is seen both times.
+bool costs_of(__global const float *before, __global const float *after, int i, float2 *costs)
+{
+    const float3 was = vload3(i, before), is = vload3(i, after);
+    *costs = (float2)(was.x / was.y, is.x / is.y);
+    return was.y > 0.0f && is.y > 0.0f;
+}
 
 // Sums of 1 - correlation before and after, and the number of pixels that are seen both times: three numbers a group.
-__kernel __attribute__((reqd_work_group_size(SUM_GROUP, 1, 1)))
-void sum_costs(__global const float *before, __global const float *after, int count, __global long *sums)
+__kernel __attribute__((reqd_work_group_size(COST_GROUP, 1, 1)))
+void sum_costs(__global const float *before, __global const float *after, int count,       // evidence, [count, 3]
+               __global long *sums)                                // [groups, 3]
 {
-    __local long scratch[3][SUM_GROUP];
+    __local long scratch[3][COST_GROUP];
     const int lane = get_local_id(0);
     long was_sum = 0, is_sum = 0, pixels = 0;
     for (int i = get_global_id(0); i < count; i += get_global_size(0)) {
-        const float3 was = vload3(i, before), is = vload3(i, after);
-        if (!(was.y > 0.0f && is.y > 0.0f))
+        float2 costs;
+        if (!costs_of(before, after, i, &costs))
             continue;
-        was_sum += convert_long_rte(was.x / was.y * SUM_ONE);
-        is_sum += convert_long_rte(is.x / is.y * SUM_ONE);
+        was_sum += convert_long_rte(costs.x * COST_ONE);
+        is_sum += convert_long_rte(costs.y * COST_ONE);
         ++pixels;
     }
     scratch[0][lane] = was_sum;
@@ -210,37 +195,33 @@ void sum_costs(__global const float *before, __global const float *after, int co
     barrier(CLK_LOCAL_MEM_FENCE);
     if (lane < 3) {
         long sum = 0;
-        for (int k = 0; k < SUM_GROUP; ++k)
+        for (int k = 0; k < COST_GROUP; ++k)
             sum += scratch[lane][k];
         sums[3 * get_group_id(0) + lane] = sum;
     }
 }
 
-#define BINS 1024
-
-// How often each 1 - correlation occurs before and after, in BINS bins of 0 to 2,
+// How often each 1 - correlation occurs before and after, in COST_BINS bins of 0 to 2,
 // over the pixels that are seen both times.
-__kernel void count_costs(__global const float *before, __global const float *after, int count, __global uint *counts)
+__kernel void count_costs(__global const float *before, __global const float *after, int count,
+                          __global uint *counts)                   // [2, COST_BINS]
 {
-    const int i = get_global_id(0);
-    if (i >= count)
+    EACH(i, count)
+    float2 costs;
+    if (!costs_of(before, after, i, &costs))
         return;
-    const float3 was = vload3(i, before), is = vload3(i, after);
-    if (!(was.y > 0.0f && is.y > 0.0f))
-        return;
-    atomic_inc(counts + clamp((int)(was.x / was.y * (BINS / 2)), 0, BINS - 1));
-    atomic_inc(counts + BINS + clamp((int)(is.x / is.y * (BINS / 2)), 0, BINS - 1));
+    atomic_inc(counts + clamp((int)(costs.x * (COST_BINS / 2)), 0, COST_BINS - 1));
+    atomic_inc(counts + COST_BINS + clamp((int)(costs.y * (COST_BINS / 2)), 0, COST_BINS - 1));
 }
 
 // By how much 1 - correlation grew beyond chance, and 1; two zeros where it is not known.
-__kernel void worse_costs(__global const float *before, __global const float *after, int count, __global float *worse)
+__kernel void worse_costs(__global const float *before, __global const float *after, int count,
+                          __global float *worse)                   // [count, 2]
 {
-    const int i = get_global_id(0);
-    if (i >= count)
-        return;
-    const float3 was = vload3(i, before), is = vload3(i, after);
-    const bool known = was.y > 0.0f && is.y > 0.0f;
-    vstore2(known ? (float2)(is.x / is.y - was.x / was.y - CHANCE, 1.0f) : (float2)(0.0f), i, worse);
+    EACH(i, count)
+    float2 costs;
+    const bool known = costs_of(before, after, i, &costs);
+    vstore2(known ? (float2)(costs.y - costs.x - CHANCE, 1.0f) : (float2)(0.0f), i, worse);
 }
 
 // A refined depth is rejected where a photo that took no part matches worse around it.

@@ -6,6 +6,7 @@
 // 2 seen and nowhere near black or saturated.
 #include "splat.clh"
 #include "lookup.clh"
+#include "sums.clh"
 
 #define HALF 2                           // half the width of a patch
 #define RIM (HALF + 1)
@@ -24,12 +25,11 @@ bool unclipped(float3 c)
 
 __kernel void match_colors(__global const float *depth, __constant float *cameras, int view, float threshold,
                            __global const uint *z_first, __global const uchar4 *target_photo,
-                           __global const uchar4 *photo, int stride, int across, int count, __global float *matches)
+                           __global const uchar4 *photo, int stride, int across, int count,
+                           __global float *matches)                // [views, samples, 8]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    const int k = get_global_id(0);
-    if (k >= count)
-        return;
+    EACH(k, count)
     __global float *match = matches + 8 * ((view - 1) * count + k);
     vstore8(0.0f, 0, match);
     const int2 at = sample_place(k, stride, across, target);
@@ -62,27 +62,11 @@ __kernel void match_colors(__global const float *depth, __constant float *camera
     vstore4((float4)(other * (1.0f / PATCH_PIXELS), 0.0f), 1, match);
 }
 
-#define FIT_GROUP 64                     // as in splat/exposure.py
 #define ROUNDS 6
 #define LEAST 50                         // samples for a fit
 #define PRIOR 2e-5f                      // variance of colour below which the gain is drawn to the ratio of means
 #define BINS 1024                        // of residuals, for their median
 #define LARGEST 0.25f
-
-float sum_of_group(float value, __local float *scratch)
-{
-    const int lane = get_local_id(0);
-    scratch[lane] = value;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    for (int apart = FIT_GROUP / 2; apart > 0; apart /= 2) {
-        if (lane < apart)
-            scratch[lane] += scratch[lane + apart];
-        barrier(CLK_LOCAL_MEM_FENCE);
-    }
-    const float sum = scratch[0];
-    barrier(CLK_LOCAL_MEM_FENCE);
-    return sum;
-}
 
 float residual_of(__global const float *match, int channel, float gain, float offset)
 {
@@ -137,7 +121,7 @@ void fit_exposure(__global const float *all_matches, int count, __global float *
     float gain = 1.0f, offset = 0.0f, scale = INFINITY, usable = 0.0f;
     for (int k = lane; k < count; k += FIT_GROUP)
         usable += matches[8 * k + 3] >= 2.0f ? 1.0f : 0.0f;
-    usable = sum_of_group(usable, scratch);
+    usable = sum_of_group(usable, scratch, FIT_GROUP);
     for (int round = 0; round < ROUNDS && usable >= LEAST; ++round) {
         float w = 0.0f, x = 0.0f, y = 0.0f, xx = 0.0f, yy = 0.0f;
         for (int k = lane; k < count; k += FIT_GROUP) {
@@ -146,15 +130,16 @@ void fit_exposure(__global const float *all_matches, int count, __global float *
             x += weight * matches[8 * k + channel];
             y += weight * matches[8 * k + 4 + channel];
         }
-        const float total = sum_of_group(w, scratch);
-        const float mx = sum_of_group(x, scratch) / total, my = sum_of_group(y, scratch) / total;
+        const float total = sum_of_group(w, scratch, FIT_GROUP);
+        const float mx = sum_of_group(x, scratch, FIT_GROUP) / total, my = sum_of_group(y, scratch, FIT_GROUP) / total;
         for (int k = lane; k < count; k += FIT_GROUP) {
             const float weight = weight_of(matches + 8 * k, channel, gain, offset, scale);
             const float dx = matches[8 * k + channel] - mx, dy = matches[8 * k + 4 + channel] - my;
             xx += weight * dx * dx;
             yy += weight * dy * dy;
         }
-        const float var_x = sum_of_group(xx, scratch) / total, var_y = sum_of_group(yy, scratch) / total;
+        const float var_x = sum_of_group(xx, scratch, FIT_GROUP) / total;
+        const float var_y = sum_of_group(yy, scratch, FIT_GROUP) / total;
         const float ratio = my / mx;
         gain = sqrt((var_y + PRIOR * ratio * ratio) / (var_x + PRIOR));
         offset = my - gain * mx;

@@ -5,17 +5,13 @@
 
 #define SHARE(k) ((FILTER_RADIUS + 1 - (k)) / (float)((FILTER_RADIUS + 1) * (FILTER_RADIUS + 1)))
 
-__kernel void filter_across(__global const float *restrict gradient,
+__kernel void filter_across(__global const float *restrict gradient,                   // [H, W] by depth
                             __global const float *restrict depth_per_parallax, int width, int height,
-                            __global float *restrict sums)
+                            __global float *restrict sums)                             // [H, W] by parallax
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height)
-        return;
-    const int i = y * width + x;
+    EACH_PIXEL(x, y, i, width, height)
     float sum = SHARE(0) * gradient[i] * depth_per_parallax[i];
-#pragma unroll
-    for (int k = 1; k <= FILTER_RADIUS; ++k) {
+    UNROLL for (int k = 1; k <= FILTER_RADIUS; ++k) {
         const int left = x >= k ? i - k : i, right = x + k < width ? i + k : i;
         const float before = x >= k ? gradient[left] * depth_per_parallax[left] : 0.0f;
         const float after = x + k < width ? gradient[right] * depth_per_parallax[right] : 0.0f;
@@ -24,17 +20,13 @@ __kernel void filter_across(__global const float *restrict gradient,
     sums[i] = sum;
 }
 
-__kernel void filter_down(__global const float *restrict sums,
+__kernel void filter_down(__global const float *restrict sums,                         // [H, W] by parallax
                           __global const float *restrict depth_per_parallax, int width, int height,
-                          __global float *restrict gradient)
+                          __global float *restrict gradient)                           // [H, W] by depth
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height)
-        return;
-    const int i = y * width + x;
+    EACH_PIXEL(x, y, i, width, height)
     float sum = SHARE(0) * sums[i];
-#pragma unroll
-    for (int k = 1; k <= FILTER_RADIUS; ++k) {
+    UNROLL for (int k = 1; k <= FILTER_RADIUS; ++k) {
         const float before = y >= k ? sums[i - k * width] : 0.0f;
         const float after = y + k < height ? sums[i + k * width] : 0.0f;
         sum += SHARE(k) * (before + after);

@@ -3,9 +3,9 @@
 #include "constants.clh"
 
 #define SLOPE 0                          // change from the pixel before to the one after
-#define BEND 1                           // second difference; of the smoothest pixels alone, once keep_smooth has run
+#define ROUGHNESS 1                      // second difference; of the smoothest pixels alone, once keep_smooth has run
 #define TEXTURELESS 2                    // 1 where the photo changes by less than LITTLE to the pixel after, else 0
-#define LITTLE (0.02f * 765)             // paper eq. 6
+#define LITTLE (GRADIENT_LOW * 765)
 
 float grey_at(__global const uchar4 *photo, int i)
 {
@@ -13,15 +13,13 @@ float grey_at(__global const uchar4 *photo, int i)
 }
 
 __kernel void sample_noise(__global const uchar4 *photo, int width, int step_x, int step_y, int across, int count,
-                           __global float *rows)
+                           __global float *rows)                   // [3, count]
 {
-    const int k = get_global_id(0);
-    if (k >= count)
-        return;
+    EACH(k, count)
     const int i = k / across * step_y * width + k % across * step_x + 1;     // never a row's first or last pixel
     const float before = grey_at(photo, i - 1), here = grey_at(photo, i), after = grey_at(photo, i + 1);
     rows[SLOPE * count + k] = fabs(after - before);
-    rows[BEND * count + k] = fabs(before - 2.0f * here + after);
+    rows[ROUGHNESS * count + k] = fabs(before - 2.0f * here + after);
     rows[TEXTURELESS * count + k] = fabs(after - here) < LITTLE ? 1.0f : 0.0f;
 }
 
@@ -30,5 +28,5 @@ __kernel void keep_smooth(__global const float4 *summary, int count, __global fl
 {
     const int k = get_global_id(0);
     if (k < count && rows[SLOPE * count + k] > floor(summary[SLOPE].z + 0.5f))
-        rows[BEND * count + k] = NAN;
+        rows[ROUGHNESS * count + k] = NAN;
 }

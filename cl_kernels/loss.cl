@@ -16,28 +16,22 @@ void gather_down(__global const float *partials, int left, int top, int width, i
         const int y = t / ACROSS % (TILE_H / RUN) * RUN, x = span_start(t % ACROSS, COLUMNS, WIDE);
         const int c = t / (TILE_H / RUN * ACROSS), column = left + x - HALO, row = top + y - HALO;
         columns_t sum[3][RUN];
-#pragma unroll
-        for (int k = 0; k < RUN; ++k)
+        UNROLL for (int k = 0; k < RUN; ++k)
             sum[0][k] = sum[1][k] = sum[2][k] = ZERO;
-#pragma unroll
-        for (int j = 0; j < TAPS + RUN - 1; ++j) {
+        UNROLL for (int j = 0; j < TAPS + RUN - 1; ++j) {
             const bool there = row + j >= 0 && row + j < height - HALO;     // read in any case: loads do not wait
             __global const float *at = partials + 3 * c * plane + clamp(row + j, 0, height - HALO - 1) * pitch
                                        + min(column, width - COLUMNS);
-#pragma unroll
-            for (int q = 0; q < 3; ++q) {
+            UNROLL for (int q = 0; q < 3; ++q) {
                 const columns_t value = there ? LOAD_COLUMNS(at + q * plane) : ZERO;
-#pragma unroll
-                for (int k = 0; k < RUN; ++k)
+                UNROLL for (int k = 0; k < RUN; ++k)
                     if (j >= k && j - k < TAPS)
                         sum[q][k] += WINDOW[j - k] * value;
             }
         }
         const mask_t lanes = column + LANE_NUMBERS, inside = (lanes >= 0) & (lanes < width - HALO);
-#pragma unroll
-        for (int k = 0; k < RUN; ++k)
-#pragma unroll
-            for (int q = 0; q < 3; ++q)
+        UNROLL for (int k = 0; k < RUN; ++k)
+            UNROLL for (int q = 0; q < 3; ++q)
                 STORE_COLUMNS(select(ZERO, sum[q][k], inside),
                               sums + c * SUMS + q * TILE_H * STRIDE + (y + k) * STRIDE + x);
     }
@@ -50,15 +44,13 @@ void gather_across(__local float *sums)
     for (int from = 0; from < TILE_H * CHUNKS; from += LOSS_GROUP) {
         const int t = from + get_local_id(0), place = t / CHUNKS * STRIDE + t % CHUNKS * LANES;
         lanes_t across[3 * CHANNELS];
-#pragma unroll
-        for (int q = 0; q < 3 * CHANNELS; ++q)
+        UNROLL for (int q = 0; q < 3 * CHANNELS; ++q)
             if (t < TILE_H * CHUNKS)
                 across[q] = blur_across(sums + q * TILE_H * STRIDE + place);
 #if LOSS_GROUP > 1
         barrier(CLK_LOCAL_MEM_FENCE);
 #endif
-#pragma unroll
-        for (int q = 0; q < 3 * CHANNELS; ++q)
+        UNROLL for (int q = 0; q < 3 * CHANNELS; ++q)
             if (t < TILE_H * CHUNKS)
                 STORE_ROW(across[q], sums + q * TILE_H * STRIDE + place);
     }
@@ -91,15 +83,14 @@ columns_t pixel_weight(__global const uchar4 *photo, const Rendered r, __global 
     return weight;
 }
 
-// Chain through the normalisation of the blend, and store what each participant needs.
+// Chain through the normalisation of the blend, and store what each participant needs (g = dL/dC). Order-free, with
+// S = sum of alpha, mean = sum(alpha c) / S and A = min(1, S), held fixed: C = A mean + (1 - A) photo, so that
+// dC/dalpha_k = A / S (c_k - mean) and G = g / max(1, S), h = -G . mean, plus dL/dA where S < 1 (L1's weight).
+// C / A: G = g / A, h = dL/dA - G . (C / A).
 void store_v_rendered(const Rendered r, columns_t v_color[CHANNELS], columns_t v_coverage, __global float *out)
 {
 #ifdef ORDER_FREE
     columns_t last = select(ZERO, v_coverage, r.weight < 1.0f);
-#else
-    columns_t last = v_coverage;
-#endif
-#ifdef ORDER_FREE
     // how much of a pixel is covered has no gradient: against the average of the colours, not what the photo filled up
     const columns_t inverse = select(ZERO, 1.0f / fmax(r.weight, 1.0f), r.live);
     const columns_t filled = select(ZERO, 1.0f / fmin(fmax(r.weight, 1e-12f), 1.0f), r.live);
@@ -107,7 +98,10 @@ void store_v_rendered(const Rendered r, columns_t v_color[CHANNELS], columns_t v
         v_color[c] *= inverse;
         last -= v_color[c] * (r.photo[c] + filled * (r.color[c] - r.photo[c]));
     }
-#elif defined(NORMALIZE)
+#else
+    columns_t last = v_coverage;
+#endif
+#ifdef NORMALIZE
     const columns_t inverse = select(ZERO, 1.0f / fmax(r.weight, ALPHA_SEEN), r.live);
     for (int c = 0; c < CHANNELS; ++c) {
         v_color[c] *= inverse;
@@ -155,11 +149,15 @@ long whole_loss(columns_t loss, int repeated)
 #endif
 
 __kernel TILE_LOOP
-void loss_backward(__global const stored_t *rendered, __global const uchar4 *photo, int width, int height, int pitch,
-                   __global const float *partials, __global const uint *seen, float l1_scale, float ssim_scale,
-                   __global float *v_rendered, float loss_scale, __global uint *total)
+void loss_backward(__global const stored_t *rendered,              // [H', W', CHANNELS + 1], see rendered.clh
+                   __global const uchar4 *photo, int width, int height, int pitch,
+                   __global const float *partials,                 // as window.clh says
+                   __global const uint *seen,                      // [H' W' / 32] a bit a pixel
+                   float l1_scale, float ssim_scale,
+                   __global float *v_rendered,                     // [H', W', CHANNELS + 1]
+                   float loss_scale, __global uint *total)         // a sum of 64 bits
 {
-    const int left = tile_start(get_group_id(0), TILE_W, width), top = tile_start(get_group_id(1), TILE_H, height);
+    const int left = span_start(get_group_id(0), TILE_W, width), top = span_start(get_group_id(1), TILE_H, height);
 #ifdef SSIM
     __local float sums[CHANNELS * SUMS] __attribute__((aligned(16)));
     if (ssim_scale > 0.0f) {

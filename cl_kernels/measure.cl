@@ -6,22 +6,21 @@
 //   judge_samples   what all views say of each sample
 //
 // Values of a context view are ROWS rows of one number a sample, NaN where there is none; summary.cl sums them up.
+// In this order (numbered by splat/measure.py):
+//   HIDDEN            1 hidden behind a nearer surface, 0 seen
+//   SIZE              standard deviation of the projected Gaussian, pixels
+//   CHANGE            colour of the context photo less the target's, three channels
+//   EPIPOLAR_OFFSET   pixels that the photo is off across the direction of depth, by the target's quadrant
+//   SPECULARITY       what the exposure fit leaves, averaged over neighbouring samples
+//   LIKE              0 where the photos show other things there, or show that the depth is wrong; else 1
 #include "splat.clh"
 #include "lookup.clh"
 
-#define HIDDEN 0                 // 1 hidden behind a nearer surface, 0 seen
-#define SIZE 1                   // standard deviation of the projected Gaussian, pixels
-#define CHANGE 2                 // colour of the context photo less the target's, three channels
-#define EPIPOLAR_OFFSET 5        // pixels that the photo is off across the direction of depth, by target's quadrant
-#define SPECULARITY 9            // what the exposure fit leaves, averaged over neighbouring samples
-#define LIKE 10                  // 0 where the photos show other things there, or show that the depth is wrong; else 1
-#define ROWS 11
 #define TOTALS (SHIFTS + 2)      // of a sample: views that see it, views that can tell, their costs by shift
 
 #define HALF 2
 #define LEAST_PIXELS 15
-#define SHIFTS 7
-#define MOVES (SHIFTS + 4)
+#define MOVES (SHIFTS + OFFSETS)
 #define UNDEFINED 2.0f
 #define TEXTURED 1.5f            // costs above this are of patches without texture: nothing is read from them
 #define WORSE 0.02f              // a depth that matches worse than another by more is not the right one
@@ -37,12 +36,10 @@ __global float *row_of(__global float *values, int view, int row, int count)
 
 __kernel void sample_view(__global const float *depth, __constant float *cameras, int view, float low_pass,
                           float threshold, __global const uint *z_first, __global const uchar4 *photo, int stride,
-                          int across, int count, __global float *values)
+                          int across, int count, __global float *values)               // [views, ROWS, samples]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    const int k = get_global_id(0);
-    if (k >= count)
-        return;
+    EACH(k, count)
     for (int row = 0; row < ROWS; ++row)
         row_of(values, view, row, count)[k] = NAN;
     const int2 at = sample_place(k, stride, across, target);
@@ -60,13 +57,9 @@ __kernel void sample_view(__global const float *depth, __constant float *cameras
 }
 
 // Unit vector across the direction in which depth moves a point in the photo.
-float2 across_depth(const Camera target, const Camera context, int column, int row, float d)
+float2 across_depth(const Camera target, const Camera context, int column, int row)
 {
-    const float3 m = project_mean(target, context, column, row, d);
-    const float3 ray = pixel_ray(target, column, row);
-    const float3 q = (float3)(dot(context.r0, ray), dot(context.r1, ray), dot(context.r2, ray));
-    const float2 along = (float2)(context.fx * (q.x * context.t.z - q.z * context.t.x),
-                                  context.fy * (q.y * context.t.z - q.z * context.t.y));
+    const float2 along = dmean_ddepth(context, turned_ray(target, context, column, row));
     return (float2)(-along.y, along.x) * rsqrt(fmax(dot(along, along), 1e-30f));
 }
 
@@ -87,7 +80,8 @@ float moved_cost(__global const float *depth, __global const float *depth_per_pa
             const float3 m = project_mean(target, context, x, y, d);
             if (!(m.z > NEAR) || !look_up(photo, context, m.xy + epipolar_offset, &color))
                 continue;
-            const float a = luma(color), b = luma(rgb_of(target_photo[i]));
+            const float3 own = rgb_of(target_photo[i]);
+            const float a = LUMA(color.x, color.y, color.z), b = LUMA(own.x, own.y, own.z);
             n += 1.0f;
             w += a;
             t += b;
@@ -105,19 +99,17 @@ float moved_cost(__global const float *depth, __global const float *depth_per_pa
 // Work-items (sample, move).
 __kernel void match_moved(__global const float *depth, __global const float *depth_per_parallax,
                           __constant float *cameras, int view, __global const uchar4 *target_photo,
-                          __global const uchar4 *photo, int stride,
-                          int across, int count, __global float *values, __global float *costs)
+                          __global const uchar4 *photo, int stride, int across, int count,
+                          __global float *values, __global float *costs)               // [MOVES, samples]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    const int k = get_global_id(0), move = get_global_id(1);
-    if (k >= count || move >= MOVES)
-        return;
+    EACH_PIXEL(k, move, i, count, MOVES)
     float cost = UNDEFINED;
     if (row_of(values, view, HIDDEN, count)[k] == 0.0f) {
         const int2 at = sample_place(k, stride, across, target);
         float2 epipolar_offset = 0.0f;
         if (move >= SHIFTS)
-            epipolar_offset = MOVE[move] * across_depth(target, context, at.x, at.y, depth[at.y * target.width + at.x]);
+            epipolar_offset = MOVE[move] * across_depth(target, context, at.x, at.y);
         cost = moved_cost(depth, depth_per_parallax, target, context, target_photo, photo, at,
                           move < SHIFTS ? MOVE[move] : 0.0f, epipolar_offset);
     }
@@ -142,12 +134,10 @@ float least_at(const float cost[5])
 }
 
 __kernel void judge_view(__global const float *costs, __constant float *cameras, int view, int stride, int across,
-                         int count, __global float *values, __global float *totals)
+                         int count, __global float *values, __global float *totals)    // [TOTALS, samples]
 {
     const Camera target = load_camera(cameras, 0);
-    const int k = get_global_id(0);
-    if (k >= count)
-        return;
+    EACH(k, count)
     float cost[MOVES], least = UNDEFINED;
     bool tells = true;
     for (int j = 0; j < MOVES; ++j) {
@@ -178,8 +168,8 @@ float left_over(__global const float *match, __global const float *exposure, int
 
 // Work-items (sample, context view - 1). Averaged over 5x5 samples: texture averages out, a highlight does not. Where
 // the patches do not show the same texture, something else stands there, and it is no highlight.
-__kernel void compare_colors(__global const float *matches, __global const float *exposure, int across, int down,
-                             int views, __global float *values)
+__kernel void compare_colors(__global const float *matches,        // [views, samples, 8], see exposure.cl
+                             __global const float *exposure, int across, int down, int views, __global float *values)
 {
     const int k = get_global_id(0), view = get_global_id(1) + 1, count = across * down;
     if (k >= count || view > views)
@@ -206,12 +196,11 @@ __kernel void compare_colors(__global const float *matches, __global const float
 // more pixels of parallax away, 0 where they do not; mean specularity of the views. NaN where there is no surface, and
 // where no view can tell.
 __kernel void judge_samples(__global const float *depth, __constant float *cameras, __global const float *totals,
-                            __global float *values, int views, int stride, int across, int count, __global float *rows)
+                            __global float *values, int views, int stride, int across, int count,
+                            __global float *rows)                  // [3, samples]
 {
     const Camera target = load_camera(cameras, 0);
-    const int k = get_global_id(0);
-    if (k >= count)
-        return;
+    EACH(k, count)
     const int2 at = sample_place(k, stride, across, target);
     const float number = totals[count + k];
     float here = INFINITY, far = INFINITY;

@@ -7,7 +7,7 @@
 // With many lanes a look before the atomic saves most of them; on a GPU it is one more trip to memory.
 void lower(__global volatile uint *place, uint key)
 {
-#if COLUMNS > 1
+#if !ONE_PIXEL
     if (*place <= key)
         return;
 #endif
@@ -26,34 +26,29 @@ __kernel void nearest(__global const float *depth, __constant float *cameras, in
     STORE_COLUMNS(g.splat.z, z);
     // without an exponential a pair
     const columns_t visible = 2.0f / LOG2_E * log2(g.splat.opacity * (1.0f / ALPHA_SEEN));
-UNROLL_SPAN
-    for (int v = 0; v < SPAN; ++v)
-UNROLL_SPAN
-        for (int u = 0; u < SPAN; ++u) {
-            const Reach r = reach_pixel(&g, context, u, v);
-            if (!ANY(r.reached))
-                continue;
-            int pixel[COLUMNS], seen[COLUMNS];
-            STORE_COLUMNS(r.pixel, pixel);
-            STORE_COLUMNS(r.reached & (falloff(g.splat, r.dx, r.dy) < visible), seen);
-            for (int k = 0; k < COLUMNS; ++k)
-                if (seen[k])
-                    lower(&z_first[pixel[k]], depth_key(z[k]));
-        }
+    EACH_PLACE(u, v) {
+        const Reach r = reach_pixel(&g, context, u, v);
+        if (!ANY(r.reached))
+            continue;
+        int pixel[COLUMNS], seen[COLUMNS];
+        STORE_COLUMNS(r.pixel, pixel);
+        STORE_COLUMNS(r.reached & (falloff(g.splat, r.dx, r.dy) < visible), seen);
+        for (int k = 0; k < COLUMNS; ++k)
+            if (seen[k])
+                lower(&z_first[pixel[k]], depth_key(z[k]));
+    }
 }
 
 __kernel void mark_seen(__global const float *depth, __constant float *cameras, int view,
-                        __global volatile uint *seen)
+                        __global volatile uint *seen)              // [H' W' / 32] a bit a pixel
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= target.width || row >= target.height)
-        return;
+    EACH_PIXEL(column, row, i, target.width, target.height)
     const float d = depth[row * target.width + column];
     if (!(d > 0.0f))
         return;
     const float3 m = project_mean(target, context, column, row, d);
-    if (!(m.z > NEAR) || !(m.x >= 0.0f && m.x < context.width && m.y >= 0.0f && m.y < context.height))
+    if (!(m.z > NEAR) || !in_image(context, m))
         return;
     const int pixel = (int)floor(m.y) * context.width + (int)floor(m.x);
     atomic_or(&seen[pixel >> 5], 1u << (pixel & 31));
@@ -64,24 +59,17 @@ __kernel void find_depth_per_parallax(__global const float *depth, __constant fl
                             __global float *depth_per_parallax)
 {
     const Camera target = load_camera(cameras, 0);
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= target.width || row >= target.height)
-        return;
-    const int i = row * target.width + column;
+    EACH_PIXEL(column, row, i, target.width, target.height)
     const float d = depth[i];
-    const float3 ray = pixel_ray(target, column, row);
     float sum = 0.0f;
     int count = 0;
     for (int view = 1; view <= views && d > 0.0f; ++view) {
         const Camera context = load_camera(cameras, view);
-        const float3 q = (float3)(dot(context.r0, ray), dot(context.r1, ray), dot(context.r2, ray));
-        const float3 p = d * q + context.t;
-        const float inverse_z = 1.0f / p.z;
-        const float2 m = (float2)(context.fx * p.x * inverse_z + context.cx, context.fy * p.y * inverse_z + context.cy);
-        if (!(p.z > NEAR) || !(m.x >= 0.0f && m.x < context.width && m.y >= 0.0f && m.y < context.height))
+        const float3 q = turned_ray(target, context, column, row), m = project_ray(context, q, d);
+        if (!(m.z > NEAR) || !in_image(context, m))
             continue;
-        const float2 v = (float2)(context.fx * (q.x * context.t.z - q.z * context.t.x),
-                                  context.fy * (q.y * context.t.z - q.z * context.t.y)) * (inverse_z * inverse_z);
+        const float inverse_z = 1.0f / m.z;
+        const float2 v = dmean_ddepth(context, q) * (inverse_z * inverse_z);
         sum += dot(v, v);
         ++count;
     }

@@ -1,13 +1,18 @@
 // Pyramid levels (method section 6): photos and depth maps to another size.
 #include "splat.clh"
 
+// Share of pixel (u, v) of the source inside a box of it, at most 1.
+float covered(int u, int v, float left, float right, float top, float bottom)
+{
+    const float across = fmin(right, u + 1.0f) - fmax(left, (float)u);
+    return across * (fmin(bottom, v + 1.0f) - fmax(top, (float)v));
+}
+
 // Mean over the area of the source that a pixel covers; valid (w = 255) only where all of it is.
 __kernel void shrink_photo(__global const uchar4 *source, int source_width, int source_height,
                            __global uchar4 *photo, int width, int height)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height)
-        return;
+    EACH_PIXEL(x, y, i, width, height)
     const float sx = (float)source_width / width, sy = (float)source_height / height;
     const float left = x * sx, right = left + sx, top = y * sy, bottom = top + sy;
     float3 sum = 0.0f;
@@ -15,8 +20,7 @@ __kernel void shrink_photo(__global const uchar4 *source, int source_width, int 
     bool valid = true;
     for (int v = (int)top; v < min((int)ceil(bottom), source_height); ++v)
         for (int u = (int)left; u < min((int)ceil(right), source_width); ++u) {
-            const float across = fmin(right, u + 1.0f) - fmax(left, (float)u);
-            const float w = across * (fmin(bottom, v + 1.0f) - fmax(top, (float)v));
+            const float w = covered(u, v, left, right, top, bottom);
             const uchar4 p = source[v * source_width + u];
             if (!(w > 1e-6f))
                 continue;
@@ -32,16 +36,13 @@ __kernel void shrink_photo(__global const uchar4 *source, int source_width, int 
 __kernel void shrink_depth(__global const float *source, int source_width, int source_height, __global float *depth,
                            int width, int height)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height)
-        return;
+    EACH_PIXEL(x, y, i, width, height)
     const float sx = (float)source_width / width, sy = (float)source_height / height;
     const float left = x * sx, right = left + sx, top = y * sy, bottom = top + sy;
     float sum = 0.0f, area = 0.0f;
     for (int v = (int)top; v < min((int)ceil(bottom), source_height); ++v)
         for (int u = (int)left; u < min((int)ceil(right), source_width); ++u) {
-            const float across = fmin(right, u + 1.0f) - fmax(left, (float)u);
-            const float w = across * (fmin(bottom, v + 1.0f) - fmax(top, (float)v));
+            const float w = covered(u, v, left, right, top, bottom);
             const float d = source[v * source_width + u];
             if (!(w > 1e-6f) || !(d > 0.0f))
                 continue;
@@ -56,10 +57,7 @@ __kernel void shrink_depth(__global const float *source, int source_width, int s
 __kernel void enlarge_depth(__global const float *source, int source_width, int source_height,
                             __global const float *full, __global float *depth, int width, int height)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height)
-        return;
-    const int i = y * width + x;
+    EACH_PIXEL(x, y, i, width, height)
     const float u = (x + 0.5f) * source_width / width - 0.5f, v = (y + 0.5f) * source_height / height - 0.5f;
     const int u0 = (int)floor(u), v0 = (int)floor(v);
     float sum = 0.0f, area = 0.0f;

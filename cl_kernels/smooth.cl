@@ -4,27 +4,35 @@
 //   raise_weights                          more where a surface is specular
 //   planar_loss, normal_loss               their penalties, summed for the schedule
 #include "splat.clh"
+#include "sums.clh"
+
+// w_grad of one pixel.
+float texture_weight(__global const uchar4 *photo, int x, int y, int width, int height)
+{
+    const int pixel = y * width + x, places[3] = {pixel, x + 1 < width ? pixel + 1 : pixel,
+                                                  y + 1 < height ? pixel + width : pixel};
+    float colors[3][CHANNELS];
+    for (int k = 0; k < 3; ++k)
+        for (int c = 0; c < CHANNELS; ++c)
+            colors[k][c] = channel_of(color_of(photo[places[k]]), c);
+    return gradient_weight(colors[0], colors[1], colors[2], 1);
+}
 
 // kappa: pixels of parallax per unit of inverse depth; weights: less where the photo has texture
 __kernel void smoothness_scale(__global const float *depth, __global const float *depth_per_parallax,
                                __global const uchar4 *photo, int width, int height, float texture,
-                               __global float *kappa, __global float *weights)
+                               __global float *kappa, __global float *weights)         // [H, W] both
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height)
-        return;
-    const int i = y * width + x;
+    EACH_PIXEL(x, y, i, width, height)
     kappa[i] = depth_per_parallax[i] > 0.0f ? depth[i] * depth[i] / depth_per_parallax[i] : 0.0f;
-    weights[i] = 1.0f - texture * gradient_weight(photo, x, y, width, height);
+    weights[i] = 1.0f - texture * texture_weight(photo, x, y, width, height);
 }
 
 // Raise the weight of each pixel by what `factors`, a grid over the image, say around it.
-__kernel void raise_weights(__global const float *factors, int across, int down, int width, int height,
-                            __global float *weights)
+__kernel void raise_weights(__global const float *factors,         // [down, across]
+                            int across, int down, int width, int height, __global float *weights)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height)
-        return;
+    EACH_PIXEL(x, y, i, width, height)
     const float u = clamp((x + 0.5f) * across / width - 0.5f, 0.0f, across - 1.0f);
     const float v = clamp((y + 0.5f) * down / height - 0.5f, 0.0f, down - 1.0f);
     const int left = (int)u, top = (int)v, right = min(left + 1, across - 1), below = min(top + 1, down - 1);
@@ -55,50 +63,40 @@ float penalty(float e, float h, float discontinuity)
     return quadratic + fading_integral(size, discontinuity) - fading_integral(inner, discontinuity);
 }
 
-// Second difference of inverse depth centred at i along `stride`, pixels of parallax.
-// Zero where a neighbour is missing.
-float second_difference(__global const float *depth, __global const float *kappa, int i, int stride, int along,
-                        int length)
+// Second difference of inverse depth w centred at i along `stride`, pixels of parallax; 0 where a neighbour is missing.
+float bend(__global const float *depth, __global const float *kappa, int i, int stride, int along, int length)
 {
     if (along < 1 || along >= length - 1)
         return 0.0f;
     const float d = depth[i], before = depth[i - stride], after = depth[i + stride];
     if (!(d > 0.0f && before > 0.0f && after > 0.0f))
         return 0.0f;
-    // differences first: three close numbers are never subtracted from their double
-    return kappa[i] * ((d - before) / (d * before) + (d - after) / (d * after));
+    return kappa[i] * second_difference(before, d, after);
 }
 
-// Slope of its penalty by w of its ends; twice that, negated, is the slope by w_i.
-float bend(__global const float *depth, __global const float *kappa, __global const float *weights, int i, int stride,
-           int along, int length, float h, float discontinuity)
+// Slope of its penalty by w of its ends, 0 where `along` is at or beyond an end of the line; twice that, negated, is the
+// slope by w_i.
+float v_bend(__global const float *depth, __global const float *kappa, __global const float *weights, int i, int stride,
+             int along, int length, float h, float discontinuity)
 {
-    const float e = second_difference(depth, kappa, i, stride, along, length);
+    const float e = bend(depth, kappa, i, stride, along, length);
     return e == 0.0f ? 0.0f : weights[i] * kappa[i] * penalty_slope(e, h, discontinuity);
 }
 
 __kernel void smoothness_planar(__global const float *depth, __global const float *kappa,
                                 __global const float *weights, int width, int height, float scale, float h,
-                                float discontinuity,
-                                __global float *gradient)
+                                float discontinuity, __global float *gradient)         // [H, W] N dL/dd is added
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height)
-        return;
-    const int i = y * width + x;
+    EACH_PIXEL(x, y, i, width, height)
     const float d = depth[i];
     if (!(d > 0.0f))
         return;
-    float v_inverse = -2.0f * (bend(depth, kappa, weights, i, 1, x, width, h, discontinuity)
-                                + bend(depth, kappa, weights, i, width, y, height, h, discontinuity));
-    if (x > 0)
-        v_inverse += bend(depth, kappa, weights, i - 1, 1, x - 1, width, h, discontinuity);
-    if (x + 1 < width)
-        v_inverse += bend(depth, kappa, weights, i + 1, 1, x + 1, width, h, discontinuity);
-    if (y > 0)
-        v_inverse += bend(depth, kappa, weights, i - width, width, y - 1, height, h, discontinuity);
-    if (y + 1 < height)
-        v_inverse += bend(depth, kappa, weights, i + width, width, y + 1, height, h, discontinuity);
+    float v_inverse = -2.0f * (v_bend(depth, kappa, weights, i, 1, x, width, h, discontinuity)
+                                + v_bend(depth, kappa, weights, i, width, y, height, h, discontinuity));
+    v_inverse += v_bend(depth, kappa, weights, i - 1, 1, x - 1, width, h, discontinuity);
+    v_inverse += v_bend(depth, kappa, weights, i + 1, 1, x + 1, width, h, discontinuity);
+    v_inverse += v_bend(depth, kappa, weights, i - width, width, y - 1, height, h, discontinuity);
+    v_inverse += v_bend(depth, kappa, weights, i + width, width, y + 1, height, h, discontinuity);
     gradient[i] -= scale * v_inverse / (d * d);
 }
 
@@ -108,7 +106,7 @@ float3 point_at(__global const float *depth, const Camera camera, int x, int y)
 }
 
 // n in xyz and 1 / |cross product| in w; w = 0 where a neighbour is missing
-__kernel void normal_map(__global const float *depth, __constant float *cameras, __global float *normals)
+__kernel void normal_map(__global const float *depth, __constant float *cameras, __global float *normals)  // [H, W, 4]
 {
     const Camera camera = load_camera(cameras, 0);
     const int x = get_global_id(0), y = get_global_id(1), width = camera.width, height = camera.height;
@@ -130,12 +128,9 @@ __kernel void normal_map(__global const float *depth, __constant float *cameras,
 
 // slope by the cross product of pixel i: of its pairs with all four neighbours
 __kernel void normal_slope(__global const float *normals, __global const float *weights, int width, int height,
-                           float scale, __global float *slopes)
+                           float scale, __global float *slopes)    // [H, W, 3 and 0]
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height)
-        return;
-    const int i = y * width + x;
+    EACH_PIXEL(x, y, i, width, height)
     const float4 n = vload4(i, normals);
     float3 v = 0.0f;
     if (n.w > 0.0f) {
@@ -178,43 +173,33 @@ __kernel void normal_vjp(__global const float *depth, __constant float *cameras,
 }
 
 #ifdef TRACK_LOSS
-#define SUM_GROUP 256                    // as in splat/smooth.py
-
-// Sum over the work-group to its place in `partials`: always in the same order, so that runs agree bit for bit.
 void leave_sum(__local float *scratch, float sum, __global float *partials)
 {
-    const int lane = get_local_id(0);
-    for (int apart = SUM_GROUP / 2; apart > 0; apart /= 2) {
-        scratch[lane] = sum;
-        barrier(CLK_LOCAL_MEM_FENCE);
-        if (lane < apart)
-            sum += scratch[lane + apart];
-        barrier(CLK_LOCAL_MEM_FENCE);
-    }
-    if (lane == 0)
+    sum = sum_of_group(sum, scratch, PENALTY_GROUP);
+    if (get_local_id(0) == 0)
         partials[get_group_id(0)] = sum;
 }
 
-__kernel __attribute__((reqd_work_group_size(SUM_GROUP, 1, 1)))
+__kernel __attribute__((reqd_work_group_size(PENALTY_GROUP, 1, 1)))
 void planar_loss(__global const float *depth, __global const float *kappa, __global const float *weights, int width,
-                 int height, float h, float discontinuity, __global float *partials)
+                 int height, float h, float discontinuity, __global float *partials)   // [groups]
 {
-    __local float scratch[SUM_GROUP];
+    __local float scratch[PENALTY_GROUP];
     float sum = 0.0f;
     for (int i = get_global_id(0); i < width * height; i += get_global_size(0)) {
-        const float across = second_difference(depth, kappa, i, 1, i % width, width);
-        const float down = second_difference(depth, kappa, i, width, i / width, height);
+        const float across = bend(depth, kappa, i, 1, i % width, width);
+        const float down = bend(depth, kappa, i, width, i / width, height);
         sum += weights[i] * (penalty(across, h, discontinuity) + penalty(down, h, discontinuity));
     }
     leave_sum(scratch, sum, partials);
 }
 
 // half of 1 - n . n' of each pixel and its neighbours to the right and below
-__kernel __attribute__((reqd_work_group_size(SUM_GROUP, 1, 1)))
+__kernel __attribute__((reqd_work_group_size(PENALTY_GROUP, 1, 1)))
 void normal_loss(__global const float *normals, __global const float *weights, int width, int height,
-                 __global float *partials)
+                 __global float *partials)                         // [groups]
 {
-    __local float scratch[SUM_GROUP];
+    __local float scratch[PENALTY_GROUP];
     float sum = 0.0f;
     for (int i = get_global_id(0); i < width * height; i += get_global_size(0)) {
         const float4 n = vload4(i, normals);

@@ -10,7 +10,7 @@
 typedef float shade_t;
 #define LOAD_SHADES(p) LOAD_COLUMNS(p)
 #define STORE_SHADES(v, p) STORE_COLUMNS(v, p)
-#elif COLUMNS == 1
+#elif ONE_PIXEL
 typedef uchar shade_t;
 #define LOAD_SHADES(p) (*(p) * (1.0f / 255.0f))
 #define STORE_SHADES(v, p) (*(p) = convert_uchar_rte((v) * 255.0f))
@@ -41,15 +41,12 @@ void blur_down(__local const float *xs, __local const shade_t *ys, __local float
     for (int t = get_local_id(0); t < (TILE_H / RUN) * ACROSS; t += LOSS_GROUP) {
         const int y = t / ACROSS * RUN, x = span_start(t % ACROSS, COLUMNS, WIDE), place = y * STRIDE + x;
         columns_t sum_x[RUN], sum_y[RUN], sum_squares[RUN], sum_product[RUN];
-#pragma unroll
-        for (int k = 0; k < RUN; ++k)
+        UNROLL for (int k = 0; k < RUN; ++k)
             sum_x[k] = sum_y[k] = sum_squares[k] = sum_product[k] = ZERO;
-#pragma unroll
-        for (int j = 0; j < TAPS + RUN - 1; ++j) {
+        UNROLL for (int j = 0; j < TAPS + RUN - 1; ++j) {
             const columns_t a = LOAD_COLUMNS(xs + place + j * STRIDE), b = LOAD_SHADES(ys + place + j * STRIDE);
             const columns_t squares = a * a + b * b, product = a * b;
-#pragma unroll
-            for (int k = 0; k < RUN; ++k)
+            UNROLL for (int k = 0; k < RUN; ++k)
                 if (j >= k && j - k < TAPS) {
                     const float w = WINDOW[j - k];
                     sum_x[k] += w * a;
@@ -58,8 +55,7 @@ void blur_down(__local const float *xs, __local const shade_t *ys, __local float
                     sum_product[k] += w * product;
                 }
         }
-#pragma unroll
-        for (int k = 0; k < RUN; ++k) {
+        UNROLL for (int k = 0; k < RUN; ++k) {
             __local float *out = sums + place + k * STRIDE;
             STORE_COLUMNS(sum_x[k], out);
             STORE_COLUMNS(sum_y[k], out + TILE_H * STRIDE);
@@ -116,8 +112,10 @@ long dissimilarity(lanes_t similar, int first, int from, int end)
 }
 
 __kernel TILE_LOOP
-void ssim_forward(__global const stored_t *rendered, __global const uchar4 *photo, int width, int height, int pitch,
-                  __global float *partials, float loss_scale, __global uint *total)
+void ssim_forward(__global const stored_t *rendered,               // [H', W', CHANNELS + 1], see rendered.clh
+                  __global const uchar4 *photo, int width, int height, int pitch,
+                  __global float *partials,                        // as window.clh says
+                  float loss_scale, __global uint *total)          // a sum of 64 bits
 {
     __local float xs[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));
     __local shade_t ys[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));
@@ -127,7 +125,7 @@ void ssim_forward(__global const stored_t *rendered, __global const uchar4 *phot
     long loss = 0;
 #endif
     const int columns = width - HALO, rows = height - HALO, plane = pitch * height;
-    const int left = tile_start(get_group_id(0), TILE_W, columns), top = tile_start(get_group_id(1), TILE_H, rows);
+    const int left = span_start(get_group_id(0), TILE_W, columns), top = span_start(get_group_id(1), TILE_H, rows);
     load_tile(rendered, photo, left, top, width, height, xs, ys);
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int c = 0; c < CHANNELS; ++c) {

@@ -1,23 +1,19 @@
 // Adam and its schedule (method section 6).
 #include "constants.clh"
 
-// The schedule's state lives on the device, so that the host never waits for a loss.
-#define RATE 0
-#define BEST 1
-#define WAITED 2
-#define DONE 3
-#define LOSS 4
+// The schedule's state, one number each of RATE, BEST, WAITED, DONE, LOSS, lives on the device, so that the host never
+// waits for a loss.
 
 // Without branches, so that compilers for CPUs make vectors of it. first_scale and second_scale undo the bias of the
-// first steps: 1 / (1 - beta1^pass) and 1 / (1 - beta2^pass).
-__kernel void adam(__global float *restrict depth, __global float *restrict gradient, __global float *restrict first,
-                   __global float *restrict second, __global const float *restrict depth_per_parallax,
+// first steps: 1 / (1 - beta1^number) and 1 / (1 - beta2^number).
+__kernel void adam(__global float *restrict depth,                 // [H, W] units
+                   __global float *restrict gradient,              // [H, W] N dL/dd, is cleared
+                   __global float *restrict first, __global float *restrict second,    // moments, [H, W]
+                   __global const float *restrict depth_per_parallax,
                    __global const float *restrict state, int count, float first_scale, float second_scale,
                    float beta1, float beta2, float damping, float common_length, float share)
 {
-    const int i = get_global_id(0);
-    if (i >= count)
-        return;
+    EACH(i, count)
     const float d = depth[i], own = depth_per_parallax[i], rate = state[RATE] * share;
     const float u = own > 0.0f ? (common_length > 0.0f ? common_length : own) : 0.0f;
     const bool moving = d > 0.0f && state[DONE] == 0.0f;
@@ -41,15 +37,14 @@ __kernel void add_smoothness(__global const float *partials, int count, float sc
     state[LOSS] += scale * sum;
 }
 
-#define LOSS_ONE 1.0995116e12f           // 2^40: a loss of 1, as splat/step.py has it
-
 // The photos' loss is a sum of its own, that of smoothness is in the state. The rate falls by 10 when the loss has not
 // improved for `patience` steps; the level ends at `floor`.
-__kernel void plateau(__global float *state, __global long *photo_loss, __global float *history, int pass, int patience,
-                      float floor_rate)
+__kernel void plateau(__global float *state, __global long *photo_loss,                // one number: L_c LOSS_ONE
+                      __global float *history,                     // [steps] the loss of each
+                      int number, int patience, float floor_rate)
 {
     const float loss = (float)photo_loss[0] * (1.0f / LOSS_ONE) + state[LOSS];
-    history[pass - 1] = loss;
+    history[number - 1] = loss;
     photo_loss[0] = 0;
     state[LOSS] = 0.0f;
     if (loss < state[BEST]) {

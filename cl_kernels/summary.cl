@@ -1,13 +1,13 @@
 // What rows of numbers have in common: how many there are, their mean, a quantile, the mean of their squares.
 #include "constants.clh"
 
-#define SUMMARY_GROUP 64                 // as in splat/summary.py
 #define BINS 2048
 
 // One work-group a row; NaN is left out. rules: of each row the lowest and highest value that count for the quantile,
 // and the share of the values below it. The quantile is good to a bin, within which it is interpolated.
 __kernel __attribute__((reqd_work_group_size(SUMMARY_GROUP, 1, 1)))
-void summarize(__global const float *rows, int count, __global const float4 *rules, __global float4 *summary)
+void summarize(__global const float *rows, int count,              // [groups, count]
+               __global const float4 *rules, __global float4 *summary)                 // [groups] both
 {
     __local uint bins[BINS];
     __local float4 sums[SUMMARY_GROUP];

@@ -1,8 +1,6 @@
 // Depths from scene units to the device's units, and back (splat/units.py).
 #include "constants.clh"
-#include "status.clh"
 
-#define FAR 1e6f
 #define INFINITE 0x7f800000u
 
 // A surface: a number above 0 that is finite. By its bits, which a device may not flush to 0.
@@ -19,8 +17,10 @@ float quotient(float a, float b)
 }
 
 // Depth in units, 0 = no Gaussian; `depth` holds it already where it is `scaled`. bounds: the nearest and the farthest.
-__kernel void normalize_depth(__global const float *given, __global const uchar *visible, int count,
-                              float scene_scale, int scaled, __global float *depth, __global volatile uint *bounds)
+__kernel void normalize_depth(__global const float *given,         // [count] scene units
+                              __global const uchar *visible,       // [count], null = all
+                              int count, float scene_scale, int scaled, __global float *depth,
+                              __global volatile uint *bounds)      // two depths, by their bits
 {
     __local uint nearest, farthest;
     const int i = get_global_id(0);
@@ -45,13 +45,12 @@ __kernel void normalize_depth(__global const float *given, __global const uchar 
     }
 }
 
-// What is given back of a view, in place; status as in status.clh.
+// What is given back of a view, in place; status as scene/depthmap.py has it.
 __kernel void denormalize_depth(__global const float *given, int count, float scene_scale, __global float *depth,
-                                __global float *parallax, __global uchar *status, __global float *deviation)
+                                __global float *parallax, __global uchar *status,
+                                __global float *deviation)         // [count] all; units, scene units afterwards
 {
-    const int i = get_global_id(0);
-    if (i >= count)
-        return;
+    EACH(i, count)
     const uint kept = is_surface(given[i]) ? as_uint(given[i]) : 0u;
     const bool without_gaussian = status[i] == NO_SURFACE && kept;
     ((__global uint *)depth)[i] = status[i] == REFINED ? as_uint(depth[i] * scene_scale) : kept;

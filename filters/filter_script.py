@@ -11,14 +11,14 @@ import logging
 import re
 import tempfile
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from xml.etree import ElementTree
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.filters import native, parameters
 from pagas_cl.filters.parameters import FILTER
-from pagas_cl.scene.readers.safe_xml import read_xml
-from pagas_cl.scene.readers.untrusted import short, whole, word
+from pagas_cl.scene.readers.untrusted import read_xml, short
 
 log = logging.getLogger("pagas_cl")
 
@@ -52,94 +52,67 @@ def check_script(path, *, outside: bool = False) -> list[Step]:
         No script, unknown filter (the nearest known one is named), unknown parameter, wrong type or value, a filter
         that would abort Python, or one that names files.
     """
-    root = read_xml(Path(path), "FilterScript")
-    elements = list(root)
-    if not elements:
-        raise InputError(f"{path} has no steps")
-    if len(elements) > _MOST_STEPS:
-        raise InputError(f"{path} has {len(elements)} steps, expected at most {_MOST_STEPS}")
-    for number, element in enumerate(elements, 1):
-        if element.tag == "xmlfilter":
-            raise InputError(f"{path}: step {number} is an <xmlfilter>, which pymeshlab skips without a word: "
-                             "remove it")
-        if element.tag != "filter" or not element.get("name"):
-            raise InputError(f"{path}: step {number} is {short(element.tag)}, expected <filter name=...>; "
-                             "nothing was run")
-    theirs = [e.get("name") for e in elements if e.get("name") != FILTER]
-    for number, element in enumerate(elements, 1):
-        python = native.python_name(element.get("name")) if theirs and not outside else None
-        if python and python.startswith(_FILE_FILTERS):
-            raise InputError(f"{path}: step {number} {element.get('name')!r} reads or writes files of its own; pass "
-                             "outside=True (--outside) if you trust the script; nothing was run")
-    known = native.look_up(theirs) if theirs else {}
-    return [_checked(number, element, known, str(path), outside) for number, element in enumerate(elements, 1)]
+    elements = list(read_xml(Path(path), "FilterScript"))
+    try:
+        if not elements:
+            raise InputError(f"{path} has no steps")
+        if len(elements) > _MOST_STEPS:
+            raise InputError(f"{path} has {len(elements)} steps, expected at most {_MOST_STEPS}")
+        wheres = [_place_of(element, f"{path}: step {number}", outside)
+                  for number, element in enumerate(elements, 1)]
+        theirs = [element.get("name") for element in elements if element.get("name") != FILTER]
+        known = {FILTER: native.Known(True, parameters.TYPES), **(native.look_up(theirs) if theirs else {})}
+        return [_checked_step(number, element, known[element.get("name")], where, outside)
+                for number, (element, where) in enumerate(zip(elements, wheres), 1)]
+    except InputError as error:
+        raise InputError(f"{error}{'' if str(error).endswith('?') else ';'} nothing was run") from error
 
 
-def _checked(number: int, element, known: dict, path: str, outside: bool) -> Step:
+def _place_of(element, where: str, outside: bool) -> str:
+    """The place of a step as messages name it; refuses what is no filter, and one that names files."""
     name = element.get("name")
-    where = f"{path}: step {number} {name!r}"
-    given = [dict(e.attrib) for e in element.iter("Param")]
+    if element.tag == "xmlfilter":
+        raise InputError(f"{where} is an <xmlfilter>, which pymeshlab skips without a word: remove it")
+    if element.tag != "filter" or not name:
+        raise InputError(f"{where} is {short(element.tag)}, expected <filter name=...>")
+    if name != FILTER and not outside and (native.python_name(name) or "").startswith(_FILE_FILTERS):
+        raise InputError(f"{where} {name!r} reads or writes files of its own; pass outside=True (--outside) if you "
+                         "trust the script")
+    return f"{where} {name!r}"
+
+
+def _checked_step(number: int, element, known: native.Known, where: str, outside: bool) -> Step:
+    name, given, values = element.get("name"), [dict(e.attrib) for e in element.iter("Param")], {}
     if len(given) != len(element):
-        raise InputError(f"{where}: holds elements that are not <Param>; nothing was run")
-    if name == FILTER:
-        return Step(number, name, element, parameters.request(parameters.read_parameters(given, where), where))
-    _check_native(known[name], name, given, where, outside)
-    return Step(number, name, element)
+        raise InputError(f"{where}: holds elements that are not <Param>")
+    _check_runs(known, name, where)
+    for attributes in given:
+        parameters.check_parameter(attributes, known.types, values, where)
+        parameter, kind, value = (attributes.get(key, "") for key in ("name", "type", "value"))
+        what = f"{where}: parameter {parameter!r}"
+        if name != FILTER and not outside and _names_file(kind, parameter, value):
+            raise InputError(f"{what} names a file ({short(value)}); pass outside=True (--outside) if you trust the "
+                             "script")
+        # pymeshlab takes the default for a value that it cannot read
+        parameters.check_value(kind, attributes.get("value"), what, (known.enums or {}).get(parameter))
+        values[parameter] = value
+    return Step(number, name, element, parameters.request(values, where) if name == FILTER else None)
 
 
-def _check_native(known: native.Known, name: str, given: list[dict], where: str, outside: bool) -> None:
+def _names_file(kind: str, parameter: str, value: str) -> bool:
+    return kind in _FILES or bool(_FILE_NAMES.search(parameter) and re.search(r"[\\/]|\.\.", value))
+
+
+def _check_runs(known: native.Known, name: str, where: str) -> None:
+    """Refuse a filter that pymeshlab has not, or that would end the process."""
     if not known.exists:
-        near = _nearest(name)
-        raise InputError(f"{where} is neither ours nor pymeshlab's; did you mean {near!r}? nothing was run")
+        raise InputError(f"{where} is neither ours nor pymeshlab's; did you mean {_nearest(name)!r}?")
     if known.crash == "SIGABRT":
         raise InputError(f"{where} ends the whole Python process here ({known.crash}): MeshLab's filters that draw "
-                         "need OpenGL, which this Python has not; nothing was run")
+                         "need OpenGL, which this Python has not")
     if known.crash:
         log.warning("%s: trying it on a small sphere ended with %s; a crash inside pymeshlab cannot be caught", where,
                     known.crash)
-    seen = set()
-    for attributes in given:
-        parameter = attributes.get("name", "")
-        if parameter in seen:
-            raise InputError(f"{where}: parameter {parameter!r} is there twice; nothing was run")
-        seen.add(parameter)
-        _check_parameter(known, parameter, attributes, where, outside)
-
-
-def _check_parameter(known: native.Known, name: str, attributes: dict, where: str, outside: bool) -> None:
-    kind = attributes.get("type", "")
-    if known.types is not None:
-        if name not in known.types:
-            from difflib import get_close_matches
-
-            near = get_close_matches(name, known.types, n=1, cutoff=0.0)
-            raise InputError(f"{where}: unknown parameter {name!r}; " + (f"the nearest known one is {near[0]!r}" if near
-                             else "it takes none") + "; nothing was run")
-        if kind != known.types[name]:
-            raise InputError(f"{where}: parameter {name!r} has type {kind!r}, expected {known.types[name]!r}; "
-                             "nothing was run")
-    value = attributes.get("value")
-    if (kind in _FILES or _FILE_NAMES.search(name) and re.search(r"[\\/]|\.\.", value or "")) and not outside:
-        raise InputError(f"{where}: parameter {name!r} names a file ({short(value)}); pass outside=True (--outside) if "
-                         "you trust the script; nothing was run")
-    _check_value(kind, name, attributes, (known.enums or {}).get(name), where)
-
-
-def _check_value(kind: str, name: str, attributes: dict, choices: int | None, where: str) -> None:
-    """pymeshlab takes the default for a value that it cannot read: refuse it here."""
-    what, value = f"{where}: parameter {name!r}", attributes.get("value")
-    if kind in ("RichInt", "RichFloat", "RichAbsPerc", "RichPercentage", "RichDynamicFloat", "RichEnum", "RichMesh"):
-        if value is None:
-            raise InputError(f"{what} has no value; nothing was run")
-        number = word(value, what)
-        if kind in ("RichInt", "RichEnum", "RichMesh"):
-            whole(number, 0 if kind != "RichInt" else -2**31, 2**31 if choices is None else choices - 1, what)
-        if kind == "RichInt" and not re.fullmatch(r"[+-]?\d+", value):
-            raise InputError(f"{what} is {value!r}, expected a whole number; nothing was run")
-    elif kind == "RichBool" and value not in ("true", "false"):
-        raise InputError(f"{what} is {short(value)}, expected 'true' or 'false'; nothing was run")
-    elif kind == "RichString" and value is None:
-        raise InputError(f"{what} has no value; nothing was run")
 
 
 def _nearest(name: str) -> str:
@@ -178,7 +151,8 @@ def run_script(meshes, path, scene=None, *, outside: bool = False, device: str |
         raise InputError(f"{path}: the MeshSet has no mesh to start from; load one first")
     history = saved_history(meshes)
     try:
-        for stretch in _stretches(steps):
+        for _, neighbours in groupby(steps, lambda step: step.number if step.request else None):
+            stretch = list(neighbours)    # MeshLab's steps together, each of ours by itself
             if stretch[0].request is None:
                 _run_native(pymeshlab, meshes, stretch, path)
             else:
@@ -187,17 +161,6 @@ def run_script(meshes, path, scene=None, *, outside: bool = False, device: str |
     finally:
         restore_history(meshes, history)
     return steps
-
-
-def _stretches(steps: list[Step]) -> list[list[Step]]:
-    """Neighbouring steps of MeshLab's together, each of ours by itself."""
-    stretches: list[list[Step]] = []
-    for step in steps:
-        if step.request is None and stretches and stretches[-1][0].request is None:
-            stretches[-1].append(step)
-        else:
-            stretches.append([step])
-    return stretches
 
 
 def _run_native(pymeshlab, meshes, stretch: list[Step], path) -> None:

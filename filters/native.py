@@ -1,6 +1,11 @@
 """What pymeshlab knows of the MeshLab filters that a script names: which exist, which parameters they take.
 
-Nothing here is a list that ages: the installed pymeshlab is asked, in a child process that may crash.
+Nothing here is a list that ages: the installed pymeshlab is asked, in a child process, since some filters abort it:
+
+    python -m pagas_cl.filters.native QUESTIONS.json ANSWERS.jsonl
+
+Each question is [MeshLab name, pymeshlab name or null]. Each answer is a line: {"start": name} before it is tried, then
+{"name", "known", "written"}: `written` is the filter as pymeshlab itself writes it, with all parameters and types.
 """
 
 from __future__ import annotations
@@ -14,11 +19,13 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
+from xml.etree import ElementTree
 
 from pagas_cl.errors import InputError, need
 
+UNKNOWN = "Something really bad happened"  # pymeshlab's words for a filter name that it does not know
 _SECONDS = 60.0  # for one child process; a filter with default values on a small sphere takes milliseconds
 
 
@@ -58,7 +65,7 @@ def _plain(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
 
 
-@lru_cache(maxsize=1)
+@cache
 def _names() -> dict[str, str]:
     """MeshLab's names in plain letters -> pymeshlab's names, from the table that pymeshlab brings for old scripts."""
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
@@ -86,16 +93,12 @@ def _ask(questions: list[tuple[str, str | None]]) -> None:
             answers.write_text("", encoding="utf-8")
             how = _child(asked, answers)
             lines = [json.loads(line) for line in answers.read_text(encoding="utf-8").splitlines()]
-            for line in lines:
-                if "known" in line:
-                    _answers[line["name"]] = _read(line)
-            done = {line["name"] for line in lines if "known" in line}
-            questions = [question for question in questions if question[0] not in done]
+            _answers.update({line["name"]: _read(line) for line in lines if "known" in line})
+            questions = [question for question in questions if question[0] not in _answers]
             if questions and (not lines or "start" not in lines[-1]):
                 raise InputError(f"pymeshlab cannot be asked about its filters: the child process ended with {how}")
             if questions:
-                _answers[questions[0][0]] = Known(True, crash=how)
-                questions = questions[1:]
+                _answers[questions.pop(0)[0]] = Known(True, crash=how)
 
 
 def _child(asked: Path, answers: Path) -> str:
@@ -103,7 +106,7 @@ def _child(asked: Path, answers: Path) -> str:
     try:
         # in the temporary folder, since some filters write files there when they are tried
         paths = os.pathsep.join(str(Path(path).absolute()) for path in sys.path)
-        done = subprocess.run([sys.executable, "-m", "pagas_cl.filters.native_probe", str(asked), str(answers)],
+        done = subprocess.run([sys.executable, "-m", "pagas_cl.filters.native", str(asked), str(answers)],
                               cwd=asked.parent, env={**os.environ, "PYTHONPATH": paths}, stdin=subprocess.DEVNULL,
                               stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, timeout=_SECONDS, check=False)
     except subprocess.TimeoutExpired:
@@ -122,3 +125,70 @@ def _read(line: dict) -> Known:
     types = {p["name"]: p["type"] for p in written["parameters"]} if matches else None
     enums = {p["name"]: int(p["enum_cardinality"]) for p in written["parameters"] if "enum_cardinality" in p}
     return Known(line["known"], types, enums if matches else None, None, written["name"])
+
+
+# -- in the child ------------------------------------------------------------------------------------------------------
+
+
+def main(questions: str, answers: str) -> None:
+    """Answer all questions, one line each, flushed at once so that a crash loses none."""
+    import pymeshlab
+
+    with open(answers, "a", encoding="utf-8") as out, tempfile.TemporaryDirectory() as folder:
+        def tell(record):
+            out.write(json.dumps(record) + "\n")
+            out.flush()
+
+        for name, python in json.loads(Path(questions).read_text(encoding="utf-8")):
+            tell({"start": name})
+            written = None if python is None else _written(pymeshlab, python, Path(folder) / "probe.mlx")
+            known = written is not None and written["name"] == name
+            known = known or _is_known(pymeshlab, name, Path(folder) / "probe.mlx")
+            tell({"name": name, "known": known, "written": written})
+
+
+def _scratch(pymeshlab):
+    """Two small spheres with every attribute that a filter may ask for."""
+    meshes = pymeshlab.MeshSet()
+    for _ in range(2):
+        meshes.create_sphere(subdiv=2)
+        mesh = meshes.current_mesh()
+        vertices, faces = mesh.vertex_matrix(), mesh.face_matrix()
+        rgba = abs(vertices[:, [0, 1, 2, 0]])
+        rgba[:, 3] = 1
+        meshes.add_mesh(pymeshlab.Mesh(vertices, faces, v_color_matrix=rgba, f_color_matrix=rgba[faces[:, 0]],
+                                       v_scalar_array=vertices[:, 0].copy(), f_scalar_array=vertices[faces[:, 0], 0],
+                                       w_tex_coords_matrix=abs(vertices[faces.ravel(), :2])), "sphere")
+        meshes.set_selection_all()
+    meshes.clear_filter_script()
+    return meshes
+
+
+def _written(pymeshlab, python: str, path: Path):
+    """Apply a filter by its pymeshlab name with defaults, and read what the history says; None where it refuses."""
+    meshes = _scratch(pymeshlab)
+    try:
+        meshes.apply_filter(python)
+        meshes.save_filter_script(str(path))
+        element = ElementTree.parse(path).getroot().find("filter")
+    except (pymeshlab.PyMeshLabException, RuntimeError, OSError, ElementTree.ParseError):
+        return None
+    return None if element is None else {"name": element.get("name"), "parameters": [dict(p.attrib) for p in element]}
+
+
+def _is_known(pymeshlab, name: str, path: Path) -> bool:
+    """Whether a script with just this name is more than an unknown filter to pymeshlab."""
+    root = ElementTree.Element("FilterScript")
+    ElementTree.SubElement(root, "filter", name=name)
+    path.write_text("<!DOCTYPE FilterScript>\n" + ElementTree.tostring(root, encoding="unicode"), encoding="utf-8")
+    meshes = _scratch(pymeshlab)
+    meshes.load_filter_script(str(path))
+    try:
+        meshes.apply_filter_script()
+    except (pymeshlab.PyMeshLabException, RuntimeError) as error:
+        return UNKNOWN not in str(error)
+    return True
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

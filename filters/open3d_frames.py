@@ -96,16 +96,19 @@ def _pixels(image, who: str) -> np.ndarray:
         with Image.open(image) as file:
             pixels = np.asarray(file)
         return pixels.astype(np.uint16) if pixels.dtype == np.int32 else pixels
-    if hasattr(image, "as_tensor"):
-        image = image.as_tensor().cpu().numpy()
-    elif hasattr(image, "cpu") and hasattr(image, "numpy"):
-        image = image.cpu().numpy()
-    pixels = np.asarray(image)
+    pixels = _numpy(image)
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[..., 0]
     if pixels.ndim not in (2, 3) or pixels.size == 0 or pixels.dtype.kind not in "uif":
         raise InputError(f"{who} has shape {pixels.shape} and dtype {pixels.dtype}, expected an image")
     return pixels
+
+
+def _numpy(value) -> np.ndarray:
+    """A legacy or tensor Image, a tensor, or what NumPy knows, as an array."""
+    if hasattr(value, "as_tensor"):
+        value = value.as_tensor()
+    return value.cpu().numpy() if hasattr(value, "cpu") else np.asarray(value)
 
 
 def read_cameras(intrinsics, extrinsics, sizes, *, pixel_center: float = 0.0) -> list[Camera]:
@@ -144,12 +147,8 @@ def _camera(intrinsic, extrinsic, size, name: str, pixel_center: float) -> Camer
             raise InputError(f"frame {name} is {size[0]} x {size[1]}, its intrinsics say {said[0]} x {said[1]}: scale "
                              "the intrinsics, or take those of this size")
         intrinsic = intrinsic.intrinsic_matrix
-    K, E = (_array(value) for value in (intrinsic, extrinsic))
+    K, E = (np.asarray(_numpy(value), np.float64) for value in (intrinsic, extrinsic))
     return Camera.from_opencv_w2c(K, E, *size, pixel_center=pixel_center, name=name)
-
-
-def _array(value) -> np.ndarray:
-    return value.cpu().numpy() if hasattr(value, "cpu") else np.asarray(value, np.float64)
 
 
 def give_back(frame: Frame, depth: np.ndarray):
@@ -159,33 +158,28 @@ def give_back(frame: Frame, depth: np.ndarray):
     depth only together with floating point colours.
     """
     raw = np.ascontiguousarray(depth * np.float32(frame.scale), np.float32)
-    if frame.form == "pair":
-        color, given = frame.given
-        made = _image_like(given, raw)
-        return type(frame.given)((_float_color(color) if hasattr(made, "as_tensor") else color, made))
+    color, given = _parts(frame.given)
+    if frame.form == "pair" and "open3d" not in type(given).__module__:
+        return type(frame.given)((color, raw))
     o3d = need("open3d", "mesh", "RGB-D frames")
+    if hasattr(given, "as_tensor"):
+        color, made = _float_color(o3d, color), o3d.t.geometry.Image(o3d.core.Tensor(raw[..., None]))
+    else:
+        made = o3d.geometry.Image(raw)
+    if frame.form == "pair":
+        return type(frame.given)((color, made))
     if frame.form == "tensor":
-        return o3d.t.geometry.RGBDImage(_float_color(frame.given.color), _image_like(frame.given.depth, raw))
+        return o3d.t.geometry.RGBDImage(color, made)
     new = o3d.geometry.RGBDImage()
-    new.color, new.depth = frame.given.color, o3d.geometry.Image(raw)
+    new.color, new.depth = color, made
     return new
 
 
-def _image_like(given, raw: np.ndarray):
-    if isinstance(given, (np.ndarray, str, Path)):
-        return raw
-    o3d = need("open3d", "mesh", "RGB-D frames")
-    if hasattr(given, "as_tensor"):
-        return o3d.t.geometry.Image(o3d.core.Tensor(raw[..., None]))
-    return o3d.geometry.Image(raw) if "open3d" in type(given).__module__ else raw
-
-
-def _float_color(color):
+def _float_color(o3d, color):
     """A tensor image as float32 from 0 to 1; anything else as it is."""
     if not hasattr(color, "as_tensor"):
         return color
-    o3d = need("open3d", "mesh", "RGB-D frames")
-    pixels = color.as_tensor().cpu().numpy()
+    pixels = _numpy(color)
     if pixels.dtype.kind in "iu":
         pixels = pixels.astype(np.float32) / np.iinfo(pixels.dtype).max
     return o3d.t.geometry.Image(o3d.core.Tensor(np.ascontiguousarray(pixels, np.float32)))

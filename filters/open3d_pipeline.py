@@ -58,11 +58,10 @@ def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | Non
     config = settings_of(preset, config)
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,
                        pixel_center=pixel_center)
-    pairs = _refined(read, config, device, progress)
-    depths = [result.depth for _, result in pairs]
+    depths = [result.depth for result in _refined(read, config, device, progress)]
     if agree_within is not None:
         depths = _agreed(read, depths, agree_within)
-    return [give_back(frame, depth) for (frame, _), depth in zip(pairs, depths)]
+    return [give_back(frame, depth) for frame, depth in zip(read, depths)]
 
 
 def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: float | None = None,
@@ -83,19 +82,20 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
         With colours, normals, and "quality": the mean confidence (0 to 1) of the views that see a vertex.
     """
     from pagas_cl.refine import fuse_results
-    from pagas_cl.surface.confidence import vertex_confidence
+    from pagas_cl.scene.mesh import from_surface
+    from pagas_cl.surface.vertices import vertex_confidence
 
     config = settings_of(preset, config)
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,
                        pixel_center=pixel_center)
     if voxel_size is not None:
         config = config.with_settings(fusion__voxel=_footprints(read, voxel_size))
-    pairs = _refined(read, config, device, progress)
-    results = [result for _, result in pairs]
-    surface = fuse_results([frame.view for frame, _ in pairs], results, config, progress, device=device)
+    results = _refined(read, config, device, progress)
+    surface = fuse_results([frame.view for frame in read], results, config, progress, device=device)
     quality = vertex_confidence(surface.vertices, [r.camera for r in results], [r.depth for r in results],
                                 [r.confidence for r in results])
-    return _tensor_mesh(replace(surface, quality=quality))
+    o3d = need("open3d", "mesh", "making an Open3D mesh")
+    return from_surface(replace(surface, quality=quality), like=o3d.t.geometry.TriangleMesh())
 
 
 def grid_intrinsic(intrinsic, *, pixel_center: float = 0.0):
@@ -114,28 +114,26 @@ def grid_intrinsic(intrinsic, *, pixel_center: float = 0.0):
 
 
 def _refined(read: list[Frame], config: Config, device, progress) -> list:
-    """[(frame, DepthResult)]; a frame without any depth is given back as it came."""
+    """One DepthResult a frame; a frame without any depth is given back as it came."""
     from pagas_cl.refine import refine_views
     from pagas_cl.result import DepthResult
 
-    depths = [frame.depth if (frame.depth > 0).any() else None for frame in read]
+    views, depths = [frame.view for frame in read], [frame.depth if (frame.depth > 0).any() else None for frame in read]
     if not any(depth is not None for depth in depths):
         raise InputError(f"none of the {len(read)} frames has a valid depth: are depth_scale and depth_trunc right?")
-    views = [frame.view for frame in read]
-    results = iter(refine_views(views, depths, config=config, device=device, progress=progress))
-    pairs = []
+    refined, results = iter(refine_views(views, depths, config=config, device=device, progress=progress)), []
     for frame, depth in zip(read, depths):
-        result = None if depth is None else next(results)
+        result = None if depth is None else next(refined)
         reason = "the frame has no depth" if result is None else result.report.get("failed")
         if reason:  # a pipeline expects every frame back: one that could not be refined stays as it came
-            result = DepthResult.unrefined(frame.view.camera, frame.depth, reason)
-        pairs.append((frame, result))
-    return pairs
+            result = DepthResult.unrefined(frame.view.camera, frame.depth, reason, name=frame.view.name)
+        results.append(result)
+    return results
 
 
 def _agreed(read: list[Frame], depths: list[np.ndarray], share: float) -> list[np.ndarray]:
     """Refined depths where the refined frames agree on them, those that came in elsewhere."""
-    from pagas_cl.surface.disagreement import disagreement
+    from pagas_cl.surface.agree import disagreement
 
     if not (np.isfinite(share) and share > 0):
         raise InputError(f"agree_within is {share!r}, expected a share of the depth above 0, such as 0.01")
@@ -163,10 +161,3 @@ def _footprints(read: list[Frame], voxel_size: float) -> float:
     coarse = 64.0  # the plan is only asked for the footprint: let it touch few blocks
     plan = fusion_plan([frame.view for frame in read], [frame.depth for frame in read], Fusion(voxel=coarse))
     return float(voxel_size * coarse / plan.voxel)
-
-
-def _tensor_mesh(surface):
-    from pagas_cl.scene.mesh import from_surface
-
-    o3d = need("open3d", "mesh", "making an Open3D mesh")
-    return from_surface(surface, like=o3d.t.geometry.TriangleMesh())

@@ -76,9 +76,7 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
     """
     from pagas_cl.filters.filter_script import restore_history, saved_history
 
-    values = to_values(preset=preset, output=output, subdivide=subdivide, context_views=context_views, radius=radius,
-                       smoothness=smoothness, max_move=max_move, voxel=voxel, agree_views=agree_views,
-                       effects=effects, settings=settings, device=device)
+    values = to_values(locals())
     asked, history = request(values, FILTER), saved_history(self)
     try:
         counts = refine_layer(self, scene_views(scene), asked, progress=progress)
@@ -126,7 +124,7 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
     label, matrix = layer.label(), np.array(layer.transform_matrix())
     surface = to_surface(layer)  # the layer's matrix applied
     if asked.output == "displace":
-        surface = _without_quality(surface)
+        surface = replace(surface, quality=None, colors=None, normals=None)
     depths = initial_depths(surface, views, progress)
     if asked.output == "displace" and asked.subdivide is not None:
         surface = _subdivided(meshes, surface, views, depths, asked.subdivide, matrix)
@@ -139,10 +137,6 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
 
 
-def _without_quality(surface):
-    return replace(surface, quality=None, colors=None, normals=None)
-
-
 def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """World coordinates in the layer's own frame."""
     return np.linalg.solve(matrix[:3, :3], (vertices - matrix[:3, 3]).T).T
@@ -151,7 +145,7 @@ def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 def _add_layer(meshes, surface, results, label: str, matrix: np.ndarray) -> None:
     """The fused mesh as a new current layer with the old one's matrix, confidence as quality, unit normals."""
     from pagas_cl.scene.mesh import from_surface
-    from pagas_cl.surface.confidence import vertex_confidence
+    from pagas_cl.surface.vertices import vertex_confidence
 
     quality = vertex_confidence(surface.vertices, [r.camera for r in results], [r.depth for r in results],
                                 [r.confidence for r in results])
@@ -201,7 +195,7 @@ def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: 
     import pymeshlab
 
     from pagas_cl.scene.mesh import to_surface
-    from pagas_cl.surface.displace import footprints
+    from pagas_cl.surface.vertices import footprints
 
     finest = footprints(surface.vertices, [view.camera for view in views], depths)
     if not np.isfinite(finest).any():
@@ -215,4 +209,4 @@ def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: 
                          f"than {_MOST_FACES:.0e}; use a larger number")
     scale = np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
     meshes.meshing_surface_subdivision_midpoint(iterations=12, threshold=pymeshlab.PureValue(longest / scale))
-    return _without_quality(to_surface(meshes.current_mesh()))
+    return replace(to_surface(meshes.current_mesh()), quality=None, colors=None, normals=None)

@@ -9,13 +9,13 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pagas_cl.camera_check import check_cameras
     from pagas_cl.config import Config
     from pagas_cl.errors import DeviceError, InputError, KernelBuildError, MissingExtraError, PagasError
     from pagas_cl.presets import preset
     from pagas_cl.refine import refine_depth, refine_mesh, refine_views
     from pagas_cl.result import DepthResult
     from pagas_cl.scene.camera import Camera
+    from pagas_cl.scene.check import check_cameras
     from pagas_cl.scene.depthmap import find_depth, load_depth, save_depth
     from pagas_cl.scene.mesh import Surface
     from pagas_cl.scene.readers import read_scene
@@ -29,13 +29,13 @@ __all__ = [
 ]
 
 _HOME = {  # as the imports above
-    "camera_check": ["check_cameras"],
     "config": ["Config"],
     "errors": ["DeviceError", "InputError", "KernelBuildError", "MissingExtraError", "PagasError"],
     "presets": ["preset"],
     "refine": ["refine_depth", "refine_mesh", "refine_views"],
     "result": ["DepthResult"],
     "scene.camera": ["Camera"],
+    "scene.check": ["check_cameras"],
     "scene.depthmap": ["find_depth", "load_depth", "save_depth"],
     "scene.mesh": ["Surface"],
     "scene.readers": ["read_scene"],

@@ -45,9 +45,12 @@ def build_app(names) -> typer.Typer:
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, callback=_options,
                       help="Refine a coarse mesh or depth maps with calibrated photos, on any OpenCL device.")
     for name in names:
-        module = import_module(f"pagas_cl.commands.{name.replace('-', '_')}")
-        app.command(name)(module.command)
+        app.command(name)(_module(name).command)
     return app
+
+
+def _module(name: str):
+    return import_module(f"pagas_cl.commands.{name.replace('-', '_')}")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -67,8 +70,8 @@ def _run(arguments: list[str], debug: bool) -> int:
     wanted = [word for word in arguments if not word.startswith("-")][:1]
     try:
         one = wanted if wanted and wanted[0] in known else []
-        app = build_app(one or known)
-        status = app(expand_lists(arguments, _many(one)), prog_name="pagas-cl", standalone_mode=False)
+        many = getattr(_module(one[0]), "MANY", ()) if one else ()      # options that take several words
+        status = build_app(one or known)(expand_lists(arguments, many), prog_name="pagas-cl", standalone_mode=False)
         if status == INTERRUPTED:  # typer has caught it
             raise KeyboardInterrupt
         return status if isinstance(status, int) else 0
@@ -79,12 +82,6 @@ def _run(arguments: list[str], debug: bool) -> int:
         if debug:
             raise
         return _explain(error)
-
-
-def _many(names) -> tuple[str, ...]:
-    """Options of the command that take several words."""
-    modules = (import_module(f"pagas_cl.commands.{name.replace('-', '_')}") for name in names)
-    return tuple(option for module in modules for option in getattr(module, "MANY", ()))
 
 
 def _explain(error: Exception) -> int:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from pagas_cl.config import Config
-from pagas_cl.effects import Decision, decide
+from pagas_cl.effects import Decision, decide, decide_consistency
 from pagas_cl.measurements import RULES, Measurements, measure
 from pagas_cl.presets import preset
-from pagas_cl.scene.inputs import asked_views, checked_depth
+from pagas_cl.scene.inputs import asked_views, checked_depth, depth_array
 from pagas_cl.scene.partners import PartnerChooser
 
-log = logging.getLogger("pagas_cl")
+_NOT_TOLD = ("gains", "local_specularity")  # of what is measured: arrays, no figures
 
 
 @dataclass(frozen=True)
@@ -24,9 +21,6 @@ class EffectCost:
     on: float
     off: float
     device_bytes: int
-
-    def as_dict(self) -> dict:
-        return {"seconds_on": self.on, "seconds_off": self.off, "device_bytes": self.device_bytes}
 
 
 @dataclass(frozen=True)
@@ -38,12 +32,6 @@ class ViewAnalysis:
     decisions: tuple[Decision, ...]
     measured: Measurements | None
     reason: str = ""
-
-    def as_dict(self) -> dict:
-        figures = {} if self.measured is None else {
-            name: value for name, value in vars(self.measured).items() if name not in ("gains", "local_specularity")}
-        return {"view": self.view, "contexts": list(self.contexts), "reason": self.reason, "measured": figures,
-                "effects": [decision.as_dict() for decision in self.decisions]}
 
 
 @dataclass(frozen=True)
@@ -58,26 +46,22 @@ class Analysis:
 
     def as_dict(self) -> dict:
         """Plain nested dictionary, ready for JSON."""
-        return {"device": self.device, "timed": self.timed,
-                "costs": {name: cost.as_dict() for name, cost in self.costs.items()},
-                "consistency": None if self.consistency is None else self.consistency.as_dict(),
-                "views": [view.as_dict() for view in self.views]}
+        views = [{"view": view.view, "contexts": list(view.contexts), "reason": view.reason,
+                  "measured": {name: value for name, value in vars(view.measured).items() if name not in _NOT_TOLD}
+                  if view.measured else {}, "effects": [decision.as_dict() for decision in view.decisions]}
+                 for view in self.views]
+        costs = {name: {"seconds_on": cost.on, "seconds_off": cost.off, "device_bytes": cost.device_bytes}
+                 for name, cost in self.costs.items()}
+        return {"device": self.device, "timed": self.timed, "costs": costs,
+                "consistency": self.consistency and self.consistency.as_dict(), "views": views}
 
 
 def analyze(views, depths, *, names=None, config: Config | None = None, device=None, costs: bool = True,
             progress=None) -> Analysis:
-    """Measure what each view calls for; nothing is refined.
+    """Measure what each view calls for; nothing is refined. Parameters as in refine_views, "balanced" by default.
 
-    Parameters
-    ----------
-    views, depths, names, device, progress
-        As in refine_views.
-    config : Config, optional
-        Settings that would be refined with; "balanced" by default.
-    costs : bool
-        Whether to time some steps with each effect on and off, on the first view that has context views.
+    `costs`: whether to time some steps with each effect on and off, on the first view that has context views.
     """
-    from pagas_cl.consistency import decide_consistency
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import PhotoStore
 
@@ -92,7 +76,7 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
         if not partners.contexts:
             found.append(ViewAnalysis(target.name, (), (), None, partners.reason))
             continue
-        contexts, depth = [views[k] for k in partners.contexts], checked_depth(_array(depths[index]), target)
+        contexts, depth = [views[k] for k in partners.contexts], checked_depth(depth_array(depths[index]), target)
         measured = measure(target, contexts, depth, config, device, photos)
         decisions = decide(config, measured)[1]
         found.append(ViewAnalysis(target.name, tuple(v.name for v in contexts), tuple(decisions), measured))
@@ -130,7 +114,3 @@ def effect_costs(target, contexts, depth, config: Config, measured: Measurements
 
 def _with(config: Config, name: str, choice: str) -> Config:
     return replace(config, effects=replace(config.effects, **{name: choice}))
-
-
-def _array(depth) -> np.ndarray:
-    return depth.load() if hasattr(depth, "load") else depth

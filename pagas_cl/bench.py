@@ -15,18 +15,10 @@ _COPY_BYTES = 128 * 2**20      # of a copy that measures bandwidth; less where t
 
 @dataclass(frozen=True)
 class Stage:
-    """One kernel over one step.
+    """One kernel over one step, all its launches together.
 
-    Attributes
-    ----------
-    name : str
-    launches : int
-    ms : float
-        All launches together.
-    megabytes : float
-        What it must move: every input read once, every output written once. 0 where that is not counted.
-    share : float
-        Of the copy bandwidth that moving this in this time amounts to.
+    `megabytes` is what it must move, every input read once, every output written once (0 where that is not counted);
+    `share`: of the copy bandwidth, that moving this in this time amounts to.
     """
 
     name: str
@@ -63,36 +55,28 @@ class BenchResult:
 
     def table(self) -> str:
         """The figures as text."""
-        lines = [f"{self.preset}: {self.width} x {self.height}, {self.contexts} context views, {self.views_per_step} a "
-                 f"step, {'colour' if self.channels == 3 else 'grey'}\n{self.device}, driver {self.driver}, "
-                 f"copies {self.copy_gb_per_s:.0f} GB/s\n",
-                 f"{'stage':<22}{'launches':>9}{'ms a step':>11}{'MB':>9}{'of copy bandwidth':>19}\n"]
-        for s in self.stages:
-            share = f"{s.megabytes:>9.1f}{100 * s.share:>18.0f}%" if s.megabytes else ""
-            lines.append(f"{s.name:<22}{s.launches:>9}{s.ms:>11.3f}{share}\n")
-        lines.append(f"{'a step':<22}{'':>9}{self.step_ms:>11.3f}; moving its data alone {self.floor_ms:.3f} ms\n")
-        lines.append(f"a frame {self.frame_s:.3f} s, the first one {self.first_frame_s:.3f} s; "
-                     f"{' + '.join(map(str, self.steps))} steps; {self.device_mb:.0f} MB on the device\n")
-        return "".join(lines)
+        stages = "".join(
+            f"{s.name:<22}{s.launches:>9}{s.ms:>11.3f}"
+            + (f"{s.megabytes:>9.1f}{100 * s.share:>18.0f}%" if s.megabytes else "") + "\n" for s in self.stages)
+        return (f"{self.preset}: {self.width} x {self.height}, {self.contexts} context views, {self.views_per_step} a "
+                f"step, {'colour' if self.channels == 3 else 'grey'}\n{self.device}, driver {self.driver}, "
+                f"copies {self.copy_gb_per_s:.0f} GB/s\n"
+                f"{'stage':<22}{'launches':>9}{'ms a step':>11}{'MB':>9}{'of copy bandwidth':>19}\n{stages}"
+                f"{'a step':<22}{'':>9}{self.step_ms:>11.3f}; moving its data alone {self.floor_ms:.3f} ms\n"
+                f"a frame {self.frame_s:.3f} s, the first one {self.first_frame_s:.3f} s; "
+                f"{' + '.join(map(str, self.steps))} steps; {self.device_mb:.0f} MB on the device\n")
 
 
 def bench(views, depth, preset: str, config: Config, device=None, repeats: int = 3) -> BenchResult:
-    """Measure one preset on one view.
-
-    Parameters
-    ----------
-    views : list of View
-        The target, then its context views.
-    depth : ndarray of shape (H, W)
-        Initial z-depth of the target, scene units, 0 = no surface.
-    """
+    """Measure one preset on one view: `views` are the target, then its context views; `depth` (H, W) is its initial
+    z-depth, scene units, 0 = no surface."""
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import PhotoStore, refine_levels
 
     opened, profiled = open_device(device), open_device(device, profiling=True)
     target, contexts = views[0], views[1:]
     copy = copy_bandwidth(profiled)
-    launches, stages, views_per_step = _step(profiled, target, contexts, depth, config, repeats, copy)
+    stages, views_per_step = _step(profiled, target, contexts, depth, config, repeats, copy)
     photos, times = PhotoStore(opened), []
     for _ in range(1 + repeats):
         start = time.perf_counter()
@@ -121,14 +105,13 @@ def copy_bandwidth(device) -> float:
 
 
 def _step(device, target, contexts, depth, config, repeats, copy):
-    """The launches of one step, their Stages, slowest first, and the context views in it."""
+    """The Stages of one step, slowest first, and the context views in it."""
     from pagas_cl.runtime.timing import stage_times
-    from pagas_cl.splat.step import Solver
     from pagas_cl.splat.view import full_level
 
     level = full_level(target, contexts, depth, config, device)
-    launches = [*level.step_launches(0), *Solver(level).launches]
-    moved = stage_bytes(config, level.target.pixels, max(size.pixels for size in level.contexts))
+    launches = [*level.step_launches(0), *level.solver().launches]
+    moved = stage_bytes(config, level.target.size.pixels, max(view.size.pixels for view in level.views))
     stages = []
     for name, (ms, count) in stage_times(device.queue, launches, repeats).items():
         fills = sum(launch.size for launch in launches if launch.stage == name and hasattr(launch, "size"))
@@ -136,7 +119,7 @@ def _step(device, target, contexts, depth, config, repeats, copy):
         stages.append(Stage(name, count, ms, megabytes, megabytes * 1e6 / copy / (ms * 1e-3) if ms else 0.0))
     per_step = level.views_per_step
     level.release()
-    return launches, sorted(stages, key=lambda stage: -stage.ms), per_step
+    return sorted(stages, key=lambda stage: -stage.ms), per_step
 
 
 def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:

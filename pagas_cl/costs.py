@@ -22,6 +22,7 @@ from pagas_cl.config import Config, Context
 from pagas_cl.errors import InputError
 from pagas_cl.presets import preset
 from pagas_cl.scene.choice import ContextChooser
+from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.partners import MOST_HELD_OUT, shared_out
 from pagas_cl.scene.sampling import sample_depth
 
@@ -47,11 +48,20 @@ class Cost:
 
     def seconds(self, config: Config, pixels: float, contexts: int, photos: float = 1.0) -> float:
         """Expected time of a view of `pixels` with `contexts` context views; an early stop may shorten it."""
-        contexts = min(contexts, config.context.number)
-        each = min(config.solver.views_per_step or contexts, contexts)
-        work = sum(scale**2 * steps for scale, steps in zip(config.pyramid.scales, config.pyramid.steps))
-        step = self.per_step + each * self.per_view_step
-        return photos * self.photo + pixels * ((1 + contexts) * self.setup + work * step)
+        setup = (1 + min(contexts, config.context.number)) * self.setup
+        steps = self.per_step * full_steps(config) + self.per_view_step * view_steps(config, contexts)
+        return photos * self.photo + pixels * (setup + steps)
+
+
+def full_steps(config: Config, steps=None) -> float:
+    """Steps (those of `config`, or `steps` of each level), one of a level counted by its share of the full size."""
+    return sum(scale**2 * number for scale, number in zip(config.pyramid.scales, steps or config.pyramid.steps))
+
+
+def view_steps(config: Config, contexts: int, steps=None) -> float:
+    """The same times the context views of a step, where there are `contexts` to choose from."""
+    contexts = min(contexts, config.context.number)
+    return full_steps(config, steps) * min(config.solver.views_per_step or contexts, contexts)
 
 
 @dataclass(frozen=True)
@@ -67,27 +77,19 @@ class Choice:
 def rungs() -> list[tuple[str, Config]]:
     """Settings along the measured front of error against time, cheapest first: about half as much error every time or
     two, until the knee at "balanced"."""
-    fast, balanced, accurate = (preset(name) for name in ("fast", "balanced", "accurate"))
-    quick = [(f"fast, {n} steps", fast.with_settings(pyramid__steps=(n,), solver__rate=rate))
-             for n, rate in ((6, 0.2), (12, 0.18))]
-    middle = [(f"balanced, {n} steps", balanced.with_settings(pyramid__steps=(n,), solver__rate=rate))
-              for n, rate in ((35, 0.08), (50, 0.07), (75, 0.06), (100, 0.045))]
-    return [*quick, ("fast", fast), *middle, ("balanced", balanced), ("accurate", accurate)]
+    def shorter(name, *steps_and_rates):
+        return [(f"{name}, {n} steps", preset(name).with_settings(pyramid__steps=(n,), solver__rate=rate))
+                for n, rate in steps_and_rates]
+
+    return [*shorter("fast", (6, 0.2), (12, 0.18)), ("fast", preset("fast")),
+            *shorter("balanced", (35, 0.08), (50, 0.07), (75, 0.06), (100, 0.045)),
+            ("balanced", preset("balanced")), ("accurate", preset("accurate"))]
 
 
 def probe(target, contexts, depth, config: Config, device, *, photo: float, held_out=()) -> Cost:
     """Measure the cost of `config`'s kind of settings on one view: some short runs, a second or two on a GPU.
 
-    Parameters
-    ----------
-    target : View
-    contexts : list of View
-    depth : ndarray of shape (H, W)
-        Initial depth of the target.
-    photo : float
-        What `photo_seconds` found.
-    held_out : sequence of View
-        As in refine_depth.
+    `photo` is what `photo_seconds` found; the other parameters are those of refine_depth.
     """
     from pagas_cl.refine import settle
     from pagas_cl.splat import PhotoStore, refine_levels
@@ -113,14 +115,11 @@ def _solve(measure, contexts: int, pixels: int, photo: float) -> Cost:
     def least(steps, each):
         return min(measure(steps, each) for _ in range(_REPEATS))
 
-    short, long, steps = least(_SHORT, 1), 0.0, 3 * _SHORT
-    while steps <= _MOST:
-        long = least(steps, 1)
-        if long - short >= _LEAST:
-            break
+    steps = 3 * _SHORT
+    short, long = least(_SHORT, 1), least(steps, 1)
+    while long - short < _LEAST and 3 * steps <= _MOST:
         steps *= 3
-    else:
-        steps //= 3
+        long = least(steps, 1)
     one = max(long - short, 1e-9) / (steps - _SHORT)        # seconds of a step with one view
     each = min(3, contexts)
     fewer = max(steps // each, _SHORT + 1)                  # as much work with several views a step
@@ -147,17 +146,11 @@ def photo_seconds(views, device) -> float:
 class Costs:
     """Expected times of any settings for the views of a scene, each kind of settings probed once.
 
-    Parameters
-    ----------
-    views : list of View
-    depths : list of (ndarray of shape (H, W), object with `load()`, or None)
-    device : Device
-    names : list of str, optional
-        Views to be refined; by default all with a depth.
+    `names` are the views to be refined, by default all with a depth; parameters as in refine_views.
     """
 
     def __init__(self, views, depths, device, names=None):
-        samples = [None if depth is None else sample_depth(_loaded(depth)) for depth in depths]
+        samples = [None if depth is None else sample_depth(depth_array(depth)) for depth in depths]
         asked = [k for k, sample in enumerate(samples) if sample is not None and len(sample.rows)
                  and (names is None or views[k].name in names or views[k].stem in names)]
         if not asked:
@@ -172,7 +165,7 @@ class Costs:
         for k in by_size[middle:] + by_size[:middle]:
             self.target, self.chosen = views[k], [views[j] for j in chooser.choose(k).indices]
             if self.chosen:
-                self.depth = np.asarray(_loaded(depths[k]))
+                self.depth = depth_array(depths[k])
                 return
         raise InputError("no view has a usable context view: nothing would be refined")
 
@@ -215,19 +208,16 @@ class Costs:
         """
         if not seconds > 0:
             raise InputError(f"the time per view is {seconds!r}, expected seconds above 0")
-        found, cheapest = None, None
+        found = None
         for name, config in rungs():
             config = change(config) if change else config
             expected = self.seconds(config)
-            cheapest = cheapest or expected
-            if expected > seconds:
+            if expected <= seconds:
+                found = Choice(name, config, expected, len(self.pixels))
+            elif found:
                 break
-            found = Choice(name, config, expected, len(self.pixels))
-        if found is None:
-            raise InputError(f"a view takes at least {cheapest:.3g} s on {self.device.info.title} with the cheapest "
-                             f"settings, {seconds:.3g} s were allowed; give more time or refine smaller photos")
+            else:
+                raise InputError(f"a view takes at least {expected:.3g} s on {self.device.info.title} with the "
+                                 f"cheapest settings, {seconds:.3g} s were allowed; give more time or refine smaller "
+                                 "photos")
         return found
-
-
-def _loaded(depth):
-    return depth.load() if hasattr(depth, "load") else depth

@@ -17,41 +17,25 @@ _log = logging.getLogger("pagas_cl")
 
 @dataclass(frozen=True, eq=False)
 class DemoResult:
-    """What came out.
+    """What came out."""
 
-    Attributes
-    ----------
-    before, after : dict of str to DepthReport
-        Errors of each view's initial and refined depth.
-    prediction : tuple of two floats
-        Median correlation of 7x7 patches of the target with a photo that took no part, before and after.
-    page, mesh : Path or None
-        The report's page; the fused mesh (None without Open3D).
-    seconds : float
-        Spent on refining, the device's compiler included.
-    """
-
-    before: dict[str, DepthReport]
-    after: dict[str, DepthReport]
-    prediction: tuple[float, float]
-    page: Path
-    mesh: Path | None
-    seconds: float
+    before: dict[str, DepthReport]      # errors of each view's initial depth
+    after: dict[str, DepthReport]       # and of its refined depth
+    prediction: tuple[float, float]     # median correlation of 7x7 patches with a photo that took no part, the same
+    page: Path                          # of the report
+    mesh: Path | None                   # fused; None without Open3D
+    seconds: float                      # spent on refining, the device's compiler included
 
     def table(self) -> str:
         """The errors as text."""
         head = (f"{'':<12}{'mean depth error':>24}{'median':>20}{'normals':>20}{'near edges':>20}\n"
                 f"{'view':<12}{'(pixels of parallax)':>24}{'':>20}{'(degrees)':>20}{'(px of parallax)':>20}\n")
         rows = []
-        for name, old in self.before.items():
-            new = self.after[name]
-            pairs = ((old.smooth.mean_parallax, new.smooth.mean_parallax),
-                     (old.smooth.median_parallax, new.smooth.median_parallax),
-                     (old.smooth.normal_mean, new.smooth.normal_mean),
-                     (old.edges.mean_parallax, new.edges.mean_parallax))
-            cells = [f"{a:.3f} -> {b:.3f}" for a, b in pairs]
-            cells[2] = f"{pairs[2][0]:.1f} -> {pairs[2][1]:.1f}"
-            rows.append(f"{name:<12}{cells[0]:>24}" + "".join(f"{cell:>20}" for cell in cells[1:]) + "\n")
+        for name in self.before:
+            a, b = ((r.smooth.mean_parallax, r.smooth.median_parallax, r.smooth.normal_mean, r.edges.mean_parallax)
+                    for r in (self.before[name], self.after[name]))
+            mean, median, normals, edges = (f"{x:.{n}f} -> {y:.{n}f}" for x, y, n in zip(a, b, (3, 3, 1, 3)))
+            rows.append(f"{name:<12}{mean:>24}{median:>20}{normals:>20}{edges:>20}\n")
         old, new = self.prediction
         return head + "".join(rows) + f"correlation with the held-out photo: {old:.4f} -> {new:.4f}\n"
 
@@ -87,7 +71,11 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = 
     seconds = time.perf_counter() - start
     depths = [result.depth for result in results]
     initial = [synthetic.initial_depth(view.camera) for view in synthetic.views]
-    with Report(folder / "report", "pagas-cl demo", _notes(synthetic, seconds)) as report:
+    relief = synthetic.relief
+    notes = [f"A synthetic relief, {relief.width} x {relief.height} pixels, {len(synthetic.views)} views "
+             f"{relief.spacing:g} degrees apart; the initial depth has the fine detail smoothed away.",
+             f"One pixel of parallax is {relief.parallax:.3g} scene units.", f"Refined in {seconds:.1f} s."]
+    with Report(folder / "report", "pagas-cl demo", notes) as report:
         for view, old, result in zip(synthetic.views, initial, results):
             report.add(view, old, result.depth, contexts=[v.camera for v in synthetic.views if v is not view],
                        confidence=result.confidence, counts=result.counts)
@@ -119,23 +107,16 @@ def _errors(synthetic, depths):
 
 def _mesh(synthetic, depths, folder, progress):
     try:
-        import open3d as o3d
+        import open3d  # noqa: F401
     except ImportError as error:  # absent, or one of the system libraries that it needs is
         _log.warning('no mesh is made, since Open3D cannot be loaded (%s): pip install "pagas-cl[mesh]"', error)
         return None
 
-    from pagas_cl.scene.mesh import from_surface
+    from pagas_cl.scene.mesh_file import write_mesh
     from pagas_cl.surface.fuse import fuse
 
     surface = fuse(synthetic.views, depths, progress=progress)
     path = folder / "mesh_refined.ply"
-    o3d.io.write_triangle_mesh(str(path), from_surface(surface, o3d.geometry.TriangleMesh()))
+    write_mesh(path, surface)
     _log.info("%s: %d vertices, %d triangles", path, len(surface.vertices), len(surface.faces))
     return path
-
-
-def _notes(synthetic, seconds):
-    relief = synthetic.relief
-    return [f"A synthetic relief, {relief.width} x {relief.height} pixels, {len(synthetic.views)} views "
-            f"{relief.spacing:g} degrees apart; the initial depth has the fine detail smoothed away.",
-            f"One pixel of parallax is {relief.parallax:.3g} scene units.", f"Refined in {seconds:.1f} s."]

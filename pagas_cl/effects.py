@@ -1,4 +1,5 @@
-"""Simulate only what the scene calls for (method section 8): from the measurements of a view, decide, and say why."""
+"""Simulate only what the scene calls for (method section 8): from the measurements of a view, decide, and say why; and
+whether refined views that contradict each other are cleaned before they are fused."""
 
 from __future__ import annotations
 
@@ -7,10 +8,12 @@ from dataclasses import asdict, dataclass, fields, replace
 import numpy as np
 
 from pagas_cl.config import MOST_WEIGHT, Config, Effects
-from pagas_cl.measurements import RULES, SPECULAR_RESIDUAL, Measurements
+from pagas_cl.measurements import RULES, Measurements
+from pagas_cl.splat.constants import SPECULAR_VIEW
 
+CONTRADICTED = 0.04      # share of depths that others contradict, above which those are left out of a fusion
 MOST_RAISED = 40.0       # times the weight of the smoothness
-SHINY_DISCONTINUITY = 0.6          # smoothness.discontinuity at least: what a highlight bends is no discontinuity
+SHINY_DISCONTINUITY = 0.6  # smoothness.discontinuity at least: what a highlight bends is no discontinuity
 LOW_PASS = 0.06          # px^2: about what a photo's own pixel blurs; more than that blurs what is to be compared
 
 
@@ -55,16 +58,9 @@ def _decision(config: Config, name: str, measured: Measurements) -> Decision:
     return Decision(name, evidence, threshold, on, what if choice == "auto" else f"asked for: {choice}")
 
 
-def _occlusion(config, decision, _):
-    return config.with_settings(splatting__occlusion=decision.on)
-
-
-def _unseen_mask(config, decision, _):
-    return config.with_settings(loss__unseen_mask=decision.on)
-
-
-def _exposure(config, decision, _):
-    return config.with_settings(loss__exposure=decision.on)
+def _sets(key: str, on=True, off=False):
+    """What sets one setting to `on` or `off`."""
+    return lambda config, decision, _: config.with_settings(**{key: on if decision.on else off})
 
 
 def _view_dependence(config, decision, _):
@@ -72,10 +68,6 @@ def _view_dependence(config, decision, _):
         return config.with_settings(loss__structure=False)
     return config.with_settings(loss__structure=True, loss__ssim=1.0,
                                 smoothness__discontinuity=max(config.smoothness.discontinuity, SHINY_DISCONTINUITY))
-
-
-def _antialiasing(config, decision, _):
-    return config.with_settings(splatting__low_pass=LOW_PASS if decision.on else 0.0)
 
 
 def _smoothness(config, decision, _):
@@ -103,11 +95,41 @@ def _noise(config, decision, measured):
     if config.smoothness.kind == "none":
         return config
     factor = float(np.clip(measured.unexplained_everywhere**2, 1.0, MOST_RAISED)) if measured else 4.0
-    specular = measured and measured.residual > SPECULAR_RESIDUAL
+    specular = measured and measured.residual > SPECULAR_VIEW
     return config.with_settings(smoothness__weight=min(config.smoothness.weight * factor, MOST_WEIGHT),
                                 smoothness__specularity=MOST_RAISED if specular else 0.0)
 
 
-_SETTERS = {"occlusion": _occlusion, "unseen_mask": _unseen_mask, "exposure": _exposure,
-            "view_dependence": _view_dependence, "antialiasing": _antialiasing, "smoothness": _smoothness,
+_SETTERS = {"occlusion": _sets("splatting__occlusion"), "unseen_mask": _sets("loss__unseen_mask"),
+            "exposure": _sets("loss__exposure"), "view_dependence": _view_dependence,
+            "antialiasing": _sets("splatting__low_pass", LOW_PASS, 0.0), "smoothness": _smoothness,
             "pyramid": _pyramid, "noise": _noise}
+
+
+def decide_consistency(cameras, depths, config: Config, device=None) -> tuple[Config, Decision | None]:
+    """Settle effects.consistency: fusion.agree_views as it follows, and the decision (None where it is "set").
+
+    Parameters
+    ----------
+    cameras : list of Camera
+    depths : list of (ndarray of shape (H, W), DepthResult, something with load(), or None)
+        The depth maps that are to be fused.
+    device : Device, optional
+        Where they are compared; in NumPy by default.
+    """
+    from pagas_cl.surface.agree import contradicted
+
+    choice, share = config.effects.consistency, float("nan")
+    if choice == "set" or (choice == "auto" and config.fusion.agree_views > 0):
+        return config, None
+    have = [k for k, depth in enumerate(depths) if depth is not None]
+    if choice != "auto":
+        on, why = choice == "on", f"asked for: {choice}"
+    elif len(have) < 3:
+        on, why = False, "it takes three views to tell who is wrong"
+    else:
+        share = contradicted([cameras[k] for k in have], [depths[k] for k in have], config.fusion.agree_pixels, device)
+        on, why = share > CONTRADICTED, "share of depths that other views contradict"
+    config = config.with_settings(fusion__agree_views=(config.fusion.agree_views or 1) if on else 0)
+    return (replace(config, effects=replace(config.effects, consistency="set")),
+            Decision("consistency", share, CONTRADICTED, on, why))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +21,8 @@ log = logging.getLogger("pagas_cl")
 
 def check_subdivide(subdivide) -> None:
     """Raise InputError for a `subdivide` that is neither None nor a number of footprints."""
-    if subdivide is None:
-        return
-    if isinstance(subdivide, bool) or not isinstance(subdivide, (int, float)) or not 0.25 <= subdivide <= 1e6:
+    number = isinstance(subdivide, (int, float)) and not isinstance(subdivide, bool)
+    if subdivide is not None and not (number and 0.25 <= subdivide <= 1e6):
         raise InputError(f"subdivide is {subdivide!r}, expected None or the longest edge in pixel footprints, "
                          "0.25 or more")
 
@@ -37,8 +38,9 @@ def displaced_mesh(mesh, views: list[View], depths, results, config: Config, sub
     subdivide : float, optional
         First split edges that are longer than this many pixel footprints (of the finest view that sees them).
     """
-    from pagas_cl.surface.displace import displace, footprints
+    from pagas_cl.surface.displace import displace
     from pagas_cl.surface.subdivide import subdivide as split_edges
+    from pagas_cl.surface.vertices import footprints
 
     check_subdivide(subdivide)
     mesh = load_whole(mesh)
@@ -68,13 +70,9 @@ def write_whole(path, mesh) -> None:
     from pagas_cl.scene.mesh_file import write_mesh
 
     path = Path(path)
-    textured = path.suffix.lower() == ".obj" and hasattr(mesh, "has_triangle_uvs") and mesh.has_triangle_uvs()
-    if not textured:
+    if path.suffix.lower() != ".obj" or not hasattr(mesh, "has_triangle_uvs") or not mesh.has_triangle_uvs():
         write_mesh(path, to_surface(mesh))
         return
-    import os
-    import tempfile
-
     import open3d as o3d
 
     path.parent.mkdir(parents=True, exist_ok=True)

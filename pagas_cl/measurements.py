@@ -7,11 +7,19 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pagas_cl.config import Config
+from pagas_cl.splat.constants import (
+    CLEAR_NOISE,
+    MEAN,
+    MEAN_SQUARE,
+    MISALIGNED,
+    NUMBER,
+    QUANTILE,
+    SPECULAR_VIEW,
+    SURE_SPECULARITY,
+)
 
-NUMBER, MEAN, QUANTILE, MEAN_SQUARE = range(4)      # as in splat/summary.py
 _QUANTISATION = 0.0012   # noise that rounding to 8 bits alone leaves
 _MISALIGNED = 0.4        # pixels by which cameras may be off for colours to be compared through them
-SPECULAR_RESIDUAL = 0.009           # residual (0 to 1) that the default weight of the smoothness allows for
 _LEAST = 50              # samples from which a share or a median is taken
 
 # effect: (evidence, threshold, whether above it calls for the effect, what is measured)
@@ -81,22 +89,22 @@ class Measurements:
     @property
     def unexplained(self) -> float:
         """What the photos show that no depth explains, against what the default smoothness is made for."""
-        return max(self.unexplained_everywhere, min(self.residual, 0.1) / SPECULAR_RESIDUAL)
+        return max(self.unexplained_everywhere, min(self.residual, 0.1) / SPECULAR_VIEW)
 
     @property
     def unexplained_everywhere(self) -> float:
         """The same without specularity, which is in some places more than in others."""
-        return max(self.relative_noise, self.misaligned / 0.13)
+        return max(self.relative_noise, self.misaligned / MISALIGNED)
 
     @property
     def relative_noise(self) -> float:
         """Noise of the photos, of what the default weight of the smoothness allows for."""
-        return self.noise / 0.004
+        return self.noise / CLEAR_NOISE
 
     @property
     def error_factor(self) -> float:
         """By how much depth errors exceed what the sharpness of the match alone tells (tests/bench/calibration.py)."""
-        return max(1.0, self.relative_noise**0.5, self.residual / 0.0125)
+        return max(1.0, self.relative_noise**0.5, self.residual / SURE_SPECULARITY)
 
     @property
     def residual(self) -> float:

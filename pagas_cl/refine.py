@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from pagas_cl.acceptance import rejection_reason
 from pagas_cl.config import Config
-from pagas_cl.effects import Decision, decide
+from pagas_cl.effects import Decision, decide, decide_consistency
 from pagas_cl.errors import InputError
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
 from pagas_cl.measurements import Measurements, measure
@@ -45,7 +45,7 @@ class _Maps(Protocol):
 
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
-                config: Config | None = None, device: str | Device | Sequence[str] | None = None,
+                config: Config | None = None, device: str | Device | list[str] | tuple[str, ...] | None = None,
                 progress: Progress | None = None, output: str = "tsdf", subdivide: float | None = None,
                 executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
     """Refine a mesh with calibrated photos.
@@ -157,7 +157,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
 
 def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names: Collection[str] | None = None,
                  config: Config | None = None, preset: str | None = None,
-                 device: str | Device | Sequence[str] | None = None, progress: Progress | None = None,
+                 device: str | Device | list[str] | tuple[str, ...] | None = None, progress: Progress | None = None,
                  on_view: Callable[[View, Depth, DepthResult], Any] | None = None,
                  executor: Executor | str | None = None, folder: str | Path | None = None,
                  extras: bool = True) -> list[DepthResult]:
@@ -263,7 +263,8 @@ def initial_depths(surface: Surface, views: Sequence[View], progress: Progress |
 def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: Config,
                  progress: Progress | None = None, memory_mb: float | None = None,
                  tell: Callable[[str], Any] | None = None, *, executor: Executor | str | None = None,
-                 folder: str | Path | None = None, device: str | Device | Sequence[str] | None = None) -> Surface:
+                 folder: str | Path | None = None,
+                 device: str | Device | list[str] | tuple[str, ...] | None = None) -> Surface:
     """Keep what other views confirm, then TSDF: a Surface. In `memory_mb` of host memory, or what is free.
 
     Results find their views by name (see result.joined); views without one take no part.
@@ -271,15 +272,14 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     `executor`, if that is a concurrent.futures.Executor and photos and depth maps are files that it can read. Views are
     compared on `device` (as in refine_mesh), in NumPy where there is none.
     """
-    from pagas_cl.consistency import LazyDepth, decide_consistency, device_for
-    from pagas_cl.surface.agree import confirmed
+    from pagas_cl.surface.agree import comparison_device, confirmed
     from pagas_cl.surface.blocks import fuse_within
-    from pagas_cl.surface.weights import weights_of
+    from pagas_cl.surface.fuse import weights_of
 
-    device, pairs = device_for(device), sorted(joined(views, results), key=lambda pair: pair[0])
+    device, pairs = comparison_device(device), sorted(joined(views, results), key=lambda pair: pair[0])
     used, results = [views[place] for place, _ in pairs], [result for _, result in pairs]
     cameras = [view.camera for view in used]
-    config, decision = decide_consistency(cameras, [LazyDepth(result) for result in results], config, device)
+    config, decision = decide_consistency(cameras, results, config, device)
     if decision is not None:
         log.info("%s", decision)
         if tell:

@@ -13,8 +13,7 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depthmap import surface_depth
-from pagas_cl.scene.status import KEPT, NO_SURFACE, REFINED, REJECTED
+from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED, surface_depth
 from pagas_cl.scene.view import View
 
 

@@ -12,8 +12,9 @@ from pagas_cl.reference.level import Photo, depth_threshold, loss_and_gradient, 
 from pagas_cl.reference.project import median_depth
 from pagas_cl.scene.view import View
 from pagas_cl.splat import exposure
-from pagas_cl.splat.level import Level, LevelInput
-from pagas_cl.splat.state import PhotoStore
+from pagas_cl.splat.inputs import LevelInput
+from pagas_cl.splat.level import Level, Phase
+from pagas_cl.splat.photos import PhotoStore
 from pagas_cl.splat.step import loss_of
 
 SEES_LOSS = dict(solver__patience=5)          # the loss is summed only where the schedule follows it
@@ -53,15 +54,16 @@ def start_level(device, config, scene: Scene, specularity=None, raised=True) -> 
                        scene.delta(config),
                        1.0, len(scene.contexts), specularity=specularity)
     level = Level(device, config, given)
-    level.prepare(lambda out: cl.enqueue_copy(device.queue, out, scene.initial))
-    level.start(lambda out: None)
+    cl.enqueue_copy(device.queue, level.buffers.depth, scene.initial)
+    level.prepare()
+    level.start()
     if raised:
-        level.raise_smoothness()
+        level.enter(Phase(config, raised=True))
     if config.loss.exposure:
         table = exposure.neutral(len(scene.contexts))
         table[1:] = gains(len(scene.contexts)).transpose(0, 2, 1)
-        cl.enqueue_copy(device.queue, level.arena["exposure"], table)
-    cl.enqueue_copy(device.queue, level.arena["depth"], scene.moved)
+        cl.enqueue_copy(device.queue, level.buffers.exposure, table)
+    cl.enqueue_copy(device.queue, level.buffers.depth, scene.moved)
     return level
 
 
@@ -71,7 +73,7 @@ def device_gradient(device, config, scene: Scene) -> tuple[np.ndarray, float]:
     for launch in level.gradient_launches(0):
         launch.enqueue(device.queue)
     gradient = level.read("gradient", scene.moved.shape)
-    loss = loss_of(level)
+    loss = loss_of(device, level.buffers)
     level.release()
     return gradient, loss
 

@@ -2,8 +2,9 @@
 
 import oracles
 import pytest
+import scene_writers
 
-from pagas_cl.scene.readers import bundler, camera_file, meshlab, mvsnet, nerfstudio, open3d_trajectory
+from pagas_cl.scene.readers import camera_file, meshlab
 
 
 def make_open3d(folder, views):
@@ -22,7 +23,7 @@ def make_open3d(folder, views):
 
 
 def make_log(folder, views):
-    open3d_trajectory.write_log(folder / "trajectory.log", [v.camera for v in views])
+    scene_writers.open3d_log(folder / "trajectory.log", [v.camera for v in views])
 
 
 def make_meshlab(folder, views):
@@ -48,10 +49,10 @@ READERS = {
     "colmap": (make_colmap, "sparse/0/images.bin", oracles.colmap_bin, {}),
     "colmap_txt": (lambda folder, views: make_colmap(folder, views, False), "sparse/0/images.txt", oracles.colmap_txt,
                    {}),
-    "nerfstudio": (nerfstudio.write, "transforms.json", oracles.nerfstudio, {}),
-    "mvsnet": (mvsnet.write, "cams/00000000_cam.txt", oracles.mvsnet, {}),
+    "nerfstudio": (scene_writers.nerfstudio, "transforms.json", oracles.nerfstudio, {}),
+    "mvsnet": (scene_writers.mvsnet, "cams/00000000_cam.txt", oracles.mvsnet, {}),
     "open3d": (make_open3d, "trajectory.json", oracles.open3d, {}),
     "open3d_log": (make_log, "trajectory.log", oracles.log, {}),
-    "bundler": (bundler.write, "bundle.out", oracles.bundler, {}),
+    "bundler": (scene_writers.bundler, "bundle.out", oracles.bundler, {}),
     "meshlab": (make_meshlab, "project.mlp", oracles.meshlab, {"flavour": "meshlab"}),
 }

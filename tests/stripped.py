@@ -44,6 +44,7 @@ def without_parameters(text: str, names) -> str:
 
 def never_had(effect: str, file: str, text: str) -> str:
     """The source `text` of the kernel file `file` (includes pasted) without `effect`."""
+    text = re.sub(r"//.*", "", text)          # what a comment says of a parameter is no parameter
     return without_parameters(without_blocks(text, EFFECTS[effect].macros), parameters_in(effect, file))
 
 
@@ -58,5 +59,5 @@ def parameters_in(effect: str, file: str) -> tuple[str, ...]:
 def parameters_of(text: str, kernel: str) -> list[str]:
     """Names of the parameters of `kernel`, in order."""
     listed = re.search(rf"__kernel[^(]*(?:\(\([^)]*\([^)]*\)\)\)\s*)?(?:void\s+)?[^(]*\b{kernel}\s*\(([^)]*)\)",
-                       text)[1]
+                       re.sub(r"//.*", "", text))[1]
     return [re.findall(r"\w+", one)[-1] for one in listed.split(",")]

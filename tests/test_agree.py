@@ -14,6 +14,11 @@ pytestmark = pytest.mark.kernels
 NORMAL = np.array([0.3, 0.2, -0.93]) / np.linalg.norm([0.3, 0.2, -0.93])
 
 
+def confirmations(*given):
+    """How many other views confirm each depth."""
+    return agree.counts(*given)[0]
+
+
 def parallax(target, others):
     """One pixel of parallax at the target's middle pixel, by finite differences of the projection."""
     depth = plane_depth(target, NORMAL, 0)
@@ -27,7 +32,7 @@ def parallax(target, others):
 
 def test_every_view_that_sees_a_point_confirms_it(ring):
     depths = [plane_depth(camera, NORMAL, 0) for camera in ring]
-    count = agree.confirmations(ring[3], depths[3], ring[:3] + ring[4:], depths[:3] + depths[4:], 0.05)
+    count = confirmations(ring[3], depths[3], ring[:3] + ring[4:], depths[:3] + depths[4:], 0.05)
     assert count.dtype == np.uint16 and count.max() == 6
     points = (ring[3].rays() * depths[3][..., None]) @ ring[3].world_to_camera[:3, :3] + ring[3].center
     seen = np.zeros(count.shape, int)
@@ -44,29 +49,29 @@ def test_tolerance_is_in_pixels_of_parallax(ring, off, confirmed):
     depth = plane_depth(ring[3], NORMAL, 0)
     depth[i, j] += off * one_pixel
     plane = [plane_depth(camera, NORMAL, 0) for camera in others]  # the point also moves along it: margins
-    assert agree.confirmations(ring[3], depth, others, plane, 2.0)[i, j] == confirmed
-    assert agree.confirmations(ring[3], depth, others, plane, 4.0)[i, j] == 6
+    assert confirmations(ring[3], depth, others, plane, 2.0)[i, j] == confirmed
+    assert confirmations(ring[3], depth, others, plane, 4.0)[i, j] == 6
 
 
 def test_far_errors_are_not_confirmed_and_holes_confirm_nothing(ring):
     depths = [plane_depth(camera, NORMAL, 0) for camera in ring]
     wrong = depths[3] * np.float32(1.2)
-    assert agree.confirmations(ring[3], wrong, ring[:3], depths[:3], 2.0).max() == 0
+    assert confirmations(ring[3], wrong, ring[:3], depths[:3], 2.0).max() == 0
     none = [np.zeros_like(d) for d in depths[:3]]
-    assert agree.confirmations(ring[3], depths[3], ring[:3], none, 2.0).max() == 0
-    assert agree.confirmations(ring[3], depths[3], ring[:2], [None, None], 2.0).max() == 0
-    assert agree.confirmations(ring[3], np.zeros_like(wrong), ring[:3], depths[:3], 2.0).max() == 0
+    assert confirmations(ring[3], depths[3], ring[:3], none, 2.0).max() == 0
+    assert confirmations(ring[3], depths[3], ring[:2], [None, None], 2.0).max() == 0
+    assert confirmations(ring[3], np.zeros_like(wrong), ring[:3], depths[:3], 2.0).max() == 0
 
 
 def test_no_parallax_confirms_nothing(ring):
     depth = plane_depth(ring[0], NORMAL, 0)
-    assert agree.confirmations(ring[0], depth, [ring[0]], [depth], 2.0).max() == 0
+    assert confirmations(ring[0], depth, [ring[0]], [depth], 2.0).max() == 0
 
 
 def test_hidden_points_are_not_confirmed_by_what_hides_them(ring):
     depths = [plane_depth(camera, NORMAL, 0) for camera in ring]
     wall = np.full_like(depths[2], 1.0)
-    assert agree.confirmations(ring[3], depths[3], [ring[2]], [wall], 2.0).max() == 0
+    assert confirmations(ring[3], depths[3], [ring[2]], [wall], 2.0).max() == 0
 
 
 def test_chunks_unit_and_origin(ring, monkeypatch):
@@ -74,17 +79,17 @@ def test_chunks_unit_and_origin(ring, monkeypatch):
 
     rng = np.random.default_rng(0)
     depths = [plane_depth(c, NORMAL, 0) * (1 + 0.01 * rng.normal(size=(120, 160))).astype("f4") for c in ring]
-    whole = agree.confirmations(ring[3], depths[3], ring[:3], depths[:3], 2.0)
+    whole = confirmations(ring[3], depths[3], ring[:3], depths[:3], 2.0)
     moved = []
     for c in ring:
         pose = c.world_to_camera.copy()
         pose[:3, 3] = -pose[:3, :3] @ (c.center * 1e3 + 5e6)
         moved.append(Camera(c.width, c.height, c.fx, c.fy, c.cx, c.cy, pose))
     large = [d * np.float32(1e3) for d in depths]
-    other = agree.confirmations(moved[3], large[3], moved[:3], large[:3], 2.0)
+    other = confirmations(moved[3], large[3], moved[:3], large[:3], 2.0)
     assert 0.2 < whole.mean() / 3 < 0.99 and (whole != other).mean() < 1e-3
     monkeypatch.setattr(twin, "_ROWS", 1000)
-    assert np.array_equal(agree.confirmations(ring[3], depths[3], ring[:3], depths[:3], 2.0), whole)
+    assert np.array_equal(confirmations(ring[3], depths[3], ring[:3], depths[:3], 2.0), whole)
 
 
 def test_depth_maps_without_what_is_not_confirmed(ring):
@@ -101,15 +106,15 @@ def test_depth_maps_without_what_is_not_confirmed(ring):
 
 def test_sizes_must_fit(ring):
     with pytest.raises(InputError, match="its camera says 160 x 120"):
-        agree.confirmations(ring[0], np.ones((3, 3)), [], [])
+        confirmations(ring[0], np.ones((3, 3)), [], [])
     with pytest.raises(InputError, match="1 cameras and 0"):
-        agree.confirmations(ring[0], np.ones((120, 160)), ring[:1], [])
+        confirmations(ring[0], np.ones((120, 160)), ring[:1], [])
 
 
 def test_look_at_far_views_do_not_count_behind_the_camera():
     front, back = look_at((0, 0, -4), (0, 0, 0)), look_at((0, 0, -4.5), (0, 0, -10))
     depth = plane_depth(front, NORMAL, 0)
-    assert agree.confirmations(front, depth, [back], [np.full_like(depth, 4.0)], 2.0).max() == 0
+    assert confirmations(front, depth, [back], [np.full_like(depth, 4.0)], 2.0).max() == 0
 
 
 def test_counts_on_a_device_equal_the_twin(ring, device):

@@ -11,10 +11,11 @@ from support.scenes import relief_scene
 from pagas_cl.__main__ import run
 from pagas_cl.commands._settings import build_config, effect_settings
 from pagas_cl.config import Effects
-from pagas_cl.consistency import THRESHOLD, contradicted, decide_consistency
+from pagas_cl.effects import CONTRADICTED, decide_consistency
 from pagas_cl.errors import InputError
 from pagas_cl.measurements import RULES
 from pagas_cl.presets import BALANCED
+from pagas_cl.surface.agree import contradicted
 from pagas_cl.synthetic.disk import write_scene
 
 pytestmark = pytest.mark.slow
@@ -84,14 +85,14 @@ def maps(made):
 
 def test_true_depths_do_not_contradict_each_other(maps):
     config, decision = decide_consistency(*maps, BALANCED)
-    assert decision.evidence < THRESHOLD / 2 and not decision.on and config.fusion.agree_views == 0
+    assert decision.evidence < CONTRADICTED / 2 and not decision.on and config.fusion.agree_views == 0
 
 
 def test_a_view_that_is_off_is_found(maps, made):
     cameras, depths = maps
     wrong = [depths[0] - np.float32(6 * made.relief.parallax), *depths[1:]]
     config, decision = decide_consistency(cameras, wrong, BALANCED)
-    assert decision.evidence > THRESHOLD and decision.on and config.fusion.agree_views == 1
+    assert decision.evidence > CONTRADICTED and decision.on and config.fusion.agree_views == 1
     assert contradicted(cameras, wrong, 2.0) == decision.evidence
     assert decide_consistency(cameras, wrong, config) == (config, None)       # settled
 
@@ -138,9 +139,10 @@ def test_timed_steps_have_room_for_their_losses(made, device, monkeypatch):
 
     plain, rooms = Level.run, []
 
-    def run_steps(level, steps, progress=None):
-        rooms.append(level.arena.specs["history"].shape[0] - steps)
-        return plain(level, steps, progress) if rooms[-1] >= 0 else steps        # never past the end, on no device
+    def run_steps(level, steps, progress=None, schedule=None):
+        rooms.append(level.buffers.history.size // 4 - steps)
+        # never past the end, on no device
+        return plain(level, steps, progress, schedule) if rooms[-1] >= 0 else steps
 
     monkeypatch.setattr(Level, "run", run_steps)
     config = BALANCED.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=(1, 2), solver__patience=5)

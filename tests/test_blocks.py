@@ -19,9 +19,8 @@ from pagas_cl.errors import InputError  # noqa: E402
 from pagas_cl.scene.depthmap import save_depth  # noqa: E402
 from pagas_cl.scene.view import View  # noqa: E402
 from pagas_cl.surface import blocks  # noqa: E402
-from pagas_cl.surface.blocks import cut, fuse_within  # noqa: E402
-from pagas_cl.surface.fuse import fuse, fusion_plan  # noqa: E402
-from pagas_cl.surface.touched import touched_by_views  # noqa: E402
+from pagas_cl.surface.blocks import BlockFiles, cut, fuse_within, within  # noqa: E402
+from pagas_cl.surface.fuse import fuse, fusion_plan, grid_mb, plan_with_blocks  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
@@ -123,15 +122,15 @@ def test_boxes_on_an_executor(scene, tmp_path):
 
 def test_every_block_is_in_one_box_and_boxes_fit(scene, tmp_path):
     views, depths = scene
-    touched = touched_by_views(views, depths, SETTINGS, tmp_path)
-    allowed = 0.3 * touched.plan.memory_mb
-    boxes = cut(touched, SETTINGS, allowed, views)
-    owners = sum(blocks._within(touched.blocks, box.low, box.high, 0).astype(int) for box in boxes)
+    on_disk, found = plan_with_blocks(views, depths, SETTINGS, BlockFiles(tmp_path))
+    allowed = 0.3 * on_disk.memory_mb
+    boxes = cut(on_disk, found, allowed, views)
+    owners = sum(within(found, box.low, box.high, 0).astype(int) for box in boxes)
     assert (owners == 1).all() and len(boxes) > 3
-    assert max(blocks._memory_mb(box.blocks, SETTINGS) for box in boxes) < allowed
+    assert max(grid_mb(box.blocks, SETTINGS) for box in boxes) < allowed
     plan = fusion_plan(views, depths, SETTINGS)
-    assert plan.block_count == touched.plan.block_count and plan.memory_mb == touched.plan.memory_mb
-    assert all(np.array_equal(a, b) for a, b in zip(plan.blocks, touched.plan.blocks))
+    assert plan.block_count == on_disk.block_count and plan.memory_mb == on_disk.memory_mb
+    assert all(np.array_equal(a, b) for a, b in zip(plan.blocks, on_disk.blocks))
 
 
 def test_too_little_for_the_mesh_itself_is_refused_before_the_work(scene):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from support.scenes import relief_scene
 
-from pagas_cl.camera_check import check_cameras
 from pagas_cl.commands.check import table
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera, inverse_pose
+from pagas_cl.scene.check import check_cameras
 from pagas_cl.synthetic.photo import photograph
 
 pytestmark = pytest.mark.slow
@@ -102,6 +102,7 @@ def test_bad_input(scene):
 
 
 def test_real_photos_and_command(data_dir, capsys):
+    pytest.importorskip("open3d")
     from pagas_cl.__main__ import run
 
     scene = data_dir / "dtu_scan24"

@@ -73,7 +73,7 @@ def test_refine_from_a_mesh_to_a_mesh(scene, tmp_path):
     pytest.importorskip("open3d")
     assert command_line.run(refine(scene, "--mesh", scene / "mesh_coarse.ply", "--output",
                                    tmp_path / "a" / "fine.ply")) == 0
-    from pagas_cl.scene.mesh import read_mesh
+    from pagas_cl.scene.mesh_file import read_mesh
 
     fine, coarse = read_mesh(tmp_path / "a" / "fine.ply"), read_mesh(scene / "mesh_coarse.ply")
     assert len(fine.faces) > 100 and fine.normals is not None and fine.colors is not None

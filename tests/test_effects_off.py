@@ -62,10 +62,10 @@ def test_switched_on_it_is_another_program(effect):
 
 
 def names_of_buffers(config) -> set[str]:
-    from pagas_cl.splat.state import Size, level_buffers
+    from pagas_cl.splat.buffers import LevelBuffers, Size, dimensions
 
     sizes = [Size(80, 60)] * 3
-    return {spec.name for spec in level_buffers(config, sizes[0], sizes[1:], 2)}
+    return {spec.name for spec in LevelBuffers.plan(dimensions(config, sizes[0], sizes[1:], 2))}
 
 
 @pytest.mark.parametrize("effect", COMPILED)

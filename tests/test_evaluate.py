@@ -40,6 +40,7 @@ def clouds():
 
 
 def test_chamfer_against_brute_force(clouds):
+    pytest.importorskip("scipy")
     result, truth = clouds
     table = all_distances(result, truth)
     found = chamfer(result, truth)
@@ -52,6 +53,7 @@ def test_chamfer_against_brute_force(clouds):
 
 
 def test_chamfer_with_visible_space_and_ground(clouds):
+    pytest.importorskip("scipy")
     result, truth = clouds
     seen = np.zeros((6, 6, 6), bool)
     seen[:3] = True  # voxels centred at x = 0, 0.2, 0.4: x < 0.5
@@ -67,6 +69,7 @@ def test_chamfer_with_visible_space_and_ground(clouds):
 
 
 def test_thinning_is_the_greedy_loop(clouds):
+    pytest.importorskip("scipy")
     points = clouds[0]
     order = np.argsort(np.random.default_rng(7).permutation(len(points)))
     kept = np.zeros(len(points), bool)
@@ -80,6 +83,7 @@ def test_thinning_is_the_greedy_loop(clouds):
 
 
 def test_f_score_against_brute_force(clouds):
+    pytest.importorskip("scipy")
     result, truth = clouds
     table = all_distances(result, truth)
     found = f_score(result, truth, 0.06)
@@ -208,8 +212,10 @@ def test_bad_input(call, said):
 
 
 def test_dtu_files(tmp_path):
-    savemat = pytest.importorskip("scipy.io").savemat
-    from pagas_cl.evaluate.dtu import load_ground, load_visible
+    pytest.importorskip("scipy")
+    from scipy.io import savemat
+
+    from pagas_cl.evaluate.clouds import load_ground, load_visible
 
     savemat(tmp_path / "mask.mat", {"ObsMask": np.ones((2, 3, 4), np.uint8), "BB": np.array([[0, 0, 0], [1, 2, 3.0]]),
                                     "Res": 0.5})

@@ -14,7 +14,8 @@ from pagas_cl.reference.project import project
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.runtime.transfer import download
 from pagas_cl.scene.rig import footprint
-from pagas_cl.splat.evidence import _SUM_GROUP, _SUM_GROUPS, Evidence, EvidencePrior, _median
+from pagas_cl.splat.constants import COST_GROUP
+from pagas_cl.splat.evidence import _SUM_GROUPS, Evidence, EvidencePrior, _median
 from pagas_cl.splat.options import defines
 
 pytestmark = pytest.mark.kernels
@@ -42,10 +43,15 @@ def twin_evidence(scene: Scene, depth):
     return total, band
 
 
+def evidence_of(level, numbers, initial, *prior):
+    """Evidence by the views of `numbers`, from 1."""
+    return Evidence(level.programs, level.buffers, [level.views[k - 1] for k in numbers], initial, *prior)
+
+
 def test_evidence_equals_the_twin(device):
     scene = Scene.make(17, width=45, height=37, contexts=3, masks=True)
     level = start_level(device, CONFIG, scene)
-    judge = Evidence(level, [1, 2, 3], level.arena["depth"], PRIOR)
+    judge = evidence_of(level, [1, 2, 3], level.buffers.depth, PRIOR)
     judge.weigh()
     got = download(device, judge._before, (*scene.moved.shape, 3))
     want, band = twin_evidence(scene, scene.moved)
@@ -73,10 +79,10 @@ def test_verdicts_equal_the_twin(device):
     scene = Scene.make(17, width=45, height=37, contexts=3, masks=True)
     config = CONFIG.with_settings(solver__max_move=0.5, solver__mismatch=0.8, solver__tolerance=0.1)
     level, depth_per_parallax, initial, normalized = entered_level(device, config, scene)
-    judge = Evidence(level, [1, 2, 3], normalized, EvidencePrior(1.5, 0.2))
+    judge = evidence_of(level, [1, 2, 3], normalized, EvidencePrior(1.5, 0.2))
     refined = np.where(initial > 0, initial + rng.normal(0, 0.3, initial.shape) * depth_per_parallax,
                        0).astype(np.float32)
-    cl.enqueue_copy(device.queue, level.arena["depth"], refined)
+    cl.enqueue_copy(device.queue, level.buffers.depth, refined)
     decision = judge.decide()
     before, after = (download(device, e, (*initial.shape, 3)).astype(np.float64) for e in (judge._before, judge._after))
     status, deviation = (download(device, buffer, initial.shape, dtype)
@@ -103,7 +109,8 @@ class Kernels:
 
     def __call__(self, name, size, *arguments, group=None):
         on_device = [self._buffer(a) if isinstance(a, np.ndarray) else a for a in arguments]
-        run_once(self.device.queue, [bind(self.program, name, size, group, *on_device)])
+        named = dict(zip(self.program.signatures[name], on_device, strict=True))
+        run_once(self.device.queue, [bind(self.program, name, size, group, **named)])
         out = [(a.copy(), b) for a, b in zip(arguments, on_device) if isinstance(a, np.ndarray)]
         for array, buffer in out:
             cl.enqueue_copy(self.device.queue, array, buffer)
@@ -133,8 +140,8 @@ def test_means_of_costs_equal_the_twin(kernels, count):
     rng = np.random.default_rng(count)
     before, after = random_evidence(rng, count), random_evidence(rng, count)
     before[0, 1], after[0, 1] = 2, 1                       # seen both times, be it the only one
-    *_, sums = kernels("sum_costs", (_SUM_GROUPS * _SUM_GROUP,), before, after, count,
-                       np.zeros((_SUM_GROUPS, 3), np.int64), group=(_SUM_GROUP,))
+    *_, sums = kernels("sum_costs", (_SUM_GROUPS * COST_GROUP,), before, after, count,
+                       np.zeros((_SUM_GROUPS, 3), np.int64), group=(COST_GROUP,))
     was, now, pixels = sums.sum(axis=0).tolist()
     assert pixels == np.count_nonzero(twin.costs(before, after)[2]) > 0
     want = twin.mean_costs(before.astype(np.float64), after.astype(np.float64))
@@ -144,9 +151,9 @@ def test_means_of_costs_equal_the_twin(kernels, count):
 
 def test_means_and_medians_of_nothing_are_not_known(device):
     level = start_level(device, CONFIG, Scene.make(3))
-    judge = Evidence(level, [1], level.arena["depth"])
-    judge._before, judge._after = (judge._buffer(12 * level.target.pixels) for _ in range(2))
-    seen = np.zeros((level.target.pixels, 3), np.float32)
+    judge = evidence_of(level, [1], level.buffers.depth)
+    judge._before, judge._after = (judge._buffer(12 * level.target.size.pixels) for _ in range(2))
+    seen = np.zeros((level.target.size.pixels, 3), np.float32)
     seen[::2] = 1, 1, 0
     for buffer, array in ((judge._before, seen), (judge._after, seen[::-1].copy())):       # never both times
         cl.enqueue_copy(device.queue, buffer, array)
@@ -217,7 +224,7 @@ def test_verdicts_with_witnesses_equal_the_twin(device):
     scene = Scene.make(17, width=45, height=37, contexts=4, masks=True)
     config = CONFIG.with_settings(solver__max_move=2.0, solver__mismatch=0.8, solver__tolerance=0.1)
     level, depth_per_parallax, initial, normalized = entered_level(device, config, scene)
-    judge, *held_out = (Evidence(level, views, normalized) for views in ([1, 2], [3], [4]))
+    judge, *held_out = (evidence_of(level, views, normalized) for views in ([1, 2], [3], [4]))
     refined = np.where(initial > 0, initial + rng.normal(0, 0.5, initial.shape) * depth_per_parallax,
                        0).astype(np.float32)
 
@@ -225,11 +232,11 @@ def test_verdicts_with_witnesses_equal_the_twin(device):
         one.weigh()
         return [download(device, e, (*initial.shape, 3)).astype(np.float64) for e in (one._before, one._after)]
 
-    cl.enqueue_copy(device.queue, level.arena["depth"], refined)
+    cl.enqueue_copy(device.queue, level.buffers.depth, refined)
     alone = twin.decide(initial, refined, depth_per_parallax, *weighed(judge), 2.0, 0.1, 0.8)
-    cl.enqueue_copy(device.queue, level.arena["depth"], np.where(alone == twin.REFINED, refined, initial))
+    cl.enqueue_copy(device.queue, level.buffers.depth, np.where(alone == twin.REFINED, refined, initial))
     grown = [twin.worse(*weighed(one)) for one in held_out]
-    cl.enqueue_copy(device.queue, level.arena["depth"], refined)
+    cl.enqueue_copy(device.queue, level.buffers.depth, refined)
     decision = judge.decide(held_out)
     status = download(device, decision.status, initial.shape, np.uint8)
     accepted, judged = level.read("depth", initial.shape), [weighed(one) for one in held_out]

@@ -7,8 +7,10 @@ import pytest
 from PIL import Image
 from support.scenes import relief_scene
 
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_file import write_mesh
 from pagas_cl.scene.view import View
-from pagas_cl.synthetic.disk import write_ply, write_scene
+from pagas_cl.synthetic.disk import write_scene
 
 pytestmark = pytest.mark.slow
 
@@ -27,27 +29,28 @@ MIXED = """<!DOCTYPE FilterScript>
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """SCENE, DEPTH, RGBD, NERFSTUDIO, MVSNET, NEUS, BUNDLER, a 2DGS output and a script."""
+    import scene_writers as to
+
     from pagas_cl.scene.depthmap import resize_depth, save_depth
-    from pagas_cl.scene.readers import bundler, mvsnet, nerfstudio, neus, open3d_trajectory
 
     folder = tmp_path_factory.mktemp("examples")
     made = relief_scene(64, 48, 2, held_out=0)
     write_scene(made, folder / "SCENE")
     (folder / "mixed.mlx").write_text(MIXED)
     (folder / "train" / "ours_30000").mkdir(parents=True)
-    write_ply(folder / "train" / "ours_30000" / "fuse_post.ply", *made.initial_mesh())
+    write_mesh(folder / "train" / "ours_30000" / "fuse_post.ply", Surface(*made.initial_mesh()))
     for camera in made.cameras[:3]:
         save_depth(folder / "DEPTH" / f"{camera.name}.npz", resize_depth(made.initial_depth(camera), 40, 30))
     cameras = made.cameras[:3]
-    for kind, write, place in (("NERFSTUDIO", nerfstudio.write, "images"), ("MVSNET", mvsnet.write, "images"),
-                               ("NEUS", neus.write, "image"), ("BUNDLER", bundler.write, "images")):
+    for kind, write, place in (("NERFSTUDIO", to.nerfstudio, "images"), ("MVSNET", to.mvsnet, "images"),
+                               ("NEUS", to.neus, "image"), ("BUNDLER", to.bundler, "images")):
         write(folder / kind, _photos(folder / kind / place, made, cameras, centred=kind == "BUNDLER"))
     _photos(folder / "RGBD" / "color", made, cameras, names=lambda k: f"{k}.png")
     (folder / "RGBD" / "depth").mkdir()
     for k, camera in enumerate(cameras):
         depth = np.rint(made.initial_depth(camera) * 50).astype(np.uint16)
         Image.fromarray(depth).save(folder / "RGBD" / "depth" / f"{k}.png")
-    open3d_trajectory.write_json(folder / "RGBD" / "trajectory.json", cameras)
+    to.open3d_json(folder / "RGBD" / "trajectory.json", cameras)
     return folder
 
 
@@ -75,7 +78,7 @@ def test_example_runs(path, folder, monkeypatch):
     names = {}
     exec(compile(text, str(path), "exec"), names)
     if '"fine.ply"' in text:
-        from pagas_cl.scene.mesh import read_mesh
+        from pagas_cl.scene.mesh_file import read_mesh
 
         assert len(read_mesh(folder / "fine.ply").faces) > 100
     if path.stem == "check_cameras":

@@ -7,10 +7,11 @@ import mutations
 import numpy as np
 import pytest
 import rigs
+import scene_writers
 from fuzzing import COUNT, bounded
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.readers import nerfstudio, neus, read_scene
+from pagas_cl.scene.readers import read_scene
 
 
 def oracle_neus(data):
@@ -35,7 +36,7 @@ def judge_neus(folder, data) -> bool:
 
 def test_damaged_npz(tmp_path):
     """Bytes of the archive, and whole archives around damaged arrays."""
-    neus.write(tmp_path, rigs.with_photos(tmp_path, rigs.random_cameras(3)))
+    scene_writers.neus(tmp_path, rigs.with_photos(tmp_path, rigs.random_cameras(3)))
     path = tmp_path / "cameras.npz"
     original = path.read_bytes()
     assert judge_neus(tmp_path, original)
@@ -91,7 +92,7 @@ def test_hostile_sizes(tmp_path):
     (tmp_path / "p.mlp").write_text("<a>" * 100000)
     with bounded(), pytest.raises(InputError, match="deep"):
         read_scene(tmp_path, "meshlab")
-    nerfstudio.write(tmp_path, views)
+    scene_writers.nerfstudio(tmp_path, views)
     text = (tmp_path / "transforms.json").read_text()
     huge = text.replace('"w": 64', '"w": 1000000').replace('"h": 48', '"h": 1000000')
     (tmp_path / "transforms.json").write_text(huge)

@@ -4,11 +4,12 @@ import mutations
 import numpy as np
 import pytest
 import rigs
+import scene_writers
 from fuzzing import COUNT, bounded
 from scene_files import make_colmap, make_log
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.readers import bundler, mvsnet, read_scene
+from pagas_cl.scene.readers import read_scene
 
 
 @pytest.mark.parametrize("binary", [True, False])
@@ -36,7 +37,7 @@ def test_all_files_of_a_colmap_model_damaged(tmp_path, binary):
 
 
 @pytest.mark.parametrize("name, make, side", [
-    ("mvsnet", mvsnet.write, "pair.txt"), ("bundler", bundler.write, "list.txt"),
+    ("mvsnet", scene_writers.mvsnet, "pair.txt"), ("bundler", scene_writers.bundler, "list.txt"),
     ("open3d", make_log, "camera_intrinsic.json")])
 def test_damaged_files_beside(tmp_path, name, make, side):
     """Pairs, lists and intrinsics: refused, or the poses are those of the photos that are named."""

@@ -10,6 +10,7 @@ import mutations
 import numpy as np
 import pytest
 import rigs
+import scene_writers
 from fuzzing import COUNT, bounded
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -17,7 +18,7 @@ from oracles import same
 from scene_files import READERS
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.readers import nerfstudio, read_scene
+from pagas_cl.scene.readers import read_scene
 
 
 @pytest.fixture(scope="module", params=READERS)
@@ -112,7 +113,7 @@ def test_any_json_value_anywhere(name, tmp_path):
 
 def test_a_misspelt_key_never_changes_a_camera(tmp_path):
     """Optional keys have defaults, which must not replace a value whose key was damaged by one letter."""
-    nerfstudio.write(tmp_path, rigs.with_photos(tmp_path, rigs.random_cameras(2)))
+    scene_writers.nerfstudio(tmp_path, rigs.with_photos(tmp_path, rigs.random_cameras(2)))
     path = tmp_path / "transforms.json"
     before = read_scene(tmp_path).cameras
     text = path.read_text()

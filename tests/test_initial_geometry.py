@@ -9,7 +9,8 @@ from support.scenes import relief_scene
 
 from pagas_cl.__main__ import run
 from pagas_cl.scene.depthmap import find_depth, load_depth, resize_depth
-from pagas_cl.synthetic.disk import write_ply
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_file import write_mesh
 
 pytestmark = pytest.mark.slow
 
@@ -49,7 +50,7 @@ MESHES = {
 def test_mesh_goes_in(name, scene, made):
     mesh = scene / MESHES[name]
     mesh.parent.mkdir(parents=True, exist_ok=True)
-    write_ply(mesh, *made.initial_mesh())
+    write_mesh(mesh, Surface(*made.initial_mesh()))
     if name in ("2DGS", "OpenMVS"):  # 2DGS writes colours, OpenMVS float vertices: through Open3D
         import open3d as o3d
 
@@ -101,7 +102,7 @@ def test_depth_maps_of_another_size_go_in(name, scene, made):
 
 def test_real_openmvs_mesh_and_cameras(data_dir):
     """The castle: OpenMVS's own mesh is where its cameras look."""
-    from pagas_cl.camera_check import check_cameras
+    from pagas_cl.scene.check import check_cameras
     from pagas_cl.scene.readers import read_scene
 
     scene = read_scene(data_dir / "sceaux_castle")

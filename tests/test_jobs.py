@@ -11,16 +11,17 @@ import numpy as np
 import pytest
 from conftest import look_at
 from job_scenes import QUICK, bytes_of, load_small_scene, said, write_small_scene
+from test_package import SOURCES
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError
-from pagas_cl.jobs import identity, refine_all
-from pagas_cl.jobs.photos import PhotoMemory
+from pagas_cl.jobs import refine_all, task
 from pagas_cl.jobs.plan import Planner, along_curve, groups, on_disk
 from pagas_cl.jobs.store import DepthFile, Store
 from pagas_cl.jobs.task import Batch
+from pagas_cl.jobs.worker import PhotoMemory
 from pagas_cl.refine import refine_one, refine_views
-from pagas_cl.scene import npy
+from pagas_cl.scene import files
 from pagas_cl.scene.partners import PartnerChooser
 from pagas_cl.scene.view import View
 
@@ -212,28 +213,21 @@ def test_keys_follow_every_input(scene, monkeypatch):
     deeper[20, 20] = np.nextafter(deeper[20, 20], np.float32(np.inf))
     later = keys(depths=[*depths[:3], deeper, *depths[4:]])
     assert [a == b for a, b in zip(first, later)] == [k != 3 for k in range(8)]
-    monkeypatch.setattr(identity, "code_version", lambda: "other")
+    monkeypatch.setattr(task, "code_version", lambda: "other")
     assert not set(first) & set(keys())
 
 
-_REFINES = """
-import sys
-from support.scenes import relief_scene
-from pagas_cl import refine_depth
-made = relief_scene(48, 36, 2, held_out=0)
-seen = {name for name in sys.modules if name.startswith("pagas_cl.synthetic")}
-refine_depth(made.views[0], made.views[1:], made.initial_depth(made.views[0].camera))
-print(*sorted(name for name in sys.modules if name.startswith("pagas_cl.") and name not in seen))
-"""
-
-
-def test_the_key_knows_all_code_that_makes_a_depth_map(device):
-    """A module that takes part in refining and is not hashed would let a run go on from another version's views."""
-    told = subprocess.run([sys.executable, "-c", _REFINES], capture_output=True, text=True, check=True).stdout.split()
-    hashed = {part.removesuffix(".py") for part in identity._CODE}
-    # settings are in the key themselves; the others have no part in a depth map
-    assert "splat" in hashed
-    assert {name.split(".")[1] for name in told} - hashed <= {"presets", "errors", "keep_mesh", "progress"}
+def test_the_key_knows_the_whole_package(monkeypatch):
+    """A file that takes part in refining and is not hashed would let a run go on from another version's views."""
+    there = {f"{prefix}/{path.relative_to(folder).as_posix()}" for prefix, folder in SOURCES.items()
+             for path in folder.rglob("*") if path.suffix in (".py", ".cl", ".clh")}
+    found = task.sources()
+    assert set(found) == there and "pagas_cl/splat/level.py" in there and "pagas_cl/cl_kernels/loss.cl" in there
+    first = task.code_version.__wrapped__()
+    assert first == task.code_version.__wrapped__()
+    for change in ({"pagas_cl/scene/choice.py": b""}, {"pagas_cl/new.py": b""}):
+        monkeypatch.setattr(task, "sources", lambda change=change: {**found, **change})
+        assert task.code_version.__wrapped__() != first
 
 
 def test_many_threads_read_arrays(tmp_path):
@@ -243,9 +237,9 @@ def test_many_threads_read_arrays(tmp_path):
         np.save(tmp_path / f"{k}.npy", array)
         np.savez_compressed(tmp_path / f"{k}.npz", depth=array)
     with ThreadPoolExecutor(8) as readers:
-        for read, suffix in ((npy.read_npy, "npy"), (npy.read_first, "npz")):
-            files = [tmp_path / f"{k}.{suffix}" for k in range(8)] * 50
-            assert all(np.array_equal(got, arrays[k % 8]) for k, got in enumerate(readers.map(read, files)))
+        for read, suffix in ((files.read_npy, "npy"), (files.read_first, "npz")):
+            paths = [tmp_path / f"{k}.{suffix}" for k in range(8)] * 50
+            assert all(np.array_equal(got, arrays[k % 8]) for k, got in enumerate(readers.map(read, paths)))
 
 
 def test_a_damaged_array_is_found(tmp_path):

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 import pyopencl as cl
 import pytest
 from close import assert_kernel_close
-from kernel_cases import SEES_LOSS, Scene, device_gradient, start_level, twin_gradient
+from kernel_cases import SEES_LOSS, Scene, device_gradient, start_level, twin_gradient, view_of
 from support.effects import GRADIENT_CASES
 
 from pagas_cl.presets import BALANCED, PAPER
 from pagas_cl.reference.level import prepare, run_level
+from pagas_cl.reference.pairs import candidates, nearest_surface
+from pagas_cl.reference.project import project as twin_project
+from pagas_cl.runtime.program import run_once
+from pagas_cl.runtime.transfer import download, upload
+from pagas_cl.splat import project
+from pagas_cl.splat.buffers import LevelBuffers
+from pagas_cl.splat.inputs import LevelInput
+from pagas_cl.splat.options import Programs
+from pagas_cl.splat.photos import PhotoStore
 from pagas_cl.splat.tile import SCALAR, Tile
 
 pytestmark = pytest.mark.kernels
@@ -107,7 +118,7 @@ def test_the_schedule_follows_the_whole_loss(device, scene, kind):
                                  solver__damping=1e-3)
     level = start_level(device, config, scene)
     assert level.run(4) == 4
-    got = level.read("history", level.arena.specs["history"].shape)[:4]
+    got = level.read("history", 4)
     level.release()
     state = prepare(scene.initial.astype(np.float64), scene.target, scene.contexts, config, scene.scene_scale,
                     scene.delta(config))
@@ -131,7 +142,7 @@ def test_tiles_make_no_difference(device, monkeypatch, base, tiles):
     """Whatever the tile and the number of work-items that share it; this is what runs on a GPU."""
     scene = Scene.make(6, width=97, height=51, contexts=2)
     want, value = device_gradient(device, base, scene)
-    monkeypatch.setattr("pagas_cl.splat.level.choose_tiles", lambda device, sizes: tiles)
+    monkeypatch.setattr("pagas_cl.splat.options.choose_tiles", lambda device, sizes: tiles)
     got, loss = device_gradient(device, base, scene)
     assert_kernel_close(got, want)
     assert np.abs(got - want).max() <= 2e-5 * np.abs(want).max()
@@ -141,8 +152,33 @@ def test_tiles_make_no_difference(device, monkeypatch, base, tiles):
 @pytest.mark.parametrize("base", [PLAIN, PAPER], ids=["order-free", "alpha"])
 def test_a_gpu_can_hold_it(device, monkeypatch, scene, base):
     """At most 32 kB of local memory and 256 work-items: PoCL would allow far more."""
-    monkeypatch.setattr("pagas_cl.splat.level.choose_tiles", lambda device, sizes: SCALAR)
+    monkeypatch.setattr("pagas_cl.splat.options.choose_tiles", lambda device, sizes: SCALAR)
     info = cl.kernel_work_group_info
     for launch in level_launches(device, base, scene):
         assert launch.kernel.get_work_group_info(info.LOCAL_MEM_SIZE, device.cl_device) <= 32 * 1024, launch.stage
         assert np.prod(launch.local_size or 1) <= 256, launch.stage
+
+
+def test_a_stage_needs_only_its_own_buffers(device, scene):
+    """No level: programs, three buffers and a view are enough for the nearest surfaces of a context photo."""
+    photos, views = PhotoStore(device), [view_of(p) for p in (scene.target, *scene.contexts)]
+    given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.scene_scale,
+                       scene.delta(PLAIN), 1.0, len(scene.contexts))
+    view = given.views(PLAIN)[1]
+    buffers = LevelBuffers(depth=upload(device, scene.moved), cameras=upload(device, given.camera_table),
+                           z_first=upload(device, np.zeros(view.size.pixels, np.float32)))
+    run_once(device.queue, project.nearest(Programs(device, PLAIN, given.cameras), buffers, view))
+    found = download(device, buffers.z_first, view.size.pixels)
+    want = nearest_surface(candidates(twin_project(scene.moved.astype(np.float64), scene.target.camera,
+                                                   scene.contexts[0].camera, PLAIN.splatting.low_pass,
+                                                   scene.scene_scale), *view.size.grid, PLAIN.splatting),
+                           view.size.pixels)
+    same = np.isclose(found, want, rtol=1e-5)
+    assert same.mean() > 0.99 and np.isfinite(want).mean() > 0.3
+    buffers.release()
+    assert buffers.held() == []
+
+
+def test_every_buffer_says_what_it_holds():
+    for own in fields(LevelBuffers):
+        assert {"shape", "dtype", "unit"} <= own.metadata.keys() and own.metadata["purpose"], own.name

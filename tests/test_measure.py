@@ -13,21 +13,17 @@ from support.scenes import relief_scene
 from pagas_cl.presets import BALANCED
 from pagas_cl.reference import exposure as exposure_twin
 from pagas_cl.reference import measure as twin
-from pagas_cl.reference.image_noise import noise_and_texture
 from pagas_cl.reference.level import Photo, prepare
-from pagas_cl.reference.summary import summarize
 from pagas_cl.runtime.program import run_once
 from pagas_cl.splat import exposure, project
-from pagas_cl.splat.image_noise import ImageNoise
-from pagas_cl.splat.level import LevelInput
-from pagas_cl.splat.measure import _ROWS, SHIFTS, Probe
-from pagas_cl.splat.state import PhotoStore, Size
-from pagas_cl.splat.summary import Rows
+from pagas_cl.splat.buffers import MOST_SAMPLES, SampleGrid, Size
+from pagas_cl.splat.inputs import LevelInput
+from pagas_cl.splat.measure import _ROWS, ImageNoise, Probe, Rows
+from pagas_cl.splat.photos import PhotoStore
 
 pytestmark = pytest.mark.kernels
 
-MOVES = [(float(shift), 0.0) for shift in SHIFTS] + [(0.0, epipolar_offset) for epipolar_offset in (-2.0, -1.0, 1.0,
-                                                                                                    2.0)]
+MOVES = [(float(shift), 0.0) for shift in twin.SHIFTS] + [(0.0, offset) for offset in (-2.0, -1.0, 1.0, 2.0)]
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +63,14 @@ def probe_of(device, scene):
     probe.release()
 
 
+def nearest(probe, number):
+    return project.nearest(probe.programs, probe.buffers, probe.views[number - 1])
+
+
+def match(probe, number):
+    return exposure.match(probe.programs, probe.buffers, probe.views[number - 1])
+
+
 def read(device, buffer, shape):
     out = np.empty(shape, np.float32)
     cl.enqueue_copy(device.queue, out, buffer)
@@ -74,7 +78,7 @@ def read(device, buffer, shape):
 
 
 def rows_of(device, probe, view):
-    shape = len(probe.contexts), len(_ROWS), *probe.target.grid[::-1]
+    shape = len(probe.views), len(_ROWS), *probe.target.size.grid[::-1]
     return dict(zip([name for name, *_ in _ROWS], read(device, probe.view_samples.values, shape)[view - 1]))
 
 
@@ -82,8 +86,8 @@ def rows_of(device, probe, view):
 def test_costs_of_moved_depths_equal_the_twin(device, scene, probe, number):
     initial, context = scene.initial.astype(np.float64), scene.contexts[number - 1]
     state = prepare(initial, scene.target, scene.contexts, BALANCED, scene.scene_scale, scene.delta(BALANCED))
-    run_once(device.queue, [*project.nearest(probe, number), *probe.sample(number)])
-    got, rows = read(device, probe.arena["costs"], (len(MOVES), *initial.shape)), rows_of(device, probe, number)
+    run_once(device.queue, [*nearest(probe, number), *probe.sample(probe.views[number - 1])])
+    got, rows = read(device, probe.buffers.costs, (len(MOVES), *initial.shape)), rows_of(device, probe, number)
     seen = rows["hidden"] == 0
     assert seen.mean() > 0.2
     costs = np.stack([twin.moved_cost(initial, state.parallax, scene.target, context, shift, scene.scene_scale,
@@ -104,14 +108,14 @@ def test_samples_of_a_view_equal_the_twin(device, scene, probe, number):
     """Hidden or not, and how large, with something in front of half of the photo."""
     context = scene.contexts[number - 1]
     size = context.camera.width, context.camera.height
-    run_once(device.queue, project.nearest(probe, number))
-    z_first = read(device, probe.arena["z_first"], size[::-1])
+    run_once(device.queue, nearest(probe, number))
+    z_first = read(device, probe.buffers.z_first, size[::-1])
     z_first[:, :size[0] // 2] = np.minimum(z_first[:, :size[0] // 2], 0.3)
-    cl.enqueue_copy(device.queue, probe.arena["z_first"], z_first)
-    run_once(device.queue, probe.sample(number)[:1])
+    cl.enqueue_copy(device.queue, probe.buffers.z_first, z_first)
+    run_once(device.queue, probe.sample(probe.views[number - 1])[:1])
     got = rows_of(device, probe, number)
     initial, near = (array.astype(np.float64) for array in (scene.initial, z_first))
-    given = initial, scene.target, context, near, probe.threshold(number), scene.scene_scale
+    given = initial, scene.target, context, near, probe.views[number - 1].threshold, scene.scene_scale
     hidden, large = twin.sampled(*given, BALANCED.splatting.low_pass)
     assert min((hidden == 0).mean(), (hidden == 1).mean(), np.isnan(hidden).mean()) > 0.05
     same = np.isclose(got["hidden"], hidden, equal_nan=True)
@@ -131,12 +135,12 @@ def test_judgement_of_samples_equals_the_twin(device, scene, probe):
     costs = rng.uniform(0, 1, (2, 1, *shape)) * rng.uniform(0.9, 1.1, (2, len(MOVES), *shape))
     costs = np.where(rng.uniform(size=costs.shape) < 0.03, twin.UNDEFINED, costs).astype(np.float32)
     cl.enqueue_copy(device.queue, probe.view_samples.values, values)
-    totals = np.zeros((2 + len(SHIFTS), *shape))
+    totals = np.zeros((2 + len(twin.SHIFTS), *shape))
     for view in (1, 2):
-        cl.enqueue_copy(device.queue, probe.arena["costs"], costs[view - 1])
-        run_once(device.queue, probe.sample(view)[2:])
+        cl.enqueue_copy(device.queue, probe.buffers.costs, costs[view - 1])
+        run_once(device.queue, probe.sample(probe.views[view - 1])[2:])
         totals += twin.votes(costs[view - 1], values[view - 1, names.index("hidden")] == 0)
-    assert np.abs(read(device, probe.arena["totals"], totals.shape) - totals).max() < 1e-6
+    assert np.abs(read(device, probe.buffers.totals, totals.shape) - totals).max() < 1e-6
     for view in (1, 2):
         got, want = rows_of(device, probe, view), twin.like(costs[view - 1].astype(np.float64))
         assert 0.1 < want.mean() < 0.9 and (got["like"] == want).mean() > 0.999
@@ -146,7 +150,7 @@ def test_judgement_of_samples_equals_the_twin(device, scene, probe):
             inside = (below == k // 2)[:, None] & (right == k % 2)
             assert np.allclose(got[f"epipolar_offset {k}"], np.where(inside, epipolar_offset, np.nan), atol=1e-4,
                                equal_nan=True)
-    cl.enqueue_fill_buffer(device.queue, probe.arena["matches"], np.uint32(0), 0, probe.arena.size("matches"))
+    cl.enqueue_fill_buffer(device.queue, probe.buffers.matches, np.uint32(0), 0, probe.buffers.matches.size)
     run_once(device.queue, probe._judge())
     rows = read(device, probe.samples.values, (3, *shape))
     for name, got, want in zip(("seen", "far", "specularity"), rows, twin.judged(scene.initial, totals, values[:, 9])):
@@ -157,10 +161,10 @@ def test_judgement_of_samples_equals_the_twin(device, scene, probe):
 def test_matched_colours_and_the_fit_equal_the_twin(device, smooth_scene, smooth_probe):
     scene, probe = smooth_scene, smooth_probe
     for view in (1, 2):
-        run_once(device.queue, [*project.nearest(probe, view), *probe.sample(view), exposure.match(probe, view)])
+        run_once(device.queue, [*nearest(probe, view), *probe.sample(probe.views[view - 1]), match(probe, view)])
     run_once(device.queue, probe._judge())
-    matches = read(device, probe.arena["matches"], (2, *scene.initial.shape, 8))
-    table, initial = read(device, probe.arena["exposure"], (3, 2, 3)), scene.initial.astype(np.float64)
+    matches = read(device, probe.buffers.matches, (2, *scene.initial.shape, 8))
+    table, initial = read(device, probe.buffers.exposure, (3, 2, 3)), scene.initial.astype(np.float64)
     assert (table[0] == [[1] * 3, [0] * 3]).all()
     for number, context in enumerate(scene.contexts, start=1):
         got, rows = matches[number - 1], rows_of(device, probe, number)
@@ -182,9 +186,9 @@ def test_states_of_matches_equal_the_twin(device, smooth_scene, smooth_probe):
     scene, probe = smooth_scene, smooth_probe
     """Without anything hidden: where the photo is seen, and where it is clipped."""
     scene, probe = smooth_scene, smooth_probe
-    cl.enqueue_fill_buffer(device.queue, probe.arena["z_first"], np.float32(np.inf), 0, probe.arena.size("z_first"))
-    run_once(device.queue, [exposure.match(probe, 1)])
-    got = read(device, probe.arena["matches"], (2, *scene.initial.shape, 8))[0, ..., 3]
+    cl.enqueue_fill_buffer(device.queue, probe.buffers.z_first, np.float32(np.inf), 0, probe.buffers.z_first.size)
+    run_once(device.queue, [match(probe, 1)])
+    got = read(device, probe.buffers.matches, (2, *scene.initial.shape, 8))[0, ..., 3]
     want = exposure_twin.match(scene.initial.astype(np.float64), scene.target, scene.contexts[0], None, 0.0,
                                scene.scene_scale)[2]
     inner = np.s_[3:-3, 3:-3]
@@ -200,23 +204,24 @@ def test_summaries(device):
     cl.enqueue_copy(device.queue, rows.values, values.astype(np.float32))
     run_once(device.queue, [rows.summarize()])
     got = rows.read()
-    assert got[0] == pytest.approx(summarize(values[0], 0.95), abs=1e-3)
-    assert got[1, [0, 1, 3]] == pytest.approx(np.array(summarize(values[1], 0.5))[[0, 1, 3]], abs=1e-6)
-    assert got[2] == pytest.approx(summarize(values[2], 0.5), nan_ok=True)
-    assert got[3] == pytest.approx(summarize(values[3], 0.25), abs=1e-3)     # those beyond the range: in the last bin
+    assert got[0] == pytest.approx(twin.summarize(values[0], 0.95), abs=1e-3)
+    assert got[1, [0, 1, 3]] == pytest.approx(np.array(twin.summarize(values[1], 0.5))[[0, 1, 3]], abs=1e-6)
+    assert got[2] == pytest.approx(twin.summarize(values[2], 0.5), nan_ok=True)
+    # those beyond the range: in the last bin
+    assert got[3] == pytest.approx(twin.summarize(values[3], 0.25), abs=1e-3)
 
 
 @pytest.mark.parametrize("noise", [0.0, 2.0, 6.0])
 def test_noise_and_texture_equal_the_twin(device, noise):
     view = relief_scene(120, 90, 1, held_out=0, noise=noise).views[0]
     got = ImageNoise(device, PhotoStore(device).photo(view), Size(120, 90)).read()
-    want = noise_and_texture(view.load_image())
+    want = twin.noise_and_texture(view.load_image())
     assert got[0] == pytest.approx(want[0], abs=0.6 * 1.4826 / 6**0.5 / 765)    # a median of whole numbers
     assert got[1] == pytest.approx(want[1], abs=0.02)
 
 
 @given(st.integers(1, 1 << 20), st.integers(1, 1 << 20))
 def test_samples_fit_their_buffers_whatever_the_shape(width, height):
-    grid = exposure.Grid.over(Size(width, height))
-    assert 1 <= grid.count <= 2 * exposure.MOST_SAMPLES
+    grid = SampleGrid.over(Size(width, height))
+    assert 1 <= grid.count <= 2 * MOST_SAMPLES
     assert (grid.across - 1) * grid.stride < width and (grid.down - 1) * grid.stride < height

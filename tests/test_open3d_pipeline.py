@@ -132,6 +132,17 @@ def test_one_call_gives_a_mesh_that_lies_right(made):
     assert 1.6 < ratio < 3.4  # edges of 1.3 instead of 2 footprints
 
 
+def test_frames_that_could_not_be_refined_are_integrated_as_they_came(made, monkeypatch):
+    import pagas_cl.refine as refining
+    from pagas_cl.result import DepthResult
+
+    monkeypatch.setattr(refining, "refine_views", lambda views, *_, **__: [
+        DepthResult.missing(view.camera, "its photo has gone", view.name) for view in views])
+    colors, depths, K, E = parts(made)
+    mesh = refine_and_integrate([legacy(c, d) for c, d in zip(colors, depths)], K, E, config=FEW)
+    assert len(mesh.vertex["positions"]) > 300
+
+
 @pytest.mark.parametrize("change, sentence", [
     (lambda f, K, E: ([], K, E), "no frames"),
     (lambda f, K, E: (f, K, E[:2]), "2 extrinsics were given for 3 frames"),
@@ -200,7 +211,7 @@ def test_tutorial_loop_with_and_without_the_step(data_dir):
 
 def test_disagreement_of_depth_maps(ring):
     """0 for exact depths of a plane; the error where one map is off; NaN where no other view looks."""
-    from pagas_cl.surface.disagreement import disagreement
+    from pagas_cl.surface.agree import disagreement
 
     depths = [plane_depth(camera, NORMAL, 0.0) for camera in ring[:3]]
     exact = disagreement(ring[0], depths[0], ring[1:3], depths[1:])

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from pagas_cl.errors import DeviceError
-from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.runtime.program import bind, build, run_once, signatures
+from pagas_cl.splat.constants import SHARED
 
 pytestmark = pytest.mark.kernels
 
@@ -18,7 +19,9 @@ def rate_falls(device, patience):
     buffers = [device.memory.buffer(device.context, array.nbytes) for array in arrays]
     for buffer, array in zip(buffers, arrays):
         cl.enqueue_copy(device.queue, buffer, array)
-    run_once(device.queue, [bind(build(device, "step.cl"), "plateau", (1,), None, *buffers, 1, patience, 0.0)])
+    run_once(device.queue, [bind(build(device, "step.cl", SHARED), "plateau", (1,), state=buffers[0],
+                                photo_loss=buffers[1], history=buffers[2], number=1, patience=patience,
+                                floor_rate=0.0)])
     cl.enqueue_copy(device.queue, arrays[0], buffers[0])
     return arrays[0][0] < 1
 
@@ -43,18 +46,34 @@ def test_a_kernel_that_is_used_again_has_the_arguments_of_now(device):
     """Buffers that come and go at the same addresses, numbers changed behind bind's back."""
     import pyopencl as cl
 
-    program, source = build(device, "step.cl"), np.full(4, 5, np.float32)
+    program, source = build(device, "step.cl", SHARED), np.full(4, 5, np.float32)
     for repeat in range(6):
         state, loss, history = (
             device.memory.buffer(device.context, nbytes) if repeat < 4 else
             cl.Buffer(device.context, cl.mem_flags.READ_WRITE, nbytes) for nbytes in (32, 8, source.nbytes))
         cl.enqueue_copy(device.queue, state, np.array([1, 0, 0, 0, 2, 0, 0, 0], np.float32))
         cl.enqueue_copy(device.queue, loss, np.array([(3 + repeat) * 2**40], np.int64))
-        launch = bind(program, "plateau", (1,), None, state, loss, history, 1, 9, 0.0)
+        launch = bind(program, "plateau", (1,), state=state, photo_loss=loss, history=history, number=1,
+                      patience=9, floor_rate=0.0)
         if repeat % 2:
-            launch.set_arg(3, np.int32(3))                # the place in the history
+            launch.set(number=3)                # the place in the history
         run_once(device.queue, [launch])
         found = np.zeros(4, np.float32)
         cl.enqueue_copy(device.queue, found, history)
         assert found[2 if repeat % 2 else 0] == 5 + repeat
         del launch, state, loss, history
+
+
+def test_an_argument_of_another_name_or_one_too_few_is_refused(device):
+    program, given = build(device, "summary.cl", SHARED), dict(rows=None, count=1, rules=None)
+    with pytest.raises(TypeError, match=r"kernel summarize takes rows, count, rules, summary: missing \['summary'\]"):
+        bind(program, "summarize", (64,), **given)
+    with pytest.raises(TypeError, match=r"missing \[\], unknown \['sums'\]"):
+        bind(program, "summarize", (64,), summary=None, sums=None, **given)
+
+
+def test_signatures_are_read_from_the_source():
+    text = """__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+    void f(__global const float *restrict depth,   // [H, W], units (device, not scene)
+           int width, /* of the image, */ CONSTANT float *cameras, float scale) { g(depth); }"""
+    assert signatures(text) == {"f": {"depth": "", "width": "int", "cameras": "", "scale": "float"}}

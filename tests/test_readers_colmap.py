@@ -9,7 +9,7 @@ from PIL import Image
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.lens import Lens
-from pagas_cl.scene.readers import camera_file, colmap, formats, read_scene
+from pagas_cl.scene.readers import FORMATS, camera_file, colmap, read_scene
 from pagas_cl.scene.view import View
 
 pycolmap = pytest.importorskip("pycolmap")
@@ -154,7 +154,7 @@ def test_no_scene_and_unknown_format(tmp_path):
         read_scene(tmp_path, "x")
     with pytest.raises(InputError, match="no COLMAP model: looked for"):
         read_scene(tmp_path, "colmap")
-    assert not colmap.detect(tmp_path) and {"cameras", "colmap"} <= set(formats())
+    assert not colmap.detect(tmp_path) and {"cameras", "colmap"} <= set(FORMATS)
 
 
 def test_camera_file_round_trip(tmp_path, ring):

@@ -3,44 +3,37 @@
 import numpy as np
 import pytest
 import rigs
+import scene_writers
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.readers import bundler, meshlab, mvsnet, nerfstudio, neus, open3d_trajectory, read_scene
+from pagas_cl.scene.readers import meshlab, read_scene
 
 OFFSETS = {"origin": (0, 0, 0), "utm": rigs.UTM}
 
 
-def write_nerfstudio(folder, views):
-    nerfstudio.write(folder, views)
-
-
 def write_mvsnet(folder, views):
-    mvsnet.write(folder, views, (0.5, 0.01))
+    scene_writers.mvsnet(folder, views, (0.5, 0.01))
     (folder / "pair.txt").write_text("1\n0\n2 1 10.5 2 3.25\n")
 
 
 def write_neus(folder, views):
-    neus.write(folder, views, np.diag([3.0, 3, 3, 1]))
+    scene_writers.neus(folder, views, np.diag([3.0, 3, 3, 1]))
 
 
 def write_open3d(folder, views):
-    open3d_trajectory.write_json(folder / "trajectory.json", [v.camera for v in views])
+    scene_writers.open3d_json(folder / "trajectory.json", [v.camera for v in views])
 
 
 def write_log(folder, views):
-    open3d_trajectory.write_log(folder / "trajectory.log", [v.camera for v in views])
-
-
-def write_bundler(folder, views):
-    bundler.write(folder, views)
+    scene_writers.open3d_log(folder / "trajectory.log", [v.camera for v in views])
 
 
 def write_meshlab(folder, views):
     meshlab.write_project(folder / "project.mlp", views)
 
 
-KEEPS_ALL = {"nerfstudio": write_nerfstudio, "mvsnet": write_mvsnet, "neus": write_neus, "open3d": write_open3d,
-             "meshlab": write_meshlab}
+KEEPS_ALL = {"nerfstudio": scene_writers.nerfstudio, "mvsnet": write_mvsnet, "neus": write_neus,
+             "open3d": write_open3d, "meshlab": write_meshlab}
 
 
 def assert_same(views, scene):
@@ -60,7 +53,7 @@ def test_camera_survives(tmp_path, name, offset):
 
 
 def test_format_is_found_by_looking(tmp_path):
-    for name, write in {**KEEPS_ALL, "bundler": write_bundler}.items():
+    for name, write in {**KEEPS_ALL, "bundler": scene_writers.bundler}.items():
         (tmp_path / name).mkdir()
         views = rigs.with_photos(tmp_path / name, rigs.random_cameras(centred=True, square=True))
         write(tmp_path / name, views)
@@ -76,25 +69,25 @@ def test_log_keeps_poses_and_needs_one_set_of_intrinsics(tmp_path, offset):
     with pytest.raises(InputError, match="no intrinsics .*camera_intrinsic.json"):
         read_scene(tmp_path, "open3d")
     with pytest.raises(InputError, match="one set of intrinsics"):
-        open3d_trajectory.write_log(tmp_path / "t.log", rigs.random_cameras())
+        scene_writers.open3d_log(tmp_path / "t.log", rigs.random_cameras())
 
 
 @pytest.mark.parametrize("offset", OFFSETS)
 def test_bundler_keeps_centred_square_cameras_and_names_what_it_cannot_hold(tmp_path, offset):
     views = rigs.with_photos(tmp_path, rigs.random_cameras(offset=OFFSETS[offset], centred=True, square=True))
-    bundler.write(tmp_path, views)
+    scene_writers.bundler(tmp_path, views)
     assert_same(views, read_scene(tmp_path, "bundler"))
     for keep, sentence in (({"square": True}, "principal point"), ({"centred": True}, "one focal length")):
         views = rigs.with_photos(tmp_path, rigs.random_cameras(**keep))
         with pytest.raises(InputError, match=sentence):
-            bundler.write(tmp_path, views)
+            scene_writers.bundler(tmp_path, views)
 
 
 def test_neus_sphere_frame(tmp_path):
     views = rigs.with_photos(tmp_path, rigs.random_cameras())
     scale = np.diag([3.0, 3, 3, 1])
     scale[:3, 3] = (1, -2, 4)
-    neus.write(tmp_path, views, scale)
+    scene_writers.neus(tmp_path, views, scale)
     sphere = read_scene(tmp_path, "neus", frame="sphere")
     point = np.array([0.3, -0.2, 0.4])
     for world, inner in zip(views, sphere.views):
@@ -107,7 +100,7 @@ def test_nerf_synthetic_field_of_view_and_suffix(tmp_path):
     import json
 
     views = rigs.with_photos(tmp_path, rigs.random_cameras(2, centred=True, square=True, same=True), "train")
-    nerfstudio.write(tmp_path, views)
+    scene_writers.nerfstudio(tmp_path, views)
     data = json.loads((tmp_path / "transforms.json").read_text())
     camera = views[0].camera
     frames = [{"file_path": "./train/" + view.stem, "transform_matrix": frame["transform_matrix"]}
@@ -120,12 +113,12 @@ def test_nerf_synthetic_field_of_view_and_suffix(tmp_path):
 
 def test_mvsnet_intrinsics_of_another_size(tmp_path):
     views = rigs.with_photos(tmp_path, rigs.random_cameras(3))
-    mvsnet.write(tmp_path, views)
+    scene_writers.mvsnet(tmp_path, views)
     from dataclasses import replace
 
     small = [replace(v, camera=replace(v.camera, fx=v.camera.fx / 4, fy=v.camera.fy / 4, cx=v.camera.cx / 4,
                                        cy=v.camera.cy / 4)) for v in views]
-    mvsnet.write(tmp_path, small)
+    scene_writers.mvsnet(tmp_path, small)
     with pytest.raises(InputError, match="intrinsics_scale=4"):
         read_scene(tmp_path, "mvsnet")
     assert_same(views, read_scene(tmp_path, "mvsnet", intrinsics_scale=4.0))

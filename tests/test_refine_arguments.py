@@ -85,11 +85,11 @@ def test_two_results_of_one_view_are_refused():
 
 def test_fused_meshes_of_pickled_results_are_the_same():
     pytest.importorskip("open3d")
-    from support.scenes import small
+    from support.scenes import tiny
 
     from pagas_cl.refine import fuse_results
 
-    made, config = small(), pagas_cl.preset("fast").with_settings(effects__consistency="off", fusion__min_views=1)
+    made, config = tiny(), pagas_cl.preset("fast").with_settings(effects__consistency="off", fusion__min_views=1)
     results = [DepthResult.unrefined(view.camera, made.initial_depth(view.camera), "", name=view.name)
                for view in made.views]
     one, other = (fuse_results(made.views, given, config)

@@ -8,8 +8,7 @@ from PIL import Image
 
 from pagas_cl import Camera, View
 from pagas_cl.report import Report
-from pagas_cl.report.colors import NOTHING, colored, normal_colors
-from pagas_cl.report.pictures import depth_range, parallax_change, view_pictures
+from pagas_cl.report.pictures import NOTHING, colored, depth_range, normal_colors, parallax_change, view_pictures
 from pagas_cl.report.writer import file_stem
 
 WIDTH, HEIGHT = 40, 30

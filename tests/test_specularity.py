@@ -18,7 +18,7 @@ pytestmark = pytest.mark.kernels
 def weights(device, specularity, **settings):
     scene = Scene.make(17, width=45, height=37, contexts=2)
     level = start_level(device, BALANCED.with_settings(smoothness__texture=0.5, **settings), scene, specularity)
-    found = level.read("weights", scene.initial.shape).astype(np.float64), "raised" in level.arena
+    found = level.read("weights", scene.initial.shape).astype(np.float64), level.buffers.raised is not None
     level.release()
     return found
 
@@ -43,8 +43,7 @@ def depths_of_steps(device, monkeypatch, **settings):
     scene = Scene.make(17, width=45, height=37, contexts=2)
     specularity = np.full((9, 12), 0.03, np.float32)
     level, depths = start_level(device, BALANCED.with_settings(**settings), scene, specularity, raised=False), []
-    monkeypatch.setattr("pagas_cl.splat.step_progress.AHEAD",
-                        0)         # told of each step before the next one is enqueued
+    monkeypatch.setattr("pagas_cl.splat.step.AHEAD", 0)         # told of each step before the next one is enqueued
     level.run(6, lambda *_: depths.append(level.read("depth", scene.initial.shape)))
     level.release()
     return depths

@@ -8,8 +8,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.evaluate import compare_depth, depth_normals, depth_per_parallax, dilate
 from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.photo import depth_and_part
-from pagas_cl.synthetic.pieces import Bar, Block
-from pagas_cl.synthetic.solid import BAR, BLOCK, MISS, RELIEF, Solid
+from pagas_cl.synthetic.solid import BAR, BLOCK, MISS, RELIEF, Bar, Block, Solid
 from pagas_cl.synthetic.texture import Texture, noise
 from pagas_cl.synthetic.waves import Waves
 
@@ -58,7 +57,10 @@ def test_depth_lies_on_the_surface(view):
 def test_first_surface_is_found():
     """Steep waves seen at a slant hide one another: no point in front of the found one may be inside."""
     rng = np.random.default_rng(3)
-    solid = Solid((Waves.random(rng, 5, 6.0, 20.0, 1.0).scaled(1.5),), (Block(2.0, 1.0, 6.0, 4.0, 5.0, 0.4),),
+    waves = Waves.random(rng, 5, 6.0, 20.0, 1.0).scaled(1.5)
+    amplitude = np.abs(waves.amplitude)
+    steepest = 2 * np.pi * (amplitude * np.linalg.norm(waves.turns, axis=1)).sum()
+    solid = Solid((waves,), (amplitude.sum(), steepest), (Block(2.0, 1.0, 6.0, 4.0, 5.0, 0.4),),
                   Bar((0.0, 0.0, -12.0), (0.0, 1.0, 0.0), 0.5))
     origin = np.array([60.0, 10.0, -60.0])
     ends = np.stack([*rng.uniform(-25, 25, (2, 400)), np.zeros(400)], axis=-1)

@@ -7,7 +7,7 @@ import pytest
 
 from pagas_cl.reference import units as twin
 from pagas_cl.runtime.transfer import download, upload
-from pagas_cl.scene.scene_scale import FAR, MEDIAN_SAMPLES, NEAR, scene_scale_of
+from pagas_cl.scene.sampling import FAR, MEDIAN_SAMPLES, NEAR, scene_scale_of
 from pagas_cl.splat.units import NormalizedDepth
 
 pytestmark = pytest.mark.kernels

@@ -14,6 +14,7 @@ import zlib
 import numpy as np
 import pytest
 import rigs
+import scene_writers
 from fuzzing import bounded
 
 from pagas_cl.commands._settings import build_config
@@ -21,10 +22,10 @@ from pagas_cl.config import setting_names
 from pagas_cl.errors import InputError
 from pagas_cl.filters.filter_script import check_script
 from pagas_cl.presets import PRESETS
-from pagas_cl.scene import depthmap, npy
+from pagas_cl.scene import depthmap, files
 from pagas_cl.scene.images import read_photo
 from pagas_cl.scene.mesh import to_surface
-from pagas_cl.scene.readers import nerfstudio, read_scene
+from pagas_cl.scene.readers import read_scene
 from pagas_cl.selftest import config_of
 from pagas_cl.selftest.table import SETTINGS
 
@@ -81,7 +82,7 @@ def test_entities_are_never_expanded(tmp_path, text):
 
 def test_a_depth_map_that_unpacks_to_more_than_any_has(tmp_path, monkeypatch):
     """Kilobytes of zeros, deflated: refused by what the archive says, before anything is unpacked."""
-    monkeypatch.setattr(npy, "MOST_BYTES", 1 << 20)
+    monkeypatch.setattr(files, "MOST_BYTES", 1 << 20)
     np.savez_compressed(tmp_path / "a.npz", depth=np.zeros((1000, 1000), np.float32))
     monkeypatch.setattr(np.lib.format, "read_array", lambda *_, **__: pytest.fail("unpacked"))
     with pytest.raises(InputError, match="unpacks to 0.0 GB"):
@@ -93,7 +94,7 @@ def test_a_depth_map_that_unpacks_to_more_than_any_has(tmp_path, monkeypatch):
 def test_photo_paths_of_a_scene_file_stay_inside_unless_told(tmp_path, path):
     folder = tmp_path / "scene"
     folder.mkdir()
-    nerfstudio.write(folder, rigs.with_photos(folder, rigs.random_cameras(1)))
+    scene_writers.nerfstudio(folder, rigs.with_photos(folder, rigs.random_cameras(1)))
     data = json.loads((folder / "transforms.json").read_text())
     data["frames"][0]["file_path"] = path
     (folder / "transforms.json").write_text(json.dumps(data))
@@ -107,7 +108,7 @@ def test_links_out_of_a_scene_are_told(tmp_path, caplog, what):
     business, nor is the way to the scene itself."""
     folder, elsewhere = tmp_path / "scene", tmp_path / "elsewhere"
     folder.mkdir(), elsewhere.mkdir()
-    nerfstudio.write(folder, rigs.with_photos(folder, rigs.random_cameras(2)))
+    scene_writers.nerfstudio(folder, rigs.with_photos(folder, rigs.random_cameras(2)))
     photo = read_scene(folder, "nerfstudio").views[0].image
     if what == "photo":
         photo.rename(elsewhere / photo.name)
@@ -154,10 +155,11 @@ def test_a_mesh_that_claims_to_be_huge(tmp_path, body):
 
 def test_a_mesh_that_is_cut_off(tmp_path):
     pytest.importorskip("open3d", reason="reading mesh files takes Open3D")
-    from pagas_cl.synthetic.disk import write_ply
+    from pagas_cl.scene.mesh import Surface
+    from pagas_cl.scene.mesh_file import write_mesh
 
     corners, faces = np.random.default_rng(1).random((30, 3)), np.arange(30).reshape(10, 3)
-    write_ply(tmp_path / "whole.ply", corners, faces)
+    write_mesh(tmp_path / "whole.ply", Surface(corners, faces))
     whole = (tmp_path / "whole.ply").read_bytes()
     assert len(to_surface(tmp_path / "whole.ply").faces) == 10
     for cut in (1, 13, 100, 300):  # in a face, at a face's end, in the faces, in the vertices

@@ -45,8 +45,15 @@ def shown_progress(quiet: bool = False):
     """Context of a callable progress(stage, done, total) that draws a bar, or writes a line now and then."""
     if quiet:
         yield lambda stage, done, total: None
-    elif sys.stderr.isatty():
-        with _bars() as bars:
+    elif not sys.stderr.isatty():
+        yield Lines()
+    else:
+        from rich import progress
+
+        with progress.Progress(progress.TextColumn("{task.description}"), progress.BarColumn(),
+                               progress.MofNCompleteColumn(), progress.TimeElapsedColumn(),
+                               progress.TextColumn("gone,"), progress.TimeRemainingColumn(),
+                               progress.TextColumn("left"), console=console()) as bars:
             tasks = {}
 
             def draw(stage: str, done: float, total: int) -> None:
@@ -55,39 +62,20 @@ def shown_progress(quiet: bool = False):
                 bars.update(tasks[stage], completed=done, total=total)
 
             yield draw
-    else:
-        yield Lines()
-
-
-def _bars():
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-                    TextColumn("gone,"), TimeRemainingColumn(), TextColumn("left"), console=console())
 
 
 class Lines:
     """Progress for a file or a pipe: one line every few seconds, and one when a stage is done."""
 
     def __init__(self, write=None, clock=time.monotonic):
-        self._write = write or sys.stderr.write
-        self._clock = clock
+        self._write, self._clock = write or sys.stderr.write, clock
         self._began: dict[str, float] = {}
         self._last_line: dict[str, float] = {}
 
     def __call__(self, stage: str, done: float, total: int) -> None:
         now = self._clock()
-        began = self._began.setdefault(stage, now)
-        last = self._last_line.setdefault(stage, now)
-        finished = done >= total
-        if finished:
+        began, last = self._began.setdefault(stage, now), self._last_line.setdefault(stage, now)
+        if done >= total:
             self._began.pop(stage), self._last_line.pop(stage)
             self._write(f"{stage}: {total} of {total} in {now - began:.0f} s\n")
         elif done and now - last >= _LINE_EVERY:

@@ -1,10 +1,14 @@
-"""Settings as they are written on a command line: `--set stage.field=value`."""
+"""Settings of a command line: `--set stage.field=value`, or the best for `--time-per-view` and `--time-budget`."""
 
 from __future__ import annotations
+
+import logging
 
 from pagas_cl.config import Config, setting_names
 from pagas_cl.errors import InputError
 from pagas_cl.presets import preset
+
+log = logging.getLogger("pagas_cl")
 
 _YES_NO = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 
@@ -57,3 +61,34 @@ def _number(text: str):
         return int(text)
     except ValueError:
         return float(text)
+
+
+def check_times(per_view: float | None, budget: float | None, preset: str, several: bool) -> None:
+    """Refuse what contradicts itself; `several`: the work is done on several devices."""
+    given = {name: value for name, value in (("--time-per-view", per_view), ("--time-budget", budget))
+             if value is not None}
+    if len(given) > 1:
+        raise InputError("expected --time-per-view or --time-budget, got both")
+    if several and given:
+        raise InputError("--time-per-view and --time-budget measure one device: leave out --devices and --scheduler, "
+                         "or choose the settings with --preset")
+    for name, value in given.items():
+        if not value > 0:
+            raise InputError(f"{name} is {value:g}, expected more than 0")
+        if preset != "balanced":
+            raise InputError(f"{name} chooses the settings itself: leave out --preset {preset} (--set and --context "
+                             "hold)")
+
+
+def config_in_time(views, depths, names, device, per_view: float | None, budget: float | None, change) -> Config:
+    """The best settings whose expected time fits, told in the log; `change(config)` is applied to all of them first.
+
+    Arguments as in refine_views; `per_view` seconds, or `budget` minutes for all views: one of the two.
+    """
+    from pagas_cl.costs import Costs
+
+    costs = Costs(views, depths, device, names)
+    choice = costs.choose(per_view if per_view is not None else 60 * budget / len(costs.pixels), change)
+    log.info("settings: %s, about %.3g s per view, %.1f minutes for %d views (reading the mesh and fusing not counted)",
+             choice.name, choice.seconds, choice.seconds * choice.views / 60, choice.views)
+    return choice.config

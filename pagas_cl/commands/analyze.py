@@ -9,8 +9,8 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.commands._initial import check_source, initial_depths
-from pagas_cl.commands._places import check_writable, write_file
+from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
+from pagas_cl.scene.files import write_text
 
 MANY = ("--views", "--set", "--effect")
 COLUMNS = ["view", "effect", "evidence", "threshold", "decision", "what is measured"]
@@ -37,12 +37,10 @@ def command(
     """Measure what SCENE calls for; refines nothing. The decisions are those that refine takes."""
     from pagas_cl.analysis import analyze
     from pagas_cl.commands._settings import build_config, effect_settings
-    from pagas_cl.report.page import write_text
-    from pagas_cl.scene.readers import read_scene
 
     check_source(mesh, depth_dir, "where a refinement would start")
     config = build_config(preset, [*settings, *effect_settings(effects)])
-    found = read_scene(scene, format, **({"outside": True} if outside else {}))
+    found = load_scene(scene, format, outside)
     names = [found.views[found.index(name)].name for name in views] or None
     check_writable("--json", output and output.parent)
     check_writable("--report", report)
@@ -53,25 +51,25 @@ def command(
     show(analysis)
     text = json.dumps(analysis.as_dict(), indent=1) + "\n"
     if output is not None:
-        write_file(output, text)
+        write_text(output, text)
     if report is not None:
-        report.mkdir(parents=True, exist_ok=True)
         write_text(report / "analysis.json", text)
         write_text(report / "index.html", page(analysis, found.source))
 
 
 def rows(analysis) -> list[list[str]]:
     """One row a view and effect, as COLUMNS says; a view that has no context view has one row with the reason."""
+    def row(view, decision, more=""):
+        return [view, decision.effect, f"{decision.evidence:.4g}", f"{decision.threshold:g}",
+                "on" if decision.on else "off", decision.reason + more]
+
     cells = []
     for view in analysis.views:
         if view.reason and not view.decisions:
             cells.append([view.view, "", "", "", "", view.reason])
-        cells += [[view.view, d.effect, f"{d.evidence:.4g}", f"{d.threshold:g}", "on" if d.on else "off", d.reason]
-                  for d in view.decisions]
-    d = analysis.consistency
-    if d is not None:
-        cells.append(["all", d.effect, f"{d.evidence:.4g}", f"{d.threshold:g}", "on" if d.on else "off",
-                      f"{d.reason}; of the initial depth, decided anew on the refined one"])
+        cells += [row(view.view, decision) for decision in view.decisions]
+    if analysis.consistency is not None:
+        cells.append(row("all", analysis.consistency, "; of the initial depth, decided anew on the refined one"))
     return cells
 
 
@@ -84,22 +82,16 @@ def cost_rows(analysis) -> list[list[str]]:
 def show(analysis) -> None:
     """The tables on standard output."""
     from rich.console import Console
-
-    out = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 160, highlight=False)
-    out.print(_rich(COLUMNS, rows(analysis), "What the scene calls for"))
-    if analysis.costs:
-        out.print(_rich(COSTS, cost_rows(analysis), f"Steps of {analysis.timed} on {analysis.device}"))
-
-
-def _rich(columns, cells, title):
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left")
-    for name in columns:
-        table.add_column(name)
-    for row in cells:
-        table.add_row(*row, style="bold" if "on" in row[4:5] else None)
-    return table
+    out = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 160, highlight=False)
+    tables = [("What the scene calls for", COLUMNS, rows(analysis)),
+              (f"Steps of {analysis.timed} on {analysis.device}", COSTS, cost_rows(analysis))]
+    for title, columns, cells in tables[:1 + bool(analysis.costs)]:
+        table = Table(*columns, title=title, title_justify="left")
+        for row in cells:
+            table.add_row(*row, style="bold" if "on" in row[4:5] else None)
+        out.print(table)
 
 
 def page(analysis, source: str) -> str:

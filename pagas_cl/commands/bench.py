@@ -8,7 +8,8 @@ from pathlib import Path
 
 import typer
 
-from pagas_cl.commands._places import check_writable, write_file
+from pagas_cl.commands._start import check_writable
+from pagas_cl.scene.files import write_text
 
 MANY = ("--preset", "--set")
 
@@ -35,4 +36,4 @@ def command(
         sys.stdout.write(result.table() + "\n")
         results.append(result.as_dict())
     if output:
-        write_file(output, json.dumps(results, indent=1) + "\n")
+        write_text(output, json.dumps(results, indent=1) + "\n")

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import typer
 
+from pagas_cl.commands._start import load_scene
+
 
 def command(
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with photos and cameras, in any known format."),
@@ -20,11 +22,10 @@ def command(
 
     Status 2 when another reading of them fits better, or when none of them sees the mesh.
     """
-    from pagas_cl.camera_check import check_views
     from pagas_cl.errors import InputError
-    from pagas_cl.scene.readers import read_scene
+    from pagas_cl.scene.check import check_views
 
-    found = read_scene(scene, format, **({"outside": True} if outside else {}))
+    found = load_scene(scene, format, outside)
     report = check_views(mesh, found.cameras, found.views)
     sys.stdout.write(json.dumps(report.as_dict(), indent=1) + "\n" if as_json else table(report))
     if not report.ok:

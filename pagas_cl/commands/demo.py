@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.commands._places import check_writable
+from pagas_cl.commands._start import check_writable
 
 
 def command(

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import logging
 import sys
 from pathlib import Path
 
 import typer
 
-from pagas_cl.commands._places import check_writable, write_file
+from pagas_cl.commands._start import check_writable
 from pagas_cl.errors import InputError
+from pagas_cl.scene.files import write_text
+
+log = logging.getLogger("pagas_cl")
 
 
 def command(
@@ -41,11 +45,10 @@ def command(
     for group, rows in figures.items():
         sys.stdout.write(_table(group, rows))
     if output is not None:
-        write_file(output, json.dumps(figures, indent=1))
+        write_text(output, json.dumps(figures, indent=1))
 
 
 def _depth_figures(folder, truth, scene, held_out, before, scale):
-    from pagas_cl.evaluate.folders import depth_errors, photo_predictions
     from pagas_cl.scene.readers import read_scene
 
     if scene is None:
@@ -54,16 +57,67 @@ def _depth_figures(folder, truth, scene, held_out, before, scale):
         raise InputError("nothing to compare with: give a folder of true depth maps, or --held-out VIEW")
     scene, figures = read_scene(scene), {}
     if truth is not None:
-        for view, parts in depth_errors(scene, folder, truth, scale=scale).items():
+        for view, parts in _depth_errors(scene, folder, truth, scale).items():
             figures[f"{view}: depth error (scene units, pixels of parallax) and normal error (degrees)"] = parts
     if held_out:
-        rows = photo_predictions(scene, folder, held_out, before=before, scale=scale)
-        figures["correlation of held-out photos"] = rows
+        figures["correlation of held-out photos"] = _photo_predictions(scene, folder, held_out, before, scale)
     return figures
 
 
+def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
+    """View name -> figures; parallax is that against all other views."""
+    from pagas_cl.evaluate import compare_depth, depth_per_parallax
+
+    rows = {}
+    for view in scene.views:
+        depth, truth = (_depth(where, view, scale) for where in (folder, truth_folder))
+        if depth is None or truth is None:
+            continue
+        others = [other.camera for other in scene.views if other is not view]
+        rows[view.name] = compare_depth(depth, truth, view.camera, mask=view.load_mask(),
+                                        parallax=depth_per_parallax(truth, view.camera, others)).as_dict()
+    if not rows:
+        raise InputError(f"no view of {scene.source or 'the scene'} has a depth map in both {str(folder)!r} and "
+                         f"{str(truth_folder)!r}; they are named <image stem>.npz")
+    return rows
+
+
+def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict]:
+    """"<view> from <held-out view>" -> median correlation and pixels; with depth maps `before` on the same pixels."""
+    from pagas_cl.evaluate import compare_predictions
+
+    kept_out = [scene.views[scene.index(name)] for name in held_out]
+    rows = {}
+    for view in scene.views:
+        if view in kept_out:
+            continue
+        depths = [_depth(where, view, scale) for where in (folder, before) if where is not None]
+        if any(depth is None for depth in depths):
+            continue
+        for other in kept_out:
+            after, *first = compare_predictions(view, depths, other)
+            if not after.pixels:
+                log.warning("%s: nothing of it is seen in %s", view.name, other.name)
+                continue
+            row = rows[f"{view.name} from {other.name}"] = {"median": after.median, "pixels": after.pixels}
+            if first:
+                row["median_before"] = first[0].median
+    if not rows:
+        raise InputError(f"no photo can be predicted: no view of {scene.source or 'the scene'} with a depth map in "
+                         f"{str(folder)!r} sees what a held-out view sees")
+    return rows
+
+
+def _depth(folder, view, scale):
+    from pagas_cl.scene.depthmap import find_depth, load_depth
+
+    path = find_depth(folder, view.name)
+    return None if path is None else load_depth(path, (view.camera.width, view.camera.height), scale=scale)
+
+
 def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, ground):
-    from pagas_cl.evaluate import chamfer, dtu, f_score
+    from pagas_cl.evaluate import chamfer, f_score
+    from pagas_cl.evaluate.clouds import load_ground, load_visible
     from pagas_cl.evaluate.sample import extent, load_points, read_shape
 
     if truth is None:
@@ -73,8 +127,8 @@ def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, gr
     clouds = [load_points(path, spacing) for path in (result, truth)]
     figures = {f"Chamfer distance, scene units (points every {spacing:.4g})": {"": chamfer(
         *clouds, downsample=spacing, max_distance=max_distance,
-        visible=None if visible is None else dtu.load_visible(visible),
-        ground=None if ground is None else dtu.load_ground(ground)).as_dict()}}
+        visible=None if visible is None else load_visible(visible),
+        ground=None if ground is None else load_ground(ground)).as_dict()}}
     if thresholds:
         figures["share of points within a distance"] = {
             f"{distance:g}": f_score(*clouds, distance, downsample=spacing).as_dict() for distance in thresholds}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from contextlib import nullcontext
 from pathlib import Path
 from shutil import rmtree
@@ -10,8 +11,8 @@ from shutil import rmtree
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.commands._initial import check_source, initial_depths
-from pagas_cl.commands._places import check_writable
+from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
+from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
 from pagas_cl.errors import InputError, PagasError, need
 
 MANY = ("--views", "--set", "--effect")  # options that take several words: `--views a b c`
@@ -52,20 +53,16 @@ def command(
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
-    from pagas_cl.commands._settings import apply_settings, build_config, effect_settings
-    from pagas_cl.commands._time import check_times, config_in_time
     from pagas_cl.keep_mesh import displaced_mesh, write_whole
     from pagas_cl.refine import fuse_results, refine_views
     from pagas_cl.scene.mesh_file import write_mesh
-    from pagas_cl.scene.readers import read_scene
 
-    _check_request(mesh, depth_dir, output, save_depth, report, memory)
-    _check_keep(keep_mesh, subdivide, mesh)
+    _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide)
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
     settings = [*settings, *effect_settings(effects)]
     more = {} if context is None else {"context__number": context}
     config = build_config(preset, settings, **more)
-    found = read_scene(scene, format, **({"outside": True} if outside else {}))
+    found = load_scene(scene, format, outside)
     for view in found.views:
         view.check_files()
     for option, where in (("--output", output and output.parent), ("--save-depth", save_depth), ("--report", report)):
@@ -73,8 +70,7 @@ def command(
     place, folder = _place(device, devices, scheduler), _folder(save_depth, output)
     names = [found.views[found.index(name)].name for name in views] or None
     with shown_progress(quiet) as progress, _report(report, found, preset, settings, place) as page:
-        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder,
-                                names)
+        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder, names)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
@@ -98,7 +94,7 @@ def _place(device, devices, scheduler) -> dict:
     """Where the work is done, as refine_views takes it."""
     from pagas_cl.runtime.device import open_device
 
-    if sum(choice is not None for choice in (device, devices)) > 1:
+    if device is not None and devices is not None:
         raise InputError("got both --device and --devices, expected one of them")
     several = "all" if devices == "all" else devices.split(",") if devices else None
     if scheduler is not None:
@@ -113,8 +109,9 @@ def _folder(save_depth, output) -> Path | None:
     return output.parent / f".{output.name}.views"
 
 
-def _check_request(mesh, depth_dir, output, save_depth, report, memory) -> None:
+def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh: bool, subdivide) -> None:
     """Refuse what cannot end well before any work is done."""
+    from pagas_cl.keep_mesh import check_subdivide
     from pagas_cl.scene.mesh_file import check_mesh_path
 
     check_source(mesh, depth_dir, "where the refinement starts")
@@ -130,11 +127,6 @@ def _check_request(mesh, depth_dir, output, save_depth, report, memory) -> None:
     for name, folder in (("--save-depth", save_depth), ("--report", report)):
         if folder is not None and folder.exists() and not folder.is_dir():
             raise InputError(f"{name} {str(folder)!r} is a file, expected a folder")
-
-
-def _check_keep(keep_mesh: bool, subdivide, mesh) -> None:
-    from pagas_cl.keep_mesh import check_subdivide
-
     check_subdivide(subdivide)
     if keep_mesh and mesh is None:
         raise InputError("--keep-mesh needs --mesh: it moves that mesh's vertices")
@@ -150,22 +142,18 @@ class _Pictures:
         self.page = page
 
     def __call__(self, view, initial, result) -> None:
+        from pagas_cl.effects import Decision
+
         report = result.report
         remarks = [f"kept as it came: {result.reason}"] if result.reason else []
         if report.get("contexts"):
             remarks.append("context views: " + ", ".join(report["contexts"]))
         for on, what in ((True, "effects simulated"), (False, "effects not called for")):
-            effects = [_decision(effect) for effect in report.get("effects", ()) if effect["on"] == on]
+            effects = [str(Decision(**fields)) for fields in report.get("effects", ()) if fields["on"] == on]
             remarks += [f"{what}: " + "; ".join(effects)] if effects else []
         figures = {"seconds": round(report["seconds"], 2)} if "seconds" in report else {}
         self.page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
                       counts={**result.counts, **figures}, remarks=remarks)
-
-
-def _decision(fields: dict) -> str:
-    from pagas_cl.effects import Decision
-
-    return str(Decision(**fields))
 
 
 def _report(folder, found, preset, settings, place):
@@ -181,10 +169,9 @@ def _report(folder, found, preset, settings, place):
 
 
 def _tell(results, save_depth, report) -> None:
-    total = {}
+    total = Counter()
     for result in results:
-        for name, number in result.counts.items():
-            total[name] = total.get(name, 0) + number
+        total.update(result.counts)
     kept = sum(bool(result.reason) for result in results)
     log.info("%d view%s%s; pixels: %s", len(results), "" if len(results) == 1 else "s",
              f", {kept} of them kept as they came" if kept else "",

@@ -12,8 +12,9 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.commands._places import check_writable
+from pagas_cl.commands._start import check_source, check_writable, load_scene
 from pagas_cl.errors import InputError, need
+from pagas_cl.scene.files import replaced
 
 log = logging.getLogger("pagas_cl")
 
@@ -37,9 +38,7 @@ def command(
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
     from pagas_cl.filters import filter_script
 
-    if (mesh is None) == (project is None):
-        raise InputError("expected either --mesh or --project (what the script starts from), got "
-                         + ("neither" if mesh is None else "both"))
+    check_source(mesh, project, "what the script starts from", "--project")
     if mesh is None and scene is not None:
         raise InputError("got SCENE and --project: a project brings its own photos; give one of them")
     filter_script.check_script(script, outside=outside)
@@ -73,12 +72,10 @@ def _check_kind(pymeshlab, output: Path) -> None:
 
 def _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside):
     """The MeshSet to start from, and the scene or None."""
-    from pagas_cl.scene.readers import read_scene
-
-    meshes, options = pymeshlab.MeshSet(), {"outside": True} if outside else {}
+    meshes = pymeshlab.MeshSet()
     if mesh is not None:
         load_layer(pymeshlab, meshes, mesh)
-        return meshes, None if scene is None else read_scene(scene, format, **options)
+        return meshes, None if scene is None else load_scene(scene, format, outside)
     from pagas_cl.scene.readers.meshlab import read_project
     from pagas_cl.scene.readers.mlp_flavour import settle_flavour
 
@@ -125,30 +122,22 @@ def _save(meshes, output: Path, scene) -> None:
         return
     from pagas_cl.scene.readers.meshlab import MeshLayer, write_project
 
-    layers = []
+    layers, current = [], meshes.current_mesh_id()
     for number in range(meshes.mesh_number()):
-        mesh = meshes.mesh(number)
-        path = output.with_name(f"{output.stem}_{number}.ply")
-        current = meshes.current_mesh_id()
+        mesh, path = meshes.mesh(number), output.with_name(f"{output.stem}_{number}.ply")
         meshes.set_current_mesh(mesh.id())
         save_layer(meshes, path)
-        meshes.set_current_mesh(current)
         layers.append(MeshLayer(mesh.label(), path, mesh.transform_matrix(), mesh.is_visible()))
+    meshes.set_current_mesh(current)
     write_project(output, [] if scene is None else scene.views, layers)
 
 
 def save_layer(meshes, path: Path) -> None:
     """The current layer beside `path` first, then renamed; the file holds the layer's own coordinates."""
-    path = path.absolute()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
-    try:
+    with replaced(path.absolute(), path.suffix) as beside:
         meshes.save_current_mesh(str(beside))
         if not beside.is_file():
             raise InputError(f"pymeshlab did not write {str(path)!r}: is {path.suffix!r} a kind of mesh file?")
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 @contextmanager

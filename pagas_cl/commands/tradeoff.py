@@ -8,8 +8,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.commands._initial import check_source, initial_depths
-from pagas_cl.commands._places import check_writable
+from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
 from pagas_cl.errors import InputError
 
 MANY = ("--views", "--held-out")
@@ -38,13 +37,12 @@ def command(
 ):
     """Run a plan of settings on a sample of views: error, time and memory of each, and the front of the best."""
     from pagas_cl.runtime.device import open_device
-    from pagas_cl.scene.readers import read_scene
     from pagas_cl.tradeoffs import tradeoff
-    from pagas_cl.tradeoffs.ablation import ablation_plan, ablation_table
-    from pagas_cl.tradeoffs.page import markdown, notes
+    from pagas_cl.tradeoffs.page import ablation_table, markdown, notes
+    from pagas_cl.tradeoffs.plan import ablation_plan
 
     check_source(mesh, depth_dir, "where the refinement starts")
-    found = read_scene(scene, format, **({"outside": True} if outside else {}))
+    found = load_scene(scene, format, outside)
     for view in found.views:
         view.check_files()
     check_writable("--report", report)

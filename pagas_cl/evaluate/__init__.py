@@ -1,17 +1,17 @@
 """Figures that users know: depth and normal errors, prediction of held-out photos, Chamfer distance, F-score.
 
-One module a figure: depth, predict, clouds (with sample for meshes and files, dtu for that benchmark's masks).
+One module a figure: depth, predict, clouds (with DTU's masks; sample takes points from meshes and files).
 """
 
 from pagas_cl.evaluate.clouds import Chamfer, FScore, VisibleSpace, chamfer, f_score
 from pagas_cl.evaluate.depth import (
-                                     DepthErrors,
-                                     DepthReport,
-                                     compare_depth,
-                                     depth_normals,
-                                     depth_per_parallax,
-                                     dilate,
-                                     find_discontinuities,
+           DepthErrors,
+           DepthReport,
+           compare_depth,
+           depth_normals,
+           depth_per_parallax,
+           dilate,
+           find_discontinuities,
 )
 from pagas_cl.evaluate.predict import Prediction, compare_predictions, predict_photo
 from pagas_cl.evaluate.sample import load_points, sample_surface

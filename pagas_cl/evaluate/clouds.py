@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from pagas_cl.errors import InputError, need
+from pagas_cl.evaluate.depth import Figures
 
 
 @dataclass(frozen=True)
-class Chamfer:
+class Chamfer(Figures):
     """Mean and median distances, scene units; `overall` is the mean of the two means.
 
     accuracy: from the result to the truth; completeness: from the truth to the result.
@@ -24,13 +26,9 @@ class Chamfer:
     result_points: int
     truth_points: int
 
-    def as_dict(self) -> dict:
-        """Plain dictionary, ready for JSON."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
-class FScore:
+class FScore(Figures):
     """Shares, 0 to 1, of points within `threshold` (scene units) of the other cloud."""
 
     precision: float
@@ -38,24 +36,14 @@ class FScore:
     f_score: float
     threshold: float
 
-    def as_dict(self) -> dict:
-        """Plain dictionary, ready for JSON."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, eq=False)
 class VisibleSpace:
-    """What a benchmark's scanner could see: only there is a result judged.
+    """What a benchmark's scanner could see: only there is a result judged. Lengths in scene units.
 
-    Parameters
-    ----------
-    seen : ndarray of bool, (X, Y, Z)
-        Voxels; voxel (i, j, k) is centred at corner + voxel * (i, j, k).
-    corner : ndarray of shape (3,)
-    far_corner : ndarray of shape (3,)
-        The box that DTU calls BB: points further than `margin` outside are not looked at, on either side.
-    voxel : float
-    margin : float
+    seen : ndarray of bool, (X, Y, Z); voxel (i, j, k) is centred at corner + voxel * (i, j, k).
+    corner, far_corner : ndarray of shape (3,), the box that DTU calls BB: points further than `margin` outside are not
+    looked at, on either side.
     """
 
     seen: np.ndarray
@@ -112,11 +100,9 @@ def chamfer(result, truth, *, downsample=None, max_distance=np.inf, visible: Vis
     for name, cloud in (("result inside the visible space", judged), ("truth above the ground plane", wanted)):
         if not len(cloud):
             raise InputError(f"Chamfer distance: no point of the {name} is left; are both in the same frame and unit?")
-    accuracy = _below(nearest(judged, truth), max_distance)
-    completeness = _below(nearest(wanted, result), max_distance)
-    means = accuracy.mean() if len(accuracy) else np.nan, completeness.mean() if len(completeness) else np.nan
-    medians = [float(np.median(d)) if len(d) else float("nan") for d in (accuracy, completeness)]
-    return Chamfer(float(means[0]), float(means[1]), float(sum(means) / 2), *medians, len(judged), len(wanted))
+    distances = [d[d < max_distance] for d in (nearest(judged, truth), nearest(wanted, result))]
+    means, medians = ([float(f(d)) if len(d) else float("nan") for d in distances] for f in (np.mean, np.median))
+    return Chamfer(*means, sum(means) / 2, *medians, len(judged), len(wanted))
 
 
 def f_score(result, truth, threshold: float, *, downsample=None) -> FScore:
@@ -175,10 +161,6 @@ def _tree(points):
     return cKDTree(points)
 
 
-def _below(distances, limit):
-    return distances[distances < limit]
-
-
 def _cloud(points, who):
     points = np.asarray(points, np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
@@ -188,3 +170,32 @@ def _cloud(points, who):
     if not np.isfinite(points).all():
         raise InputError(f"{who} cloud holds coordinates that are not finite; drop those points first")
     return points
+
+
+def load_visible(path) -> VisibleSpace:
+    """Read DTU's ObsMask<scan>_10.mat: ObsMask (bool grid), BB (two corners, mm), Res (voxel, mm)."""
+    data = _load_mat(path, "ObsMask", "BB", "Res")
+    box = np.asarray(data["BB"], np.float64).reshape(2, 3)
+    return VisibleSpace(np.asarray(data["ObsMask"], bool), box[0], box[1], float(np.ravel(data["Res"])[0]))
+
+
+def load_ground(path) -> np.ndarray:
+    """Read DTU's Plane<scan>.mat, the table that its objects stand on: P, float64 of shape (4,)."""
+    return np.asarray(_load_mat(path, "P")["P"], np.float64).ravel()
+
+
+def _load_mat(path, *names):
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"there is no file {str(path)!r}")
+    need("scipy", "evaluate", "reading DTU's .mat files")
+    from scipy.io import loadmat
+
+    try:
+        data = loadmat(path)
+    except (ValueError, NotImplementedError) as error:
+        raise InputError(f"{str(path)!r} is no MATLAB file that SciPy reads: {error}") from error
+    missing = [name for name in names if name not in data]
+    if missing:
+        raise InputError(f"{str(path)!r} has no variable {missing[0]!r}, expected {', '.join(names)}")
+    return data

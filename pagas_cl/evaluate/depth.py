@@ -9,21 +9,21 @@ import numpy as np
 from pagas_cl.errors import InputError
 
 
+class Figures:
+    """Base of the dataclasses of figures."""
+
+    def as_dict(self) -> dict:
+        """Plain nested dictionary, ready for JSON."""
+        return asdict(self)
+
+
 @dataclass(frozen=True)
-class DepthErrors:
+class DepthErrors(Figures):
     """Errors over one set of pixels.
 
-    Attributes
-    ----------
-    pixels : int
-        Pixels with a depth in both maps.
-    missing : int
-        Pixels with a true depth and no estimate.
-    mean, median : float
-        Absolute depth error, scene units; `mean_parallax`, `median_parallax`: in pixels of parallax (nan where no
-        parallax was given).
-    normal_mean, normal_median : float
-        Angle between normals, degrees, over the pixels whose normal is defined in both maps.
+    `pixels` have a depth in both maps, `missing` a true depth alone. `mean`, `median`: absolute depth error, scene
+    units, and in pixels of parallax (`..._parallax`, nan where no parallax was given). `normal_...`: angle between
+    normals, degrees, over the pixels whose normal is defined in both maps.
     """
 
     pixels: int
@@ -35,22 +35,14 @@ class DepthErrors:
     normal_mean: float
     normal_median: float
 
-    def as_dict(self) -> dict:
-        """Plain dictionary, ready for JSON."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
-class DepthReport:
+class DepthReport(Figures):
     """`smooth`: away from discontinuities; `edges`: within 3 pixels of one; `all`: both."""
 
     smooth: DepthErrors
     edges: DepthErrors
     all: DepthErrors
-
-    def as_dict(self) -> dict:
-        """Plain nested dictionary, ready for JSON."""
-        return asdict(self)
 
 
 def compare_depth(depth, truth, camera, *, parallax=None, true_normals=None, discontinuities=None, within=3,
@@ -88,13 +80,12 @@ def compare_depth(depth, truth, camera, *, parallax=None, true_normals=None, dis
 def _errors(depth, truth, per_pixel, angle, where):
     both = where & (depth > 0) & (truth > 0)
     error = np.abs(depth - truth)
-    shift = np.broadcast_to(error / np.where(per_pixel > 0, per_pixel, np.nan), error.shape)[both]
-    turned = angle[both]
-    return DepthErrors(int(both.sum()), int((where & (depth <= 0) & (truth > 0)).sum()), *_two(error[both]),
-                       *_two(shift), *_two(turned))
+    shift = np.broadcast_to(error / np.where(per_pixel > 0, per_pixel, np.nan), error.shape)
+    figures = (figure for values in (error, shift, angle) for figure in _mean_and_median(values[both]))
+    return DepthErrors(int(both.sum()), int((where & (depth <= 0) & (truth > 0)).sum()), *figures)
 
 
-def _two(values):
+def _mean_and_median(values):
     values = values[np.isfinite(values)]
     return (float(values.mean()), float(np.median(values))) if len(values) else (float("nan"), float("nan"))
 
@@ -132,10 +123,9 @@ def find_discontinuities(depth, camera, jump: float = 6.0) -> np.ndarray:
     depth = np.asarray(depth, np.float64)
     found = np.zeros(depth.shape, bool)
     limit = jump / np.sqrt(camera.fx * camera.fy)
-    for a, b in (((slice(None), slice(1, None)), (slice(None), slice(None, -1))),
-                 ((slice(1, None), slice(None)), (slice(None, -1), slice(None)))):
-        da, db = depth[a], depth[b]
-        broken = (np.abs(da - db) > limit * np.minimum(da, db)) | ((da > 0) != (db > 0))
+    for a, b in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+        broken = (np.abs(depth[a] - depth[b]) > limit * np.minimum(depth[a], depth[b])) | (
+            (depth[a] > 0) != (depth[b] > 0))
         found[a] |= broken
         found[b] |= broken
     return found
@@ -154,18 +144,19 @@ def dilate(mask, radius: int) -> np.ndarray:
     return out
 
 
+def project_depth(camera, other, depth) -> tuple[np.ndarray, np.ndarray]:
+    """Where `other` sees the points of a depth map (H, W) of `camera`: pixel positions (H, W, 2) and z there (H, W)."""
+    rotation, tau = other.relative_to(camera)
+    point = depth[..., None] * (camera.rays() @ rotation.T) + tau
+    z = point[..., 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return point[..., :2] / z[..., None] * (other.fx, other.fy) + (other.cx, other.cy), z
+
+
 def depth_per_parallax(depth, target, contexts) -> np.ndarray:
     """Depth that moves a pixel's point by one pixel in the other views, root mean square over those that see it.
 
-    Parameters
-    ----------
-    depth : ndarray of shape (H, W)
-    target : Camera
-    contexts : list of Camera
-
-    Returns
-    -------
-    ndarray of float64, (H, W), scene units; 0 where the pixel has no depth or no view sees its point
+    From a depth map (H, W) and Cameras: float64 (H, W), scene units; 0 where the pixel has no depth or no view sees it.
     """
     depth, rays = np.asarray(depth, np.float64), target.rays()
     speed, seen = np.zeros(depth.shape), np.zeros(depth.shape)

@@ -7,27 +7,30 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pagas_cl.errors import InputError
-
-_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+from pagas_cl.evaluate.depth import project_depth
+from pagas_cl.scene.patches import grey_of
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
     """Zero-mean normalised cross-correlation of the target's patches with those warped from a held-out photo.
 
-    Attributes
-    ----------
-    median, mean : float
-        Over the pixels whose whole patch is seen in both photos and has contrast in the target.
-    pixels : int
-    correlation : ndarray of float32, (H, W)
-        Per pixel, nan where it is not defined.
+    `median` and `mean` are over the `pixels` whose whole patch is seen in both photos and has contrast in the target;
+    `correlation`: per pixel, float32 (H, W), nan where it is not defined.
     """
 
     median: float
     mean: float
     pixels: int
     correlation: np.ndarray = field(repr=False)
+
+    @classmethod
+    def of(cls, correlation: np.ndarray) -> Prediction:
+        """Figures of a map of correlations."""
+        values = correlation[np.isfinite(correlation)]
+        if not len(values):
+            return cls(float("nan"), float("nan"), 0, correlation)
+        return cls(float(np.median(values)), float(values.mean()), len(values), correlation)
 
 
 def predict_photo(target, depth, other, other_depth=None, *, patch=7, tolerance=0.01, mask=None) -> Prediction:
@@ -48,30 +51,20 @@ def predict_photo(target, depth, other, other_depth=None, *, patch=7, tolerance=
     """
     if patch < 3 or patch % 2 == 0:
         raise InputError(f"prediction: the patch is {patch!r} pixels wide, expected an odd number of at least 3")
-    camera, depth = target.camera, np.asarray(depth, np.float64)
-    if depth.shape != (camera.height, camera.width):
-        raise InputError(f"depth map of {target.name!r} is {depth.shape[1]} x {depth.shape[0]}, its camera says "
-                         f"{camera.width} x {camera.height}: resize it first")
-    position, z = _project(camera, other.camera, depth)
-    warped, inside = sample_bilinear(other.load_image().astype(np.float32) @ _LUMA, position)
+    depth = _sized(depth, target)
+    position, z = project_depth(target.camera, other.camera, depth)
+    warped, inside = sample_bilinear(grey_of(other.load_image()), position)
     seen = inside & (depth > 0) & (z > 0)
     seen &= _visible(position, z, seen, other, other_depth, tolerance)
-    for view, where in ((target, None), (other, position)):
-        keep = view.load_mask()
-        if keep is not None:
-            seen &= keep if where is None else sample_bilinear(keep.astype(np.float32), where)[0] > 0.999
-    correlation = correlate(target.load_image().astype(np.float32) @ _LUMA, warped, seen, patch)
+    keep, other_keep = target.load_mask(), other.load_mask()
+    if keep is not None:
+        seen &= keep
+    if other_keep is not None:
+        seen &= sample_bilinear(other_keep.astype(np.float32), position)[0] > 0.999
+    correlation = correlate(grey_of(target.load_image()), warped, seen, patch)
     if mask is not None:
         correlation[~np.asarray(mask, bool)] = np.nan
-    return summarise(correlation)
-
-
-def summarise(correlation) -> Prediction:
-    """Figures of a map of correlations."""
-    values = correlation[np.isfinite(correlation)]
-    if not len(values):
-        return Prediction(float("nan"), float("nan"), 0, correlation)
-    return Prediction(float(np.median(values)), float(values.mean()), len(values), correlation)
+    return Prediction.of(correlation)
 
 
 def compare_predictions(target, depths, other, other_depth=None, **settings) -> list[Prediction]:
@@ -79,7 +72,7 @@ def compare_predictions(target, depths, other, other_depth=None, **settings) -> 
     out what is hard."""
     maps = [predict_photo(target, depth, other, other_depth, **settings).correlation for depth in depths]
     common = np.logical_and.reduce([np.isfinite(m) for m in maps])
-    return [summarise(np.where(common, m, np.nan).astype(np.float32)) for m in maps]
+    return [Prediction.of(np.where(common, m, np.nan).astype(np.float32)) for m in maps]
 
 
 def correlate(a, b, valid, patch) -> np.ndarray:
@@ -129,14 +122,6 @@ def sample_bilinear(image, position):
     return np.where(inside, value, 0.0), inside
 
 
-def _project(camera, other, depth):
-    rotation, tau = other.relative_to(camera)
-    point = depth[..., None] * (camera.rays() @ rotation.T) + tau
-    z = point[..., 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return point[..., :2] / z[..., None] * (other.fx, other.fy) + (other.cx, other.cy), z
-
-
 def _visible(position, z, seen, other, other_depth, tolerance):
     """Which points nothing hides in the other view."""
     h, w = other.camera.height, other.camera.width
@@ -146,9 +131,14 @@ def _visible(position, z, seen, other, other_depth, tolerance):
         first = np.full((h, w), np.inf)
         np.minimum.at(first, (row[seen], column[seen]), z[seen])
     else:
-        first = np.asarray(other_depth, np.float64)
-        if first.shape != (h, w):
-            raise InputError(f"depth map of {other.name!r} is {first.shape[1]} x {first.shape[0]}, its camera says "
-                             f"{w} x {h}: resize it first")
+        first = _sized(other_depth, other)
         first = np.where(first > 0, first, np.inf)
     return z <= first[row, column] * (1 + tolerance)
+
+
+def _sized(depth, view):
+    depth, camera = np.asarray(depth, np.float64), view.camera
+    if depth.shape != (camera.height, camera.width):
+        raise InputError(f"depth map of {view.name!r} is {depth.shape[1]} x {depth.shape[0]}, its camera says "
+                         f"{camera.width} x {camera.height}: resize it first")
+    return depth

@@ -13,19 +13,7 @@ _MOST = 50_000_000
 
 
 def sample_surface(vertices, faces, spacing: float) -> np.ndarray:
-    """One point for each spacing**2 of area.
-
-    Parameters
-    ----------
-    vertices : ndarray of shape (V, 3)
-    faces : ndarray of int, (F, 3)
-    spacing : float
-        Scene units.
-
-    Returns
-    -------
-    ndarray of float64, (n, 3)
-    """
+    """One point for each spacing**2 (scene units) of area of a mesh, (V, 3) and int (F, 3): float64 (n, 3)."""
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     total = np.cumsum(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))

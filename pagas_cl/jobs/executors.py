@@ -11,6 +11,49 @@ from pagas_cl.errors import DeviceError, need
 PATIENCE = 20  # seconds to wait for a scheduler's answer
 
 
+class Workers:
+    """An executor and the device that its tasks are to take; arguments as in whole.refine_all.
+
+    Attributes
+    ----------
+    executor : Executor
+    device : Device, str, tuple of str, or None
+        What the workers are told: this process opens its device here, others choose from what is named.
+    own : bool
+        Whether the executor is ours to close.
+    local : bool
+        Whether tasks run in this process, one after another.
+    """
+
+    def __init__(self, executor, device):
+        self._pooled = executor is None and (device == "all" or isinstance(device, (list, tuple)))
+        self.own, self.local = executor is None or isinstance(executor, str), executor is None and not self._pooled
+        self.device = tuple(device) if isinstance(device, list) else device
+        if self.local:
+            from pagas_cl.runtime.device import open_device
+
+            self.executor, self.device = SerialExecutor(), open_device(device)
+        elif self._pooled:
+            self.executor = local_pool(device)
+        else:
+            self.executor = dask_executor(executor) if isinstance(executor, str) else executor
+
+    def count(self) -> int:
+        """How many tasks run at a time, as far as the executor tells; 4 where it does not."""
+        client = getattr(self.executor, "_client", None)  # Dask
+        if client is not None and hasattr(client, "ncores"):
+            return max(1, sum(client.ncores().values()))
+        return max(1, int(getattr(self.executor, "_max_workers", 0) or 4))
+
+    def renew(self, error: Exception) -> None:
+        """A new pool for one that has lost a process, which ends all of it; DeviceError where it was not ours."""
+        if not self._pooled:
+            raise DeviceError(f"the executor has lost a worker and takes no more tasks ({error}); finished views are "
+                              "kept: start the same command again") from error
+        self.executor.shutdown(wait=True)
+        self.executor = local_pool(self.device)
+
+
 class SerialExecutor(Executor):
     """Runs each task at once, in this process."""
 
@@ -46,14 +89,6 @@ def dask_executor(address: str) -> Executor:
         raise DeviceError(f"no Dask scheduler answers at {address!r} ({str(error).splitlines()[0]}): start one with "
                           "'dask scheduler' and workers with 'dask worker --nthreads 1 ADDRESS'") from error
     return client.get_executor(pure=False)
-
-
-def worker_count(executor) -> int:
-    """How many tasks the executor runs at a time, as far as it tells; 4 where it does not."""
-    client = getattr(executor, "_client", None)  # Dask
-    if client is not None and hasattr(client, "ncores"):
-        return max(1, sum(client.ncores().values()))
-    return max(1, int(getattr(executor, "_max_workers", 0) or 4))
 
 
 def _ignore_interrupts() -> None:

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import json
 import logging
+from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.jobs.disk import translate_os_errors, written
+from pagas_cl.jobs.store import translate_os_errors, written
 from pagas_cl.jobs.task import Record, ViewTask
 from pagas_cl.result import DepthResult, confidence_of, normals_of
 from pagas_cl.scene.camera import Camera
@@ -40,8 +41,8 @@ def stems(views) -> list[str]:
         if Path(view.name).is_absolute() or ".." in Path(view.name).parts:
             raise InputError(f"view {view.name!r} cannot name files in the output folder: expected a relative name "
                              "without '..'")
-    alone = {stem for stem in short if short.count(stem) == 1} if len(set(short)) < len(short) else set(short)
-    return [stem if stem in alone else str(Path(view.name).with_suffix("")) for stem, view in zip(short, views)]
+    uses = Counter(short)
+    return [stem if uses[stem] == 1 else str(Path(view.name).with_suffix("")) for stem, view in zip(short, views)]
 
 
 def write_finished(folder: Path, task: ViewTask, result: DepthResult, extras: bool, about: dict) -> Record:
@@ -56,8 +57,7 @@ def write_finished(folder: Path, task: ViewTask, result: DepthResult, extras: bo
             np.savez(file, **content)
         with translate_os_errors(path):
             sizes[name] = path.stat().st_size
-    report = {**result.report, **about}
-    record = Record(task.name, task.stem, task.key, result.reason, result.counts, report, sizes)
+    record = Record(task.name, task.stem, task.key, result.reason, result.counts, {**result.report, **about}, sizes)
     with written(work_folder(folder) / f"{task.stem}.json") as file:
         file.write(json.dumps(asdict(record), default=float).encode())
     return record
@@ -92,7 +92,7 @@ class StoredResult:
     @property
     def file(self) -> Path:
         """The refined depth map's file."""
-        return Path(self.folder) / f"{self.record.stem}.npz"
+        return self.folder / f"{self.record.stem}.npz"
 
     name = property(lambda self: self.record.name)
     reason = property(lambda self: self.record.reason)

@@ -8,9 +8,8 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.jobs.finished import stems
-from pagas_cl.jobs.identity import task_key, view_digest
 from pagas_cl.jobs.store import Store
-from pagas_cl.jobs.task import Batch, ViewTask
+from pagas_cl.jobs.task import Batch, ViewTask, task_key, view_digest
 from pagas_cl.scene.partners import PartnerChooser
 from pagas_cl.scene.view import View
 
@@ -20,10 +19,7 @@ _SHARES = 8      # batches for each worker, so that a slow one leaves its share 
 
 def on_disk(views: list[View], store: Store) -> list[View]:
     """The views with photos and masks that live in memory put into `store`."""
-    def source(value):
-        return store.put(value) if isinstance(value, np.ndarray) else value
-
-    return [View(view.camera, source(view.image), source(view.mask), view.name) for view in views]
+    return [View(view.camera, *store.put_arrays((view.image, view.mask)), view.name) for view in views]
 
 
 class Planner:

@@ -7,11 +7,11 @@ import math
 import time
 from collections import deque
 from collections.abc import Iterable
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from pathlib import Path
 
 from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError
-from pagas_cl.jobs.executors import SerialExecutor
+from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.finished import find_finished, work_folder
 from pagas_cl.jobs.task import Batch, Record
 from pagas_cl.jobs.worker import STOP, attempts, run_batch
@@ -28,29 +28,27 @@ class Run:
 
     Parameters
     ----------
-    executor : Executor
+    workers : Workers
     folder : Path
         Where results go.
-    renew : callable returning an Executor, or None
-        Makes a new one when the present one has broken (a process of a pool was killed).
     on_record : callable(Record)
         Called for each view, done or given up.
     inside : callable of a number, optional
         Progress of that view of the present batch, where it is refined in this process.
     """
 
-    def __init__(self, executor: Executor, folder: Path, renew, on_record, inside=None):
-        self.executor, self.folder, self.renew, self.on_record = executor, folder, renew, on_record
-        self._inside = (inside,) if isinstance(executor, SerialExecutor) else ()
+    def __init__(self, workers: Workers, folder: Path, on_record, inside=None):
+        self.workers, self.folder, self.on_record = workers, folder, on_record
+        self._inside = (inside,) if workers.local else ()
         self._queue: deque[Batch] = deque()
-        self._waiting: dict = {}
+        self._waiting: dict[Future, Batch] = {}
         self._errors: dict[str, list[Record]] = {}
         self._done, self._given_up = 0, 0
         self._refused, self._last = 0, time.monotonic()       # workers without a device, since a view was last done
 
     def finish(self, batches: Iterable[Batch]) -> None:
         """Work through `batches`, which may be planned while others are at work."""
-        source, most = iter(batches), 1 if isinstance(self.executor, SerialExecutor) else math.inf
+        source, most = iter(batches), 1 if self.workers.local else math.inf
         try:
             while True:
                 while len(self._waiting) < most:
@@ -66,36 +64,37 @@ class Run:
             self._ask_to_stop()
             raise
 
+    def close(self) -> None:
+        """End the executor, without the batches that have not begun."""
+        for future in self._waiting:
+            future.cancel()
+        self.workers.executor.shutdown(wait=True)
+
+    def _send(self, batch: Batch) -> None:
+        try:
+            self._waiting[self.workers.executor.submit(run_batch, batch, *self._inside)] = batch
+        except BrokenExecutor as error:
+            self._broken(error, batch)
+
     def _receive_done(self, timeout) -> None:
         for future in wait(self._waiting, timeout, FIRST_COMPLETED).done:
             if future in self._waiting:
                 self._receive(future, self._waiting.pop(future))
 
-    def close(self) -> None:
-        """End the executor, without the batches that have not begun."""
-        for future in self._waiting:
-            future.cancel()
-        self.executor.shutdown(wait=True)
-
-    def _send(self, batch: Batch) -> None:
-        try:
-            self._waiting[self.executor.submit(run_batch, batch, *self._inside)] = batch
-        except BrokenExecutor as error:
-            self._queue.appendleft(batch)
-            self._broken(error)
-
-    def _receive(self, future, batch: Batch) -> None:
+    def _receive(self, future: Future, batch: Batch) -> None:
         try:
             records = future.result()
         except OutputError:
             raise
         except BrokenExecutor as error:
-            self._queue.appendleft(batch)
-            self._broken(error)
+            self._broken(error, batch)
             return
-        except Exception as error:  # a lost worker, as the executor tells it; a worker without a device
-            self._lost(batch, error)
+        except DeviceError as error:
+            self._refuse(error, batch)
             return
+        except Exception as error:  # a lost worker, as the executor tells it: what it had finished is kept
+            message = f"{type(error).__name__}: {error}"
+            records = [find_finished(batch.folder, task, batch.extras) or task.failed(message) for task in batch.tasks]
         for record in records:
             self._take(record, batch)
 
@@ -108,54 +107,38 @@ class Run:
         failures = self._errors.setdefault(record.name, [])
         failures.append(record)
         # read by the same process again a bad file is as bad; another worker may reach what this one does not
-        if len(failures) >= TRIES or record.bad_input and isinstance(self.executor, SerialExecutor):
+        if len(failures) >= TRIES or record.bad_input and self.workers.local:
             self._give_up(record)
             return
         log.warning("view %s has failed, it is tried again: %s", record.name, record.error)
         self._queue.append(batch.only([task for task in batch.tasks if task.name == record.name]))
 
-    def _lost(self, batch: Batch, error: Exception) -> None:
-        """What a lost worker had finished is kept; the rest goes to others, a view at a time."""
-        if isinstance(error, DeviceError):  # the worker's fault and not the views': to another one
-            self._refused += 1
-            stalled = not self._done or time.monotonic() - self._last > STALLED
-            if isinstance(self.executor, SerialExecutor) or self._refused >= HOPELESS and stalled:
-                raise error
-            log.warning("a worker cannot work: %s", error)
-            self._queue.append(batch)
-            return
-        for task in batch.tasks:
-            record = find_finished(batch.folder, task, batch.extras)
-            message = f"{type(error).__name__}: {error}"
-            self._take(record or Record(task.name, task.stem, task.key, error=message), batch)
+    def _refuse(self, error: DeviceError, batch: Batch) -> None:
+        """A worker has no device, which is not its views' fault: to another one."""
+        self._refused += 1
+        stalled = not self._done or time.monotonic() - self._last > STALLED
+        if self.workers.local or self._refused >= HOPELESS and stalled:
+            raise error
+        log.warning("a worker cannot work: %s", error)
+        self._queue.append(batch)
 
-    def _broken(self, error: BrokenExecutor) -> None:
-        """A process of a pool was killed, which ends the whole pool: views that were begun three times are given up."""
-        if self.renew is None:
-            raise DeviceError(f"the executor has lost a worker and takes no more tasks ({error}); finished views are "
-                              "kept: start the same command again") from error
-        unfinished = [*self._queue, *self._waiting.values()]
+    def _broken(self, error: BrokenExecutor, lost: Batch) -> None:
+        """A process of a pool was killed, which ends the whole pool and does not tell at which view: those that were
+        begun three times are given up, the others are asked for one at a time."""
+        self.workers.renew(error)
+        unfinished = [lost, *self._queue, *self._waiting.values()]
         self._queue.clear(), self._waiting.clear()
         log.warning("a worker process was lost; its views are given to a new one")
-        self.executor.shutdown(wait=True)
-        self.executor = self.renew()
         begun = attempts(self.folder)
         for batch in unfinished:
-            self._again(batch, begun)
-
-    def _again(self, batch: Batch, begun: dict[str, int]) -> None:
-        left = []
-        for task in batch.tasks:
-            record = find_finished(batch.folder, task, batch.extras)
-            if record is None and begun.get(task.name, 0) >= TRIES:
-                self._give_up(Record(task.name, task.stem, task.key, error="its worker process was lost each time"))
-            elif record is not None:
-                self._done += 1
-                self.on_record(record)
-            else:
-                left.append(task)
-        for task in left:
-            self._queue.append(batch.only([task]))
+            for task in batch.tasks:
+                record = find_finished(batch.folder, task, batch.extras)
+                if record is not None:
+                    self._take(record, batch)
+                elif begun[task.name] >= TRIES:
+                    self._give_up(task.failed("its worker process was lost each time"))
+                else:
+                    self._queue.append(batch.only([task]))
 
     def _give_up(self, record: Record) -> None:
         times = len(self._errors.get(record.name, ())) or TRIES

@@ -1,28 +1,60 @@
-"""Arrays in a folder, under the hash of their content: what a task may refer to from any process or machine."""
+"""Files whose final name never holds half of them; arrays under the hash of their content, found from any process."""
 
 from __future__ import annotations
 
 import hashlib
 import os
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError
-from pagas_cl.jobs.disk import written
+from pagas_cl.errors import InputError, OutputError
 from pagas_cl.scene.depthmap import load_depth
-from pagas_cl.scene.npy import read_npy
+from pagas_cl.scene.files import read_npy, replaced
 
 _CHUNK = 1 << 22
 
 
+@contextmanager
+def written(path: Path):
+    """Context of a binary file that gets the name `path` when all of it is on disk; errors as translate_os_errors."""
+    with translate_os_errors(path), replaced(path) as beside, open(beside, "wb") as file:
+        yield file
+
+
+@contextmanager
+def translate_os_errors(path: Path):
+    """Context: what goes wrong while writing to `path`, as an OutputError of one sentence."""
+    try:
+        yield
+    except OutputError:
+        raise
+    except OSError as error:
+        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; finished views are kept, make room "
+                          "or choose another folder, and start the same command again") from error
+
+
+def clear_parts(folder: Path) -> None:
+    """Remove what killed runs have left beside final names."""
+    for left in list(folder.rglob(".*.part")):
+        left.unlink(missing_ok=True)
+
+
+def digest_of(parts) -> str:
+    """Hash of bytes that come in parts."""
+    digest = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        digest.update(part)
+    return digest.hexdigest()
+
+
 def digest_array(array: np.ndarray) -> str:
     """Hash of an array's shape, type and values."""
-    digest = hashlib.blake2b(f"{array.dtype.str}{array.shape}".encode(), digest_size=16)
-    digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8))
-    return digest.hexdigest()
+    values = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+    return digest_of([f"{array.dtype.str}{array.shape}".encode(), values])
 
 
 def digest_file(path) -> str:
@@ -36,11 +68,8 @@ def digest_file(path) -> str:
 
 @lru_cache(maxsize=1 << 17)
 def _digest_file(path: str, size: int, changed: int) -> str:
-    digest = hashlib.blake2b(digest_size=16)
     with open(path, "rb") as file:
-        while part := file.read(_CHUNK):
-            digest.update(part)
-    return digest.hexdigest()
+        return digest_of(iter(lambda: file.read(_CHUNK), b""))
 
 
 @dataclass(frozen=True)
@@ -81,23 +110,20 @@ class DepthFile:
 class Store:
     """A folder of arrays; made when the first one comes."""
 
-    def __init__(self, folder):
-        self.folder = Path(folder)
+    def __init__(self, folder: Path):
+        self.folder = folder
 
     def put(self, array: np.ndarray) -> StoredArray:
         """Write `array` unless it is there already, whole."""
         digest = digest_array(array)
-        path = self.folder / f"{digest}.npy"
-        array = np.ascontiguousarray(array)
-        if not (path.is_file() and path.stat().st_size >= array.nbytes + 64 and _same(path, digest)):
-            with written(path) as file:
-                np.save(file, array)
-        return StoredArray(path, digest)
+        stored = StoredArray(self.folder / f"{digest}.npy", digest)
+        try:
+            stored.load()
+        except InputError:
+            with written(stored.file) as file:
+                np.save(file, np.ascontiguousarray(array))
+        return stored
 
-
-def _same(path: Path, digest: str) -> bool:
-    try:
-        StoredArray(path, digest).load()
-    except InputError:
-        return False
-    return True
+    def put_arrays(self, values) -> list:
+        """Each array of `values` in the store; what is none (a file, None) as it is."""
+        return [self.put(value) if isinstance(value, np.ndarray) else value for value in values]

@@ -1,40 +1,38 @@
-"""What is sent to a worker, and what comes back: small, frozen, free of arrays."""
+"""What is sent to a worker and what comes back, small and free of arrays; and what makes two tasks the same."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+import pickle
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from pagas_cl.config import Config
+from pagas_cl.jobs.store import digest_file, digest_of
+from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.partners import Partners
 from pagas_cl.scene.view import View
+
+_OTHER_SETTINGS = ("context", "fusion")     # partners are named in the key; fusing comes after
 
 
 @dataclass(frozen=True)
 class ViewTask:
-    """One view to refine.
-
-    Attributes
-    ----------
-    name : str
-        The view's name.
-    stem : str
-        What its files are called, below the folder of the run.
-    partners : Partners
-        Places in Batch.views.
-    depth : object with load() and digest
-        The initial depth map.
-    key : str
-        See identity.task_key.
-    """
+    """One view to refine."""
 
     name: str
-    stem: str
-    partners: Partners
-    depth: Any
-    key: str
+    stem: str             # what its files are called, below the folder of the run
+    partners: Partners    # places in Batch.views
+    depth: Any            # the initial depth map: an object with load() and digest
+    key: str              # see task_key
+
+    def failed(self, error: str, bad_input: bool = False) -> Record:
+        """The record of a view that could not be refined."""
+        return Record(self.name, self.stem, self.key, error=error, bad_input=bad_input)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,18 +43,14 @@ class Batch:
     ----------
     work : callable(views, partners, depth, config, device, photos, progress) -> DepthResult
         A function at the top of a module; `progress` is None in other processes, and where nobody wants to know.
-    views : dict of int to View
-        Every view that the tasks need; photos and masks are on disk.
-    digests : dict of int to str
-        See identity.view_digest.
-    tasks : tuple of ViewTask
-    config : Config
+    views, digests : dict of int to View, to str
+        Every view that the tasks need, photos and masks on disk; see view_digest.
     folder : Path
         Where results go; every worker sees it under this name.
     device : Device, str, tuple of str, or None
         See runtime.claim.claim_device; a Device is taken as it is (in this process only).
     code : str
-        Version of the code that planned it.
+        The code_version that planned it.
     extras : bool
         Whether status, deviation and parallax are kept beside the depth.
     """
@@ -80,32 +74,65 @@ class Batch:
 
 @dataclass(frozen=True)
 class Record:
-    """What is known of one view when it is done.
-
-    Attributes
-    ----------
-    name, stem, key : str
-        As in ViewTask.
-    reason : str
-        Why the view was kept as it came; empty where it was refined.
-    counts : dict of str to int
-        Pixels refined, kept, rejected, without surface.
-    report : dict
-        DepthResult.report, and the device and worker.
-    sizes : dict of str to int
-        Bytes of the files that belong to it.
-    error : str
-        What went wrong, one sentence; empty where the view is done.
-    bad_input : bool
-        Whether the error lies in the input.
-    """
+    """What is known of one view when it is done."""
 
     name: str
     stem: str
     key: str
-    reason: str = ""
-    counts: dict = field(default_factory=dict)
-    report: dict = field(default_factory=dict)
-    sizes: dict = field(default_factory=dict)
-    error: str = ""
-    bad_input: bool = False
+    reason: str = ""                               # why it was kept as it came; empty where it was refined
+    counts: dict = field(default_factory=dict)     # pixels refined, kept, rejected, without surface
+    report: dict = field(default_factory=dict)     # DepthResult.report, and the device and worker
+    sizes: dict = field(default_factory=dict)      # bytes of the files that belong to it
+    error: str = ""                                # what went wrong, one sentence; empty where the view is done
+    bad_input: bool = False                        # whether that lies in the input
+
+
+@cache
+def code_version() -> str:
+    """Hash of the whole package: a list of what can change a depth map would be wrong one day."""
+    return digest_of(part for name, content in sorted(sources().items()) for part in (f"{name}\n".encode(), content))
+
+
+def sources() -> dict[str, bytes]:
+    """Every file of Python and OpenCL that is installed, by its name in the wheel."""
+    found = {}
+    for package in ("pagas_cl", "pagas_cl.cl_kernels", "pagas_cl.filters"):    # beside one another in a checkout
+        found.update(_sources_below(files(package), package.replace(".", "/")))
+    return found
+
+
+def _sources_below(folder, name: str) -> Iterator[tuple[str, bytes]]:
+    for item in folder.iterdir():
+        if item.is_dir():
+            yield from _sources_below(item, f"{name}/{item.name}")
+        elif item.name.endswith((".py", ".cl", ".clh")):
+            yield f"{name}/{item.name}", item.read_bytes()
+
+
+def view_digest(view: View) -> str:
+    """Hash of a view whose photo and mask are on disk: their content, the camera, the name."""
+    return _digest_json([view.name, *_numbers(view.camera), *map(_source_digest, (view.image, view.mask))])
+
+
+def task_key(partners: Partners, digests: dict[int, str], depth_digest: str, config: Config, work) -> str:
+    """Hash of one view's inputs, settings and code; `digests` by place, `work` the function that does it."""
+    settings = {name: value for name, value in config.as_dict().items() if name not in _OTHER_SETTINGS}
+    return _digest_json([code_version(), f"{work.__module__}.{work.__qualname__}", depth_digest,
+                         [digests[index] for index in partners.all], len(partners.contexts), partners.reason, settings])
+
+
+def _digest_json(parts: list) -> str:
+    return digest_of([json.dumps(parts).encode()])
+
+
+def _numbers(camera: Camera) -> list:
+    numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.world_to_camera.ravel().tolist()]
+    return [camera.width, camera.height, *(float(number).hex() for number in numbers)]
+
+
+def _source_digest(source) -> str:
+    if source is None or hasattr(source, "digest"):
+        return getattr(source, "digest", "")
+    if isinstance(source, Path):
+        return digest_file(source)
+    return digest_file(source.path) + digest_of([pickle.dumps(source, protocol=4)])    # a lens, and a path

@@ -8,17 +8,13 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import numpy as np
-
 from pagas_cl.errors import InputError, PagasError
-from pagas_cl.jobs.disk import clear_parts, translate_os_errors
-from pagas_cl.jobs.executors import SerialExecutor, dask_executor, local_pool, worker_count
+from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.finished import StoredResult, find_finished, work_folder
-from pagas_cl.jobs.identity import code_version
 from pagas_cl.jobs.plan import Planner, groups, on_disk
 from pagas_cl.jobs.run import Run
-from pagas_cl.jobs.store import Store
-from pagas_cl.jobs.task import Batch, Record
+from pagas_cl.jobs.store import Store, clear_parts, translate_os_errors
+from pagas_cl.jobs.task import Batch, Record, code_version
 from pagas_cl.jobs.worker import STOP, close_worker_contexts
 from pagas_cl.progress import ViewProgress
 from pagas_cl.result import DepthResult
@@ -64,19 +60,19 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
     folder = Path(folder).resolve()
     store = Store(work_folder(folder) / "inputs")
     samples, asked = _sampled(depths, asked)
-    kept = [store.put(depth) if isinstance(depth, np.ndarray) else depth for depth in depths]
-    planner = Planner(on_disk(views, store), kept, samples, config, work)
-    pipeline, renew, own = _executor(executor, device)
-    template = Batch(work, {}, {}, (), config, folder, _sent_device(device, pipeline), code_version(), extras)
-    collect = _Collect(asked, views, folder, progress, on_view)
+    depths = store.put_arrays(depths)
+    planner = Planner(on_disk(views, store), depths, samples, config, work)
+    workers = Workers(executor, device)
+    template = Batch(work, {}, {}, (), config, folder, workers.device, code_version(), extras)
+    collect = _Collect(asked, views, depths, folder, progress, on_view)
     _make_ready(folder)
-    run = Run(pipeline, folder, renew, collect, progress and collect.inside)
+    run = Run(workers, folder, collect, progress and collect.inside)
     try:
-        run.finish(_unfinished(planner, groups(asked, views, worker_count(pipeline)), template, collect))
+        run.finish(_unfinished(planner, groups(asked, views, workers.count()), template, collect))
     except _Ended as ended:
         raise ended.error from None
     finally:
-        if own:
+        if workers.own:
             run.close()
         close_worker_contexts()
     shutil.rmtree(store.folder, ignore_errors=True)
@@ -97,7 +93,6 @@ def _unfinished(planner: Planner, parts, template: Batch, collect: _Collect):
                 collect(Record(name, "", "", error=str(error), bad_input=True))
                 continue
             record = find_finished(template.folder, task, template.extras)
-            collect.planned(task)
             if record is None:
                 todo.append(task)
             else:
@@ -120,25 +115,23 @@ class _Ended(BaseException):
 class _Collect:
     """Takes the records as they come, tells of them in the order of the views."""
 
-    def __init__(self, asked, views, folder, progress, on_view):
-        self.asked, self.views, self.folder = asked, views, folder
+    def __init__(self, asked, views, depths, folder, progress, on_view):
+        self.asked, self.views, self.depths, self.folder = asked, views, depths, folder
         self.progress, self.on_view = ViewProgress(progress, len(asked)), on_view
-        self.tasks, self.records, self._told = {}, {}, 0
+        self.records, self._told = {}, 0
         self.progress.at(0)
-
-    def planned(self, task) -> None:
-        self.tasks[task.partners.target] = task
 
     def __call__(self, record) -> None:
         self.records[record.name] = record
         self.progress.at(len(self.records))
         while self.on_view and self._told < len(self.asked):
             index = self.asked[self._told]
-            if self.views[index].name not in self.records:
+            record = self.records.get(self.views[index].name)
+            if record is None:
                 break
             self._told += 1
-            if index in self.tasks:
-                self.on_view(self.views[index], self.tasks[index].depth.load(), self._result(index))
+            if record.key:  # it could be planned
+                self.on_view(self.views[index], self.depths[index].load(), self._result(index))
 
     def inside(self, number: int):
         """Progress of view `number` of the batch at hand, beside those that have come. What it raises ends the run: it
@@ -180,26 +173,6 @@ def _sampled(depths, asked) -> tuple[list, list[int]]:
     if len(valid) < len(asked):
         log.warning("%d views have a depth map without a valid pixel and are left out", len(asked) - len(valid))
     return samples, valid
-
-
-def _executor(executor, device):
-    """The executor, what renews it, and whether it is ours to close."""
-    if isinstance(executor, str):
-        return dask_executor(executor), None, True
-    if executor is not None:
-        return executor, None, False
-    if device == "all" or isinstance(device, (list, tuple)):
-        return local_pool(device), lambda: local_pool(device), True
-    return SerialExecutor(), None, True
-
-
-def _sent_device(device, executor):
-    """What the workers are told: this process opens its device here, others choose from what is named."""
-    if isinstance(executor, SerialExecutor):
-        from pagas_cl.runtime.device import open_device
-
-        return open_device(device)
-    return tuple(device) if isinstance(device, list) else device
 
 
 def _make_ready(folder: Path) -> None:

@@ -5,25 +5,80 @@ from __future__ import annotations
 import logging
 import os
 import socket
-import threading
 import time
+from collections import Counter, OrderedDict
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from datetime import datetime
+from threading import Lock
+
+import numpy as np
 
 from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputError, PagasError
-from pagas_cl.jobs.disk import translate_os_errors
 from pagas_cl.jobs.finished import find_finished, work_folder, write_finished
-from pagas_cl.jobs.identity import code_version
-from pagas_cl.jobs.photos import PhotoMemory
-from pagas_cl.jobs.task import Batch, Record, ViewTask
+from pagas_cl.jobs.store import translate_os_errors
+from pagas_cl.jobs.task import Batch, Record, ViewTask, code_version
+from pagas_cl.scene.view import View
 
 log = logging.getLogger("pagas_cl")
 
-STOP = "stop"          # a file of this name in the work folder asks every worker to end after its present view
-_READERS = 6           # photos that are decoded at a time
-_one_at_a_time = threading.Lock()  # tasks of one process share a device's queue
+STOP = "stop"              # a file of this name in the work folder asks every worker to end after its present view
+_READERS = 6               # photos that are decoded at a time
+_PHOTO_BYTES = 1 << 30     # most memory for decoded photos
+_one_at_a_time = Lock()    # tasks of one process share a device's queue
 _worker_contexts: dict = {}
-_lost: list[str] = []              # the view at which the device failed, until one is refined
+_lost: list[str] = []      # the view at which the device failed, until one is refined
+
+
+class PhotoMemory:
+    """The photos and masks used last, up to `limit` bytes, so that each is read once. Any thread may ask."""
+
+    def __init__(self, limit: int = _PHOTO_BYTES):
+        self.limit, self._held, self._lock = limit, OrderedDict(), Lock()
+
+    def remembered(self, view: View, digest: str) -> View:
+        """The same view, whose photo and mask come from here."""
+        mask = None if view.mask is None else Remembered(self, (digest, "mask"), view.load_mask)
+        return View(view.camera, Remembered(self, (digest, "image"), view.load_image), mask, view.name)
+
+    def get(self, key, load) -> np.ndarray:
+        """The array `key`, by `load()` where it is not held; who comes while it is loaded waits for it."""
+        with self._lock:
+            first = key not in self._held
+            promise = self._held.setdefault(key, Future())
+            self._held.move_to_end(key)  # last in the order of use
+        if first:
+            try:
+                pixels = load()
+            except BaseException as error:
+                with self._lock:
+                    del self._held[key]
+                promise.set_exception(error)
+            else:
+                promise.set_result(pixels)
+                self._make_room(key)
+        return promise.result()
+
+    def _make_room(self, last) -> None:
+        with self._lock:
+            sizes = {key: promise.result().nbytes for key, promise in self._held.items() if promise.done()}
+            for key in [key for key in sizes if key != last]:
+                if sum(sizes.values()) <= self.limit:
+                    break
+                del sizes[key], self._held[key]
+
+
+@dataclass(frozen=True, eq=False)
+class Remembered:
+    """Stands for a view's photo or mask."""
+
+    memory: PhotoMemory
+    key: tuple
+    read: Callable[[], np.ndarray]
+
+    def load(self) -> np.ndarray:
+        return self.memory.get(self.key, self.read)
 
 
 class WorkerContext:
@@ -32,8 +87,7 @@ class WorkerContext:
     def __init__(self, device):
         from pagas_cl.splat import PhotoStore
 
-        self.device, self.photos, self._memory = device, PhotoStore(device), PhotoMemory()
-        self._views: dict = {}
+        self.device, self.photos, self._memory, self._views = device, PhotoStore(device), PhotoMemory(), {}
 
     def views(self, batch: Batch) -> dict:
         """The batch's views, those of earlier batches as the same objects, so that their photos are found again."""
@@ -91,12 +145,16 @@ def _attempt(batch: Batch, task: ViewTask, views: dict, depth: Future, writer: T
                             progress)
     except OutputError:
         raise
-    except DeviceLostError as error:
-        return _without_device(batch, task, error)
     except Exception as error:  # whatever it is, the other views must not suffer
+        record = _failed(batch, task, error)
         if not isinstance(error, InputError):
             _worker_contexts.pop(batch.device, None)  # the device may be in any state: opened anew for the next view
-        return _failed(batch, task, error)
+        if isinstance(error, DeviceLostError):        # where it then fails again, this worker has none
+            if _lost:
+                _lost.clear()
+                raise
+            _lost.append(task.name)
+        return record
     _lost.clear()
     about = {"device": context.device.info.title, "worker": worker_name(), "task_seconds": time.perf_counter() - start}
     return writer.submit(_write, batch, task, result, about)
@@ -113,21 +171,10 @@ def _write(batch: Batch, task: ViewTask, result, about: dict) -> Record:
     return record
 
 
-def _without_device(batch: Batch, task: ViewTask, error: DeviceLostError) -> Record:
-    """The device failed: opened anew for the next view; where it then fails again, this worker has none."""
-    note_down(batch.folder, "failed", task.name)
-    _worker_contexts.pop(batch.device, None)
-    if _lost:
-        _lost.clear()
-        raise error
-    _lost.append(task.name)
-    return Record(task.name, task.stem, task.key, error=str(error))
-
-
 def _failed(batch: Batch, task: ViewTask, error: Exception) -> Record:
-    message = str(error) if isinstance(error, PagasError) else f"{type(error).__name__}: {error}"
     note_down(batch.folder, "failed", task.name)
-    return Record(task.name, task.stem, task.key, error=message, bad_input=isinstance(error, InputError))
+    message = str(error) if isinstance(error, PagasError) else f"{type(error).__name__}: {error}"
+    return task.failed(message, isinstance(error, InputError))
 
 
 def _worker_context(device) -> WorkerContext:
@@ -164,12 +211,8 @@ def note_down(folder, what: str, name: str) -> None:
             file.write(f"{datetime.now().isoformat(timespec='milliseconds')} {what} {name}\n")
 
 
-def attempts(folder) -> dict[str, int]:
+def attempts(folder) -> Counter[str]:
     """How often each view was begun in this run, by the journals of all workers."""
-    count: dict[str, int] = {}
-    for path in sorted((work_folder(folder) / "journal").glob("*.txt")):
-        for line in path.read_text(encoding="utf-8").splitlines():
-            _, what, name = (line.split(" ", 2) + ["", ""])[:3]
-            if what == "began":
-                count[name] = count.get(name, 0) + 1
-    return count
+    lines = [line.split(" ", 2) for path in (work_folder(folder) / "journal").glob("*.txt")
+             for line in path.read_text(encoding="utf-8").splitlines()]
+    return Counter(line[2] for line in lines if line[1:2] == ["began"] and len(line) == 3)    # some may be cut short

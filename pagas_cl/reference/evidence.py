@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from pagas_cl.reference.loss import luma
+from pagas_cl.reference.measure import corners, patch
 from pagas_cl.reference.project import project
-from pagas_cl.scene.status import KEPT, NO_SURFACE, REFINED, REJECTED
+from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED
 
 PATCH, WINDOW, LEAST_PIXELS, NOISE, LEAST_POSSIBLE = 2, 7, 6, 1 / 255, 0.3
 BINS = 1024         # of 1 - correlation, from 0 to 2
 CHANCE = 0.02       # growth of it in a photo, mean around a pixel, that says nothing
-
-
-def luma(image: np.ndarray) -> np.ndarray:
-    """Grey of shape (H, W) of an image (H, W, 3)."""
-    return image @ np.array([0.299, 0.587, 0.114])
 
 
 def warped(depth, target, context, z_first, delta, scene_scale):
@@ -33,14 +30,9 @@ def warped(depth, target, context, z_first, delta, scene_scale):
     photo, (height, width) = luma(context.image), context.image.shape[:2]
     u, v = (p.m - 0.5).T
     inside = p.valid & (u >= 0) & (v >= 0) & (u <= width - 1.001) & (v <= height - 1.001)
-    x, y = np.where(inside, u, 0).astype(int), np.where(inside, v, 0).astype(int)
-    right, below = np.minimum(x + 1, width - 1), np.minimum(y + 1, height - 1)
-    a, b = np.where(inside, u, 0) - x, np.where(inside, v, 0) - y
     near = z_first[tuple(np.floor(np.where(inside, at, 0) + 0.5).astype(int) for at in (v, u))]
     inside &= p.z <= near + delta
-    if context.mask is not None:
-        inside &= context.mask[y, x] & context.mask[y, right] & context.mask[below, x] & context.mask[below, right]
-    g00, g10, g01, g11 = photo[y, x], photo[y, right], photo[below, x], photo[below, right]
+    (g00, g10, g01, g11), a, b, inside = corners(photo, context.mask, u, v, inside)
     value = (1 - b) * ((1 - a) * g00 + a * g10) + b * ((1 - a) * g01 + a * g11)
     slope = (((1 - b) * (g10 - g00) + b * (g11 - g01)) * p.m_d[:, 0]
              + ((1 - a) * (g01 - g00) + a * (g11 - g10)) * p.m_d[:, 1])
@@ -188,7 +180,4 @@ def bends(depth, depth_per_parallax, most: float = 1.4):
 
 
 def _patch_sum(image: np.ndarray, half: int = PATCH) -> np.ndarray:
-    padded = np.pad(image, half)
-    height, width = image.shape
-    size = 2 * half + 1
-    return sum(padded[y:y + height, x:x + width] for y in range(size) for x in range(size))
+    return sum(patch(image, half))

@@ -13,9 +13,14 @@ GRADIENT_LOW, GRADIENT_HIGH = 0.02, 0.1  # paper eq. 6
 LUMA = np.array([0.299, 0.587, 0.114])  # Rec. 601
 
 
+def luma(image: np.ndarray) -> np.ndarray:
+    """Grey of shape (H, W) of an image (H, W, 3)."""
+    return image @ LUMA
+
+
 def comparable(image: np.ndarray, loss: Loss) -> np.ndarray:
     """The channels that are compared: (H, W, 3) as it is, or grey of shape (H, W, 1)."""
-    return (image @ LUMA)[..., None] if loss.grey else image
+    return luma(image)[..., None] if loss.grey else image
 
 
 def w_grad(image: np.ndarray) -> np.ndarray:

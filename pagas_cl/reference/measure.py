@@ -1,17 +1,18 @@
-"""Twin of splat/measure: how well patches match when the depth, or the photo, is moved; the specularity of a surface
-(method section 8)."""
+"""Twin of splat/measure: how well patches match when the depth, or the photo, is
+moved; the specularity of a surface; the noise of a photo; what rows of numbers come to (method section 8)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl.reference.evidence import luma
+from pagas_cl.reference.loss import luma
 from pagas_cl.reference.project import project
 
 HALF, LEAST_PIXELS, NOISE, UNDEFINED = 2, 15, 1.5e-5, 2.0
 TEXTURED, OTHER = 1.5, 0.5       # costs above these are of patches without texture, and of other content
 WORSE = 0.02                     # a depth that matches worse than another by more is not the right one
 SHIFTS = np.array([-4, -2, -1, 0, 1, 2, 4])      # pixels of parallax: the first costs of a sample
+NOISE_ROWS = 256                 # rows that are looked at for noise, spread over the photo
 BETTER = 0.05                    # by so much a depth far away must match better
 
 
@@ -38,7 +39,7 @@ def moved_cost(depth, parallax, target, context, shift: float, scene_scale: floa
     landed = project(moved, target.camera, context.camera, 0.0, scene_scale)
     photo, own = luma(context.image), luma(target.image)
     n, sums = 0, np.zeros((5, *depth.shape))
-    for pixel in _patch(np.arange(depth.size).reshape(depth.shape), fill=-1):      # each pixel of all patches in turn
+    for pixel in patch(np.arange(depth.size).reshape(depth.shape), fill=-1):      # each pixel of all patches in turn
         value, seen = look_up(photo, landed, context, depth.shape, epipolar_offset * across, pixel.ravel())
         a, b = np.where(seen, value, 0), np.where(seen, own.ravel()[pixel], 0)
         n, sums = n + seen, sums + [a, b, a * a, b * b, a * b]
@@ -140,9 +141,43 @@ def specularity(own, other, state, like, gain) -> np.ndarray:
         Gain and offset of each channel.
     """
     ok = (state > 0) & like
-    total = sum(_patch(np.where(ok, (other - own * gain[:, 0] - gain[:, 1]).mean(axis=-1), 0.0)))
-    number = sum(_patch(ok.astype(float)))
+    total = sum(patch(np.where(ok, (other - own * gain[:, 0] - gain[:, 1]).mean(axis=-1), 0.0)))
+    number = sum(patch(ok.astype(float)))
     return np.where(number > 12, np.abs(total) / np.maximum(number, 1), np.nan)
+
+
+def noise_and_texture(image: np.ndarray) -> tuple[float, float]:
+    """Standard deviation of the noise, and the share of pixels with little texture.
+
+    Parameters
+    ----------
+    image : ndarray of shape (H, W, 3), uint8
+
+    Returns
+    -------
+    noise : float
+        In units of the full range. From the second differences of the smoothest quarter of the pixels, taken along
+        rows, whose median deviation is sqrt(6) times that of the noise.
+    textureless : float
+        Share of pixels where the photo changes by less than 0.02 to its right-hand neighbour (paper eq. 6).
+    """
+    step = max(1, image.shape[0] // NOISE_ROWS)
+    grey = image[::step].astype(np.float32).mean(axis=2) / 255
+    if grey.shape[1] < 8:
+        return 0.0, 1.0
+    bend = np.abs(grey[:, :-2] - 2 * grey[:, 1:-1] + grey[:, 2:])
+    slope = np.abs(grey[:, 2:] - grey[:, :-2])
+    flat = bend[slope <= np.quantile(slope, 0.25)]
+    return float(1.4826 * np.median(flat) / np.sqrt(6)), float((np.abs(np.diff(grey, axis=1)) < 0.02).mean())
+
+
+def summarize(row: np.ndarray, share: float) -> tuple[float, float, float, float]:
+    """How many values there are, their mean, the quantile with `share` of them below it, the mean of their squares; NaN
+    is left out."""
+    there = row[np.isfinite(row)]
+    if not there.size:
+        return 0, np.nan, np.nan, np.nan
+    return there.size, there.mean(), np.quantile(there, share), (there**2).mean()
 
 
 def look_up(image, landed, context, shape, moved=0.0, pixel=slice(None)):
@@ -157,20 +192,27 @@ def look_up(image, landed, context, shape, moved=0.0, pixel=slice(None)):
     inside = landed.valid[pixel] & (u >= 0) & (v >= 0) & (u < width - 1) & (v < height - 1)
     if not isinstance(pixel, slice):
         inside &= pixel >= 0
-    x, y = np.where(inside, u, 0).astype(int), np.where(inside, v, 0).astype(int)
-    right, below = np.minimum(x + 1, width - 1), np.minimum(y + 1, height - 1)
-    if context.mask is not None:
-        inside &= context.mask[y, x] & context.mask[y, right] & context.mask[below, x] & context.mask[below, right]
-    a, b = (np.where(inside, t, 0) - whole for t, whole in ((u, x), (v, y)))
+    (g00, g10, g01, g11), a, b, inside = corners(image, context.mask, u, v, inside)
     if image.ndim == 3:
         a, b = a[:, None], b[:, None]
-    value = ((1 - b) * ((1 - a) * image[y, x] + a * image[y, right])
-             + b * ((1 - a) * image[below, x] + a * image[below, right]))
+    value = (1 - b) * ((1 - a) * g00 + a * g10) + b * ((1 - a) * g01 + a * g11)
     return value.reshape(*shape, *image.shape[2:]), inside.reshape(shape)
 
 
-def _patch(image: np.ndarray, fill=0):
+def corners(image, mask, u, v, inside):
+    """The four pixels around each place (u, v) of `image`, how far right and down of the first it is, and where it is
+    `inside` and all four are valid in `mask` (or None)."""
+    height, width = image.shape[:2]
+    x, y = np.where(inside, u, 0).astype(int), np.where(inside, v, 0).astype(int)
+    places = [(r, c) for r in (y, np.minimum(y + 1, height - 1)) for c in (x, np.minimum(x + 1, width - 1))]
+    a, b = np.where(inside, u, 0) - x, np.where(inside, v, 0) - y
+    if mask is not None:
+        inside = inside & np.all([mask[place] for place in places], axis=0)
+    return [image[place] for place in places], a, b, inside
+
+
+def patch(image: np.ndarray, half: int = HALF, fill=0):
     """The image moved by each pixel of a patch in turn, `fill` beyond its border."""
-    padded = np.pad(image, HALF, constant_values=fill)
-    size = 2 * HALF + 1
+    padded = np.pad(image, half, constant_values=fill)
+    size = 2 * half + 1
     return (padded[y:y + image.shape[0], x:x + image.shape[1]] for y in range(size) for x in range(size))

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl.scene.depthmap import surface_depth
-from pagas_cl.scene.scene_scale import FAR, NEAR, scene_scale_of
-from pagas_cl.scene.status import KEPT, NO_SURFACE, REFINED
+from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, surface_depth
+from pagas_cl.scene.sampling import FAR, NEAR, scene_scale_of
 
 
 def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.ndarray, float]:

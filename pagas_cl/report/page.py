@@ -5,12 +5,13 @@ from __future__ import annotations
 import base64
 import io
 import os
+from contextlib import contextmanager
 from html import escape
 from pathlib import Path
 
 from PIL import Image
 
-from pagas_cl.report.colors import css_gradient
+from pagas_cl.report.pictures import css_gradient
 
 _THUMBNAIL = 480  # pixels, longer side of a picture inside the page
 _STYLE = """
@@ -20,28 +21,32 @@ td:first-child, th:first-child { text-align: left } tr:nth-child(even) { backgro
 .pictures { display: flex; flex-wrap: wrap; gap: 1em } figure { margin: 0; width: 340px }
 figure img { width: 100%; display: block } figcaption { font-size: 13px }
 .legend { font-size: 13px; color: #555; margin: .3em 0 }
-.strip { height: 6px; margin: 3px 0 } h2 { margin-top: 2em }
+.strip { height: 6px; margin: 3px 0 } h2 { margin-top: 2em } body > img { max-width: 100% }
+tr.marked, tr.marked:nth-child(even) { background: #e6f2e6; font-weight: 600 }
 """
+
+
+@contextmanager
+def replacing(path: Path):
+    """Context of a path beside `path`, of the same suffix, that gets its name when all has gone well."""
+    beside = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    try:
+        yield beside
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)
 
 
 def write_picture(path: Path, pixels) -> None:
     """Write a picture beside its name and rename it; the suffix says the kind."""
-    beside = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
-    try:
+    with replacing(path) as beside:
         Image.fromarray(pixels).save(beside, **({"quality": 92} if path.suffix == ".jpg" else {}))
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
     """Write text beside its name and rename it."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with replacing(path) as beside:
         beside.write_text(text, encoding="utf-8")
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def figure(picture, link: str) -> str:
@@ -51,38 +56,38 @@ def figure(picture, link: str) -> str:
             f"</a>{strip}<figcaption><b>{escape(picture.title)}</b> {escape(picture.legend)}</figcaption></figure>")
 
 
-def html_page(title: str, notes: list[str], header: list[str], rows: list[list[str]], sections: list[tuple],
-              legend: list[str] = ()) -> str:
-    """The whole page.
+def html_page(title: str, notes: list[str], header: list[str], rows: list[list[str]], sections: list[tuple] = (),
+              legend: list[str] = (), picture: str = "", marked=()) -> str:
+    """The whole page: `notes` below the title, a table, below it its `legend`, then the sections.
 
-    Parameters
-    ----------
-    notes : list of str
-        Lines below the title.
-    header, rows : list of str, list of list of str
-        The table, one row a view.
-    sections : list of (name, figures, remarks)
-        A view's pictures as HTML, and lines of text.
-    legend : list of str
-        Lines below the table.
+    A section is (name, pictures as HTML, lines of text); a row whose first cell names one leads there. `picture` is the
+    address of an image above the table, `marked` (a sequence of bool) says which rows stand out.
     """
     parts = [f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
-             f"<style>{_STYLE}</style><h1>{escape(title)}</h1>"]
-    parts += [f"<p>{escape(note)}</p>" for note in notes]
-    parts.append(_table(header, rows))
-    parts += [f'<p class="legend">{escape(line)}</p>' for line in legend]
+             f"<style>{_STYLE}</style><h1>{escape(title)}</h1>", _paragraphs(notes)]
+    if picture:
+        parts.append(f'<img src="{escape(picture)}" alt="{escape(title)}">')
+    linked = {name for name, *_ in sections}
+    parts.append("<table>" + _row("th", header))
+    for number, row in enumerate(rows):
+        parts.append(_row("td", row, row[0] in linked, number < len(marked) and marked[number]))
+    parts += ["</table>", _paragraphs(legend, ' class="legend"')]
     for name, figures, remarks in sections:
-        parts.append(f'<h2 id="{escape(name)}">{escape(name)}</h2>')
-        parts += [f"<p>{escape(remark)}</p>" for remark in remarks]
-        parts.append(f'<div class="pictures">{"".join(figures)}</div>')
+        parts += [f'<h2 id="{escape(name)}">{escape(name)}</h2>', _paragraphs(remarks),
+                  f'<div class="pictures">{"".join(figures)}</div>']
     return "\n".join(parts) + "\n</html>\n"
 
 
-def _table(header: list[str], rows: list[list[str]]) -> str:
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
-    body = "".join(f'<tr><td><a href="#{escape(row[0])}">{escape(row[0])}</a></td>'
-                   + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:]) + "</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{body}</table>"
+def _paragraphs(lines, kind: str = "") -> str:
+    return "\n".join(f"<p{kind}>{escape(line)}</p>" for line in lines)
+
+
+def _row(tag: str, row: list[str], linked: bool = False, marked: bool = False) -> str:
+    cells = [escape(cell) for cell in row]
+    if linked:
+        cells[0] = f'<a href="#{cells[0]}">{cells[0]}</a>'
+    kind = ' class="marked"' if marked else ""
+    return f"<tr{kind}>" + "".join(f"<{tag}>{cell}</{tag}>" for cell in cells) + "</tr>"
 
 
 def _embedded(pixels) -> str:

@@ -1,5 +1,8 @@
-"""The pictures of one refined view, as arrays: what the photo shows, depth and normals before and after, and what
-changed by how much."""
+"""The pictures of one refined view, as arrays: the photo, depth and normals before and after, what changed by how much.
+
+Colour maps are a few anchors with straight lines between them, so that nothing but NumPy is needed; each rises evenly
+in lightness, the signed one from both ends to white at zero.
+"""
 
 from __future__ import annotations
 
@@ -7,26 +10,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pagas_cl.report.colors import colored, normal_colors
+from pagas_cl.evaluate.depth import project_depth
 from pagas_cl.result import normals_of
 from pagas_cl.scene.camera import Camera
 
 _SMALLEST_CHANGE = 0.1  # pixels: where nothing moved the scale does not blow rounding up to full colour
+NOTHING = (34, 34, 34)  # colour of a pixel without a value
+
+_MAPS = {
+    "sequential": ((48, 18, 84), (49, 75, 140), (33, 128, 141), (62, 180, 112), (170, 216, 60), (253, 236, 80)),
+    "signed": ((20, 60, 140), (90, 150, 215), (200, 222, 240), (255, 255, 255), (250, 214, 190), (225, 120, 85),
+               (140, 20, 40)),
+}
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """One picture and its legend.
+    """One picture, uint8 (H, W, 3), and its `legend`: what the colours mean, in words and numbers.
 
-    Attributes
-    ----------
-    key, title : str
-        Part of the file's name; heading on the page.
-    pixels : ndarray of shape (H, W, 3), uint8
-    legend : str
-        What the colours mean, in words and numbers.
-    map_name : str
-        Colour map of the legend's strip; empty where there is none.
+    `key` becomes part of the file's name, `title` the heading on the page; `map_name` is the colour map of the legend's
+    strip, empty where there is none.
     """
 
     key: str
@@ -50,14 +53,15 @@ def view_pictures(photo, camera: Camera, before, after, *, change=None, confiden
     confidence : ndarray of shape (H, W), optional
         0 to 1.
     """
-    pictures = [Picture("photo", "photo", np.asarray(photo, np.uint8))]
     low, high = depth_range(before, after)
-    legend = f"z-depth from {low:.4g} to {high:.4g} scene units"
-    pictures += [Picture(f"depth_{when}", f"depth {when}", colored(depth, low, high, depth > 0), legend, "sequential")
-                 for when, depth in (("before", before), ("after", after))]
-    pictures += [Picture(f"normals_{when}", f"normals {when}", _normals(depth, camera),
-                         "red: to the right, green: up, blue: towards the camera")
-                 for when, depth in (("before", before), ("after", after))]
+    depths = {"before": np.asarray(before), "after": np.asarray(after)}
+    pictures = [Picture("photo", "photo", np.asarray(photo, np.uint8))]
+    pictures += [Picture(f"depth_{when}", f"depth {when}", colored(depth, low, high, depth > 0),
+                         f"z-depth from {low:.4g} to {high:.4g} scene units", "sequential")
+                 for when, depth in depths.items()]
+    normals = {when: normals_of(depth, camera) for when, depth in depths.items()}
+    pictures += [Picture(f"normals_{when}", f"normals {when}", normal_colors(n, (n != 0).any(axis=-1)),
+                         "red: to the right, green: up, blue: towards the camera") for when, n in normals.items()]
     if change is not None:
         known = np.isfinite(change)
         most = max(float(np.percentile(np.abs(change[known]), 99)) if known.any() else 0.0, _SMALLEST_CHANGE)
@@ -65,8 +69,7 @@ def view_pictures(photo, camera: Camera, before, after, *, change=None, confiden
                                 f"pixels of parallax, from {-most:.2g} (nearer) to {most:.2g} (farther)", "signed"))
     if confidence is not None:
         pictures.append(Picture("confidence", "confidence", colored(confidence, 0, 1, after > 0),
-                                "from 0 (the photos say nothing) to 1 (they fix the depth)",
-                                "sequential"))
+                                "from 0 (the photos say nothing) to 1 (they fix the depth)", "sequential"))
     return pictures
 
 
@@ -81,31 +84,21 @@ def depth_range(*depths) -> tuple[float, float]:
 
 
 def parallax_change(target: Camera, contexts: list[Camera], before, after) -> np.ndarray:
-    """How far each pixel's point moved, seen from the context views.
+    """How far each pixel's point moved, seen from the context views: pixels, float64 (H, W).
 
-    Root mean square over the context views that have the old point inside their image, in pixels; negative where the
-    surface came nearer. NaN where there is no depth before or after, or no context view sees the point.
-
-    Returns
-    -------
-    ndarray of shape (H, W), float64
+    Root mean square over the context views that have the old point inside their image; negative where the surface came
+    nearer. NaN where there is no depth before or after, or no context view sees the point.
     """
-    both = (np.asarray(before) > 0) & (np.asarray(after) > 0)
-    change = np.full(both.shape, np.nan)
-    rays = target.rays()[both]
-    old, new = np.asarray(before, np.float64)[both], np.asarray(after, np.float64)[both]
-    total, count = np.zeros(len(rays)), np.zeros(len(rays))
+    before, after = np.asarray(before, np.float64), np.asarray(after, np.float64)
+    total, count = np.zeros(before.shape), np.zeros(before.shape)
     for camera in contexts:
-        rotation, tau = camera.relative_to(target)
-        q = rays @ rotation.T
-        (m_old, inside), (m_new, _) = (_projected(camera, q * depth[:, None] + tau) for depth in (old, new))
-        square = ((m_new - m_old) ** 2).sum(axis=1)
-        use = inside & np.isfinite(square)
-        total[use] += square[use]
-        count += use
-    with np.errstate(invalid="ignore"):
-        change[both] = np.where(count > 0, np.sign(new - old) * np.sqrt(total / count), np.nan)
-    return change
+        (old, z_old), (new, z_new) = (project_depth(target, camera, depth) for depth in (before, after))
+        with np.errstate(invalid="ignore"):
+            seen = (z_old > 0) & (z_new > 0) & ((old >= 0) & (old < (camera.width, camera.height))).all(axis=-1)
+            total += np.where(seen, ((new - old) ** 2).sum(axis=-1), 0)
+        count += seen
+    known = (before > 0) & (after > 0) & (count > 0)
+    return np.where(known, np.sign(after - before) * np.sqrt(total / np.maximum(count, 1)), np.nan)
 
 
 def change_in_units(before, after, parallax) -> np.ndarray:
@@ -114,16 +107,27 @@ def change_in_units(before, after, parallax) -> np.ndarray:
     return np.where(known, (np.asarray(after, np.float64) - before) / np.where(known, parallax, 1), np.nan)
 
 
-def _projected(camera: Camera, points):
-    """Pixel positions of camera-frame points, and whether each lies in front and inside the image."""
-    z = points[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        m = points[:, :2] / z[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
-        inside = (z > 0) & ((m >= 0) & (m < (camera.width, camera.height))).all(axis=1)
-    m[z <= 0] = np.nan
-    return m, inside
+def colored(values, low: float, high: float, valid, map_name: str = "sequential") -> np.ndarray:
+    """Colours, uint8 (H, W, 3), of `values` (H, W) clipped to `low` .. `high`; NOTHING where not `valid`, bool (H, W).
+
+    `map_name` is "sequential" or "signed".
+    """
+    anchors = np.array(_MAPS[map_name], np.float64)
+    places = np.linspace(0, 1, len(anchors))
+    share = np.clip((np.where(valid, values, low) - low) / max(high - low, 1e-30), 0, 1)
+    rgb = np.stack([np.interp(share, places, anchors[:, channel]) for channel in range(3)], axis=-1)
+    return np.where(valid[..., None], np.rint(rgb), NOTHING).astype(np.uint8)
 
 
-def _normals(depth, camera: Camera) -> np.ndarray:
-    normals = normals_of(np.asarray(depth), camera)
-    return normal_colors(normals, (normals != 0).any(axis=-1))
+def normal_colors(normals, valid) -> np.ndarray:
+    """Colours, uint8 (H, W, 3), of unit normals (H, W, 3): red to the right, green up, blue towards the camera.
+
+    Convention: camera axes x right, y down, z forward; a normal may point to or from the camera, it is turned to it.
+    """
+    facing = np.where(normals[..., 2:] > 0, -normals, normals) * (1, -1, -1)
+    return np.where(valid[..., None], np.rint((facing + 1) * 127.5), NOTHING).astype(np.uint8)
+
+
+def css_gradient(map_name: str) -> str:
+    """The colour map as a CSS background, for the legend of the page."""
+    return f"linear-gradient(90deg, {', '.join(f'rgb({r},{g},{b})' for r, g, b in _MAPS[map_name])})"

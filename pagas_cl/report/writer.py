@@ -53,14 +53,13 @@ class Report:
         Parameters
         ----------
         view : pagas_cl.View
-        before, after : ndarray of shape (H, W)
-            z-depth, 0 = no surface.
+        before, after, confidence : ndarray of shape (H, W)
+            As in `view_pictures`.
         contexts : list of Camera
             Cameras of the context views, to measure the change by (`parallax_change`).
         parallax : ndarray of shape (H, W), optional
             Instead of `contexts`: change of depth that is one pixel of parallax, 0 = unknown. Without either of them
             there is no picture of the change.
-        confidence : ndarray of shape (H, W), optional
         counts : dict of str to number, optional
             Columns of the table.
         remarks : list of str

@@ -1,14 +1,21 @@
-"""Device buffers declared as data: named, summed and compared with the device before anything is allocated."""
+"""Device buffers declared as data: planned, compared with the device and allocated from one declaration."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import Field, dataclass, field, fields
 from math import prod
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceError, DeviceMemoryError
+
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
+
+Handed = TypeVar("Handed", bound="Buffers")
 
 MOST_ELEMENTS = 2**31 - 1         # kernels count in 32 bits
 
@@ -26,13 +33,13 @@ class BufferSpec:
         return max(1, prod(self.shape)) * np.dtype(self.dtype).itemsize
 
 
-def total_bytes(specs) -> int:
+def total_bytes(specs: Iterable[BufferSpec]) -> int:
     """Bytes that `specs` take together."""
     return sum(spec.nbytes for spec in specs)
 
 
-class Arena:
-    """The buffers of one level. One owner, released together.
+def allocate(device: Device, specs: list[BufferSpec]) -> dict[str, cl.Buffer]:
+    """Buffers for `specs`, by name.
 
     Raises
     ------
@@ -41,44 +48,104 @@ class Arena:
     DeviceMemoryError
         They are more than may be held, or the device refuses one; none is kept then.
     """
+    largest = max(specs, key=lambda spec: spec.nbytes)
+    limit = device.info.max_alloc
+    if max(prod(spec.shape) for spec in specs) > MOST_ELEMENTS:
+        raise DeviceError("a buffer needs more than 2^31 elements, which the kernels cannot count: refine smaller "
+                          "images, or with a smaller splatting.radius")
+    if largest.nbytes > limit:
+        raise DeviceError(f"buffer {largest.name!r} needs {largest.nbytes / 2**20:.0f} MiB, {device.info.title} "
+                          f"allocates at most {limit / 2**20:.0f} MiB at once; refine smaller images")
+    made: dict[str, cl.Buffer] = {}
+    try:
+        for spec in specs:
+            made[spec.name] = device.memory.buffer(device.context, spec.nbytes, spec.name)
+    except DeviceMemoryError:
+        for buffer in made.values():
+            buffer.release()
+        raise
+    return made
 
-    def __init__(self, device, specs: list[BufferSpec]):
-        self.specs = {spec.name: spec for spec in specs}
-        largest = max(specs, key=lambda spec: spec.nbytes)
-        limit = device.info.max_alloc
-        if max(prod(spec.shape) for spec in specs) > MOST_ELEMENTS:
-            raise DeviceError("a buffer needs more than 2^31 elements, which the kernels cannot count: refine smaller "
-                              "images, or with a smaller splatting.radius")
-        if largest.nbytes > limit:
-            raise DeviceError(f"buffer {largest.name!r} needs {largest.nbytes / 2**20:.0f} MiB, {device.info.title} "
-                              f"allocates at most {limit / 2**20:.0f} MiB at once; refine smaller images")
-        self._buffers: dict[str, cl.Buffer] = {}
-        try:
-            for spec in specs:
-                self._buffers[spec.name] = device.memory.buffer(device.context, spec.nbytes, spec.name)
-        except DeviceMemoryError:
-            self.release()
-            raise
 
-    @property
-    def nbytes(self) -> int:
-        return total_bytes(self.specs.values())
+def declared(shape: tuple[int | str, ...], dtype: type, unit: str, purpose: str, needed: str = "",
+             start: Any = None, each: str = "") -> Any:
+    """A field of a Buffers class.
 
-    def __getitem__(self, name: str) -> cl.Buffer:
-        return self._buffers[name]
+    Parameters
+    ----------
+    shape : tuple of int and str
+        A str names one of the dimensions that a plan is made for.
+    dtype : type
+        Of an element.
+    unit : str
+        Of what an element says; "" for none.
+    purpose : str
+        What the buffer is for.
+    needed : str, optional
+        Names a dimension; the field is None where that is zero or False.
+    start : NumPy scalar of 32 bits, optional
+        What it is filled with when it is allocated; left as it is by default.
+    each : str, optional
+        Names a dimension that is a list: the field is a tuple of buffers, with so many elements each.
+    """
+    return field(default=() if each else None, metadata=dict(
+        shape=shape, dtype=dtype, unit=unit, purpose=purpose, needed=needed, start=start, each=each))
 
-    def __contains__(self, name: str) -> bool:
-        return name in self._buffers
 
-    def size(self, name: str) -> int:
-        """Bytes of the buffer `name`."""
-        return self.specs[name].nbytes
+def _specs(own: Field[Any], dimensions: dict[str, Any]) -> list[BufferSpec]:
+    """What is allocated for one field."""
+    said = own.metadata
+    if said["needed"] and not dimensions[said["needed"]]:
+        return []
+    shape = tuple(dimensions[part] if isinstance(part, str) else part for part in said["shape"])
+    if said["each"]:
+        return [BufferSpec(f"{own.name}{k}", (length, *shape), said["dtype"])
+                for k, length in enumerate(dimensions[said["each"]])]
+    return [BufferSpec(own.name, shape, said["dtype"])]
+
+
+@dataclass(eq=False)
+class Buffers:
+    """Buffers of one device, each a field; one owner, released together. A stage on its own needs only those that its
+    kernels read and write: the others may stay None."""
+
+    @classmethod
+    def plan(cls, dimensions: dict[str, Any]) -> list[BufferSpec]:
+        """What is allocated for `dimensions`, by the names that the fields use."""
+        return [spec for own in fields(cls) for spec in _specs(own, dimensions)]
+
+    @classmethod
+    def allocated(cls: type[Handed], device: Device, dimensions: dict[str, Any]) -> Handed:
+        """All that is planned, on `device`; errors as of `allocate`."""
+        made, found = allocate(device, cls.plan(dimensions)), {}
+        for own in fields(cls):
+            buffers = tuple(made[spec.name] for spec in _specs(own, dimensions))
+            if own.metadata["start"] is not None:
+                for buffer in buffers:
+                    cl.enqueue_fill_buffer(device.queue, buffer, own.metadata["start"], 0, buffer.size)
+            found[own.name] = buffers if own.metadata["each"] else next(iter(buffers), None)
+        return cls(**found)
+
+    def hand_over(self, kind: type[Handed]) -> Handed:
+        """The buffers of the class `kind`, the caller's from now on; the others are released."""
+        taken = kind(**{own.name: self.take(own.name) for own in fields(kind)})
+        self.release()
+        return taken
 
     def take(self, name: str) -> cl.Buffer:
         """The buffer `name`, the caller's from now on."""
-        return self._buffers.pop(name)
+        buffer: cl.Buffer = getattr(self, name)
+        setattr(self, name, None)
+        return buffer
 
-    def release(self, keep=()):
-        """Give all buffers but those named in `keep` back now instead of when Python gets to it."""
-        for name in [name for name in self._buffers if name not in keep]:
-            self._buffers.pop(name).release()
+    def release(self) -> None:
+        """Give all buffers back now instead of when Python gets to it."""
+        for buffer in self.held():
+            buffer.release()
+        for own in fields(self):
+            setattr(self, own.name, own.default)
+
+    def held(self) -> list[cl.Buffer]:
+        """All that there are."""
+        values = [getattr(self, own.name) for own in fields(self)]
+        return [buffer for value in values for buffer in (value if isinstance(value, tuple) else (value,)) if buffer]

@@ -55,7 +55,7 @@ def ask(module: str, question: dict[str, Any], timeout: float, environment: dict
             return Answer(None, _ending(status, _lines(errors)), crashed=status < 0)
 
 
-def _end(child: subprocess.Popen) -> None:
+def _end(child: subprocess.Popen[bytes]) -> None:
     """Nothing that it has started is left."""
     try:
         if hasattr(os, "killpg"):

@@ -10,17 +10,22 @@ import os
 import re
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import IO, Any
 
 from pagas_cl.errors import DeviceError
 from pagas_cl.runtime import device as devices
 from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.info import DeviceInfo
+from pagas_cl.runtime.trial import try_device
+from pagas_cl.runtime.vendors import import_pyopencl
 
 WAIT = 20.0               # seconds to wait for a device that is at work for another process
-_held: dict[str, object] = {}
+_held: dict[str, IO[str]] = {}
 
 
-def known_devices(names=None) -> list[tuple]:
+def known_devices(names: str | Sequence[str] | None = None) -> list[tuple[DeviceInfo, Any, int]]:
     """(DeviceInfo, pyopencl.Device, lanes) of every device that `names` means and that works, best first.
 
     Parameters
@@ -29,11 +34,13 @@ def known_devices(names=None) -> list[tuple]:
         Parts of device names. "all" and None mean every device of the best kind there is: all GPUs, or else the CPU
         (one, since several drivers may offer the same one); None heeds the environment variable PAGAS_CL_DEVICE first.
     """
-    chosen, found = [], devices.find_devices(devices.import_pyopencl())
+    chosen: list[tuple[DeviceInfo, Any, int]] = []
+    found = devices.find_devices(import_pyopencl())
     every = names is None or "all" in ([names] if isinstance(names, str) else names)
-    for name in ([None if names is None else "auto"] if every else [names] if isinstance(names, str) else names):
+    asked = [None if names is None else "auto"] if every else [names] if isinstance(names, str) else names or ()
+    for name in asked:
         for pair in devices.candidates(found, name):
-            lanes = devices.try_device(pair[0]).lanes
+            lanes = try_device(pair[0]).lanes
             if lanes and pair[1] not in [other for _, other, _ in chosen]:
                 chosen.append((*pair, lanes))
     if every:
@@ -44,7 +51,7 @@ def known_devices(names=None) -> list[tuple]:
     return chosen
 
 
-def claim_device(names=None) -> Device:
+def claim_device(names: str | Sequence[str] | Device | None = None) -> Device:
     """Open the first of `names` that no other process works on; wait a little for one to become free.
 
     Raises
@@ -55,7 +62,7 @@ def claim_device(names=None) -> Device:
     """
     if isinstance(names, Device):
         return devices.working(names)
-    cl, fault = devices.import_pyopencl(), None
+    cl, fault = import_pyopencl(), ""
     share, known, until = devices.shares(), known_devices(names), time.monotonic() + WAIT
     while True:
         for slot in range(share):
@@ -83,7 +90,7 @@ def give_back() -> None:
         _unlock(next(iter(_held)))
 
 
-def _identity(info, cl_device, place: int) -> str:
+def _identity(info: DeviceInfo, cl_device: Any, place: int) -> str:
     """The same in every process of the machine, whichever devices it is allowed to see."""
     where = []
     for name in ("pci_domain_id_nv", "pci_bus_id_nv", "pci_slot_id_nv", "topology_amd"):

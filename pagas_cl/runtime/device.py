@@ -7,15 +7,19 @@ import os
 import re
 import threading
 import weakref
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pagas_cl.errors import DeviceError, InputError, NoDeviceError
 from pagas_cl.runtime import icd, listing
 from pagas_cl.runtime.info import DeviceInfo
 from pagas_cl.runtime.trial import Trial, try_device
 from pagas_cl.runtime.vendors import import_pyopencl
+
+if TYPE_CHECKING:
+    from pagas_cl.runtime.memory import Memory
 
 log = logging.getLogger("pagas_cl")
 
@@ -49,7 +53,7 @@ class Device:
     profiling: bool = False
 
     @cached_property
-    def memory(self):
+    def memory(self) -> Memory:
         """The buffers that this process holds on the device, counted: a runtime.memory.Memory."""
         from pagas_cl.runtime.memory import Memory, limit_of
 
@@ -60,7 +64,7 @@ class Device:
         return extension in self.info.extensions
 
 
-def open_device(name=None, *, profiling: bool = False) -> Device:
+def open_device(name: str | Device | None = None, *, profiling: bool = False) -> Device:
     """Open the OpenCL device called `name`, if a trial has shown that it works (runtime.trial; made once a driver).
 
     Parameters
@@ -95,7 +99,7 @@ def open_device(name=None, *, profiling: bool = False) -> Device:
         faults.append(f"{info}: {trial.fault}")
         log.warning("OpenCL device %s does not work and is passed over: %s", info, trial.fault)
     raise DeviceError(f"no OpenCL device that matches works: {'; '.join(faults)}. Is it in use by another process, or "
-                      f"its driver older than the hardware ('pagas-cl devices --again' tries anew)? Choose another "
+                      "its driver older than the hardware ('pagas-cl devices --again' tries anew)? Choose another "
                       f"with device= or {ENVIRONMENT}. {icd.cpu_advice()}")
 
 
@@ -109,10 +113,10 @@ def _keep(device: Device) -> Device:
     return device
 
 
-def _still_open(cl, cl_device, profiling: bool) -> Device | None:
+def _still_open(cl: Any, cl_device: Any, profiling: bool) -> Device | None:
     """The device as this thread has opened it before, if it still answers."""
     key = f"{os.getpid()} {getattr(cl_device, 'int_ptr', None)} {profiling}"
-    device = vars(_kept).get(key)
+    device: Device | None = vars(_kept).get(key)
     if device is not None:
         try:
             cl.enqueue_marker(device.queue).wait()
@@ -124,7 +128,7 @@ def _still_open(cl, cl_device, profiling: bool) -> Device | None:
     return device
 
 
-_given_up: weakref.WeakSet = weakref.WeakSet()
+_given_up: weakref.WeakSet[Device] = weakref.WeakSet()
 
 
 def give_up(device: Device) -> None:
@@ -150,7 +154,7 @@ def working(device: Device) -> Device:
                           f"{ENVIRONMENT}") from error
 
 
-def opened(info: DeviceInfo, cl_device, lanes: int, profiling: bool = False) -> Device:
+def opened(info: DeviceInfo, cl_device: Any, lanes: int, profiling: bool = False) -> Device:
     """Open one device of `find_devices` with the `lanes` that it is known to work with; a pyopencl error where it
     cannot be opened."""
     cl = import_pyopencl()
@@ -168,7 +172,7 @@ def shares() -> int:
     return int(text)
 
 
-def find_devices(cl) -> list[tuple[DeviceInfo, Any]]:
+def find_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:
     """Every device as listing.enumerate_devices has it, of the drivers that survive being asked.
 
     Raises
@@ -180,27 +184,27 @@ def find_devices(cl) -> list[tuple[DeviceInfo, Any]]:
     return listing.enumerate_devices(cl)
 
 
-def _asked(name) -> tuple[str, str]:
+def _asked(name: object) -> tuple[str, str]:
     """What device was asked for, and by what: the argument or the environment variable."""
     if name is None:
         return os.environ.get(ENVIRONMENT) or "auto", ENVIRONMENT
     return str(name), "device"
 
 
-def cause(error) -> str:
+def cause(error: Exception) -> str:
     """The line of an OpenCL error that says what is wrong."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return next((line for line in lines if line.startswith("error:")), lines[0] if lines else repr(error))
 
 
-def candidates(found, name):
+def candidates(found: Iterable[tuple[DeviceInfo, Any]], name: object) -> list[tuple[DeviceInfo, Any]]:
     """The (DeviceInfo, device) pairs of `found` that `name` means, best first; see open_device."""
-    name, source = _asked(name)
-    wanted = name.strip().lower()
+    asked, source = _asked(name)
+    wanted = asked.strip().lower()
     matching = [pair for pair in found if wanted == "auto" or _matches(pair[0], wanted)]
     if not matching:
         names = "; ".join(info.title for info, _ in found)
-        raise NoDeviceError(f"no OpenCL device matches {source}={name!r}; found: {names}")
+        raise NoDeviceError(f"no OpenCL device matches {source}={asked!r}; found: {names}")
     usable = [pair for pair in matching if not pair[0].lacks]
     if not usable:
         reasons = "; ".join(f"{info.title} lacks {', '.join(info.lacks)}" for info, _ in matching)
@@ -208,14 +212,14 @@ def candidates(found, name):
     return sorted(usable, key=lambda pair: _rank(pair[0]))
 
 
-def _rank(info: DeviceInfo) -> tuple:
+def _rank(info: DeviceInfo) -> tuple[int, int, bool, list[int]]:
     """Smaller is better. Of two drivers for one processor Intel's is a quarter to a half faster than PoCL; of two PoCL
     the newer one compiles for more processors."""
     version = [-int(number) for number in re.findall(r"\d+", info.driver)[:3]]
     return _PREFERENCE.index(info.kind), -info.compute_units, "Intel" not in info.platform, version
 
 
-def _tell(device: Device, name, trial: Trial):
+def _tell(device: Device, name: object, trial: Trial) -> None:
     """Log the choice, once a process for each device: one run may open it for every view."""
     info = device.info
     if info in _told:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceLostError, DeviceMemoryError
-from pagas_cl.runtime.device import give_up
+from pagas_cl.runtime.device import Device, give_up
 
 _codes = cl.status_code
 _MEMORY = {_codes.MEM_OBJECT_ALLOCATION_FAILURE, _codes.OUT_OF_HOST_MEMORY}
@@ -17,7 +18,7 @@ _OF_DRIVERS = -9999       # NVIDIA's code for an access that its hardware refuse
 
 
 @contextmanager
-def translate_cl_errors(device, doing: str):
+def translate_cl_errors(device: Device, doing: str) -> Iterator[None]:
     """Context: errors of the driver while `doing` (a noun phrase) on `device`, as ours; others as they are.
 
     Raises

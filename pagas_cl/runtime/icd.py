@@ -73,9 +73,9 @@ def no_device(platforms: list[str]) -> str:
 def search_folders() -> list[str]:
     """Folders (or files) where the loader looks for drivers."""
     folders = [os.environ.get("OCL_ICD_VENDORS") or "/etc/OpenCL/vendors"]
-    package = sys.modules.get("pyopencl")  # nothing is asked before pyopencl is imported
-    if getattr(package, "__file__", None):
-        folders.append(str(Path(package.__file__).parent / ".libs"))  # where its wheel's own loader looks
+    package = getattr(sys.modules.get("pyopencl"), "__file__", None)  # nothing is asked before it is imported
+    if package:
+        folders.append(str(Path(package).parent / ".libs"))  # where its wheel's own loader looks
     return folders
 
 

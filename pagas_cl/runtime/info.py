@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from typing import Any
 
 WITHOUT = "PAGAS_CL_WITHOUT"   # extensions to be taken for absent, with commas between them
 LOCAL_MEMORY = 32 * 1024   # bytes of local memory that the kernels may use
@@ -79,7 +80,7 @@ class DeviceInfo:
         return f"{self.title} ({self.kind}, {self.version.strip()}, driver {self.driver.strip()})"
 
 
-def describe(cl, platform, device) -> DeviceInfo:
+def describe(cl: Any, platform: Any, device: Any) -> DeviceInfo:
     """Ask a pyopencl device for everything that DeviceInfo holds."""
     kinds = ((cl.device_type.GPU, "GPU"), (cl.device_type.CPU, "CPU"), (cl.device_type.ACCELERATOR, "accelerator"))
     without = {word.strip() for word in os.environ.get(WITHOUT, "").split(",")}

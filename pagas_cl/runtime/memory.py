@@ -31,9 +31,10 @@ class Memory:
 
     def __init__(self, title: str, limit: int):
         self.title, self.limit, self.held, self.peak, self.waiting = title, limit, 0, 0, 0
-        self._planned, self._kept = 0, defaultdict(deque)      # never an empty one
+        self._planned = 0
+        self._kept: defaultdict[tuple[str, int], deque[_Counted]] = defaultdict(deque)      # never an empty one
 
-    def buffer(self, context, nbytes: int, role: str = "") -> cl.Buffer:
+    def buffer(self, context: cl.Context, nbytes: int, role: str = "") -> _Counted:
         """A buffer for reading and writing; what is in it is left over from whatever it served before.
 
         One that has served in the `role` is taken again, so that kernels find it where it was.
@@ -96,25 +97,25 @@ class Memory:
 class _Counted(cl.Buffer):
     """A buffer that is counted from its making until it is released or dropped."""
 
-    def __init__(self, memory: Memory, context, nbytes: int, role: str):
+    def __init__(self, memory: Memory, context: cl.Context, nbytes: int, role: str):
         self._memory, self._counted, self.role = memory, 0, role
         super().__init__(context, cl.mem_flags.READ_WRITE, nbytes)
         self.count()
 
-    def count(self):
+    def count(self) -> None:
         self._counted = self.size
         self._memory.count(self._counted)
 
-    def release(self):
+    def release(self) -> None:
         """Give it back; once, however often it is asked for."""
         if self._counted:
             self._forget()
             self._memory.keep(self)
 
-    def __del__(self):
+    def __del__(self) -> None:
         self._forget()
 
-    def _forget(self):
+    def _forget(self) -> None:
         self._memory.count(-self._counted)
         self._counted = 0
 

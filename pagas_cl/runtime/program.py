@@ -6,14 +6,20 @@ import re
 import warnings
 import weakref
 from collections import defaultdict, deque
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceError, KernelBuildError
+
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
 
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$')
 GROUP_1D, GROUP_2D = (128,), (32, 4)
@@ -40,10 +46,39 @@ def _pasted(name: str, seen: set[str]) -> list[str]:
     return lines
 
 
-_programs: dict[tuple, cl.Program] = {}
+_KERNEL = re.compile(r"__kernel\b[^;{]*?\bvoid\s+(\w+)\s*\(([^)]*)\)")
+_COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 
 
-def build(device, name: str, defines: tuple[str, ...] = ()) -> cl.Program:
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A compiled kernel file.
+
+    Attributes
+    ----------
+    signatures : dict of str to dict of str to str
+        Of each kernel: the names of its arguments, in order, and "int", "float", or "" for a buffer.
+    """
+
+    built: cl.Program
+    signatures: dict[str, dict[str, str]]
+
+
+def signatures(text: str) -> dict[str, dict[str, str]]:
+    """As in Program, of every kernel in the source `text`: not every driver tells them."""
+    return {name: dict(map(_parameter, parameters.split(",")))
+            for name, parameters in _KERNEL.findall(_COMMENT.sub("", text))}
+
+
+def _parameter(declaration: str) -> tuple[str, str]:
+    words = re.findall(r"\w+", declaration)
+    return words[-1], "" if "*" in declaration else words[-2]
+
+
+_programs: dict[tuple[int, str, tuple[str, ...]], Program] = {}
+
+
+def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
     """Compile the kernel file `name` for `device` with `defines` ("NAME" or "NAME=value").
 
     Programs are kept for the life of the process; pyopencl keeps the binaries on disk, keyed by source, options,
@@ -55,11 +90,12 @@ def build(device, name: str, defines: tuple[str, ...] = ()) -> cl.Program:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", cl.CompilerWarning)
-                _programs[key] = cl.Program(device.context, source(name)).build(options)
+                built = cl.Program(device.context, source(name)).build(options)
         except cl.RuntimeError as error:
             raise KernelBuildError(f"{name} does not compile on {device.info.title}: {_first_line(str(error))}; "
                                    "update the driver, or choose another device (pagas-cl devices)",
                                    log=str(error), options=" ".join(options), source=source(name)) from error
+        _programs[key] = Program(built, signatures(source(name)))
     return _programs[key]
 
 
@@ -72,25 +108,29 @@ class _Kernel:
     """A kernel that remembers its arguments: most are the same view after view, and setting one costs as much as
     looking at ten."""
 
-    def __init__(self, program: cl.Program, name: str):
-        self.cl_kernel, self._arguments = cl.Kernel(program, name), None
+    def __init__(self, program: Program, name: str):
+        self.cl_kernel, self.name = cl.Kernel(program.built, name), name
+        self._values: list[Any] = []            # as _remembered tells them; none before the first time
+        self._places = {argument: (index, kind) for index, (argument, kind) in
+                        enumerate(program.signatures[name].items())}
 
-    def set_args(self, arguments: list):
-        if self._arguments is None:
-            self.cl_kernel.set_args(*arguments)
-            self._arguments = [_remembered(value) for value in arguments]
+    def set(self, arguments: Mapping[str, Any]) -> None:
+        """Set arguments by name; the first time all of them."""
+        if not self._values:
+            values = [_argument(arguments[name], kind, self.name) for name, (_, kind) in self._places.items()]
+            self.cl_kernel.set_args(*values)
+            self._values = [_remembered(value) for value in values]
             return
-        for index, value in enumerate(arguments):
-            self.set_arg(index, value)
+        for name, value in arguments.items():
+            index, kind = self._places[name]
+            value = _argument(value, kind, self.name)
+            known, remembered = self._values[index], _remembered(value)
+            if known is not remembered and known != remembered:      # the same object needs no comparison
+                self.cl_kernel.set_arg(index, value)
+                self._values[index] = remembered                     # not if it was refused
 
-    def set_arg(self, index: int, value):
-        known, remembered = self._arguments[index], _remembered(value)
-        if known is not remembered and known != remembered:      # the same object needs no comparison
-            self.cl_kernel.set_arg(index, value)
-            self._arguments[index] = remembered                  # not if it was refused
 
-
-def _remembered(value):
+def _remembered(value: Any) -> Any:
     """What tells an argument from another one: the bits of a number; of a buffer, which must not be kept alive here,
     the very object. Equal to nothing where that cannot be told."""
     if isinstance(value, np.generic):
@@ -101,6 +141,20 @@ def _remembered(value):
         return object()
 
 
+class Work(Protocol):
+    """What a queue is given: a launch, a fill or an upload."""
+
+    @property
+    def stage(self) -> str:
+        """What its time is counted as."""
+
+    def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
+        """Put it into the queue, any number of times."""
+
+    def release(self) -> None:
+        """It will not be enqueued again."""
+
+
 @dataclass(frozen=True)
 class Launch:
     """A kernel with its arguments bound, ready to be enqueued any number of times."""
@@ -109,20 +163,20 @@ class Launch:
     global_size: tuple[int, ...]
     local_size: tuple[int, ...] | None = None
     stage: str = ""
-    source: tuple = ()
+    source: tuple[int, str] = (0, "")
 
     @property
     def kernel(self) -> cl.Kernel:
         return self.bound.cl_kernel
 
-    def set_arg(self, index: int, value: np.generic):
-        """Another value for one argument."""
-        self.bound.set_arg(index, value)
+    def set(self, **values: Any) -> None:
+        """Other values for some arguments, by name."""
+        self.bound.set(values)
 
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         return cl.enqueue_nd_range_kernel(queue, self.bound.cl_kernel, self.global_size, self.local_size)
 
-    def release(self):
+    def release(self) -> None:
         """Give the kernel back for other arguments; what is enqueued keeps those that it was enqueued with."""
         _idle[self.source].append(self.bound)
 
@@ -137,9 +191,10 @@ class Fill:
     stage: str = "clear"
 
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
-        return cl.enqueue_fill_buffer(queue, self.buffer, self.pattern, 0, self.size)
+        pattern: Any = self.pattern  # a NumPy scalar is a buffer, which NumPy's types do not say
+        return cl.enqueue_fill_buffer(queue, self.buffer, pattern, 0, self.size)
 
-    def release(self):
+    def release(self) -> None:
         """Nothing is held."""
 
 
@@ -154,11 +209,11 @@ class Upload:
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         return cl.enqueue_copy(queue, self.buffer, self.array, is_blocking=False)
 
-    def release(self):
+    def release(self) -> None:
         """Nothing is held."""
 
 
-def run_once(queue: cl.CommandQueue, launches):
+def run_once(queue: cl.CommandQueue, launches: Iterable[Work]) -> None:
     """Enqueue `launches` in order and release them."""
     for launch in launches:
         launch.enqueue(queue)
@@ -167,10 +222,10 @@ def run_once(queue: cl.CommandQueue, launches):
 
 # Kernels that wait for arguments, by (program, name): making one takes ten times as long as setting its arguments. The
 # one that has waited longest goes first, so that each comes back to the view that it served.
-_idle: dict[tuple, deque[_Kernel]] = defaultdict(deque)
+_idle: dict[tuple[int, str], deque[_Kernel]] = defaultdict(deque)
 
 
-def usual_group(global_size) -> tuple[int, ...] | None:
+def usual_group(global_size: Sequence[int]) -> tuple[int, ...] | None:
     """Work-items of a group where a kernel does not mind: left to the driver, a prime width gets groups of one.
 
     Global sizes are rounded up to it, so that every such kernel looks where its data ends; a single item stays alone.
@@ -180,31 +235,50 @@ def usual_group(global_size) -> tuple[int, ...] | None:
     return GROUP_1D if global_size[0] > 1 else None
 
 
-def bind(program: cl.Program, name: str, global_size, local_size, *arguments) -> Launch:
-    """A Launch of `name` with its own argument set: int -> int32, float -> float32, None -> a null buffer.
+def bind(program: Program, name: str, global_size: Sequence[int], local_size: Sequence[int] | None = None,
+         known: Mapping[str, Any] = MappingProxyType({}), /, **arguments: Any) -> Launch:
+    """A Launch of `name` with its own argument set, each argument by the name that the kernel has for it.
+
+    Parameters
+    ----------
+    program : Program
+    name : str
+        Of the kernel, one of `program`.
+    global_size, local_size : tuple of int
+        Work-items, and those of a group (usual_group by default, to which `global_size` is rounded up).
+    known : mapping of str to value, optional
+        Where arguments are looked up that are not given.
+    arguments : Buffer, None (a null buffer), int or float
+        Numbers are converted to the kernel's own type.
 
     Raises
     ------
     DeviceError
         A whole number does not fit into 32 bits.
+    TypeError
+        An argument is missing, or the kernel has none of that name.
     """
-    arguments = [_argument(value, name) for value in arguments]
-    source = (program.int_ptr, name)
+    signature = program.signatures[name]
+    unknown, missing = arguments.keys() - signature, signature.keys() - arguments.keys() - known.keys()
+    if unknown or missing:
+        raise TypeError(f"kernel {name} takes {', '.join(signature)}: missing {sorted(missing)}, unknown "
+                        f"{sorted(unknown)}")
+    source = (program.built.int_ptr, name)
     kernel = _idle[source].popleft() if _idle[source] else _Kernel(program, name)
-    kernel.set_args(arguments)
-    local_size = tuple(local_size) if local_size else usual_group(global_size)
-    if local_size:
-        global_size = tuple(-(-items // group) * group for items, group in zip(global_size, local_size))
-    return Launch(kernel, tuple(int(g) for g in global_size), local_size, name, source)
+    kernel.set({argument: arguments[argument] if argument in arguments else known[argument] for argument in signature})
+    group = tuple(local_size) if local_size else usual_group(global_size)
+    if group:
+        global_size = [-(-items // side) * side for items, side in zip(global_size, group)]
+    return Launch(kernel, tuple(int(items) for items in global_size), group, name, source)
 
 
-def _argument(value, name: str):
-    if isinstance(value, (int, np.integer)):
+def _argument(value: Any, kind: str, name: str) -> Any:
+    if kind == "float":
+        return np.float32(value)
+    if kind == "int":
         # NumPy 1 would wrap it, and OpenCL refuse one of 64 bits without saying which
         if not -2**31 <= value < 2**31:
             raise DeviceError(f"kernel {name} was given {value}, expected a whole number of 32 bits (-2147483648 to "
                               "2147483647)")
         return np.int32(value)
-    if isinstance(value, float):
-        return np.float32(value)
     return value

@@ -85,10 +85,11 @@ def identity(info: DeviceInfo) -> list[Any]:
 
 @cached
 def kernels() -> str:
-    """What tells the kernels of this version from those of another."""
-    sources = sorted((file.name, file.read_bytes()) for file in files("pagas_cl.cl_kernels").iterdir()
-                     if file.name.endswith((".cl", ".clh")))
-    return hashlib.sha256(repr(sources).encode()).hexdigest()[:24]
+    """What tells the kernels of this version, and the numbers that they are built with, from those of another."""
+    sources = [file for file in files("pagas_cl.cl_kernels").iterdir() if file.name.endswith((".cl", ".clh"))]
+    sources += [files("pagas_cl").joinpath("splat", name) for name in ("constants.py", "options.py", "tile.py")]
+    text = sorted((file.name, file.read_bytes()) for file in sources)
+    return hashlib.sha256(repr(text).encode()).hexdigest()[:24]
 
 
 def _trial(kept: dict[str, Any] | None) -> Trial | None:

@@ -94,7 +94,7 @@ class Camera:
                         pixel_center: float = 0.5, name: str = "") -> Camera:
         """From OpenGL axes (x right, y up, looking along -z; nerfstudio, Blender) and a camera-to-world pose."""
         pose = _checked_pose(camera_to_world, f"camera {name!r}") @ _OPENGL_TO_OPENCV
-        return cls.from_opencv_w2c(K, inverse_pose(pose), width, height, pixel_center=pixel_center, name=name)
+        return cls.from_c2w(K, pose, width, height, pixel_center=pixel_center, name=name)
 
     @classmethod
     def from_colmap(cls, camera: Any, image: Any) -> Camera:
@@ -123,7 +123,7 @@ class Camera:
     @property
     def K(self) -> npt.NDArray[np.float64]:
         """Intrinsics, float64 of shape (3, 3), pixel centres at +0.5."""
-        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
+        return intrinsics(self.fx, self.fy, self.cx, self.cy)
 
     @property
     def center(self) -> npt.NDArray[np.float64]:
@@ -163,6 +163,11 @@ class Camera:
         """
         rotation = self.world_to_camera[:3, :3] @ target.world_to_camera[:3, :3].T
         return rotation, self.world_to_camera[:3, :3] @ (target.center - self.center)
+
+
+def intrinsics(fx: float, fy: float, cx: float, cy: float) -> npt.NDArray[np.float64]:
+    """K, float64 of shape (3, 3)."""
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 def inverse_pose(pose: np.ndarray) -> np.ndarray:

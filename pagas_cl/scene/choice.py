@@ -70,12 +70,11 @@ class ContextChooser:
                 raise InputError(f"depth map of {camera.name!r} is {depth.shape[1]} x {depth.shape[0]}, its camera "
                                  f"says {camera.width} x {camera.height}")
         self.cameras, self.depths, self.settings = list(cameras), list(depths), settings
-        origin = cameras[0].center if cameras else np.zeros(3)
-        self._centers = np.array([c.center - origin for c in cameras]).reshape(-1, 3)
-        self._rotations = np.array([c.world_to_camera[:3, :3] for c in cameras]).reshape(-1, 3, 3)
-        self._focal = np.array([(c.fx, c.fy) for c in cameras]).reshape(-1, 2)
-        self._middle = np.array([(c.cx, c.cy) for c in cameras]).reshape(-1, 2)
-        self._size = np.array([(c.width, c.height) for c in cameras]).reshape(-1, 2)
+        if cameras:
+            self._centers = np.array([c.center - cameras[0].center for c in cameras])
+            self._rotations = np.array([c.world_to_camera[:3, :3] for c in cameras])
+            self._focal, self._middle, self._size = np.moveaxis(
+                np.array([((c.fx, c.fy), (c.cx, c.cy), (c.width, c.height)) for c in cameras], np.float64), 1, 0)
 
     def choose(self, target: int) -> ContextChoice:
         """Context views of the camera `target`."""
@@ -173,22 +172,19 @@ class ContextChooser:
 
     def _reason(self, found: int, inside: np.ndarray, seen: np.ndarray, useful: np.ndarray, angle: np.ndarray) -> str:
         """Why so few of the candidates are usable: each counted under the first that fails."""
-        least, s = self.settings.min_overlap, self.settings
-        others = len(self.cameras) - 1
+        settings, others = self.settings, len(self.cameras) - 1
         if others == 0:
             return "there is no other view"
-        outside = inside.mean(axis=1) < max(least, 1e-12)
-        hidden = ~outside & (seen.mean(axis=1) < max(least, 1e-12))
-        off = ~outside & ~hidden & (useful.mean(axis=1) < max(least, 1e-12))
+        blind, blocked, odd = (part.mean(axis=1) < max(settings.min_overlap, 1e-12) for part in (inside, seen, useful))
+        blocked, odd = blocked & ~blind, odd & ~blocked & ~blind
         with np.errstate(invalid="ignore"):
-            middle = np.nanmedian(np.where(seen[off], angle[off], np.nan), axis=1) if off.any() else np.zeros(0)
-        causes = [(int(outside.sum()) + others - len(inside), f"see less than {least:.0%} of what it sees"),
-                  (int(hidden.sum()), "are blocked by nearer surfaces"),
-                  (int((middle < s.min_angle).sum()),
-                   f"are too close to its place (rays below {s.min_angle:g} degrees)"),
-                  (int((middle >= s.min_angle).sum()),
-                   f"look from too far aside (rays above {s.max_angle:g} degrees)")]
-        reasons = "; ".join(f"{n} {what}" for n, what in causes if n)
+            middle = np.nanmedian(np.where(seen[odd], angle[odd], np.nan), axis=1) if odd.any() else np.zeros(0)
+        near, far = middle < settings.min_angle, middle >= settings.min_angle
+        causes = {f"see less than {settings.min_overlap:.0%} of what it sees": blind.sum() + others - len(inside),
+                  "are blocked by nearer surfaces": blocked.sum(),
+                  f"are too close to its place (rays below {settings.min_angle:g} degrees)": near.sum(),
+                  f"look from too far aside (rays above {settings.max_angle:g} degrees)": far.sum()}
+        reasons = "; ".join(f"{count} {what}" for what, count in causes.items() if count)
         return f"{found} of {others} other views are usable" + (f": {reasons}" if reasons else "")
 
 

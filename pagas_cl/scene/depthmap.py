@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
-import struct
-import tokenize
-import zipfile
-import zlib
 from pathlib import Path
 from typing import BinaryIO
 
@@ -15,15 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.npy import read_first, read_npy
+from pagas_cl.scene.files import read_first, read_npy, replaced, translated
 from pagas_cl.scene.pyramid import depth_down, depth_up
 
 log = logging.getLogger("pagas_cl")
 
-# what numpy, zipfile and Pillow raise on damaged files, as fuzzing found it
-_DAMAGE = (OSError, ValueError, EOFError, KeyError, IndexError, SyntaxError, MemoryError, RuntimeError, OverflowError,
-           zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
-
+# What became of each pixel's depth; DepthResult.status says what each means.
+NO_SURFACE, REFINED, KEPT, REJECTED = range(4)
 SUFFIXES = (".npz", ".npy", ".pfm", ".png", ".geometric.bin", ".photometric.bin")
 
 
@@ -68,13 +61,8 @@ def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
                          "millimetres in a scene of metres)")
     if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise InputError(f"depth scale is {scale}, expected a number above 0")
-    try:
+    with translated(f"depth map {str(path)!r} cannot be read: "):
         values = read(path)
-    except _DAMAGE as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"depth map {str(path)!r} cannot be read: "
-                         f"{(str(error) or type(error).__name__).splitlines()[0]}") from error
     depth = clean_depth(values if scale is None else values / scale, str(path))
     return depth if size is None else resize_depth(depth, *size)
 
@@ -109,15 +97,8 @@ def clean_depth(values: npt.ArrayLike, who: str = "depth map") -> npt.NDArray[np
 
 def save_depth(path: str | Path, depth: npt.ArrayLike) -> None:
     """Write an .npz with one array, "depth", float32; beside the final name first, then renamed."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with open(beside, "wb") as file:
-            np.savez(file, depth=np.ascontiguousarray(depth, np.float32))
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with replaced(path) as beside, open(beside, "wb") as file:
+        np.savez(file, depth=np.ascontiguousarray(depth, np.float32))
 
 
 def resize_depth(depth: npt.ArrayLike, width: int, height: int) -> npt.NDArray[np.float32]:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from pagas_cl.errors import InputError
+from pagas_cl.scene.files import translated
 
-log = logging.getLogger("pagas_cl")
+_DAMAGE = (OSError, SyntaxError, ValueError, Image.DecompressionBombError)
 
 
 @runtime_checkable
@@ -100,31 +100,44 @@ def as_mask(values: npt.ArrayLike, who: str = "mask") -> npt.NDArray[np.bool_]:
     return values.copy()
 
 
+def bilinear(pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Values of an image (H, W) or (H, W, C) at positions x, y of any shape, pixel centres at +0.5, border repeated.
+
+    Shares are of the positions' dtype. A position that is not finite gets some value or other.
+    """
+    height, width = pixels.shape[:2]
+    x, y = (np.nan_to_num(np.clip(at - 0.5, 0, side - 1)) for at, side in ((x, width), (y, height)))
+    left, top = np.minimum(x.astype(np.intp), max(width - 2, 0)), np.minimum(y.astype(np.intp), max(height - 2, 0))
+    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    fx, fy = (x - left).astype(x.dtype), (y - top).astype(y.dtype)
+    if pixels.ndim == 3:
+        fx, fy = fx[..., None], fy[..., None]
+    mixed: np.ndarray = ((pixels[top, left] * (1 - fx) + pixels[top, right] * fx) * (1 - fy)
+                         + (pixels[bottom, left] * (1 - fx) + pixels[bottom, right] * fx) * fy)
+    return mixed
+
+
 def _opened(path: Path) -> Image.Image:
     if not path.is_file():
         raise InputError(f"image {str(path)!r} does not exist" if not path.exists()
                          else f"image {str(path)!r} is not a file")
-    try:
+    with translated(f"image {str(path)!r} cannot be read (",
+                    "); is it a PNG, JPEG or TIFF file, and complete?", _DAMAGE):
         return Image.open(path)
-    except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError) as error:
-        raise InputError(f"image {str(path)!r} cannot be read ({_one_line(error)}); is it a PNG, JPEG or TIFF "
-                         "file, and complete?") from error
 
 
 def _decoded(path: Path, mode: str) -> np.ndarray:
     """Pixels of a file as uint8 or uint16; `mode` "RGB" or "L" ("L" takes a varying alpha channel for the mask)."""
-    with _opened(path) as image:
-        try:
-            if image.mode.startswith("I") or image.mode == "F":
-                return _wide(np.asarray(image), path)
-            if mode == "L" and "A" in image.getbands():
-                alpha = np.asarray(image.getchannel("A"))
-                if alpha.min() != alpha.max():
-                    return alpha
-            return np.asarray(image.convert(mode))
-        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-            raise InputError(f"image {str(path)!r} cannot be decoded ({_one_line(error)}); the file is damaged or "
-                             "cut off: copy it again") from error
+    damaged = translated(f"image {str(path)!r} cannot be decoded (",
+                         "); the file is damaged or cut off: copy it again", _DAMAGE)
+    with _opened(path) as image, damaged:
+        if image.mode.startswith("I") or image.mode == "F":
+            return _wide(np.asarray(image), path)
+        if mode == "L" and "A" in image.getbands():
+            alpha = np.asarray(image.getchannel("A"))
+            if alpha.min() != alpha.max():
+                return alpha
+        return np.asarray(image.convert(mode))
 
 
 def _wide(values: np.ndarray, path: Path) -> np.ndarray:
@@ -135,7 +148,3 @@ def _wide(values: np.ndarray, path: Path) -> np.ndarray:
         raise InputError(f"image {str(path)!r} holds values from {values.min()} to {values.max()}, expected 8 or 16 "
                          "bit")
     return values.astype(np.uint16)
-
-
-def _one_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]

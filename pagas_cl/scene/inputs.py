@@ -75,6 +75,11 @@ def checked_depth(depth: npt.ArrayLike, view: View) -> np.ndarray:
     return depth
 
 
+def depth_array(depth: Depth) -> np.ndarray:
+    """The depth map itself, read where an object with load() stands for it."""
+    return np.asarray(depth.load() if isinstance(depth, Loads) else depth)
+
+
 def _any_surface(depth: np.ndarray) -> bool:
     return bool((np.isfinite(depth) & (depth > 0)).any())
 

@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.images import read_mask, read_photo
+from pagas_cl.scene.files import translated
+from pagas_cl.scene.images import bilinear, read_mask, read_photo
 
 _ROWS = 256  # rows of the map made at a time
 
@@ -41,16 +42,13 @@ class Lens:
     def from_colmap(cls, camera: Any, name: str = "") -> Lens:
         """The lens of a pycolmap Camera; the pinhole is the one that `colmap image_undistorter` would choose."""
         pycolmap = need("pycolmap", "colmap", "undistorting photos")
-        try:
+        with translated(f"camera of image {name!r} is {camera.model.name} and cannot be undistorted (",
+                        "); undistort first: colmap image_undistorter"):
             pinhole = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
             found = (int(pinhole.width), int(pinhole.height), pinhole.focal_length_x, pinhole.focal_length_y,
                      pinhole.principal_point_x, pinhole.principal_point_y)
             if not np.isfinite(found).all() or min(found[:2]) < 1:
                 raise ValueError("it has no pinhole equivalent")
-        except (RuntimeError, ValueError, OverflowError) as error:
-            reason = (str(error).strip().splitlines() or ["it has no pinhole equivalent"])[0]
-            raise InputError(f"camera of image {name!r} is {camera.model.name} and cannot be undistorted ({reason}); "
-                             "undistort first: colmap image_undistorter") from error
         return cls(camera.model.name, tuple(float(p) for p in camera.params),
                    (int(camera.width), int(camera.height)), found)
 
@@ -60,16 +58,7 @@ class Lens:
 
     def undistorted(self, pixels: np.ndarray) -> np.ndarray:
         """Resample (H, W) bool or (H, W, 3) uint8 as taken to the pinhole, bilinear; outside the photo: the border."""
-        x, y = _positions(self)
-        height, width = pixels.shape[:2]
-        x, y = np.clip(x - 0.5, 0, width - 1), np.clip(y - 0.5, 0, height - 1)
-        left, top = np.minimum(x.astype(np.intp), max(width - 2, 0)), np.minimum(y.astype(np.intp), max(height - 2, 0))
-        right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-        fx, fy = (x - left).astype(np.float32), (y - top).astype(np.float32)
-        if pixels.ndim == 3:
-            fx, fy = fx[..., None], fy[..., None]
-        mixed: np.ndarray = ((pixels[top, left] * (1 - fx) + pixels[top, right] * fx) * (1 - fy)
-                             + (pixels[bottom, left] * (1 - fx) + pixels[bottom, right] * fx) * fy)
+        mixed = bilinear(pixels, *_positions(self))
         return mixed > 0.5 if pixels.dtype == bool else np.rint(mixed).astype(np.uint8)
 
 

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError, need
-from pagas_cl.scene.mesh_header import check_claims
 
 # What a user's mesh may be: an Open3D TriangleMesh (legacy or tensor), a pymeshlab Mesh or MeshSet, a pair (vertices,
 # faces), a Surface, or the path of a file. Open3D and pymeshlab are optional, so that it cannot be said in types.
@@ -66,11 +65,13 @@ def to_surface(mesh: Mesh) -> Surface:
     if isinstance(mesh, Surface):
         return mesh
     if isinstance(mesh, (str, Path)):
+        from pagas_cl.scene.mesh_file import read_mesh
+
         return read_mesh(mesh)
     kind = mesh_kind(mesh)
     if kind == "pair":
         return Surface(*mesh)
-    return {"open3d": _from_legacy, "open3d.t": _from_tensor, "pymeshlab": _from_pymeshlab}[kind](mesh)
+    return {"open3d": from_legacy, "open3d.t": _from_tensor, "pymeshlab": _from_pymeshlab}[kind](mesh)
 
 
 def from_surface(surface: Surface, like: Mesh) -> Mesh:
@@ -101,28 +102,6 @@ def mesh_kind(mesh: Mesh) -> str:
                      "pymeshlab.Mesh, a pair (vertices, faces) or the path of a mesh file")
 
 
-def read_mesh(path: str | Path) -> Surface:
-    """Read a mesh file (.ply, .obj, .stl, .off, .glb ...) through Open3D."""
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"mesh {str(path)!r} "
-                         + ("is a folder, expected a file" if path.is_dir() else "does not exist"))
-    o3d = need("open3d", "mesh", "reading a mesh file")
-    check_claims(path)
-    try:
-        with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-            mesh = o3d.io.read_triangle_mesh(str(path))
-    except MemoryError as error:
-        raise InputError(f"mesh {str(path)!r} does not fit into memory, or claims more than it holds") from error
-    if len(mesh.vertices) == 0:
-        raise InputError(f"mesh {str(path)!r} has no vertices, or is no mesh file that Open3D reads (.ply, .obj, .stl, "
-                         ".off, .gltf)")
-    try:
-        return _from_legacy(mesh)
-    except InputError as error:
-        raise InputError(f"{str(path)!r}: {error}") from error
-
-
 def _checked(vertices: Any, faces: Any) -> tuple[np.ndarray, np.ndarray]:
     try:
         vertices, faces = np.ascontiguousarray(vertices, np.float64), np.asarray(faces)
@@ -149,7 +128,8 @@ def _checked(vertices: Any, faces: Any) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.ascontiguousarray(faces, np.int32)
 
 
-def _from_legacy(mesh: Any) -> Surface:
+def from_legacy(mesh: Any) -> Surface:
+    """Surface of an Open3D legacy TriangleMesh."""
     return Surface(np.asarray(mesh.vertices), np.asarray(mesh.triangles),
                    np.array(mesh.vertex_normals) if mesh.has_vertex_normals() else None,
                    np.array(mesh.vertex_colors) if mesh.has_vertex_colors() else None)
@@ -182,13 +162,8 @@ def _from_tensor(mesh: Any) -> Surface:
 
 def _to_tensor(surface: Surface, like: Mesh) -> Mesh:
     o3d = need("open3d", "mesh", "making an Open3D mesh")
-    given = like.vertex["positions"].dtype if "positions" in like.vertex else o3d.core.float64
-    span = np.ptp(surface.vertices, axis=0).max()
-    # a float32 mesh stays one unless its coordinates are so large that a millionth of its size would be lost
-    fits = np.abs(surface.vertices).max() * 2.0**-24 < 1e-6 * span
-    dtype = np.float32 if given == o3d.core.float32 and fits else np.float64
     mesh = o3d.t.geometry.TriangleMesh()
-    mesh.vertex["positions"] = o3d.core.Tensor(surface.vertices.astype(dtype))
+    mesh.vertex["positions"] = positions(surface.vertices, like)
     mesh.triangle["indices"] = o3d.core.Tensor(surface.faces.astype(np.int64))
     for name, value in (("normals", surface.normals), ("colors", surface.colors)):
         if value is not None:
@@ -196,6 +171,17 @@ def _to_tensor(surface: Surface, like: Mesh) -> Mesh:
     if surface.quality is not None:
         mesh.vertex["quality"] = o3d.core.Tensor(surface.quality[:, None].astype(np.float32))
     return mesh
+
+
+def positions(vertices: np.ndarray, like: Mesh) -> Any:
+    """Vertices (V, 3) as an Open3D Tensor for a mesh like `like`.
+
+    A float32 mesh stays one unless its coordinates are so large that a millionth of its size would be lost.
+    """
+    core = need("open3d", "mesh", "making an Open3D mesh").core
+    single = "positions" in like.vertex and like.vertex["positions"].dtype == core.float32
+    fits = np.abs(vertices).max() * 2.0**-24 < 1e-6 * np.ptp(vertices, axis=0).max()
+    return core.Tensor(vertices.astype(np.float32 if single and fits else np.float64))
 
 
 def _from_pymeshlab(mesh: Any) -> Surface:
@@ -213,13 +199,14 @@ def _from_pymeshlab(mesh: Any) -> Surface:
 
 def _to_pymeshlab(surface: Surface, like: Mesh = None) -> Mesh:
     pymeshlab = need("pymeshlab", "meshlab", "making a pymeshlab mesh")
-    more = {}
-    if surface.normals is not None:
-        more["v_normals_matrix"] = surface.normals
-    if surface.colors is not None:
-        rgba = np.ones((len(surface.vertices), 4))
-        rgba[:, :3] = np.rint(np.clip(surface.colors, 0, 1) * 255) / 255  # it truncates to 8 bits: give it whole ones
-        more["v_color_matrix"] = rgba
-    if surface.quality is not None:
-        more["v_scalar_array"] = surface.quality
-    return pymeshlab.Mesh(surface.vertices, surface.faces, **more)
+    colors = surface.colors
+    if colors is not None:
+        colors = eight_bits(np.column_stack([colors, np.ones(len(colors))]))
+    more = {"v_normals_matrix": surface.normals, "v_color_matrix": colors, "v_scalar_array": surface.quality}
+    return pymeshlab.Mesh(surface.vertices, surface.faces, **{k: v for k, v in more.items() if v is not None})
+
+
+def eight_bits(colors: np.ndarray) -> np.ndarray:
+    """Colours of 0 to 1 such that pymeshlab, which truncates to 8 bits, keeps them: whole numbers of 255."""
+    whole: np.ndarray = np.rint(np.clip(colors, 0, 1) * 255)
+    return whole / 255

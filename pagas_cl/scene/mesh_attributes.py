@@ -12,25 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.errors import InputError, need
-from pagas_cl.scene.mesh import Mesh, Surface, mesh_kind
+from pagas_cl.errors import need
+from pagas_cl.scene.mesh import Mesh, Surface, eight_bits, mesh_kind, positions
+from pagas_cl.scene.mesh_file import read_open3d
 
 log = logging.getLogger("pagas_cl")
 
 
 def load_whole(mesh: Mesh) -> Mesh:
     """A path as an Open3D legacy mesh with its textures; anything else as it is."""
-    if not isinstance(mesh, (str, Path)):
-        return mesh
-    path = Path(mesh)
-    if not path.is_file():
-        raise InputError(f"mesh {str(path)!r} does not exist")
-    o3d = need("open3d", "mesh", "reading a mesh file")
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        found = o3d.io.read_triangle_mesh(str(path), True)
-    if len(found.vertices) == 0:
-        raise InputError(f"mesh {str(path)!r} has no vertices, or is no mesh file that Open3D reads")
-    return found
+    return read_open3d(mesh, textures=True) if isinstance(mesh, (str, Path)) else mesh
 
 
 def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None,
@@ -45,72 +36,62 @@ def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None,
     quality : ndarray of shape (V',), optional
         Vertex quality, for the kinds that have one.
     """
-    carry: Any = subdivision or _Same()
+    carry: Any = subdivision or _Same
     if isinstance(mesh, Surface):
-        return Surface(vertices, carry.faces_of(mesh.faces) if subdivision is None else subdivision.faces, None,
+        return Surface(vertices, mesh.faces if carry.faces is None else carry.faces, None,
                        None if mesh.colors is None else carry.vertices(mesh.colors),
                        quality if quality is not None else mesh.quality)
     kind = mesh_kind(mesh)
     if kind == "pair":
-        return vertices, np.array(mesh[1]) if subdivision is None else subdivision.faces
-    return {"open3d": _legacy, "open3d.t": _tensor, "pymeshlab": _pymeshlab}[kind](mesh, vertices, subdivision, carry,
-                                                                                   quality)
+        return vertices, np.array(mesh[1]) if carry.faces is None else carry.faces
+    return {"open3d": _legacy, "open3d.t": _tensor, "pymeshlab": _pymeshlab}[kind](mesh, vertices, carry, quality)
 
 
 class _Same:
     """A subdivision that splits nothing."""
 
-    def faces_of(self, faces: np.ndarray) -> np.ndarray:
-        return faces
+    faces = None
 
-    def vertices(self, values: np.ndarray) -> np.ndarray:
+    @staticmethod
+    def vertices(values: np.ndarray) -> np.ndarray:
         return values
 
     corners = on_faces = vertices
 
 
-def _legacy(mesh: Mesh, vertices: np.ndarray, subdivision: Any, carry: Any,
-            quality: np.ndarray | None) -> Mesh:
-    o3d = need("open3d", "mesh", "making an Open3D mesh")
+def _legacy(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | None) -> Mesh:
+    utility = need("open3d", "mesh", "making an Open3D mesh").utility
     new = copy.deepcopy(mesh)
-    new.vertices = o3d.utility.Vector3dVector(vertices)
-    if subdivision is not None:
-        new.triangles = o3d.utility.Vector3iVector(subdivision.faces)
-        if mesh.has_vertex_colors():
-            new.vertex_colors = o3d.utility.Vector3dVector(carry.vertices(np.asarray(mesh.vertex_colors)))
-        if mesh.has_triangle_uvs():
-            corners = np.asarray(mesh.triangle_uvs).reshape(-1, 3, 2)
-            new.triangle_uvs = o3d.utility.Vector2dVector(carry.corners(corners).reshape(-1, 2))
-        if mesh.has_triangle_material_ids():
-            new.triangle_material_ids = o3d.utility.IntVector(carry.on_faces(np.asarray(mesh.triangle_material_ids)))
+    new.vertices = utility.Vector3dVector(vertices)
+    if carry.faces is not None:
+        new.triangles = utility.Vector3iVector(carry.faces)
+    if mesh.has_vertex_colors():
+        new.vertex_colors = utility.Vector3dVector(carry.vertices(np.asarray(mesh.vertex_colors)))
+    if mesh.has_triangle_uvs():
+        new.triangle_uvs = utility.Vector2dVector(_corners(carry, np.asarray(mesh.triangle_uvs)))
+    if mesh.has_triangle_material_ids():
+        new.triangle_material_ids = utility.IntVector(carry.on_faces(np.asarray(mesh.triangle_material_ids)))
     if mesh.has_triangle_normals():
         new.compute_triangle_normals()
     if mesh.has_vertex_normals():
-        new.vertex_normals = o3d.utility.Vector3dVector(np.zeros((0, 3)))
+        new.vertex_normals = utility.Vector3dVector(np.zeros((0, 3)))
         new.compute_vertex_normals()
     return new
 
 
-def _tensor(mesh: Mesh, vertices: np.ndarray, subdivision: Any, carry: Any,
-            quality: np.ndarray | None) -> Mesh:
-    o3d = need("open3d", "mesh", "making an Open3D mesh")
+def _tensor(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | None) -> Mesh:
+    core = need("open3d", "mesh", "making an Open3D mesh").core
     new = mesh.clone()
-    corner_like = {"texture_uvs"}
-    for name in list(mesh.vertex):
-        if name not in ("positions", "normals"):
-            new.vertex[name] = o3d.core.Tensor(carry.vertices(mesh.vertex[name].cpu().numpy()))
-    for name in list(mesh.triangle):
-        if name not in ("indices", "normals"):
-            values = mesh.triangle[name].cpu().numpy()
-            new.triangle[name] = o3d.core.Tensor((carry.corners if name in corner_like else carry.on_faces)(values))
-    given = mesh.vertex["positions"].dtype.__str__()
-    span = np.ptp(vertices, axis=0).max()
-    single = "32" in given and np.abs(vertices).max() * 2.0**-24 < 1e-6 * span
-    new.vertex["positions"] = o3d.core.Tensor(vertices.astype(np.float32 if single else np.float64))
-    if subdivision is not None:
-        new.triangle["indices"] = o3d.core.Tensor(subdivision.faces.astype(np.int64))
+    for name in set(mesh.vertex) - {"positions", "normals"}:
+        new.vertex[name] = core.Tensor(carry.vertices(mesh.vertex[name].cpu().numpy()))
+    for name in set(mesh.triangle) - {"indices", "normals"}:
+        carried = carry.corners if name == "texture_uvs" else carry.on_faces
+        new.triangle[name] = core.Tensor(carried(mesh.triangle[name].cpu().numpy()))
+    new.vertex["positions"] = positions(vertices, mesh)
+    if carry.faces is not None:
+        new.triangle["indices"] = core.Tensor(carry.faces.astype(np.int64))
     if quality is not None:
-        new.vertex["quality"] = o3d.core.Tensor(quality[:, None].astype(np.float32))
+        new.vertex["quality"] = core.Tensor(quality[:, None].astype(np.float32))
     for holder, compute in ((new.triangle, new.compute_triangle_normals), (new.vertex, new.compute_vertex_normals)):
         if "normals" in holder:
             del holder["normals"]
@@ -118,33 +99,28 @@ def _tensor(mesh: Mesh, vertices: np.ndarray, subdivision: Any, carry: Any,
     return new
 
 
-def _pymeshlab(mesh: Mesh, vertices: np.ndarray, subdivision: Any, carry: Any,
-               quality: np.ndarray | None) -> Mesh:
+def _pymeshlab(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | None) -> Mesh:
     pymeshlab = need("pymeshlab", "meshlab", "making a pymeshlab mesh")
     mesh = mesh.current_mesh() if hasattr(mesh, "current_mesh") else mesh
     more = {}
-    if mesh.has_vertex_color():
-        more["v_color_matrix"] = _eight_bits(carry.vertices(mesh.vertex_color_matrix()))
-    if mesh.has_face_color():
-        more["f_color_matrix"] = _eight_bits(carry.on_faces(mesh.face_color_matrix()))
-    if mesh.has_face_scalar():
-        more["f_scalar_array"] = carry.on_faces(mesh.face_scalar_array())
-    if mesh.has_vertex_tex_coord():
-        more["v_tex_coords_matrix"] = carry.vertices(mesh.vertex_tex_coord_matrix())
-    if mesh.has_wedge_tex_coord():
-        corners = mesh.wedge_tex_coord_matrix().reshape(-1, 3, 2)
-        more["w_tex_coords_matrix"] = carry.corners(corners).reshape(-1, 2)
+    for name, read, carried in (  # of the new mesh's argument, of the old one's method, and how it comes along
+            ("v_color_matrix", "vertex_color_matrix", lambda colors: eight_bits(carry.vertices(colors))),
+            ("f_color_matrix", "face_color_matrix", lambda colors: eight_bits(carry.on_faces(colors))),
+            ("f_scalar_array", "face_scalar_array", carry.on_faces),
+            ("v_tex_coords_matrix", "vertex_tex_coord_matrix", carry.vertices),
+            ("w_tex_coords_matrix", "wedge_tex_coord_matrix", lambda places: _corners(carry, places)),
+            ("v_scalar_array", "vertex_scalar_array", carry.vertices)):
+        if getattr(mesh, f"has_{read.rpartition('_')[0]}")():
+            more[name] = carried(getattr(mesh, read)())
     if quality is not None:
         more["v_scalar_array"] = quality
-    elif mesh.has_vertex_scalar():
-        more["v_scalar_array"] = carry.vertices(mesh.vertex_scalar_array())
     if mesh.texture_number():
         log.info("a new pymeshlab.Mesh cannot be given textures: its texture coordinates are kept, the %d texture "
                  "images must be set again (set_texture_per_mesh); the MeshSet step keeps them", mesh.texture_number())
-    faces = mesh.face_matrix() if subdivision is None else subdivision.faces
-    return pymeshlab.Mesh(vertices, faces, **more)
+    return pymeshlab.Mesh(vertices, mesh.face_matrix() if carry.faces is None else carry.faces, **more)
 
 
-def _eight_bits(colors: np.ndarray) -> np.ndarray:
-    whole: np.ndarray = np.rint(np.clip(colors, 0, 1) * 255)  # pymeshlab truncates to 8 bits: give it whole ones
-    return whole / 255
+def _corners(carry: Any, places: np.ndarray) -> np.ndarray:
+    """Texture coordinates (3 F, 2) of the faces' corners, carried along."""
+    carried: np.ndarray = carry.corners(places.reshape(-1, 3, 2))
+    return carried.reshape(-1, 2)

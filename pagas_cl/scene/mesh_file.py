@@ -1,16 +1,86 @@
-"""Writing a mesh file: .ply by NumPy alone with everything that a Surface has, other kinds through Open3D."""
+"""Mesh files: read through Open3D; .ply written by NumPy alone with everything that a Surface has, others by Open3D."""
 
 from __future__ import annotations
 
-import os
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pagas_cl.errors import InputError, need
-from pagas_cl.scene.mesh import Surface, to_legacy
+from pagas_cl.scene.files import replaced
+from pagas_cl.scene.mesh import Surface, from_legacy, to_legacy
 
 SUFFIXES = (".ply", ".obj", ".stl", ".off")
+_HEADER = 1 << 16         # bytes of a file in which its header must end
+_BYTES = {"char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2, "int": 4,
+          "uint": 4, "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8}
+
+
+def read_mesh(path: str | Path) -> Surface:
+    """Read a mesh file (.ply, .obj, .stl, .off, .glb ...) through Open3D."""
+    mesh = read_open3d(path)
+    try:
+        return from_legacy(mesh)
+    except InputError as error:
+        raise InputError(f"{str(path)!r}: {error}") from error
+
+
+def read_open3d(path: str | Path, textures: bool = False) -> Any:
+    """A mesh file as an Open3D legacy TriangleMesh; InputError where it is none, or claims more than it holds."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"mesh {str(path)!r} "
+                         + ("is a folder, expected a file" if path.is_dir() else "does not exist"))
+    o3d = need("open3d", "mesh", "reading a mesh file")
+    _check_claims(path)
+    try:
+        with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+            mesh = o3d.io.read_triangle_mesh(str(path), textures)
+    except MemoryError as error:
+        raise InputError(f"mesh {str(path)!r} does not fit into memory, or claims more than it holds") from error
+    if len(mesh.vertices) == 0:
+        raise InputError(f"mesh {str(path)!r} has no vertices, or is no mesh file that Open3D reads (.ply, .obj, .stl, "
+                         ".off, .gltf)")
+    return mesh
+
+
+def _check_claims(path: Path) -> None:
+    """InputError where a .ply or .off file claims more elements than it has bytes, or a binary .ply is cut off.
+
+    Memory is asked for by the claim, before anything is read.
+    """
+    size = path.stat().st_size
+    with open(path, "rb") as file:
+        head = file.read(_HEADER)
+    claimed, least = _claims(head)
+    if claimed > size:
+        raise InputError(f"mesh {str(path)!r} claims {claimed} vertices and faces but has {size} bytes: is the file "
+                         "damaged or cut off?")
+    if least > size:
+        raise InputError(f"mesh {str(path)!r} has {size} bytes, and what its header claims takes {least} or more: the "
+                         "file is cut off, copy or write it again")
+
+
+def _claims(head: bytes) -> tuple[int, int]:
+    """Number of elements that the first bytes of a .ply or .off file claim, and the fewest bytes that a binary .ply
+    with this header has, its faces triangles; 0 of what the format does not claim."""
+    if head[:3] != b"ply":
+        off = re.match(rb"\s*(?:ST|C|N|4|n)*OFF\s*(?:#[^\n]*\n\s*)*(\d{1,20})\s+(\d{1,20})", head)
+        return sum(int(n) for n in off.groups()) if off else 0, 0
+    header, end, _ = head.partition(b"end_header")
+    claimed, count, least = 0, 0, len(header) + len(end) + 1  # its line's end
+    for words in (line.split() for line in header.decode("ascii", "replace").splitlines()):
+        if words[:1] == ["element"] and len(words) > 2 and words[2].isdecimal():
+            count = int(words[2][:20])
+            claimed += count
+        elif words[:2] == ["property", "list"] and len(words) == 5:
+            corners = 3 if words[4] in ("vertex_indices", "vertex_index") else 0
+            least += count * (_BYTES.get(words[2], 0) + corners * _BYTES.get(words[3], 0))
+        elif words[:1] == ["property"] and len(words) == 3:
+            least += count * _BYTES.get(words[1], 0)
+    return claimed, least if end and b"format binary" in header else 0
 
 
 def check_mesh_path(path: str | Path) -> None:
@@ -25,23 +95,22 @@ def check_mesh_path(path: str | Path) -> None:
 
 
 def write_mesh(path: str | Path, surface: Surface) -> None:
-    """Write `surface` beside the name `path` first, then rename it; folders are made.
+    """Write `surface`; folders are made, and the final name never holds half of it.
 
     .ply: binary, vertices as double, normals and quality (MeshLab's vertex quality) as float, colours as 8 bit. The
     other kinds keep what Open3D writes.
     """
     path = Path(path)
     check_mesh_path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
-    try:
+    with replaced(path, path.suffix) as beside:
         if path.suffix.lower() == ".ply":
             _write_ply(beside, surface)
-        else:
-            _write_by_open3d(beside, surface, path)
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
+            return
+        o3d, mesh = need("open3d", "mesh", f"writing {path.suffix} files"), to_legacy(surface)
+        if path.suffix.lower() == ".stl":
+            mesh.compute_triangle_normals()  # the format is made of them
+        if not o3d.io.write_triangle_mesh(str(beside), mesh):
+            raise OSError(f"Open3D could not write {str(path)!r}")
 
 
 def _write_ply(path: Path, surface: Surface) -> None:
@@ -66,11 +135,3 @@ def _write_ply(path: Path, surface: Surface) -> None:
         file.write(("\n".join(header) + "\n").encode("ascii"))
         file.write(vertices.tobytes())
         file.write(faces.tobytes())
-
-
-def _write_by_open3d(beside: Path, surface: Surface, path: Path) -> None:
-    o3d, mesh = need("open3d", "mesh", f"writing {path.suffix} files"), to_legacy(surface)
-    if path.suffix.lower() == ".stl":
-        mesh.compute_triangle_normals()  # the format is made of them
-    if not o3d.io.write_triangle_mesh(str(beside), mesh):
-        raise OSError(f"Open3D could not write {str(path)!r}")

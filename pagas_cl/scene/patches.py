@@ -6,17 +6,21 @@ ray casting are needed: occlusion is judged by a coarse depth buffer of surface 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.images import bilinear
 from pagas_cl.scene.mesh import Surface
 
 _SIDE = 9            # patch of 9 x 9 samples, one pixel of the reference view apart
 _MARGIN = 6.0        # pixels that a patch's middle keeps from the border
 _LEAST_TEXTURE = 3.0  # standard deviation of a patch, grey levels of 255; flatter ones say nothing
 _FACING = 0.25       # least cosine between ray and normal
+LEAST = 30           # patches compared; fewer say nothing
 _PER_CELL = 6        # surface samples in a cell of the depth buffer, on average
 
 
@@ -33,22 +37,33 @@ class Samples:
     few: int = 1500
 
 
-def sample_surface(surface: Surface, count: int = 20000, few: int = 1500, seed: int = 0) -> Samples:
-    """`count` points on `surface`, as many on equal areas; the same ones each time."""
-    rng = np.random.default_rng(seed)
+def evenly(count: int, most: int) -> npt.NDArray[np.intp]:
+    """At most `most` of the numbers 0 to count - 1, evenly chosen, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).astype(np.intp))
+
+
+def on_faces(surface: Surface, along: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, 3) where shares `along` (N,) of the area end, at `u`, `v` (N,) in their triangles; unit normals.
+
+    None where the mesh has no area; faces without area have no points.
+    """
     a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     twice_area = np.linalg.norm(across, axis=1)
-    total = twice_area.sum()
-    if not total > 0:
-        return Samples(np.zeros((0, 3)), np.zeros((0, 3)), 0)
-    ends = np.cumsum(twice_area / total)
-    face = np.minimum(np.searchsorted(ends, rng.random(count)), len(ends) - 1)
-    face = face[twice_area[face] > 0]
-    u, v = rng.random((2, len(face), 1))
+    ends = np.cumsum(twice_area)
+    if not ends[-1] > 0:
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    face = np.searchsorted(ends, along * ends[-1]).clip(max=len(ends) - 1)
+    some = twice_area[face] > 0
+    face, u, v = face[some], u[some, None], v[some, None]
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    points = a[face] + u * (b - a)[face] + v * (c - a)[face]
-    return Samples(points, across[face] / twice_area[face, None], few)
+    return a[face] + u * (b - a)[face] + v * (c - a)[face], across[face] / twice_area[face, None]
+
+
+def sample_surface(surface: Surface, count: int = 20000, few: int = 1500) -> Samples:
+    """`count` points on `surface`, as many on equal areas; the same ones each time."""
+    points, normals = on_faces(surface, *np.random.default_rng(0).random((3, count)))
+    return Samples(points, normals, min(few, len(points)))
 
 
 def inside(camera: Camera, points: np.ndarray, margin: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -56,8 +71,14 @@ def inside(camera: Camera, points: np.ndarray, margin: float = 0.0) -> tuple[np.
     uv, z = camera.project(points)
     front = z > 0
     with np.errstate(invalid="ignore"):
-        within = (uv > margin).all(axis=-1) & (uv < np.array([camera.width, camera.height]) - margin).all(axis=-1)
+        within = (uv >= margin).all(axis=-1) & (uv < np.array([camera.width, camera.height]) - margin).all(axis=-1)
     return front, front & within
+
+
+def shares(cameras: Sequence[Camera], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Shares of the points (N, 3) in front of each camera, and inside its image: two float64 arrays (cameras,)."""
+    front, within = np.array([[part.mean() for part in inside(camera, points)] for camera in cameras]).T
+    return front, within
 
 
 def visible(camera: Camera, samples: Samples) -> np.ndarray:
@@ -81,11 +102,11 @@ def visible(camera: Camera, samples: Samples) -> np.ndarray:
     return result
 
 
-def choose_pairs(cameras: list[Camera], seen: np.ndarray, samples: Samples, most: int = 12) -> list[tuple[int, int]]:
-    """Pairs of views that share many samples at a useful angle; `seen` is bool (views, few)."""
+def overlaps(cameras: list[Camera], samples: Samples, most: int = 12) -> tuple[np.ndarray, list[tuple[int, int]]]:
+    """Which samples each view sees, bool (views, few), and pairs of views that share many at a useful angle."""
     points = samples.points[:samples.few]
-    pairs = []
-    for a in np.linspace(0, len(cameras) - 1, min(len(cameras), most)).astype(int):
+    seen, pairs = np.array([visible(camera, samples) for camera in cameras]), []
+    for a in evenly(len(cameras), most):
         ranked = []
         for b in range(len(cameras)):
             both = seen[a] & seen[b]
@@ -97,7 +118,7 @@ def choose_pairs(cameras: list[Camera], seen: np.ndarray, samples: Samples, most
             if 2 < angle < 45:
                 ranked.append((np.count_nonzero(both), int(b)))
         pairs += [(int(a), b) for _, b in sorted(ranked, reverse=True)[:2]]
-    return pairs[:2 * most]
+    return seen, pairs[:2 * most]
 
 
 def patch_correlation(cameras: list[Camera], greys: list[np.ndarray], pairs: list[tuple[int, int]], seen: np.ndarray,
@@ -120,7 +141,8 @@ def patch_correlation(cameras: list[Camera], greys: list[np.ndarray], pairs: lis
         index = np.flatnonzero(seen[a] & seen[b])
         if len(index):
             patch = _patches(points[index], normals[index], cameras[a])
-            result[row, index] = _correlation(*(_look_up(greys[k], cameras[k], patch) for k in (a, b)))
+            result[row, index] = _correlation(*(bilinear(greys[k], *np.moveaxis(cameras[k].project(patch)[0], -1, 0))
+                                                for k in (a, b)))
     return result
 
 
@@ -137,22 +159,6 @@ def _patches(points: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndar
     return grids
 
 
-def _look_up(grey: np.ndarray, camera: Camera, points: np.ndarray) -> np.ndarray:
-    """Bilinear grey values at the projections of `points` (n, m, 3), pixel centres at +0.5; the border is repeated."""
-    uv, _ = camera.project(points)
-    height, width = grey.shape
-    with np.errstate(invalid="ignore"):
-        x = np.nan_to_num(np.clip(uv[..., 0] - 0.5, 0, width - 1.001))
-        y = np.nan_to_num(np.clip(uv[..., 1] - 0.5, 0, height - 1.001))
-    x, y = np.maximum(x, 0), np.maximum(y, 0)
-    left, top = x.astype(np.intp), y.astype(np.intp)
-    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-    fx, fy = x - left, y - top
-    above: np.ndarray = grey[top, left] * (1 - fx) + grey[top, right] * fx
-    below: np.ndarray = grey[bottom, left] * (1 - fx) + grey[bottom, right] * fx
-    return above * (1 - fy) + below * fy
-
-
 def _correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     a, b = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=1, keepdims=True)
     deviation = [np.sqrt((p * p).mean(axis=1)) for p in (a, b)]
@@ -166,13 +172,11 @@ def grey_of(image: np.ndarray) -> np.ndarray:
     return image.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
 
 
-def prefers(other: np.ndarray, given: np.ndarray) -> tuple[bool, float]:
-    """Whether patches correlate better under another reading: (significantly better, median gain).
+def prefers(other: np.ndarray, given: np.ndarray) -> bool:
+    """Whether patches correlate significantly better under another reading.
 
     Patches are compared one by one; neighbours are related, so that only a quarter of them is counted as independent.
     """
     gain = (other - given)[np.isfinite(other) & np.isfinite(given)]
-    if len(gain) < 30:
-        return False, 0.0
-    share = (gain > 0).mean()
-    return bool(share > 0.5 + 1.5 / np.sqrt(len(gain) / 4) and np.median(gain) > 2e-3), float(np.median(gain))
+    return bool(len(gain) >= LEAST and (gain > 0).mean() > 0.5 + 1.5 / np.sqrt(len(gain) / 4)
+                and np.median(gain) > 2e-3)

@@ -1,4 +1,4 @@
-"""A depth map cut down to what planning needs, so that 10,000 of them fit in memory."""
+"""A few numbers out of a depth map: its scale, and what planning needs, so that 10,000 of them fit in memory."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 SAMPLES = 2000  # depths of a view that planning looks at
+NEAR, FAR = 1e-3, 1e6     # units: nearer and farther depths have no Gaussian
+MEDIAN_SAMPLES = 65536
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,3 +66,21 @@ def sample_pixels(depth: np.ndarray, samples: int = SAMPLES) -> tuple[np.ndarray
 
 def _cell(shape: tuple[int, ...]) -> int:
     return -(-max(shape) // 64)
+
+
+def scene_scale_of(depth: np.ndarray, mask: np.ndarray | None) -> float:
+    """A view's unit of length while it is refined: the median of the valid depths (of a regular sample of a large map).
+
+    1 without any.
+    """
+    every = max(1, depth.size // MEDIAN_SAMPLES)
+    sample = _valid_of(depth, mask, every)
+    if every > 1 and sample.size < MEDIAN_SAMPLES // 16:        # a small object in a large photo
+        sample = _valid_of(depth, mask, 1)
+    return float(np.median(sample.astype(np.float64))) if sample.size else 1.0
+
+
+def _valid_of(depth: np.ndarray, mask: np.ndarray | None, every: int) -> np.ndarray:
+    some = depth.ravel()[::every]
+    valid = (some > 0) & (some < np.inf)
+    return some[valid if mask is None else valid & mask.ravel()[::every]]

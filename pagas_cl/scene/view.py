@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -114,8 +115,7 @@ class Scene:
     points: npt.NDArray[np.float64] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        names = [view.name for view in self.views]
-        twice = {name for name in names if names.count(name) > 1} if len(set(names)) < len(names) else ()
+        twice = [name for name, count in Counter(view.name for view in self.views).items() if count > 1]
         if twice:
             raise InputError(f"{self.source or 'scene'}: view {min(twice)!r} is there twice, expected one name a view")
 

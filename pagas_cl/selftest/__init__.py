@@ -1,16 +1,16 @@
 """Named hard cases on a device against the float64 twins: `pagas-cl selftest` and tests/hard_cases run them."""
 
-from pagas_cl.selftest.case import BLENDS, Case, config_of
 from pagas_cl.selftest.check import (
-                                     Outcome,
-                                     device_gradient,
-                                     difference,
-                                     given_surface,
-                                     normalized,
-                                     run_all,
-                                     run_case,
-                                     twin_gradient,
+    Outcome,
+    device_gradient,
+    difference,
+    given_surface,
+    normalized,
+    run_all,
+    run_case,
+    twin_gradient,
 )
+from pagas_cl.selftest.table import BLENDS, Case, config_of
 
 __all__ = ["BLENDS", "Case", "Outcome", "config_of", "device_gradient", "difference", "given_surface", "normalized",
            "run_all", "run_case", "twin_gradient"]

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.scene.status import NO_SURFACE, REFINED
-from pagas_cl.selftest.case import BOTH, Case, config_of
+from pagas_cl.scene.depthmap import NO_SURFACE, REFINED
 from pagas_cl.selftest.scenes import HardScene
-from pagas_cl.selftest.table import CASES
+from pagas_cl.selftest.table import BOTH, CASES, Case, config_of
 
 STEPS = dict(smoothness__kind="planar", smoothness__weight=0.12, pyramid__scales=(1.0,), pyramid__steps=(3,))
 DAMPED = 1e-3             # gradient per pixel of parallax below which the solver hardly moves: a floor
@@ -36,16 +35,11 @@ class Outcome:
 
 def run_case(case: Case, blend: str, device) -> Outcome:
     """Run one case on an open device."""
-    scene, config, faults = case.scene(), config_of(case, blend), []
+    scene, config = case.scene(), config_of(case, blend)
     initial, scene_scale = normalized(scene)
     rng = np.random.default_rng(3)
     at = np.where(initial > 0, initial * (1 + case.noise * rng.standard_normal(initial.shape)), 0).astype(np.float32)
-    got, loss, length = device_gradient(scene, config, device, initial, at, scene_scale)
-    again, loss_again, _ = device_gradient(scene, config, device, initial, at, scene_scale)
-    if got.tobytes() != again.tobytes() or loss != loss_again:
-        faults.append("a second run gives other bits")
-    if not (np.isfinite(got).all() and np.isfinite(loss)):
-        faults.append(f"{np.count_nonzero(~np.isfinite(got))} gradients are not finite")
+    got, length, faults = repeated_gradient(scene, config, device, initial, at, scene_scale)
     if not case.still and not (length > 0).any():
         faults.append("no pixel is seen with parallax: the case shows nothing")
     worst = 0.0
@@ -57,6 +51,18 @@ def run_case(case: Case, blend: str, device) -> Outcome:
     if (got[initial == 0] != 0).any():
         faults.append("a gradient where there is no surface")
     return Outcome(case, blend, worst, tuple(faults + _refinement_faults(case, config, scene, device)))
+
+
+def repeated_gradient(scene: HardScene, config: Config, device, initial, at, scene_scale):
+    """Gradient and depth of a pixel of parallax as by device_gradient, and what is wrong with them by themselves."""
+    got, loss, length = device_gradient(scene, config, device, initial, at, scene_scale)
+    again, loss_again, _ = device_gradient(scene, config, device, initial, at, scene_scale)
+    faults = []
+    if got.tobytes() != again.tobytes() or loss != loss_again:
+        faults.append("a second run gives other bits")
+    if not (np.isfinite(got).all() and np.isfinite(loss)):
+        faults.append(f"{np.count_nonzero(~np.isfinite(got))} gradients are not finite, the loss is {loss:g}")
+    return got, length, faults
 
 
 def difference(got, want, length) -> float:
@@ -81,24 +87,26 @@ def _threshold(initial, config: Config) -> float:
 
 
 def device_gradient(scene: HardScene, config: Config, device, initial, at, scene_scale):
-    """N dL/dd (H, W) and L of the depth `at` on the device, and the depth of a pixel of parallax (H, W);
-    all in units."""
+    """N dL/dd (H, W) and L of the depth `at` on the device, and the depth of a pixel of parallax (H, W); all in units
+    of `scene_scale`."""
     import pyopencl as cl
 
-    from pagas_cl.splat.level import Level, LevelInput
-    from pagas_cl.splat.state import PhotoStore
+    from pagas_cl.splat.inputs import LevelInput
+    from pagas_cl.splat.level import Level, Phase
+    from pagas_cl.splat.photos import PhotoStore
     from pagas_cl.splat.step import loss_of
 
     photos, views = PhotoStore(device), [scene.target, *scene.contexts]
     level = Level(device, config, LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene_scale,
                                              _threshold(initial, config), 1.0, len(scene.contexts)))
-    level.prepare(lambda out: cl.enqueue_copy(device.queue, out, initial))
-    level.start(lambda out: None)
-    level.raise_smoothness()
-    cl.enqueue_copy(device.queue, level.arena["depth"], at)
+    cl.enqueue_copy(device.queue, level.buffers.depth, initial)
+    level.prepare()
+    level.start()
+    level.enter(Phase(config, raised=True))
+    cl.enqueue_copy(device.queue, level.buffers.depth, at)
     for launch in level.gradient_launches(0):
         launch.enqueue(device.queue)
-    found = level.read("gradient", at.shape), loss_of(level), level.read("depth_per_parallax", at.shape)
+    found = level.read("gradient", at.shape), loss_of(device, level.buffers), level.read("depth_per_parallax", at.shape)
     level.release()
     return found
 
@@ -129,31 +137,33 @@ def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> 
     steps = {key: value for key, value in STEPS.items() if key not in case.settings}
     config = config.with_settings(**steps)
     first, second = (refine_levels(scene.target, scene.contexts, scene.depth, config, device) for _ in range(2))
-    (given, surface), faults = given_surface(scene), []
-    for name in ("depth", "status", "deviation", "parallax"):
-        if getattr(first, name).tobytes() != getattr(second, name).tobytes():
-            faults.append(f"a second refinement gives another {name}")
-    if not np.isfinite(first.depth).all() or np.isnan(first.deviation).any() or np.isnan(first.parallax).any():
-        faults.append("the refined depth is not finite")
-    if ((first.status != NO_SURFACE) != surface).any():
-        faults.append("the refinement made or lost a surface")
-    if (first.depth[surface] <= 0).any() or first.depth[~surface].any():
-        faults.append("a refined depth is not above 0, or one without a surface is not 0")
+    given, surface = given_surface(scene)
     kept = surface & (first.status != REFINED)
-    if (first.depth[kept] != given[kept]).any():
-        faults.append("a pixel that was not refined did not keep its bits")
-    if case.still and (first.status == REFINED).any():
-        faults.append("a pixel without parallax moved")
-    return faults
+    faults = {f"a second refinement gives another {name}": getattr(first, name).tobytes()
+              != getattr(second, name).tobytes() for name in ("depth", "status", "deviation", "parallax")}
+    faults |= {
+        "the refined depth is not finite": not np.isfinite(first.depth).all() or np.isnan(first.deviation).any()
+        or np.isnan(first.parallax).any(),
+        "the refinement made or lost a surface": ((first.status != NO_SURFACE) != surface).any(),
+        "a refined depth is not above 0, or one without a surface is not 0":
+            (first.depth[surface] <= 0).any() or first.depth[~surface].any(),
+        "a pixel that was not refined did not keep its bits": (first.depth[kept] != given[kept]).any(),
+        "a pixel without parallax moved": case.still and (first.status == REFINED).any(),
+    }
+    return [fault for fault, found in faults.items() if found]
 
 
 def run_all(device, progress=None, blends=BOTH) -> list[Outcome]:
     """Every small case with each of its blends, in order; `progress(outcome)` as each one is done."""
-    outcomes = []
-    for case in CASES:
-        for blend in case.blends:
-            if blend in blends:
-                outcomes.append(run_case(case, blend, device))
-                if progress:
-                    progress(outcomes[-1])
-    return outcomes
+    return collect((run_case(case, blend, device) for case in CASES for blend in case.blends if blend in blends),
+                   progress)
+
+
+def collect(outcomes, progress) -> list[Outcome]:
+    """A list of what `outcomes` yields; each is told to `progress`, where there is one, as it comes."""
+    found = []
+    for outcome in outcomes:
+        found.append(outcome)
+        if progress:
+            progress(outcome)
+    return found

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pagas_cl.scene.view import View
-from pagas_cl.selftest.case import BLENDS, Case
-from pagas_cl.selftest.check import Outcome, device_gradient, difference, twin_gradient
+from pagas_cl.selftest.check import Outcome, collect, difference, repeated_gradient, twin_gradient
 from pagas_cl.selftest.scenes import HardScene, base, camera, turn, waves
+from pagas_cl.selftest.table import BLENDS, Case
 
 WINDOW, BORDER = 128, 40       # pixels: of the window in the far corner, and of its border that is not compared
 TOLERANCE, MOST_PIXELS = 2e-2, 5e-3      # of all pixels together, and of 99 of 100 of them one by one
@@ -52,26 +52,18 @@ def _cut(view: View) -> View:
 def corner_gradient(large: Large, config, at, scene_scale) -> np.ndarray:
     """What the twin gives for the window, with the pixel and window counts of the whole."""
     share, (height, width) = config.loss.ssim, large.whole.depth.shape
-    given = large.corner, at, at, scene_scale
-    parts = []
-    for ssim in (0.0, 1.0):
-        only = config.with_settings(loss__ssim=ssim)
-        parts.append(twin_gradient(given[0], only, *given[1:])[0])
+    colour, ssim = (twin_gradient(large.corner, config.with_settings(loss__ssim=only), at, at, scene_scale)[0]
+                    for only in (0.0, 1.0))
     windows = lambda w, h: (w - 10) * (h - 10) / (w * h)  # noqa: E731
-    return (1 - share) * parts[0] + share * parts[1] * windows(WINDOW, WINDOW) / windows(width, height)
+    return (1 - share) * colour + share * ssim * windows(WINDOW, WINDOW) / windows(width, height)
 
 
 def run_one(name: str, blend: str, device) -> Outcome:
     """One large case: finite, the same bits twice, and the far corner as the twin has it."""
-    large, case, faults = make_large(SIZES[name]), Case(name, base, TOLERANCE, why=WHY), []
+    large, case = make_large(SIZES[name]), Case(name, base, TOLERANCE, why=WHY)
     config = BLENDS[blend].with_settings(splatting__depth_slices=1e-3)      # the range of depth differs in the window
     at = large.whole.depth
-    got, loss, length = device_gradient(large.whole, config, device, at, at, 1.0)
-    again = device_gradient(large.whole, config, device, at, at, 1.0)[0]
-    if got.tobytes() != again.tobytes():
-        faults.append("a second run gives other bits")
-    if not (np.isfinite(got).all() and np.isfinite(loss)):
-        faults.append("the gradient is not finite")
+    got, length, faults = repeated_gradient(large.whole, config, device, at, at, 1.0)
     inside = (slice(-WINDOW + BORDER, -BORDER),) * 2
     want = corner_gradient(large, config, large.corner.depth, 1.0)
     worst = difference(got[inside], want[inside], length[inside])
@@ -85,10 +77,4 @@ def run_one(name: str, blend: str, device) -> Outcome:
 
 def run_large(device, progress=None) -> list[Outcome]:
     """Every large case with each blend."""
-    outcomes = []
-    for name in SIZES:
-        for blend in BLENDS:
-            outcomes.append(run_one(name, blend, device))
-            if progress:
-                progress(outcomes[-1])
-    return outcomes
+    return collect((run_one(name, blend, device) for name in SIZES for blend in BLENDS), progress)

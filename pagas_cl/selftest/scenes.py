@@ -23,6 +23,10 @@ class HardScene:
     contexts: list[View]
     depth: np.ndarray
 
+    def mapped(self, change) -> HardScene:
+        """The scene with `change(view)` for each of its views."""
+        return replace(self, target=change(self.target), contexts=[change(v) for v in self.contexts])
+
 
 def turn(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
     """Rotation about the camera's axes, radians, x first."""
@@ -76,30 +80,26 @@ def with_depth(scene: HardScene, change) -> HardScene:
 def with_photos(make, seed: int = 1) -> HardScene:
     """All photos as `make(rng, (height, width, 3))` gives them: floating point from 0 to 1."""
     scene, rng = base(seed), np.random.default_rng(seed)
-    change = lambda v: View(v.camera, make(rng, (v.camera.height, v.camera.width, 3)), v.mask)  # noqa: E731
-    return HardScene(change(scene.target), [change(v) for v in scene.contexts], scene.depth)
+    return scene.mapped(lambda v: View(v.camera, make(rng, (v.camera.height, v.camera.width, 3)), v.mask))
 
 
 def with_masks(target=None, context=None) -> HardScene:
     """Masks made by `target(shape)` and `context(shape)`."""
-    scene = base()
-
-    def masked(v: View, make_mask) -> View:
+    def masked(v: View) -> View:
+        make_mask = target if v.camera.name == "target" else context
         return View(v.camera, v.image, make_mask and make_mask((v.camera.height, v.camera.width)))
 
-    return HardScene(masked(scene.target, target), [masked(v, context) for v in scene.contexts], scene.depth)
+    return base().mapped(masked)
 
 
 def moved(scale: float = 1.0, offset=(0.0, 0.0, 0.0), **settings) -> HardScene:
     """The base scene in other units and at another place."""
-    scene = base(**settings)
-
     def view(v: View) -> View:
         pose = v.camera.world_to_camera.copy()
         pose[:3, 3] = -pose[:3, :3] @ (v.camera.center * scale + np.asarray(offset, np.float64))
         return View(replace(v.camera, world_to_camera=pose), v.image, v.mask)
 
-    return HardScene(view(scene.target), [view(v) for v in scene.contexts], scene.depth * scale)
+    return with_depth(base(**settings).mapped(view), lambda depth, rng: depth * scale)
 
 
 def sprinkled(values) -> HardScene:

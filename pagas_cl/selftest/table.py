@@ -1,11 +1,43 @@
-"""The table of hard cases; tests/hard_cases/README.md lists them with their figures."""
+"""The table of hard cases, and the settings that they are run with.
+
+tests/hard_cases/README.md lists them with their figures.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
 import numpy as np
 
+from pagas_cl.config import Config
+from pagas_cl.presets import BALANCED, PAPER
 from pagas_cl.selftest import scenes as make
-from pagas_cl.selftest.case import ONE, Case
+
+PLAIN = dict(smoothness__kind="none", smoothness__weight=0.0, solver__views_per_step=0, solver__patience=5)
+BLENDS = {"order-free": BALANCED.with_settings(**PLAIN), "alpha": PAPER.with_settings(solver__patience=5)}
+BOTH = tuple(BLENDS)
+ONE = ("order-free",)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One named case."""
+
+    name: str
+    scene: Callable[[], make.HardScene]
+    tolerance: float = 1e-3     # most |device - twin| / |twin| of the gradient: see check.difference
+    settings: dict = field(default_factory=dict)    # on top of the blend's
+    blends: tuple[str, ...] = BOTH
+    still: bool = False         # no pixel may move: no view sees parallax
+    noise: float = 1e-3         # change of the initial depth where the gradient is compared, share of the median
+    why: str = ""               # what makes the tolerance wider than usual
+
+
+def config_of(case: Case, blend: str) -> Config:
+    """The settings of `case` with one of its blends."""
+    return BLENDS[blend].with_settings(**case.settings)
+
 
 NEAR_PLANE = "rounding of the projection grows with 1 / z near the camera's plane"
 WHOLE = "weights are summed in steps of 2^-20: where the true gradient is 0, a trace below the solver's damping remains"

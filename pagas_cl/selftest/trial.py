@@ -15,9 +15,10 @@ import numpy as np
 from pagas_cl.errors import DeviceError, KernelBuildError
 from pagas_cl.runtime import device as devices
 from pagas_cl.runtime.trial import identity
-from pagas_cl.selftest.case import Case, config_of
+from pagas_cl.runtime.vendors import import_pyopencl
 from pagas_cl.selftest.check import STEPS, run_case
 from pagas_cl.selftest.scenes import base
+from pagas_cl.selftest.table import Case, config_of
 
 SIZE = (96, 64)           # every vectorised path is taken from 74 x 26 pixels on (splat/tile.py)
 COLOUR = Case("colour, exposure", lambda: base(size=SIZE), 1e-3, dict(loss__exposure=True))
@@ -26,7 +27,7 @@ GREY = Case("grey", lambda: base(size=SIZE), 1e-3, dict(loss__grey=True), blends
 
 def try_out(wanted: list, lanes: int) -> dict:
     """What is wrong with the device of that identity, with so many lanes."""
-    cl = devices.import_pyopencl()
+    cl = import_pyopencl()
     found = [pair for pair in devices.find_devices(cl) if identity(pair[0]) == wanted]
     if not found:
         return {"fault": "it is no longer there", "lasting": False}

@@ -9,12 +9,10 @@ from pagas_cl.config import Config
 from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.runtime.arena import total_bytes
 from pagas_cl.scene.camera import Camera
+from pagas_cl.splat.buffers import EvidenceBuffers, LevelBuffers, Size, dimensions, level_size
 from pagas_cl.splat.evidence import HISTOGRAM
 from pagas_cl.splat.measure import probe_bytes
-from pagas_cl.splat.state import Size, level_buffers, level_size, photo_bytes
-
-# kept after the steps
-FOR_EVIDENCE = ("depth", "depth_per_parallax", "cameras", "exposure", "z_first", "rendered", "v_rendered")
+from pagas_cl.splat.photos import photo_bytes
 
 log = logging.getLogger("pagas_cl")
 _told: set[Plan] = set()
@@ -48,31 +46,31 @@ class Plan:
 
 def plan_for(cameras: list[Camera], contexts: int, config: Config, streamed: bool = False) -> Plan:
     """The plan of a refinement for the cameras of the target, of `contexts` context views, and of the held-out views;
-    `streamed`: photos wait on the host (streamed.py)."""
+    `streamed`: photos wait on the host (StreamedPhotos)."""
     plans = [_at(scale, cameras, contexts, config, streamed) for scale in config.pyramid.scales]
     if config.effects.measured:
-        plans.append(_measuring(cameras[:1 + contexts], streamed))
+        plans.append(_measuring(cameras[:1 + contexts], config, streamed))
     return max(plans, key=lambda plan: plan.nbytes)
 
 
-def _measuring(cameras: list[Camera], streamed: bool) -> Plan:
+def _measuring(cameras: list[Camera], config: Config, streamed: bool) -> Plan:
     """The plan of measuring a view beforehand, beside its initial depth."""
     sizes = [level_size(camera, 1.0) for camera in cameras]
-    return Plan(_photos(sizes, sizes, streamed), probe_bytes(sizes, len(cameras) - 1) + 8 * sizes[0].pixels)
+    return Plan(_photos(sizes, sizes, streamed), probe_bytes(config, sizes, len(cameras) - 1) + 8 * sizes[0].pixels)
 
 
 def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, streamed: bool) -> Plan:
     """The plan of one level."""
     cameras = cameras if scale == 1 else cameras[:1 + contexts]
     full, sizes = [level_size(camera, 1.0) for camera in cameras], [level_size(camera, scale) for camera in cameras]
-    specs = level_buffers(config, sizes[0], sizes[1:], contexts)
+    lengths = dimensions(config, sizes[0], sizes[1:], contexts)
     depths = 8 * full[0].pixels          # the initial one, as it came and in units; that of the level before, enlarged
     if scale > config.pyramid.scales[0]:
         depths += 4 * (sizes[0].pixels + _before(scale, cameras[0], config).pixels)
-    during = after = total_bytes(specs) + depths
+    during = after = total_bytes(LevelBuffers.plan(lengths)) + depths
     if scale == 1:           # evidence before and after: of the context views, and of one held-out view at a time
         judges = 2 if len(cameras) > 1 + contexts else 1
-        after = total_bytes(spec for spec in specs if spec.name in FOR_EVIDENCE) + depths
+        after = total_bytes(EvidenceBuffers.plan(lengths)) + depths
         after += (24 * judges + 5) * full[0].pixels + HISTOGRAM * (judges - 1)
     return Plan(_photos(full, sizes, streamed), max(during, after))
 

@@ -8,19 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.runtime.program import Fill, bind, build, run_once
+from pagas_cl.runtime.program import Fill, run_once
 from pagas_cl.runtime.transfer import download
 from pagas_cl.splat import project
+from pagas_cl.splat.buffers import EvidenceBuffers
+from pagas_cl.splat.constants import CLEAR_NOISE, COST_BINS, COST_GROUP, COST_ONE
 
-_SUM_GROUP, _SUM_GROUPS, _ONE = 64, 256, 2**20      # as in evidence.cl
-
-_BINS = 1024        # of 1 - correlation, as in evidence.cl
-HISTOGRAM = 8 * _BINS       # bytes that count them, before and after
+_SUM_GROUPS = 256
+HISTOGRAM = 8 * COST_BINS   # bytes that count them, before and after
 
 
 @dataclass(frozen=True, eq=False)
 class EvidenceDecision:
-    """On the device, per pixel: status uint8, as in scene/status.py; standard deviation of the depth, float32, device
+    """On the device, per pixel: status uint8, as in scene/depthmap.py; standard deviation of the depth, float32, device
     units, infinite where nothing is known. Before and after, over the pixels that are seen: mean 1 - correlation with
     the views' photos, of all refined depth, and median with each held-out view's photo, of what is accepted."""
 
@@ -59,7 +59,7 @@ class EvidencePrior:
     @property
     def slack(self) -> float:
         """By how much a correlation may fall by chance, in that of a clear photo."""
-        return max(1.0, (self.noise / 0.004) ** 2)
+        return max(1.0, (self.noise / CLEAR_NOISE) ** 2)
 
 
 NO_PRIOR = EvidencePrior()
@@ -76,34 +76,35 @@ def _median(counts: np.ndarray) -> float:
 
 
 class Evidence:
-    """Weighs the initial and the refined depth of one level by the photos of `view_numbers` (numbers from 1).
+    """Weighs the initial and the refined depth of one level, buffers.depth, by the photos of `views`, of which there is
+    at least one.
 
-    `initial` is a buffer that holds the initial depth for as long as this lives.
+    `initial` is a buffer that holds the initial depth for as long as this lives; `buffers` of the class
+    EvidenceBuffers: what is rendered in them is scratch here.
     """
 
-    def __init__(self, level, view_numbers, initial: cl.Buffer, prior: EvidencePrior = NO_PRIOR):
-        self.level, self.view_numbers, self._initial = level, list(view_numbers), initial
-        self.program, self.prior = build(level.device, "evidence.cl", level.defines), prior
+    def __init__(self, programs, buffers: EvidenceBuffers, views, initial: cl.Buffer, prior: EvidencePrior = NO_PRIOR):
+        self.programs, self.buffers, self.views, self.prior = programs, buffers, list(views), prior
+        self.device, self.size = programs.device, self.views[0].target_size
+        self._initial, self._scratch = initial, (buffers.v_rendered, buffers.rendered)     # two floats a pixel each
         self._before = self._after = None
 
     def weigh(self):
         """Weigh the initial depth, and the depth as it is now."""
         self.release()
-        pixels, queue = self.level.target.pixels, self.level.device.queue
-        self._before, self._after = (self._buffer(12 * pixels) for _ in range(2))
-        run_once(queue, [Fill(evidence, np.uint32(0), 12 * pixels) for evidence in (self._before, self._after)])
-        for view in self.view_numbers:
-            run_once(queue, [*self.level.given.fetch(view), *self._add(view, self._initial, self._before),
-                             *self._add(view, self.level.arena["depth"], self._after)])
+        self._before, self._after = (self._buffer(12 * self.size.pixels) for _ in range(2))
+        self._run([Fill(evidence, np.uint32(0), evidence.size) for evidence in (self._before, self._after)])
+        for view in self.views:
+            self._run([*view.fetch(), *self._add(view, self._initial, self._before),
+                       *self._add(view, self.buffers.depth, self._after)])
 
-    def _add(self, view: int, depth: cl.Buffer, evidence: cl.Buffer) -> list:
+    def _add(self, view, depth: cl.Buffer, evidence: cl.Buffer) -> list:
         """What the photo of `view` says of `depth`, added to `evidence`."""
-        level, size, warped = self.level, self.level.target, self._scratch()[0]
-        return [*project.nearest(level, view, depth),
-                bind(self.program, "warp_photo", size.grid, None, depth, level.arena["cameras"], view,
-                     float(level.threshold(view)), project.z_first_argument(level), level.given.photos[view], warped),
-                bind(self.program, "weigh", size.grid, None, warped, level.given.photos[0], size.width, size.height,
-                     self.prior.noise_variance, evidence)]
+        warped = self._scratch[0]
+        return [*project.nearest(self.programs, self.buffers, view, depth=depth),
+                self._bind("warp_photo", view, depth=depth, warped=warped),
+                self._bind("weigh", view, warped=warped, noise_variance=self.prior.noise_variance, evidence=evidence,
+                           **self.size.extent)]
 
     def release(self):
         """Give back what was weighed."""
@@ -114,61 +115,53 @@ class Evidence:
     def costs(self) -> tuple[float, float]:
         """Mean 1 - correlation before and after, over the pixels that are seen both times."""
         sums = self._buffer(24 * _SUM_GROUPS)
-        run_once(self.level.device.queue, [
-            bind(self.program, "sum_costs", (_SUM_GROUPS * _SUM_GROUP,), (_SUM_GROUP,), self._before, self._after,
-                 self.level.target.pixels, sums)])
-        before, after, pixels = download(self.level.device, sums, (_SUM_GROUPS, 3), np.int64).sum(axis=0).tolist()
+        self._run([self._bind("sum_costs", grid=(_SUM_GROUPS * COST_GROUP,), group=(COST_GROUP,), sums=sums,
+                              **self._both)])
+        before, after, pixels = download(self.device, sums, (_SUM_GROUPS, 3), np.int64).sum(axis=0).tolist()
         sums.release()
-        return (before / pixels / _ONE, after / pixels / _ONE) if pixels else (float("nan"), float("nan"))
+        return (before / pixels / COST_ONE, after / pixels / COST_ONE) if pixels else (float("nan"), float("nan"))
 
     def medians(self) -> tuple[float, float]:
         """Median 1 - correlation before and after, over the pixels that are seen both times;
         NaN where there are none."""
         counts = self._buffer(HISTOGRAM)
-        run_once(self.level.device.queue, [
-            Fill(counts, np.uint32(0), HISTOGRAM),
-            bind(self.program, "count_costs", (self.level.target.pixels,), None, self._before, self._after,
-                 self.level.target.pixels, counts)])
-        before, after = download(self.level.device, counts, (2, _BINS), np.uint32)
+        self._run([Fill(counts, np.uint32(0), HISTOGRAM),
+                   self._bind("count_costs", grid=(self.size.pixels,), counts=counts, **self._both)])
+        before, after = download(self.device, counts, (2, COST_BINS), np.uint32)
         counts.release()
         return _median(before), _median(after)
 
     def _refuse(self, evidence: Evidence, status: cl.Buffer):
         """Reject too what matches worse in the held-out view's photo, seen over its surroundings."""
         evidence.weigh()
-        size, (one, other) = self.level.target, self._scratch()
-        launches = [bind(self.program, "worse_costs", (size.pixels,), None, evidence._before, evidence._after,
-                         size.pixels, one)]
+        pixels, (one, other) = self.size.pixels, self._scratch
+        launches = [self._bind("worse_costs", grid=(pixels,), worse=one, **evidence._both)]
         for _ in range(2):       # twice: nearer pixels count for more
             launches += self._sum_around(one, 2, other, one)
-        launches.append(bind(self.program, "refuse", (size.pixels,), None, size.pixels, one, status))
-        run_once(self.level.device.queue, launches)
+        self._run([*launches, self._bind("refuse", grid=(pixels,), count=pixels, worse=one, status=status)])
         evidence.release()
 
     def decide(self, held_out: Sequence[Evidence] = ()) -> EvidenceDecision:
-        """Send back what the photos do not confirm; arena["depth"] holds what is accepted.
+        """Send back what the photos do not confirm; buffers.depth holds what is accepted.
 
         `held_out`, each of a photo that took no part, are weighed here.
         """
         self.weigh()
-        level, n = self.level, self.level.target.pixels
-        solver, a = level.config.solver, level.arena
-        status, deviation, size = self._buffer(n), self._buffer(4 * n), level.target
-        around, bent = self._surroundings(), self._scratch()[0]
-        deviation_program = build(level.device, "deviation.cl", level.defines)
-        run_once(level.device.queue, [
-            bind(self.program, "decide", (n,), None, self._initial, a["depth"], a["depth_per_parallax"], n,
-                 self._before,
-                 self._after, around, float(solver.max_move), solver.tolerance * self.prior.slack,
-                 float(solver.mismatch), status)])
+        n, (bent, around), solver = self.size.pixels, self._scratch, self.programs.config.solver
+        status, deviation = self._buffer(n), self._buffer(4 * n)
+        self._run([*self._sum_around(self._after, 3, bent, around),
+                   self._bind("decide", grid=(n,), initial=self._initial, around=around, max_move=solver.max_move,
+                              tolerance=solver.tolerance * self.prior.slack, mismatch=solver.mismatch, status=status,
+                              **self._both)])
         for evidence in held_out:       # each by itself: in a mean, one that errs as the context views do
                                         # hides another
             self._refuse(evidence, status)
-        run_once(level.device.queue, [
-            bind(self.program, "feather", size.grid, None, self._initial, a["depth"], status, *size.grid),
-            bind(deviation_program, "bends", size.grid, None, a["depth"], a["depth_per_parallax"], *size.grid, bent),
-            bind(deviation_program, "deviate", size.grid, None, status, a["depth_per_parallax"], *size.grid,
-                 self._before, self._after, bent, self.prior.error_factor, self.prior.misaligned, deviation)])
+        extent = self.size.extent
+        self._run([self._bind("feather", initial=self._initial, status=status, **extent),
+                   self._bind("bends", file="deviation.cl", bent=bent, **extent),
+                   self._bind("deviate", file="deviation.cl", status=status, before=self._before, after=self._after,
+                              bent=bent, error_factor=self.prior.error_factor, misaligned=self.prior.misaligned,
+                              deviation=deviation, **extent)])
         return EvidenceDecision(status, deviation, self.costs(), tuple(evidence.judge() for evidence in held_out))
 
     def judge(self) -> tuple[float, float]:
@@ -178,21 +171,21 @@ class Evidence:
         self.release()
         return medians
 
-    def _surroundings(self) -> cl.Buffer:
-        """1 - correlation and views under the refined depth, summed over the surroundings of each pixel."""
-        rows, around = self._scratch()
-        run_once(self.level.device.queue, self._sum_around(self._after, 3, rows, around))
-        return around
+    @property
+    def _both(self) -> dict:
+        """What was weighed, as kernels name it."""
+        return {"before": self._before, "after": self._after, "count": self.size.pixels}
 
     def _sum_around(self, values: cl.Buffer, stride: int, rows: cl.Buffer, sums: cl.Buffer) -> list:
         """Two floats of each pixel, `stride` apart in `values`, summed over the surroundings: by rows, then columns."""
-        grid = self.level.target.grid
-        return [bind(self.program, "sum_window", grid, None, source, step, *grid, dx, dy, out)
+        return [self._bind("sum_window", values=source, stride=step, dx=dx, dy=dy, sums=out, **self.size.extent)
                 for source, step, dx, dy, out in ((values, stride, 1, 0, rows), (rows, 2, 0, 1, sums))]
 
-    def _scratch(self) -> list[cl.Buffer]:
-        """Two buffers of two floats a pixel, of those that serve the steps."""
-        return [self.level.arena[name] for name in ("v_rendered", "rendered")]
+    def _bind(self, kernel: str, view=None, *, file="evidence.cl", grid=None, group=None, **arguments):
+        return self.programs.bind(file, kernel, grid or self.size.grid, self.buffers, view, group, **arguments)
+
+    def _run(self, launches):
+        run_once(self.device.queue, launches)
 
     def _buffer(self, nbytes: int) -> cl.Buffer:
-        return self.level.device.memory.buffer(self.level.device.context, nbytes)
+        return self.device.memory.buffer(self.device.context, nbytes)

@@ -2,71 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import ceil, sqrt
-
 import numpy as np
 
-from pagas_cl.runtime.arena import BufferSpec
-from pagas_cl.runtime.program import bind, build
 from pagas_cl.splat import project
-
-_FIT_GROUP = 64           # as in exposure.cl
-MOST_SAMPLES = 4096       # about; rows and columns are whole
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Samples of an image: `across` x `down` of them, `stride` pixels apart."""
-
-    stride: int
-    across: int
-    down: int
-
-    @classmethod
-    def over(cls, size) -> Grid:
-        """At most about MOST_SAMPLES, never more than twice as many, however narrow the image."""
-        stride = max(ceil(sqrt(size.pixels / MOST_SAMPLES)), ceil(max(size.width, size.height) / (2 * MOST_SAMPLES)), 1)
-        return cls(stride, -(-size.width // stride), -(-size.height // stride))
-
-    @property
-    def count(self) -> int:
-        return self.across * self.down
-
-
-def buffers(target, contexts: int) -> list[BufferSpec]:
-    """What the fit needs: gains and offsets of the target and each context view, (gain, offset) x channels as photo.clh
-    reads them, and matched colours."""
-    return [BufferSpec("exposure", (1 + contexts, 2, 3), np.float32),
-            BufferSpec("matches", (contexts, Grid.over(target).count, 8), np.float32)]
+from pagas_cl.splat.buffers import SampleGrid
+from pagas_cl.splat.constants import FIT_GROUP
 
 
 def neutral(contexts: int) -> np.ndarray:
-    """The table before anything is fitted: gain 1, offset 0."""
+    """The table before anything is fitted, (gain, offset) x channels as photo.clh reads them: gain 1, offset 0."""
     table = np.zeros((1 + contexts, 2, 3), np.float32)
     table[:, 0] = 1
     return table
 
 
-def launches(level) -> list:
-    """Fit all context views to arena["depth"], each after its nearest surfaces."""
-    return [launch for view in range(1, 1 + len(level.contexts))
-            for launch in (*level.given.fetch(view), *project.nearest(level, view), match(level, view))] + [fit(level)]
+def launches(programs, buffers, views) -> list:
+    """Fit all context `views` to buffers.depth, each after its nearest surfaces."""
+    return [launch for view in views for launch in (
+        *view.fetch(), *project.nearest(programs, buffers, view), match(programs, buffers, view))
+    ] + [fit(programs, buffers, views)]
 
 
-def match(level, view: int):
-    """Colours of both photos at the samples, by the nearest surfaces that arena["z_first"] holds for this view."""
-    a, grid, given = level.arena, Grid.over(level.target), level.given
-    return bind(build(level.device, "exposure.cl", level.defines), "match_colors", (grid.count,), None, a["depth"],
-                a["cameras"], view, float(level.threshold(view)), project.z_first_argument(level),
-                given.photos[0], given.photos[view], grid.stride, grid.across, grid.count, a["matches"])
+def match(programs, buffers, view):
+    """Colours of both photos at the samples, by the nearest surfaces that buffers.z_first holds for `view`, to
+    buffers.matches."""
+    grid = SampleGrid.over(view.target_size)
+    return programs.bind("exposure.cl", "match_colors", (grid.count,), buffers, view, **grid.arguments)
 
 
-def fit(level):
-    """From arena["matches"] to arena["exposure"]."""
-    views = len(level.contexts)
-    return bind(build(level.device, "exposure.cl", level.defines), "fit_exposure", (3 * _FIT_GROUP, views),
-                (_FIT_GROUP, 1), level.arena["matches"], Grid.over(level.target).count, level.arena["exposure"])
+def fit(programs, buffers, views):
+    """From buffers.matches to buffers.exposure."""
+    return programs.bind("exposure.cl", "fit_exposure", (3 * FIT_GROUP, len(views)), buffers, None, (FIT_GROUP, 1),
+                         all_matches=buffers.matches, count=SampleGrid.over(views[0].target_size).count)
 
 
 def fitted_before(steps: int) -> set[int]:

@@ -10,8 +10,7 @@ from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.runtime.faults import translate_cl_errors
 from pagas_cl.scene.camera import Camera
 from pagas_cl.splat.budget import plan_for
-from pagas_cl.splat.state import PhotoStore
-from pagas_cl.splat.streamed import StreamedPhotos
+from pagas_cl.splat.photos import PhotoStore, StreamedPhotos
 
 log = logging.getLogger("pagas_cl")
 

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from pagas_cl.runtime.program import bind, build
 
-
-def launches(level) -> list:
-    """Average arena["gradient"] in place; once a step, before the smoothness adds to it."""
-    if level.config.solver.gradient_filter == 0:
+def launches(programs, buffers, size) -> list:
+    """Average buffers.gradient in place; once a step, before the smoothness adds to it."""
+    if programs.config.solver.gradient_filter == 0:
         return []
-    a, size = level.arena, level.target
-    program = build(level.device, "gradient_filter.cl", level.defines)
-    return [bind(program, "filter_across", size.grid, None, a["gradient"], a["depth_per_parallax"], size.width,
-                 size.height, a["sums"]),
-            bind(program, "filter_down", size.grid, None, a["sums"], a["depth_per_parallax"], size.width,
-                 size.height, a["gradient"])]
+    return [programs.bind("gradient_filter.cl", name, size.grid, buffers, **size.extent)
+            for name in ("filter_across", "filter_down")]

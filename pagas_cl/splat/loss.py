@@ -1,31 +1,34 @@
-"""Launches of ssim.cl and loss.cl: a rendered view against its photo, what its pixels pass back (method section 5)."""
+"""Launches of ssim.cl and loss.cl: how alike a rendered view and its photo are, window by window, and what its pixels
+pass back (method section 5)."""
 
 from __future__ import annotations
 
 from math import prod
 
-from pagas_cl.runtime.program import bind, build
-from pagas_cl.splat import ssim
-from pagas_cl.splat.step import LOSS_ONE, loss_argument
+from pagas_cl.splat.buffers import channels_of
+from pagas_cl.splat.constants import HALO, LOSS_ONE, TILE_ONE
 from pagas_cl.splat.tile import pitch
 
-_TO_LOSS = LOSS_ONE / 2.0**32      # from the sums of a tile (window.clh)
+_TO_LOSS = LOSS_ONE / TILE_ONE     # from the sums of a tile
 
 
-def launches(level, view: int) -> list:
-    """From arena["rendered"] to arena["v_rendered"] for context view `view` (0: the target's own)."""
-    a, tile, share = level.arena, level.loss_tile, level.config.loss.ssim
-    size, photo = level.given.sizes[view], level.given.photos[view]
-    windows = ssim.windows(size)
-    channels = 1 if level.config.loss.grey else 3
-    n, views = level.target.pixels, level.views_in_loss
+def windows(size) -> tuple[int, int]:
+    """SSIM windows inside an image of `size`, across and down."""
+    return max(size.width - HALO, 0), max(size.height - HALO, 0)
+
+
+def launches(programs, buffers, view, views: int) -> list:
+    """From buffers.rendered of `view` to buffers.v_rendered, and its loss to buffers.loss where the schedule follows
+    it; the loss is averaged over `views` views."""
+    size, n, config = view.size, view.target_size.pixels, programs.config.loss
+    share, across = config.ssim, windows(size)
     l1_scale = (1 - share) * n / size.pixels / views
-    ssim_scale = share * n / (prod(windows) * channels) / views if prod(windows) else 0.0
-    seen = a[f"seen{view - 1}"] if level.config.loss.unseen_mask and view else None
-    program = build(level.device, "loss.cl", (*level.defines, *tile.defines))
+    ssim_scale = share * n / (prod(across) * channels_of(programs.config)) / views if prod(across) else 0.0
+    shared = {"pitch": pitch(size.width), "total": buffers.loss}
+    ssim = [programs.bind("ssim.cl", "ssim_forward", across, buffers, view, loss_scale=_TO_LOSS * ssim_scale / n,
+                          **shared)] if share > 0 and prod(across) else []
+    seen = buffers.seen[view.number - 1] if buffers.seen and view.number else None
     # the target's own view has no gradient: nothing of SSIM is passed back
-    backward = bind(program, "loss_backward", tile.grid(*size.grid), (tile.group, 1), a["rendered"], photo, size.width,
-                    size.height, pitch(size.width), a["partials"] if share > 0 else None, seen, float(l1_scale),
-                    float(ssim_scale if view else 0.0), a["v_rendered"], _TO_LOSS * l1_scale / n,
-                    loss_argument(level))
-    return [*(ssim.launches(level, view, _TO_LOSS * ssim_scale / n) if share > 0 else []), backward]
+    return [*ssim, programs.bind("loss.cl", "loss_backward", size.grid, buffers, view, seen=seen, l1_scale=l1_scale,
+                                 ssim_scale=ssim_scale if view.number else 0.0,
+                                 loss_scale=_TO_LOSS * l1_scale / n, **shared)]

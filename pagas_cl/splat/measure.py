@@ -1,28 +1,104 @@
-"""Launches of measure.cl: every context view sampled under the initial depth (method section 8)."""
+"""Launches of measure.cl, every context view sampled under the initial depth; of image_noise.cl, noise and texture of
+one photo; and of summary.cl, what rows of numbers come to, so that few leave the device (method section 8)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.runtime.arena import Arena, BufferSpec, total_bytes
+from pagas_cl.config import Config
+from pagas_cl.runtime.arena import declared, total_bytes
 from pagas_cl.runtime.program import bind, build, run_once
-from pagas_cl.runtime.transfer import download
-from pagas_cl.scene.rig import camera_table
+from pagas_cl.runtime.transfer import download, upload
 from pagas_cl.splat import exposure, project
-from pagas_cl.splat.image_noise import ImageNoise
-from pagas_cl.splat.level import threshold_in
-from pagas_cl.splat.options import defines, heaviest_pixel
-from pagas_cl.splat.summary import Rows
+from pagas_cl.splat.buffers import ExposureBuffers, SampleGrid, SurfaceBuffers, dimensions
+from pagas_cl.splat.constants import MEAN, NUMBER, OFFSETS, QUANTILE, SHARED, SHIFTS, SUMMARY_GROUP, define
+from pagas_cl.splat.options import Programs
 
-SHIFTS = np.array([-4, -2, -1, 0, 1, 2, 4], np.float32)      # pixels of parallax, as in measure.cl
-_MOVES = len(SHIFTS) + 4
-# Rows of a context view, as in measure.cl: (name, lowest, highest, quantile's share).
+_MOVES = SHIFTS + OFFSETS
+# Rows of a context view: (name, lowest, highest, quantile's share).
 _ROWS = [("hidden", 0, 1, 0.5), ("size", 0, 8, 0.5), *[(f"change {c}", -1, 1, 0.5) for c in "rgb"],
          *[(f"epipolar_offset {k}", -2.5, 2.5, 0.5) for k in range(4)], ("specularity", 0, 1, 0.95),
          ("like", 0, 1, 0.5)]
+# The first row of each name, as measure.cl has it in capitals.
+_ROW_NUMBERS = define(**{name.split()[0].upper(): k for k, (name, *_) in reversed(list(enumerate(_ROWS)))},
+                      ROWS=len(_ROWS))
+_SIDE = 256               # samples along each side of the photo
+_GREYS = 765              # grey values are sums of three channels
+_RULES = [(-0.5, 2047.5, 0.25), (-0.5, 2047.5, 0.5), (-0.5, 2047.5, 0.5)]     # bins of one grey value
+
+
+class Rows:
+    """Rows of `count` float32 on the device, NaN = no value, and what they come to.
+
+    Parameters
+    ----------
+    rules : list of (lowest, highest, share)
+        Of each row: the values that its quantile lies between, and the share of the values below it.
+    """
+
+    def __init__(self, device, rules, count: int):
+        self.device, self.rows, self.count = device, len(rules), count
+        self.values = device.memory.buffer(device.context, 4 * self.rows * count)
+        self.summary = device.memory.buffer(device.context, 16 * self.rows)
+        table = np.zeros((self.rows, 4), np.float32)
+        table[:, :3] = rules
+        self._rules = upload(device, table)
+
+    @staticmethod
+    def nbytes(rows: int, count: int) -> int:
+        """Bytes of the device that they take."""
+        return rows * (4 * count + 32)
+
+    def summarize(self):
+        """The launch that fills `summary`."""
+        return bind(build(self.device, "summary.cl", SHARED), "summarize", (self.rows * SUMMARY_GROUP,),
+                    (SUMMARY_GROUP,), rows=self.values, count=self.count, rules=self._rules, summary=self.summary)
+
+    def read(self) -> np.ndarray:
+        """`summary` on the host: (rows, 4) of number, mean, quantile, mean square; NaN in a row without values."""
+        return download(self.device, self.summary, (self.rows, 4)).astype(np.float64)
+
+
+def _samples(size):
+    """Pixels between samples, along x and y, and how many there are along each."""
+    steps = max(1, (size.width - 2) // _SIDE), max(1, size.height // _SIDE)
+    return steps, -(-(size.width - 2) // steps[0]), -(-size.height // steps[1])
+
+
+class ImageNoise:
+    """Measures a photo, a buffer of uchar4; nothing waits for the device until `read`."""
+
+    def __init__(self, device, photo, size):
+        self.rows = None
+        if size.width < 8:
+            return
+        program, (steps, across, down) = build(device, "image_noise.cl", SHARED), _samples(size)
+        self.rows = rows = Rows(device, _RULES, across * down)
+        run_once(device.queue, [
+            bind(program, "sample_noise", (rows.count,), photo=photo, width=size.width, step_x=steps[0],
+                 step_y=steps[1], across=across, count=rows.count, rows=rows.values),
+            rows.summarize(),
+            bind(program, "keep_smooth", (rows.count,), summary=rows.summary, count=rows.count, rows=rows.values),
+            rows.summarize()])
+
+    @staticmethod
+    def nbytes(size) -> int:
+        """Bytes of the device that it takes."""
+        _, across, down = _samples(size)
+        return Rows.nbytes(len(_RULES), max(0, across * down))
+
+    def read(self) -> tuple[float, float]:
+        """Standard deviation of the noise (0 to 1), from the second differences of the smoothest quarter of the pixels,
+        and the share of pixels with little texture."""
+        if self.rows is None:
+            return 0.0, 1.0
+        _, bend, textureless = self.rows.read()
+        noise = 1.4826 * max(bend[QUANTILE], 0.0) / sqrt(6) / _GREYS if bend[NUMBER] else 0.0
+        return float(noise), float(textureless[MEAN])
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +114,7 @@ class ProbeResult:
     gains : ndarray of shape (contexts, 3, 2)
         Gain and offset of each channel from the target's photo to each context photo.
     noise, textureless : float
-        Of the target's photo; see image_noise.py.
+        Of the target's photo; see ImageNoise.
     stride : int
         Pixels of the target between samples.
     local_specularity : ndarray of shape (down, across), float32
@@ -55,91 +131,82 @@ class ProbeResult:
     local_specularity: np.ndarray
 
 
-def _buffers(sizes, views: int) -> list[BufferSpec]:
-    """For the photos of the target and of `views` context views."""
-    target, count = sizes[0], exposure.Grid.over(sizes[0]).count
-    return [BufferSpec("depth", (target.pixels,), np.float32),
-            BufferSpec("depth_per_parallax", (target.pixels,), np.float32),
-            BufferSpec("cameras", (len(sizes), 20), np.float32),
-            BufferSpec("z_first", (max(size.pixels for size in sizes),), np.uint32), *exposure.buffers(target, views),
-            BufferSpec("costs", (_MOVES, count), np.float32),
-            BufferSpec("totals", (len(SHIFTS) + 2, count), np.float32)]
+@dataclass(eq=False)
+class ProbeBuffers(SurfaceBuffers, ExposureBuffers):
+    """What measuring works on."""
+
+    costs: cl.Buffer | None = declared((_MOVES, "samples"), np.float32, "1", "1 - correlation at each sample, by move")
+    totals: cl.Buffer | None = declared((SHIFTS + 2, "samples"), np.float32, "1", "of the views, as in measure.cl")
 
 
-def probe_bytes(sizes, views: int) -> int:
-    """Bytes of the device that a Probe takes."""
-    rows = Rows.nbytes(len(_ROWS) * views + 3, exposure.Grid.over(sizes[0]).count)
-    return total_bytes(_buffers(sizes, views)) + rows + ImageNoise.nbytes(sizes[0])
+def probe_config(config: Config) -> Config:
+    """Of the programs and buffers that measure, whatever the refinement will do."""
+    return config.with_settings(splatting__occlusion=True, loss__unseen_mask=False, loss__exposure=True)
+
+
+def probe_bytes(config: Config, sizes, views: int) -> int:
+    """Bytes of the device that a Probe takes for photos of `sizes`, of which `views` are of context views."""
+    lengths = dimensions(probe_config(config), sizes[0], sizes[1:], views)
+    rows = Rows.nbytes(len(_ROWS) * views + 3, lengths["samples"])
+    return total_bytes(ProbeBuffers.plan(lengths)) + rows + ImageNoise.nbytes(sizes[0])
 
 
 class Probe:
-    """The full-size level as far as measuring needs it: what `project` and `exposure` ask of a Level,
-    and rows of samples.
+    """The full-size level as far as measuring needs it, and rows of samples.
 
     Everything is enqueued; `read` is the only wait for the device.
     """
 
-    def __init__(self, device, config, given, write):
-        config = config.with_settings(splatting__occlusion=True, loss__unseen_mask=False)
-        target, *contexts = given.sizes
-        self.device, self.config, self.given = device, config, given
-        self.target, self.contexts = target, contexts[:given.contexts]
-        self.defines, self.grid = defines(config, device, heaviest_pixel(given.cameras[0])), exposure.Grid.over(target)
-        views, count = len(self.contexts), self.grid.count
-        self.view_samples = Rows(device, [rule for _, *rule in _ROWS] * views, count)
+    def __init__(self, device, config: Config, given, write):
+        self.device, config = device, probe_config(config)
+        self.target, *views = given.views(config)
+        self.views, self.grid = views[:given.contexts], SampleGrid.over(self.target.size)
+        self.programs = Programs(device, config.with_settings(loss__exposure=False), given.cameras,
+                                 {"measure.cl": _ROW_NUMBERS})
+        number, count = len(self.views), self.grid.count
+        self.view_samples = Rows(device, [rule for _, *rule in _ROWS] * number, count)
         self.samples = Rows(device, [(0, 1, 0.5)] * 3, count)
-        self.arena = Arena(device, _buffers(given.sizes, views))
-        cl.enqueue_copy(device.queue, self.arena["cameras"],
-                        camera_table(given.cameras[0], given.cameras[1:], given.scene_scale))
-        cl.enqueue_copy(device.queue, self.arena["exposure"], exposure.neutral(views))
-        write(self.arena["depth"])
-        run_once(device.queue, project.before_steps(self))
-
-    def threshold(self, view: int) -> float:
-        """Depth threshold in context view `view`."""
-        return threshold_in(self.given, self.config, view)
+        self.buffers = ProbeBuffers.allocated(device, given.dimensions(config))
+        cl.enqueue_copy(device.queue, self.buffers.cameras, given.camera_table)
+        cl.enqueue_copy(device.queue, self.buffers.exposure, exposure.neutral(number))
+        write(self.buffers.depth)
+        run_once(device.queue, project.before_steps(self.programs, self.buffers, self.target, number))
 
     def read(self) -> ProbeResult:
         """Measure all context views."""
-        for view in range(1, 1 + len(self.contexts)):
-            run_once(self.device.queue, [*self.given.fetch(view), *project.nearest(self, view), *self.sample(view),
-                                         exposure.match(self, view)])
+        for view in self.views:
+            run_once(self.device.queue, [
+                *view.fetch(), *project.nearest(self.programs, self.buffers, view), *self.sample(view),
+                exposure.match(self.programs, self.buffers, view)])
         run_once(self.device.queue, self._judge())
-        image_noise = ImageNoise(self.device, self.given.photos[0], self.target)
+        image_noise = ImageNoise(self.device, self.target.photo, self.target.size)
         views, samples = self.view_samples.read().reshape(-1, len(_ROWS), 4), self.samples.read()
         specularity = np.empty((self.grid.down, self.grid.across), np.float32)
         cl.enqueue_copy(self.device.queue, specularity, self.samples.values, src_offset=8 * self.grid.count)
-        table = download(self.device, self.arena["exposure"], (1 + len(self.contexts), 2, 3))
+        table = download(self.device, self.buffers.exposure, (1 + len(self.views), 2, 3))
         return ProbeResult({name: views[:, row] for row, (name, *_) in enumerate(_ROWS)}, samples[0], samples[1],
                            table[1:].transpose(0, 2, 1).astype(np.float64), *image_noise.read(), self.grid.stride,
                            specularity)
 
-    def sample(self, view: int) -> list:
-        """Samples of context view `view`, by the nearest surfaces that arena["z_first"] holds for it."""
-        a, grid, given, low_pass = self.arena, self.grid, self.given, float(self.config.splatting.low_pass)
-        place = grid.stride, grid.across, grid.count
-        return [self._bind("sample_view", (grid.count,), a["depth"], a["cameras"], view, low_pass,
-                           float(self.threshold(view)), a["z_first"], given.photos[view], *place,
-                           self.view_samples.values),
-                self._bind("match_moved", (grid.count, _MOVES), a["depth"], a["depth_per_parallax"], a["cameras"], view,
-                           given.photos[0], given.photos[view], *place, self.view_samples.values, a["costs"]),
-                self._bind("judge_view", (grid.count,), a["costs"], a["cameras"], view, *place,
-                           self.view_samples.values, a["totals"])]
+    def sample(self, view) -> list:
+        """Samples of the context view, by the nearest surfaces that buffers.z_first holds for it."""
+        count, given = self.grid.count, {**self.grid.arguments, "values": self.view_samples.values}
+        return [self._bind("sample_view", (count,), view, **given),
+                self._bind("match_moved", (count, _MOVES), view, **given),
+                self._bind("judge_view", (count,), view, **given)]
 
     def _judge(self) -> list:
-        a, grid = self.arena, self.grid
-        return [exposure.fit(self),
-                self._bind("compare_colors", (grid.count, len(self.contexts)), a["matches"], a["exposure"], grid.across,
-                           grid.down, len(self.contexts), self.view_samples.values),
-                self._bind("judge_samples", (grid.count,), a["depth"], a["cameras"], a["totals"],
-                           self.view_samples.values, len(self.contexts), grid.stride, grid.across, grid.count,
-                           self.samples.values),
+        grid, given = self.grid, {"views": len(self.views), "values": self.view_samples.values}
+        return [exposure.fit(self.programs, self.buffers, self.views),
+                self._bind("compare_colors", (grid.count, len(self.views)), across=grid.across, down=grid.down,
+                           **given),
+                self._bind("judge_samples", (grid.count,), rows=self.samples.values, **given, **grid.arguments),
                 self.view_samples.summarize(), self.samples.summarize()]
 
-    def _bind(self, name: str, size, *arguments):
-        group = (64, 1) if len(size) == 2 else None          # rows are moves or views: none is added
-        return bind(build(self.device, "measure.cl", self.defines), name, size, group, *arguments)
+    def _bind(self, kernel: str, grid, view=None, **arguments):
+        group = (64, 1) if len(grid) == 2 else None          # rows are moves or views: none is added
+        return self.programs.bind("measure.cl", kernel, grid, self.buffers, view, group, **arguments)
 
     def release(self):
         """Give the buffers back."""
-        self.arena.release()
+        self.buffers.release()

@@ -1,12 +1,15 @@
-"""What changes the shape of the code, as compile-time defines: an effect that is off is not in the program at all."""
+"""What changes the shape of the code, as compile-time defines: an effect that is off is not in the program at all;
+and the programs that are compiled with them."""
 
 from __future__ import annotations
 
 from math import ceil, floor, log2
 
 from pagas_cl.config import Config
+from pagas_cl.runtime.program import Launch, bind, build
 from pagas_cl.scene.camera import Camera
-from pagas_cl.splat.tile import BOX_GROUP
+from pagas_cl.splat.constants import SHARED, define
+from pagas_cl.splat.tile import BOX_GROUP, choose_tiles, columns_of, row_grid, row_group
 
 SLOTS = 12                # candidates that a pixel sorts at a time (lists.clh)
 LIST_GROUP = (32, 4)      # work-items that do so side by side: 12 bytes a slot at most, 18 kB of local memory
@@ -59,9 +62,51 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
                "BOX_GROUP_W": BOX_GROUP[0], "BOX_GROUP_H": BOX_GROUP[1], "FIXED_BITS": fixed_bits(weight)}
     if config.solver.gradient_filter > 0:
         numbers["FILTER_RADIUS"] = config.solver.gradient_filter
-    numbers["RADIUS"] = f"{float(splatting.radius)!r}f"
+    numbers["RADIUS"] = float(splatting.radius)
     if loss.huber > 0:
-        numbers["HUBER"] = f"{float(loss.huber)!r}f"
+        numbers["HUBER"] = float(loss.huber)
     if loss.robust > 0:
-        numbers["ROBUST"] = f"{float(loss.robust)!r}f"       # 2.0f, 1e-06f: always a floating constant of C
-    return tuple(name for name, on in switches.items() if on) + tuple(f"{k}={v}" for k, v in numbers.items())
+        numbers["ROBUST"] = float(loss.robust)
+    return (*(name for name, on in switches.items() if on), *define(**numbers), *SHARED)
+
+
+class Programs:
+    """The kernels as `config` wants them on `device`, for images of `cameras`, the target first.
+
+    Attributes
+    ----------
+    defines : tuple of str
+        Of every kernel file.
+    more : dict of str to tuple of str
+        Further ones, by kernel file.
+    tiles : dict of str to Tile
+        How ssim.cl and loss.cl share an image.
+    """
+
+    def __init__(self, device, config: Config, cameras: list[Camera], more: dict | None = None):
+        self.device, self.config = device, config
+        self.defines = defines(config, device, heaviest_pixel(cameras[0]))
+        self.tiles = dict(zip(("ssim.cl", "loss.cl"), choose_tiles(device, [(c.width, c.height) for c in cameras])))
+        self.more = {**(more or {}), **{file: tile.defines for file, tile in self.tiles.items()}}
+        self._columns = columns_of(device, cameras[0].width)
+        self._settings = {"low_pass": config.splatting.low_pass, "relative": config.splatting.depth_relative}
+
+    def bind(self, file: str, kernel: str, grid, buffers, view=None, group=None, /, **arguments) -> Launch:
+        """A Launch of `kernel` of `file` over the work-items `grid`.
+
+        An argument that is not given is the buffer of its name, of `buffers` (buffers.py), or what `view` (a LevelView)
+        says of that name.
+        """
+        if file in self.tiles:
+            grid, group = self.tiles[file].grid(*grid), (self.tiles[file].group, 1)
+        return self._bind(file, self.more.get(file, ()), kernel, grid, group, buffers, view, arguments)
+
+    def bind_rows(self, file: str, kernel: str, buffers, view, /, **arguments) -> Launch:
+        """The same over the target's pixels, several of a row a work-item where the device likes it."""
+        more, columns = (f"COLUMNS={self._columns}",), self._columns
+        return self._bind(file, more, kernel, row_grid(view.target_size, columns), row_group(columns), buffers, view,
+                          arguments)
+
+    def _bind(self, file, more, kernel, grid, group, buffers, view, arguments) -> Launch:
+        known = {**self._settings, **vars(buffers), **(view.arguments if view else {})}
+        return bind(build(self.device, file, (*self.defines, *more)), kernel, grid, group, known, **arguments)

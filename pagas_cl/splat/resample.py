@@ -4,35 +4,33 @@ from __future__ import annotations
 
 import pyopencl as cl
 
-from pagas_cl.runtime.program import bind, build
+from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.splat.buffers import Size
 from pagas_cl.splat.options import defines
-from pagas_cl.splat.state import Size, photo_buffer
 
 
 class Resampler:
-    """Device to device: every result is a buffer of its own or goes into the one given."""
+    """Device to device: every result goes into the buffer given."""
 
     def __init__(self, device, config):
         self.device, self.program = device, build(device, "resample.cl", defines(config, device, 1.0))
 
-    def photo(self, source: cl.Buffer, size: Size, to: Size) -> cl.Buffer:
-        """`source` at the size `to`, by area averaging; `source` itself where nothing changes."""
-        if size == to:
-            return source
-        out = photo_buffer(self.device, to.pixels)
-        bind(self.program, "shrink_photo", to.grid, None, source, size.width, size.height, out, to.width,
-             to.height).enqueue(self.device.queue)
-        return out
+    def shrink_photo(self, source: cl.Buffer, size: Size, out: cl.Buffer, to: Size):
+        """By area averaging."""
+        self._run("shrink_photo", source, size, to, photo=out)
 
     def shrink_depth(self, source: cl.Buffer, size: Size, out: cl.Buffer, to: Size):
         """Mean of the valid depths that a coarser pixel covers."""
         if size == to:
             cl.enqueue_copy(self.device.queue, out, source, byte_count=4 * to.pixels)
         else:
-            bind(self.program, "shrink_depth", to.grid, None, source, size.width, size.height, out, to.width,
-                 to.height).enqueue(self.device.queue)
+            self._run("shrink_depth", source, size, to, depth=out)
 
     def enlarge_depth(self, source: cl.Buffer, size: Size, initial: cl.Buffer, out: cl.Buffer, to: Size):
         """Bilinear over valid neighbours; valid where `initial`, the initial depth at this size, is."""
-        bind(self.program, "enlarge_depth", to.grid, None, source, size.width, size.height, initial, out, to.width,
-             to.height).enqueue(self.device.queue)
+        self._run("enlarge_depth", source, size, to, full=initial, depth=out)
+
+    def _run(self, kernel: str, source: cl.Buffer, size: Size, to: Size, **buffers):
+        run_once(self.device.queue, [bind(
+            self.program, kernel, to.grid, source=source, source_width=size.width, source_height=size.height,
+            **to.extent, **buffers)])

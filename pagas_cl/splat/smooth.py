@@ -3,43 +3,31 @@
 from __future__ import annotations
 
 import numpy as np
-import pyopencl as cl
 
-from pagas_cl.runtime.program import bind, build
+from pagas_cl.runtime.program import Upload
+from pagas_cl.splat.buffers import SUM_GROUPS
+from pagas_cl.splat.constants import PENALTY_GROUP, SPECULAR_PLACE
 
-SPECULARITY = 0.007                        # residual (0 to 1) that the default weight allows for
 AROUND = 3                           # samples around a specular one that are not trusted either
-SUM_GROUP, SUM_GROUPS = 256, 64      # work-items of a group, as in smooth.cl, and groups that share the pixels
 
 
-def before_steps(level) -> list:
-    """Once a level: pixels of parallax per inverse depth, and the weight of each pixel by its texture."""
-    s = level.config.smoothness
+def before_steps(programs, buffers, target) -> list:
+    """Once a level: buffers.kappa, and buffers.weights, the weight of each pixel by its texture."""
+    s = programs.config.smoothness
     if s.kind == "none":
         return []
-    a, size = level.arena, level.target
-    texture = 1.0 if s.kind == "normal" else float(s.texture)
-    program = build(level.device, "smooth.cl", level.defines)
-    scale = bind(program, "smoothness_scale", size.grid, None, a["depth"], a["depth_per_parallax"],
-                 level.given.photos[0], size.width,
-                 size.height, texture, a["kappa"], a["weights"])
-    if _glossy(level):
-        cl.enqueue_copy(level.device.queue, a["raised"], factors_of(level.given.specularity, float(s.specularity)))
-    return [scale]
+    return [programs.bind("smooth.cl", "smoothness_scale", target.size.grid, buffers, target,
+                          texture=1.0 if s.kind == "normal" else s.texture)]
 
 
-def raising(level) -> list:
-    """Once a level, after `before_steps`: more weight where a surface is specular."""
-    a, size = level.arena, level.target
-    if not _glossy(level):
+def raising(programs, buffers, target, specularity) -> list:
+    """Once a level, after `before_steps`: more of buffers.weights where a surface is specular (LevelInput)."""
+    if buffers.raised is None or specularity is None:
         return []
-    return [bind(build(level.device, "smooth.cl", level.defines), "raise_weights", size.grid, None, a["raised"],
-                 *level.given.specularity.shape[::-1], *size.grid, a["weights"])]
-
-
-def _glossy(level) -> bool:
-    s = level.config.smoothness
-    return s.kind != "none" and s.specularity > 0 and level.given.specularity is not None
+    down, across = specularity.shape
+    return [Upload(buffers.raised, factors_of(specularity, float(programs.config.smoothness.specularity))),
+            programs.bind("smooth.cl", "raise_weights", target.size.grid, buffers, target, factors=buffers.raised,
+                          across=across, down=down)]
 
 
 def factors_of(specularity: np.ndarray, most: float) -> np.ndarray:
@@ -50,34 +38,24 @@ def factors_of(specularity: np.ndarray, most: float) -> np.ndarray:
     side = range(2 * AROUND + 1)
     largest = np.max([padded[y:y + specularity.shape[0], x:x + specularity.shape[1]] for y in side for x in side],
                      axis=0)
-    return np.clip((largest / SPECULARITY) ** 2, 1.0, most).astype(np.float32)
+    return np.clip((largest / SPECULAR_PLACE) ** 2, 1.0, most).astype(np.float32)
 
 
-def launches(level, weight: float) -> list:
-    """Add N dL_s/dd to arena["gradient"], and L_s to the loss where the schedule follows it; once a step."""
-    s, a, size = level.config.smoothness, level.arena, level.target
+def launches(programs, buffers, target, weight: float) -> list:
+    """Add N dL_s/dd to buffers.gradient, and L_s to the loss where the schedule follows it; once a step."""
+    s, size = programs.config.smoothness, target.size
     if s.kind == "none" or s.weight == 0:
         return []
-    program = build(level.device, "smooth.cl", level.defines)
-    if s.kind == "planar":
-        return [bind(program, "smoothness_planar", size.grid, None, a["depth"], a["kappa"], a["weights"], size.width,
-                     size.height, weight, float(s.huber), float(s.discontinuity), a["gradient"]), *_loss(level, weight)]
-    return [bind(program, "normal_map", size.grid, None, a["depth"], a["cameras"], a["normals"]),
-            bind(program, "normal_slope", size.grid, None, a["normals"], a["weights"], size.width, size.height,
-                 weight, a["slopes"]),
-            bind(program, "normal_vjp", size.grid, None, a["depth"], a["cameras"], a["slopes"], a["gradient"]),
-            *_loss(level, weight)]
 
+    def smooth(kernel, grid=size.grid, group=None, **arguments):
+        return programs.bind("smooth.cl", kernel, grid, buffers, target, group, **arguments)
 
-def _loss(level, weight: float) -> list:
-    """L_s to the schedule's loss."""
-    s, a, size = level.config.smoothness, level.arena, level.target
-    if "smooth_losses" not in a:
-        return []
-    program, grid = build(level.device, "smooth.cl", level.defines), (SUM_GROUPS * SUM_GROUP,)
-    shared = a["weights"], size.width, size.height
-    summed = (bind(program, "planar_loss", grid, (SUM_GROUP,), a["depth"], a["kappa"], *shared, float(s.huber),
-                   float(s.discontinuity), a["smooth_losses"]) if s.kind == "planar" else
-              bind(program, "normal_loss", grid, (SUM_GROUP,), a["normals"], *shared, a["smooth_losses"]))
-    return [summed, bind(build(level.device, "step.cl", level.defines), "add_smoothness", (1,), None,
-                         a["smooth_losses"], SUM_GROUPS, weight / size.pixels, a["state"])]
+    planar = {"h": s.huber, "discontinuity": s.discontinuity} if s.kind == "planar" else None
+    slopes = [smooth("smoothness_planar", scale=weight, **planar)] if planar else [
+        smooth("normal_map"), smooth("normal_slope", scale=weight), smooth("normal_vjp")]
+    if buffers.smooth_losses is None:
+        return slopes
+    return [*slopes, smooth("planar_loss" if planar else "normal_loss", (SUM_GROUPS * PENALTY_GROUP,), (PENALTY_GROUP,),
+                            partials=buffers.smooth_losses, **(planar or {})),
+            programs.bind("step.cl", "add_smoothness", (1,), buffers, partials=buffers.smooth_losses, count=SUM_GROUPS,
+                          scale=weight / size.pixels)]

@@ -1,72 +1,99 @@
-"""Launches of step.cl: Adam and its schedule (method section 6)."""
+"""Launches of step.cl, Adam and its schedule (method section 6); and progress that tells of steps when the device has
+done them, not when they are enqueued."""
 
 from __future__ import annotations
+
+from collections import deque
 
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.runtime.program import bind, build
+from pagas_cl.runtime.transfer import download
+from pagas_cl.splat.constants import BEST, DONE, LOSS, LOSS_ONE, RATE
 
 _LOOK_EVERY = 10          # steps between two looks of the host at the schedule
-_RATE, _BEST, _DONE, _LOSS = 0, 1, 3, 4
-LOSS_ONE = 2.0**40         # of the photos' loss, a whole number; as in step.cl
+AHEAD = 8          # steps that stay enqueued beyond the one that is told of: the device never waits for the host
 
 
-def loss_of(level) -> float:
+def loss_of(device, buffers) -> float:
     """What the schedule follows, of the gradient made last; it has to be followed (solver.patience)."""
-    return float(level.read("loss", 1, np.int64)[0] / LOSS_ONE + level.read("state", 8)[_LOSS])
-
-
-def loss_argument(level):
-    """Where the tiles of a view add their losses; None where the schedule does not follow them."""
-    return level.arena["loss"] if "loss" in level.arena else None
+    return float(download(device, buffers.loss, 1, np.int64)[0] / LOSS_ONE + download(device, buffers.state, 8)[LOSS])
 
 
 class Solver:
-    """Adam over arena["depth"]; the rate lives on the device, where the schedule changes it."""
+    """Adam over buffers.depth, of `size`; the rate lives on the device, where the schedule changes it.
 
-    def __init__(self, level):
-        self.level, a, solver = level, level.arena, level.config.solver
-        self.queue, self.patience = level.device.queue, solver.patience
+    `viewing_distance`: as LevelInput has it.
+    """
+
+    def __init__(self, programs, buffers, size, viewing_distance: float):
+        self.device, self.buffers, self.settings = programs.device, buffers, programs.config.solver
+        solver = self.settings
         state = np.zeros(8, np.float32)
-        state[_RATE], state[_BEST] = solver.rate, np.inf
-        cl.enqueue_copy(self.queue, a["state"], state)
-        program = build(level.device, "step.cl", level.defines)
-        common = level.given.viewing_distance if solver.rate_unit == "distance" else 0.0
-        n = level.target.pixels
-        self._adam = bind(program, "adam", (n,), None, a["depth"], a["gradient"], a["first"], a["second"],
-                         a["depth_per_parallax"],
-                          a["state"], n, 1.0, 1.0, float(solver.beta1), float(solver.beta2), float(solver.damping),
-                          float(common), 1.0)
-        if self.patience:
-            floor = solver.rate * solver.rate_floor * 0.999      # a rate that reaches the floor still counts
-            self._plateau = bind(program, "plateau", (1,), None, a["state"], a["loss"], a["history"], 1, self.patience,
-                                 float(floor))
+        state[RATE], state[BEST] = solver.rate, np.inf
+        cl.enqueue_copy(self.device.queue, buffers.state, state)
+        self._adam = programs.bind(
+            "step.cl", "adam", (size.pixels,), buffers, count=size.pixels, first_scale=1.0, second_scale=1.0,
+            beta1=solver.beta1, beta2=solver.beta2, damping=solver.damping, share=1.0,
+            common_length=viewing_distance if solver.rate_unit == "distance" else 0.0)
+        if solver.patience:
+            self._plateau = programs.bind(
+                "step.cl", "plateau", (1,), buffers, photo_loss=buffers.loss, number=1, patience=solver.patience,
+                floor_rate=solver.rate * solver.rate_floor * 0.999)      # a rate that reaches the floor still counts
 
     @property
     def launches(self) -> list:
         """Everything that ends a step."""
-        return [self._plateau, self._adam] if self.patience else [self._adam]
+        return [self._plateau, self._adam] if self.settings.patience else [self._adam]
 
     def enqueue(self, number: int, steps: int):
         """Step `number` (from 0) of `steps`; returns the event that ends it."""
-        if self.patience:
-            self._plateau.set_arg(3, np.int32(number + 1))
-            self._plateau.enqueue(self.queue)
-        settings = self.level.config.solver
-        corrections = (1 / (1 - beta ** (number + 1)) for beta in (settings.beta1, settings.beta2))
-        damping = settings.damping_at(number, steps)
-        for argument, value in zip((7, 8, 11, 13), (*corrections, damping, self._share(number, steps))):
-            self._adam.set_arg(argument, np.float32(value))
-        return self._adam.enqueue(self.queue)
+        settings = self.settings
+        if settings.patience:
+            self._plateau.set(number=number + 1)
+            self._plateau.enqueue(self.device.queue)
+        self._adam.set(first_scale=1 / (1 - settings.beta1 ** (number + 1)),
+                       second_scale=1 / (1 - settings.beta2 ** (number + 1)),
+                       damping=settings.damping_at(number, steps), share=self._share(number, steps))
+        return self._adam.enqueue(self.device.queue)
 
     def _share(self, number: int, steps: int) -> float:
         """Of the rate, at step `number`: 1 over the first half, then linearly down to final_rate."""
         late = max(0.0, 2 * (number + 1) / steps - 1)
-        return 1 + late * (self.level.config.solver.final_rate - 1)
+        return 1 + late * (self.settings.final_rate - 1)
 
     def finished(self, number: int) -> bool:
         """Whether the schedule has ended the level; asked only every few steps, since it waits for the device."""
-        if not self.patience or (number + 1) % _LOOK_EVERY:
+        if not self.settings.patience or (number + 1) % _LOOK_EVERY:
             return False
-        return bool(self.level.read("state", 8)[_DONE])
+        return bool(download(self.device, self.buffers.state, 8)[DONE])
+
+
+class StepProgress:
+    """Calls `progress(done, total)` after each step; does nothing where that is None.
+
+    Parameters
+    ----------
+    progress : callable of (done, total), or None
+    total : int
+    """
+
+    def __init__(self, progress, total: int):
+        self.progress, self.total, self._under_way = progress, total, deque()
+
+    def enqueued(self, number: int, event):
+        """Step `number` (from 1) was; `event` ends it."""
+        if self.progress:
+            self._under_way.append((number, event))
+        while len(self._under_way) > AHEAD:
+            self._wait()
+
+    def finish(self):
+        """Wait for the last ones."""
+        while self._under_way:
+            self._wait()
+
+    def _wait(self):
+        number, event = self._under_way.popleft()
+        event.wait()
+        self.progress(number, self.total)

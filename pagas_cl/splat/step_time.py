@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.splat.state import PhotoStore
+from pagas_cl.splat.level import Schedule
+from pagas_cl.splat.photos import PhotoStore
 from pagas_cl.splat.view import full_level
 
 _ROUNDS = 3
@@ -32,14 +33,13 @@ def time_step(target, contexts, depth: np.ndarray, config: Config, device, photo
     # a level has room for the losses of as many steps as it is made for
     config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,))
     level = full_level(target, contexts, depth, config, device, photos)
-    level.config = level.config.with_settings(loss__exposure=False)      # fits are a few of all steps, not of these
-    best = np.inf
+    best, settled = np.inf, Schedule.of(config, steps).settled        # fits are a few of all steps, not of these
     for _ in range(1 + _ROUNDS):          # the first one compiles
         device.queue.finish()
         start = time.perf_counter()
-        level.run(steps)
+        level.run(steps, schedule=settled)
         device.queue.finish()
         best = min(best, time.perf_counter() - start)
-    needed = level.arena.nbytes
+    needed = sum(buffer.size for buffer in level.buffers.held())
     level.release()
     return StepTime(best / steps, needed)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-HALO = 10                 # as in window.clh
-MARGIN = 16
+from pagas_cl.splat.constants import HALO
+
 BOX_GROUP = (32, 8)       # work-items that collect in local memory what falls into the same pixels (box.clh)
 
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.runtime.transfer import download, upload
-from pagas_cl.scene.scene_scale import scene_scale_of
+from pagas_cl.scene.sampling import scene_scale_of
+from pagas_cl.splat.constants import SHARED
 
 _NONE_YET = np.array([np.inf, 0], np.float32)
 
@@ -43,8 +44,9 @@ class NormalizedDepth:
         visible = None if mask is None else upload(device, mask.astype(bool, copy=False))
         bounds = upload(device, _NONE_YET)
         run_once(device.queue, [
-            bind(build(device, "units.cl"), "normalize_depth", (depth.size,), None, self.given, visible, depth.size,
-                 self._device_scale(), int(doubles), self.buffer, bounds)])
+            bind(build(device, "units.cl", SHARED), "normalize_depth", (depth.size,), given=self.given, visible=visible,
+                 count=depth.size, scene_scale=self._device_scale(), scaled=int(doubles), depth=self.buffer,
+                 bounds=bounds)])
         nearest, farthest = download(device, bounds, 2)
         self.depth_range = max(0.0, float(farthest - nearest))
         for buffer in filter(None, (visible, bounds)):
@@ -58,8 +60,9 @@ class NormalizedDepth:
         """
         n = shape[0] * shape[1]
         run_once(self._device.queue, [
-            bind(build(self._device, "units.cl"), "denormalize_depth", (n,), None, self.given, n, self._device_scale(),
-                 refined, parallax, status, deviation)])
+            bind(build(self._device, "units.cl", SHARED), "denormalize_depth", (n,), given=self.given, count=n,
+                 scene_scale=self._device_scale(), depth=refined, parallax=parallax, status=status,
+                 deviation=deviation)])
         return tuple(download(self._device, buffer, shape, dtype) for buffer, dtype in (
             (refined, np.float32), (parallax, np.float32), (deviation, np.float32), (status, np.uint8)))
 

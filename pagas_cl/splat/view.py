@@ -9,13 +9,14 @@ import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.scene.rig import viewing_distance
-from pagas_cl.splat.budget import FOR_EVIDENCE, plan_for
+from pagas_cl.splat.budget import plan_for
+from pagas_cl.splat.buffers import Size, level_size
 from pagas_cl.splat.evidence import Evidence, EvidencePrior
-from pagas_cl.splat.level import Level, LevelInput
+from pagas_cl.splat.inputs import LevelInput
+from pagas_cl.splat.level import Level
 from pagas_cl.splat.measure import Probe
+from pagas_cl.splat.photos import PhotoStore, StreamedPhotos
 from pagas_cl.splat.resample import Resampler
-from pagas_cl.splat.state import PhotoStore, Size, level_size
-from pagas_cl.splat.streamed import StreamedPhotos
 from pagas_cl.splat.units import NormalizedDepth
 
 
@@ -98,14 +99,12 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
                specularity=measured.local_specularity if measured else None)
     before, done, losses = None, [], []
     for number, (scale, steps) in enumerate(zip(config.pyramid.scales, config.pyramid.steps)):
-        level = Level(device, config, run.at(scale))
-        level.prepare(run.initial_writer(level))
-        level.start(run.start_writer(level, before))
+        level = run.level(scale, before)
         done.append(level.run(steps, _of_all(progress, config.pyramid.steps, number)))
-        if "history" in level.arena:
-            losses += level.read("history", level.arena.specs["history"].shape)[:done[-1]].tolist()
+        if level.buffers.history is not None:
+            losses += level.read("history", max(config.pyramid.steps))[:done[-1]].tolist()
         if scale < 1:
-            before = level.arena.take("depth"), level.target
+            before = level.buffers.take("depth"), level.target.size
             level.release()
             del level            # its photos too, before those of the next one
     if progress and done[-1] < steps:                # the schedule has ended it
@@ -120,11 +119,7 @@ def _of_all(progress, steps: tuple[int, ...], level: int):
 
 def full_level(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None) -> Level:
     """The full-size level, ready for its first step from the initial depth."""
-    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device))
-    level = Level(device, config, run.at(1.0))
-    level.prepare(run.initial_writer(level))
-    level.start(run.start_writer(level, None))
-    return level
+    return _Run(target, contexts, depth, config, device, photos or PhotoStore(device)).level(1.0)
 
 
 def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
@@ -165,31 +160,28 @@ class _Run:
         """The initial depth at `size`."""
         self.resampler.shrink_depth(self.normalized.buffer, self.full, out, size)
 
-    def initial_writer(self, level: Level):
-        return lambda out: self.write_initial(out, level.target)
-
-    def start_writer(self, level: Level, before: tuple[cl.Buffer, Size] | None):
-        """`before`: depth of the level before, and its size."""
-        if before is None:
-            return lambda out: None
-
-        def write(out):
-            at_size = self.device.memory.buffer(self.device.context, 4 * level.target.pixels)
-            self.write_initial(at_size, level.target)
-            self.resampler.enlarge_depth(*before, at_size, out, level.target)
-
-        return write
+    def level(self, scale: float, before: tuple[cl.Buffer, Size] | None = None) -> Level:
+        """The level at `scale`, ready for its first step from the initial depth, or from that of the level `before`, of
+        its size."""
+        level = Level(self.device, self.config, self.at(scale))
+        out, size = level.buffers.depth, level.target.size
+        self.write_initial(out, size)
+        level.prepare()
+        if before is not None:
+            at_size = self.device.memory.buffer(self.device.context, 4 * size.pixels)
+            self.write_initial(at_size, size)
+            self.resampler.enlarge_depth(*before, at_size, out, size)
+        level.start()
+        return level
 
     def finish(self, level: Level, prior: EvidencePrior, steps, losses, planned: int) -> Refinement:
-        level.release(keep=FOR_EVIDENCE)
-        initial = self.normalized.buffer
-        contexts = Evidence(level, range(1, len(self.views)), initial, prior)
-        held_out = [Evidence(level, [len(self.views) + k], initial, prior) for k in range(len(self.held_out))]
+        programs, buffers, initial = level.programs, level.hand_over(), self.normalized.buffer
+        contexts, held_out = Evidence(programs, buffers, level.views, initial, prior), [
+            Evidence(programs, buffers, [view], initial, prior) for view in level.judges]
         decision = contexts.decide(held_out)
         depth, parallax, deviation, status = self.normalized.denormalize(
-            level.arena["depth"], level.arena["depth_per_parallax"], decision.status, decision.deviation,
-            self.depth.shape)
-        for held in (level, contexts, decision, self.normalized):
+            buffers.depth, buffers.depth_per_parallax, decision.status, decision.deviation, self.depth.shape)
+        for held in (buffers, contexts, decision, self.normalized):
             held.release()
         return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out, steps, losses,
                           self.device.memory.peak, planned)

@@ -49,7 +49,7 @@ def _plane_error(shift: float) -> float:
     slope = np.stack([x, y, np.ones_like(x)], -1) @ (_TILT @ _NORMAL)
     depth = (-np.dot(_NORMAL, center) / slope).astype(np.float32)
     K = np.array([[focal, 0, cx + shift], [0, focal, cy + shift], [0, 0, 1]])
-    grid = Grid(voxel=0.04, truncation=4.0, blocks=200, depth_max=10.0, colour=False, open3d=o3d)
+    grid = Grid(voxel=0.04, truncation=4.0, blocks=200, depth_max=10.0, colour=False)
     grid.integrate(grid.touched(depth, K, pose), depth, None, K, pose)
     vertices = grid.extract(0.5)[0]
     if len(vertices) < 50:

@@ -8,7 +8,7 @@ by what the refined depth maps say against the initial ones, so that the mesh's 
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,17 +25,9 @@ _STEPS = 3       # Newton steps along the normal; one is exact on a plane
 
 @dataclass(frozen=True, eq=False)
 class Displacement:
-    """Where the vertices go.
-
-    Attributes
-    ----------
-    vertices : ndarray of shape (V, 3), float64
-    moved : ndarray of shape (V,), bool
-        False: fewer views than asked for agreed, or a triangle would have turned over; the vertex stayed.
-    agreeing : ndarray of shape (V,), int
-        Views that agreed.
-    quality : ndarray of shape (V,), float64
-        Mean confidence (0 to 1) of the agreeing views; 0 where the vertex stayed.
+    """Where the vertices go: vertices (V, 3), float64; which have moved (V,), the others having too few views that
+    agree, or a triangle that would turn over; views that agree (V,); quality (V,), the mean confidence (0 to 1) of
+    those, 0 where the vertex stayed.
     """
 
     vertices: np.ndarray = field(repr=False)
@@ -46,16 +38,13 @@ class Displacement:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """A view's initial and refined depth, and how far to trust the latter; arrays (H, W), 0 = no surface.
-
-    `parallax`: depth that moves a pixel by one pixel in the context views; `confidence`: 0 to 1.
-    """
+    """A view's initial and refined depth, and how far to trust the latter; arrays (H, W), 0 = no surface."""
 
     camera: Camera
     initial: np.ndarray = field(repr=False)
     refined: np.ndarray = field(repr=False)
-    parallax: np.ndarray = field(repr=False)
-    confidence: np.ndarray = field(repr=False)
+    parallax: np.ndarray = field(repr=False)    # depth that moves a pixel by one pixel in the context views
+    confidence: np.ndarray = field(repr=False)  # 0 to 1
 
 
 def displace(surface: Surface, views: list[Observed], *, agree_views: int = 1,
@@ -70,47 +59,22 @@ def displace(surface: Surface, views: list[Observed], *, agree_views: int = 1,
         What "confirmed" means: the moves differ by no more than this many pixels of parallax.
     """
     points, welded = np.unique(surface.vertices, axis=0, return_inverse=True)
-    welded = welded.reshape(-1)
-    middle = points.mean(axis=0)
-    normals = _normals(points, welded[surface.faces])
-    moves = np.full((len(views), len(points)), np.nan)
-    trust, depth_per_parallax, sure = np.zeros_like(moves), np.zeros_like(moves), np.zeros_like(moves)
-    edge = _edge_length(points, welded[surface.faces])
+    welded, agree_views = welded.reshape(-1), max(1, agree_views)
+    faces, middle = welded[surface.faces], points.mean(axis=0)
+    local, normals, edge = points - middle, _normals(points, faces), _edge_length(points, faces)
+    said = np.zeros((4, len(views), len(points)))
     for row, view in enumerate(views):
-        seen, *said = _moves(points - middle, normals, _moved_camera(view.camera, middle), view, edge)
-        moves[row, seen], trust[row, seen], depth_per_parallax[row, seen], sure[row, seen] = said
-    along, agreeing, quality = _agreed(moves, trust, depth_per_parallax, sure, max(1, agree_views), agree_pixels)
-    along = _without_turning(points - middle, normals, along, welded[surface.faces])
+        pose = view.camera.world_to_camera.copy()  # around `middle`: keeps the digits far from the origin
+        pose[:3, 3] = pose[:3, :3] @ (middle - view.camera.center)
+        seen, *of_view = _moves(local, normals, replace(view.camera, world_to_camera=pose), view, edge)
+        said[:, row, seen] = of_view
+    along, agreeing, quality = _agreed(*said, agree_views, agree_pixels)
+    along = _without_turning(local, normals, along, faces)
     moved = along != 0
     log.info("displacement: %d of %d vertices moved, %d stayed (fewer than %d views agreed, or a triangle would have "
-             "turned over)", moved[welded].sum(), len(welded), (~moved[welded]).sum(), max(1, agree_views) + 1)
+             "turned over)", moved[welded].sum(), len(welded), (~moved[welded]).sum(), agree_views + 1)
     new = np.where(moved[:, None], points + along[:, None] * normals, points)
     return Displacement(new[welded], moved[welded], agreeing[welded], np.where(moved, quality, 0)[welded])
-
-
-def footprints(vertices: np.ndarray, cameras: list[Camera], depths: list[np.ndarray]) -> np.ndarray:
-    """Size of a pixel at each vertex in the view that sees it finest, scene units; infinite where no view does."""
-    finest = np.full(len(vertices), np.inf)
-    for camera, depth in zip(cameras, depths):
-        uv, z = camera.project(vertices)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            size = z / np.sqrt(camera.fx * camera.fy)
-            seen = (z > 0) & (uv >= 0).all(axis=1) & (uv < (camera.width, camera.height)).all(axis=1)
-        index = np.flatnonzero(seen)
-        place = uv[index].astype(np.intp)
-        near = np.abs(depth[place[:, 1], place[:, 0]] - z[index]) < 10 * _NEAR * size[index]
-        index = index[near]
-        finest[index] = np.minimum(finest[index], size[index])
-    return finest
-
-
-def _moved_camera(camera: Camera, middle: np.ndarray) -> Camera:
-    """The camera in a world whose origin is `middle`: keeps the digits where both are far from the origin."""
-    from dataclasses import replace
-
-    pose = camera.world_to_camera.copy()
-    pose[:3, 3] = pose[:3, :3] @ (middle - camera.center)
-    return replace(camera, world_to_camera=pose)
 
 
 def _normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -136,7 +100,7 @@ def _edge_length(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _moves(points, normals, camera: Camera, view: Observed, edge):
-    """(seen points, move along the normal, weight, one pixel of parallax as a move along the normal, confidence)."""
+    """Seen points; their move along the normal, its weight (0: no word), one pixel of parallax along it, confidence."""
     uv, z = camera.project(points)
     ray = points - camera.center
     size = np.abs(z) / np.sqrt(camera.fx * camera.fy)
@@ -148,7 +112,8 @@ def _moves(points, normals, camera: Camera, view: Observed, edge):
     before, good = _look_up(view.initial, uv[index], None)
     good &= np.abs(before - z[index]) < _NEAR * size[index] / np.abs(cosine[index])
     index, before = index[good], before[good]
-    cells = _cells(edge[index], size[index])  # a vertex stands for the area around it, not for one pixel
+    # a vertex stands for the area around it, so many pixels wide, and not for one pixel
+    cells = max(1, int(np.median(edge[index] / size[index]) / 2)) if len(index) else 1
     camera, initial, refined = _shrunk(camera, view, cells)
     jump = 2 * _NEAR * cells * size[index] / np.abs(cosine[index])
     slope = ((points[index] - camera.center) * normals[index]).sum(axis=1) / z[index]  # move along n per unit of depth
@@ -166,11 +131,6 @@ def _moves(points, normals, camera: Camera, view: Observed, edge):
     parallax = view.parallax[place[:, 1], place[:, 0]] * np.abs(slope)
     weight = confidence * np.square(cosine[index] / size[index])
     return index, move, np.where(parallax > 0, weight, 0), parallax, confidence
-
-
-def _cells(edge: np.ndarray, size: np.ndarray) -> int:
-    """Pixels along the side of the area that a vertex stands for."""
-    return max(1, int(np.median(edge / size) / 2)) if len(edge) else 1
 
 
 def _shrunk(camera: Camera, view: Observed, cells: int):
@@ -202,8 +162,8 @@ def _look_up(depth: np.ndarray, uv: np.ndarray, jump) -> tuple[np.ndarray, np.nd
 
 def _agreed(moves, trust, depth_per_parallax, sure, agree_views: int, agree_pixels: float):
     """Weighted mean of the moves near their median, where enough views are: (move, views, mean confidence)."""
-    said = np.isfinite(moves) & (trust > 0)
-    along, agreeing, quality = np.zeros(moves.shape[1]), np.zeros(moves.shape[1], np.int64), np.zeros(moves.shape[1])
+    said, count = trust > 0, moves.shape[1]
+    along, agreeing, quality = np.zeros(count), np.zeros(count, np.int64), np.zeros(count)
     index = np.flatnonzero(said.sum(axis=0) > agree_views)
     if not len(index):
         return along, agreeing, quality
@@ -214,7 +174,7 @@ def _agreed(moves, trust, depth_per_parallax, sure, agree_views: int, agree_pixe
     enough = count > agree_views
     weight = np.where(near, trust[:, index], 0)
     total = np.where(enough, weight.sum(axis=0), 1)
-    along[index] = np.where(enough, (weight * np.where(near, part, 0)).sum(axis=0) / total, 0)
+    along[index] = np.where(enough, (weight * part).sum(axis=0) / total, 0)
     agreeing[index] = count
     quality[index] = np.where(enough, (near * sure[:, index]).sum(axis=0) / np.maximum(count, 1), 0)
     return along, agreeing, quality

@@ -7,20 +7,20 @@ coordinates of 5e6 or units of 1e-6 cost nothing. Voxel, truncation and range co
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from pagas_cl.config import Fusion
-from pagas_cl.errors import InputError, need
+from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import clean_depth, load_depth
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
 from pagas_cl.surface.convention import grid_shift
 from pagas_cl.surface.grid import Grid, block_resolution
-from pagas_cl.surface.memory import available_mb
 from pagas_cl.surface.pieces import in_order, without_small_pieces
 
 log = logging.getLogger("pagas_cl")
@@ -28,43 +28,39 @@ log = logging.getLogger("pagas_cl")
 _VOXEL_BYTES = 20 * 1.1 + 16  # tsdf, weight, colour, with the grid's spare room; and what extracting the mesh adds
 _VERTEX_BYTES = 80            # a vertex and its two triangles as extracted (measured)
 _AFTER_BYTES = 300            # the same while it is cleaned and ordered, the grid gone (measured)
+_SURFACE_BYTES = 72           # the same in the mesh that comes out
 _VERTICES = 0.7               # vertices in a block, as a share of the voxels in one of its faces (measured)
 _FAR = 100.0                  # pixels wider than this many voxels make flecks, not a surface
 _WEIGHT_STEPS = 3             # Open3D integrates with weight 1; weights are made by integrating up to 3 times
+_KEYS_HELD = 1 << 21          # keys of blocks that are collected before doubles are dropped
 
 
 @dataclass(frozen=True, eq=False)
 class FusionPlan:
-    """What a fusion will do, known before it starts.
+    """What a fusion will do, known before it starts."""
 
-    Attributes
-    ----------
-    voxel : float
-        Scene units.
-    truncation : float
-        Scene units.
-    depth_range : (float, float)
-        Of all valid depths, scene units.
-    blocks : list of ndarray of shape (N, 3), int32
-        What each view touches; none for a view without depth.
-    block_count : int
-        Different blocks of all views together.
-    memory_mb : float
-        Host memory at the peak, without the photos and depth maps.
-    middle : ndarray of shape (3,), float64
-        World origin of the grid's frame.
-    grid_scale : float
-        Scene units of one unit of the grid.
-    """
+    settings: Fusion
+    voxel: float                        # scene units
+    depth_range: tuple[float, float]    # of all valid depths, scene units
+    middle: np.ndarray                  # (3,) float64: world origin of the grid's frame
+    grid_scale: float                   # scene units of one unit of the grid
+    blocks: Sequence[np.ndarray]        # for each view those that it touches, (N, 3) int32; none without depth
+    block_count: int = 0                # different blocks of all views together
 
-    voxel: float
-    truncation: float
-    depth_range: tuple[float, float]
-    blocks: list[np.ndarray]
-    block_count: int
-    memory_mb: float
-    middle: np.ndarray
-    grid_scale: float
+    @property
+    def truncation(self) -> float:
+        """Scene units."""
+        return self.settings.truncation * self.voxel
+
+    @property
+    def memory_mb(self) -> float:
+        """Host memory at the peak, without the photos and depth maps."""
+        return grid_mb(self.block_count, self.settings)
+
+    def grid(self, blocks: int, colour: bool = True) -> Grid:
+        """An empty grid with room for so many blocks."""
+        return Grid(self.voxel / self.grid_scale, self.settings.truncation, blocks,
+                    2 * self.depth_range[1] / self.grid_scale, colour)
 
     def __str__(self) -> str:
         return (f"fusion: voxel {self.voxel:.4g}, truncation {self.truncation:.4g}, depths {self.depth_range[0]:.4g} "
@@ -80,27 +76,42 @@ def fusion_plan(views, depths, settings: Fusion = Fusion()) -> FusionPlan:
     depths : list of (ndarray of shape (H, W), Path, or None)
         z-depth, 0 = no surface; paths are read when they are needed.
     """
-    o3d = need("open3d", "mesh", "fusing depth maps to a mesh")
+    return plan_with_blocks(views, depths, settings, [])[0]
+
+
+def plan_with_blocks(views, depths, settings: Fusion, of_views) -> tuple[FusionPlan, np.ndarray]:
+    """`fusion_plan`, and all different blocks: int32 of shape (N, 3). Those of each view are appended to `of_views`."""
     cameras = [view.camera if isinstance(view, View) else view for view in views]
     if len(cameras) != len(depths):
         raise InputError(f"there are {len(cameras)} views and {len(depths)} depth maps, expected one each")
     footprint, grid_scale, middle, low, high = _measured(cameras, depths)
-    voxel = settings.voxel * footprint
-    grid = Grid(voxel / grid_scale, settings.truncation, 1, 2 * high / grid_scale, False, o3d)
-    far = _FAR * voxel
-    blocks, keys = [], np.zeros(0, np.int64)
+    plan = FusionPlan(settings, settings.voxel * footprint, (low, high), middle, grid_scale, of_views)
+    grid, union = plan.grid(1, colour=False), _Union()
     for camera, depth in zip(cameras, depths):
-        depth = _depth(camera, depth, far, grid_scale)
-        wide = depth is not None and depth.max() * grid_scale / camera.fx > 2 * voxel
-        blocks.append(np.zeros((0, 3), np.int32) if depth is None
-                      else grid.touched(depth, _intrinsics(camera), _pose(camera, middle, grid_scale),
-                                        every=bool(wide)))
-        keys = np.union1d(keys, _keys(blocks[-1]))
-    count = len(keys)
-    edge = block_resolution(settings.truncation)
-    vertices = count * edge**2 * _VERTICES
-    memory = max(count * edge**3 * _VOXEL_BYTES + vertices * _VERTEX_BYTES, vertices * _AFTER_BYTES) / 1e6
-    return FusionPlan(voxel, settings.truncation * voxel, (low, high), blocks, count, memory, middle, grid_scale)
+        depth, blocks = _in_grid(plan, camera, depth), np.zeros((0, 3), np.int32)
+        if depth is not None:
+            wide = bool(depth.max() * grid_scale / camera.fx > 2 * plan.voxel)
+            blocks = grid.touched(depth, _intrinsics(camera), _pose(plan, camera), every=wide)
+        of_views.append(blocks)
+        union.add(blocks)
+    blocks = union.blocks()
+    return replace(plan, block_count=len(blocks)), blocks
+
+
+def grid_mb(blocks: int, settings: Fusion) -> float:
+    """Host memory of fusing so many blocks in one grid, MB."""
+    vertices = _vertices(blocks, settings)
+    grid = blocks * block_resolution(settings.truncation)**3 * _VOXEL_BYTES + vertices * _VERTEX_BYTES
+    return max(grid, vertices * _AFTER_BYTES) / 1e6
+
+
+def mesh_mb(plan: FusionPlan) -> float:
+    """Host memory of the mesh that comes out, MB."""
+    return _vertices(plan.block_count, plan.settings) * _SURFACE_BYTES / 1e6
+
+
+def _vertices(blocks: int, settings: Fusion) -> float:
+    return blocks * block_resolution(settings.truncation)**2 * _VERTICES
 
 
 def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, progress=None, *,
@@ -118,7 +129,7 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
         a depth of weight 2/3 is integrated twice, so that `min_views` then counts thirds.
     progress : callable(stage, done, total), optional
     plan : FusionPlan, optional
-        From `fusion_plan`, so that it is not made twice.
+        From `fusion_plan` with these settings, so that it is not made twice.
     memory_mb : float, optional
         Most host memory; what the machine has free where it is left out.
 
@@ -129,85 +140,130 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
     """
     plan = plan or fusion_plan(views, depths, settings)
     log.info("%s", plan)
-    _check_memory(plan, settings, memory_mb)
-    grid = Grid(plan.voxel / plan.grid_scale, settings.truncation, plan.block_count,
-                2 * plan.depth_range[1] / plan.grid_scale,
-                True, need("open3d", "mesh", "fusing depth maps to a mesh"))
+    _check_memory(plan, available_mb() if memory_mb is None else memory_mb)
+    tell, grid = progress or (lambda stage, done, total: None), plan.grid(plan.block_count)
     for i, view in enumerate(views):
-        _integrate(grid, plan, i, view, depths[i], None if weights is None else weights[i])
-        if progress:
-            progress("fuse", i + 1, len(views))
-    tell = (lambda done: progress("extract the mesh", done, 2)) if progress else (lambda done: None)
-    tell(0)
-    seen = grid.seen()
-    log.info("fusion: voxels seen by 1, 2, 3, more views: %s", ", ".join(map(str, seen)))
-    extracted = grid.extract(settings.min_views - 0.5)
+        integrate(grid, plan, plan.blocks[i], view, depths[i], None if weights is None else weights[i])
+        tell("fuse", i + 1, len(views))
+    tell("extract the mesh", 0, 2)
+    seen = f"voxels seen by 1, 2, 3, more views: {', '.join(map(str, grid.seen()))}"
+    log.info("fusion: %s", seen)
+    vertices, faces, normals, colours = grid.extract(settings.min_views - 0.5)
     del grid  # cleaning the mesh takes memory of its own
-    tell(1)
-    surface = _mesh(extracted, plan, settings, seen)
-    tell(2)
+    tell("extract the mesh", 1, 2)
+    if len(faces) == 0:
+        raise empty_mesh(plan, f" {seen};")
+    keep, faces, dropped = without_small_pieces(faces, len(vertices), settings.min_component)
+    tell_dropped(dropped, settings)
+    first, faces = in_order(vertices[keep], normals[keep], faces)
+    keep = keep[first]
+    vertices, normals, colours = in_world(plan, vertices[keep], normals[keep], colours[keep])
+    surface = Surface(vertices, faces, normals, colours)
+    tell("extract the mesh", 2, 2)
     return surface
 
 
-def _integrate(grid: Grid, plan: FusionPlan, index: int, view: View, depth, weight) -> None:
-    depth = _depth(view.camera, depth, _FAR * plan.voxel, plan.grid_scale)
+def integrate(grid: Grid, plan: FusionPlan, blocks: np.ndarray, view: View, depth, weight) -> None:
+    """Add a view to `blocks` of the grid; a depth map that is None, or holds no depth, adds nothing."""
+    depth = _in_grid(plan, view.camera, depth)
     if depth is None:
         return
     colour = view.load_image().astype(np.float32) / 255
     for share in _shares(depth, weight, view.name):
-        grid.integrate(plan.blocks[index], share, colour, _intrinsics(view.camera),
-                       _pose(view.camera, plan.middle, plan.grid_scale))
+        grid.integrate(blocks, share, colour, _intrinsics(view.camera), _pose(plan, view.camera))
 
 
-def _mesh(extracted, plan: FusionPlan, settings: Fusion, seen: np.ndarray) -> Surface:
-    vertices, faces, normals, colours = extracted
-    if len(faces) == 0:
-        raise InputError(f"fused mesh is empty: depths {plan.depth_range[0]:.4g} to {plan.depth_range[1]:.4g}, voxel "
-                         f"{plan.voxel:.4g}, truncation {plan.truncation:.4g}, fusion.min_views {settings.min_views}; "
-                         f"voxels seen by 1, 2, 3, more views: {', '.join(map(str, seen))}; lower fusion.min_views, or "
-                         f"change fusion.voxel (it is {settings.voxel:g})")
-    keep, faces, dropped = without_small_pieces(faces, len(vertices), settings.min_component)
-    if dropped:
-        log.info("fusion: %d pieces with fewer than %g of the largest one's triangles are dropped", dropped,
+def in_world(plan: FusionPlan, vertices, normals, colours):
+    """What a grid gave in world coordinates (float64), with unit normals and colours from 0 to 1."""
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return (vertices.astype(np.float64) * plan.grid_scale + plan.middle, normals / np.where(length > 0, length, 1),
+            np.clip(colours, 0, 1))
+
+
+def empty_mesh(plan: FusionPlan, seen: str = "") -> InputError:
+    """The error to raise where no triangle came out; `seen` says how many views saw the voxels."""
+    low, high = plan.depth_range
+    return InputError(f"fused mesh is empty: depths {low:.4g} to {high:.4g}, voxel {plan.voxel:.4g}, truncation "
+                      f"{plan.truncation:.4g}, fusion.min_views {plan.settings.min_views};{seen} lower "
+                      f"fusion.min_views, or change fusion.voxel (it is {plan.settings.voxel:g})")
+
+
+def tell_dropped(pieces: int, settings: Fusion) -> None:
+    """Log how many pieces were too small."""
+    if pieces:
+        log.info("fusion: %d pieces with fewer than %g of the largest one's triangles are dropped", pieces,
                  settings.min_component)
-    first, faces = in_order(vertices[keep], normals[keep], faces)
-    keep = keep[first]
-    length = np.linalg.norm(normals[keep], axis=1, keepdims=True)
-    return Surface(vertices[keep].astype(np.float64) * plan.grid_scale + plan.middle, faces,
-                   normals[keep] / np.where(length > 0, length, 1),
-                   None if colours is None else np.clip(colours[keep], 0, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Weight:
+    """The confidence of a DepthResult, at least `least`: an array (H, W) that is made when NumPy asks for it."""
+
+    result: object
+    least: float
+
+    def __array__(self, dtype=None, copy=None) -> np.ndarray:
+        return np.maximum(self.result.confidence, self.least).astype(dtype or np.float32, copy=False)
+
+
+def weights_of(results, least: float) -> list[_Weight] | None:
+    """Weights for `fuse`: depths count as far as they are sure, at least `least`; None where all count alike."""
+    return None if least == 1 else [_Weight(result, least) for result in results]
+
+
+def available_mb() -> float:
+    """Host memory that can be taken without swapping, MB: the least of what the system and the container allow.
+
+    Infinite where neither says (neither /proc nor cgroup version 2).
+    """
+    found = [float("inf")]
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                found.append(float(line.split()[1]) * 1024 / 1e6)
+        limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
+        if limit != "max":
+            found.append((float(limit) - float(Path("/sys/fs/cgroup/memory.current").read_text())) / 1e6)
+    except (OSError, ValueError, IndexError):
+        pass
+    return max(min(found), 1.0)
+
+
+def _check_memory(plan: FusionPlan, allowed: float) -> None:
+    if plan.memory_mb > allowed:
+        voxel = plan.settings.voxel
+        fits = voxel * np.sqrt(plan.memory_mb / allowed) * 1.05
+        raise InputError(f"fusion needs {plan.memory_mb:.0f} MB and {allowed:.0f} MB are free: set fusion.voxel to "
+                         f"{fits:.2g} (it is {voxel:g}), or give the machine more memory")
 
 
 def _measured(cameras: list[Camera], depths) -> tuple[float, float, np.ndarray, float, float]:
     """Median footprint, median depth, middle of the points, least and largest depth, from up to 4000 pixels a view."""
-    footprints, all_depths, points = [], [], []
+    footprints, samples, points, lows, highs = [], [], [], [], []
     for camera, depth in zip(cameras, depths):
-        depth = _whole(camera, depth)
-        if depth is None:
+        depth = _clean(camera, depth)
+        if depth is None or not (depth > 0).any():
             continue
         step = max(1, int(np.sqrt(depth.size / 4000)))
-        rows, columns = np.nonzero(depth[::step, ::step] > 0)
-        if len(rows) == 0:
-            rows, columns = np.nonzero(depth > 0)
+        if not (depth[::step, ::step] > 0).any():
             step = 1
-        if len(rows) == 0:
-            continue
-        rows, columns = rows * step, columns * step
+        rows, columns = step * np.array(np.nonzero(depth[::step, ::step] > 0))
         z = depth[rows, columns].astype(np.float64)
         rays = np.stack([(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy,
                          np.ones(len(z))], -1)
         points.append(np.median(rays * z[:, None], axis=0) @ camera.world_to_camera[:3, :3] + camera.center)
         footprints.append(z / np.sqrt(camera.fx * camera.fy))
-        all_depths.append((z, depth[depth > 0].min(), depth.max()))
+        samples.append(z)
+        lows.append(depth[depth > 0].min())
+        highs.append(depth.max())
     if not points:
         raise InputError(f"none of the {len(cameras)} depth maps has a valid depth (finite and above 0): nothing to "
                          "fuse")
-    grid_scale = float(np.median(np.concatenate([z for z, _, _ in all_depths])))
-    return (float(np.median(np.concatenate(footprints))), grid_scale, np.median(points, axis=0),
-            float(min(low for _, low, _ in all_depths)), float(max(high for _, _, high in all_depths)))
+    return (float(np.median(np.concatenate(footprints))), float(np.median(np.concatenate(samples))),
+            np.median(points, axis=0), float(min(lows)), float(max(highs)))
 
 
-def _whole(camera: Camera, depth) -> np.ndarray | None:
+def _clean(camera: Camera, depth) -> np.ndarray | None:
     """The depth map at the camera's size, clean, scene units."""
     if depth is None:
         return None
@@ -220,12 +276,12 @@ def _whole(camera: Camera, depth) -> np.ndarray | None:
     return depth
 
 
-def _depth(camera: Camera, depth, far: float, grid_scale: float) -> np.ndarray | None:
-    """The same in the grid's unit, without pixels so far away that they are wider than `far`; None if none is left."""
-    depth = _whole(camera, depth)
+def _in_grid(plan: FusionPlan, camera: Camera, depth) -> np.ndarray | None:
+    """The same in the grid's unit, without pixels so far away that they are too wide; None if none is left."""
+    depth, far = _clean(camera, depth), _FAR * plan.voxel * min(camera.fx, camera.fy)
     if depth is None:
         return None
-    depth = np.where(depth < far * min(camera.fx, camera.fy), depth * np.float32(1 / grid_scale), np.float32(0))
+    depth = np.where(depth < far, depth * np.float32(1 / plan.grid_scale), np.float32(0))
     return depth if (depth > 0).any() else None
 
 
@@ -235,17 +291,12 @@ def _intrinsics(camera: Camera) -> np.ndarray:
     return K
 
 
-def _pose(camera: Camera, middle: np.ndarray, grid_scale: float) -> np.ndarray:
+def _pose(plan: FusionPlan, camera: Camera) -> np.ndarray:
     """World-to-camera for the grid's frame; places are subtracted before the product, to keep their digits."""
     pose = np.eye(4)
     pose[:3, :3] = camera.world_to_camera[:3, :3]
-    pose[:3, 3] = pose[:3, :3] @ ((middle - camera.center) / grid_scale)
+    pose[:3, 3] = pose[:3, :3] @ ((plan.middle - camera.center) / plan.grid_scale)
     return pose
-
-
-def _keys(blocks: np.ndarray) -> np.ndarray:
-    part = blocks.astype(np.int64) + (1 << 20)
-    return (part[:, 0] << 42) | (part[:, 1] << 21) | part[:, 2]
 
 
 def _shares(depth: np.ndarray, weight, name: str):
@@ -262,9 +313,24 @@ def _shares(depth: np.ndarray, weight, name: str):
             yield share
 
 
-def _check_memory(plan: FusionPlan, settings: Fusion, memory_mb: float | None) -> None:
-    allowed = available_mb() if memory_mb is None else memory_mb
-    if plan.memory_mb > allowed:
-        fits = settings.voxel * np.sqrt(plan.memory_mb / allowed) * 1.05
-        raise InputError(f"fusion needs {plan.memory_mb:.0f} MB and {allowed:.0f} MB are free: set fusion.voxel to "
-                         f"{fits:.2g} (it is {settings.voxel:g}), or give the machine more memory")
+class _Union:
+    """Different blocks of many views; doubles are dropped now and then, so that memory follows the surface."""
+
+    def __init__(self):
+        self._keys, self._waiting, self._held = np.zeros(0, np.int64), [], 0
+
+    def add(self, blocks: np.ndarray) -> None:
+        part = blocks.astype(np.int64) + (1 << 20)
+        self._waiting.append((part[:, 0] << 42) | (part[:, 1] << 21) | part[:, 2])
+        self._held += len(blocks)
+        if self._held > max(_KEYS_HELD, len(self._keys) // 2):
+            self._merge()
+
+    def blocks(self) -> np.ndarray:
+        self._merge()
+        parts = [((self._keys >> shift) & ((1 << 21) - 1)) - (1 << 20) for shift in (42, 21, 0)]
+        return np.stack(parts, axis=1).astype(np.int32)
+
+    def _merge(self) -> None:
+        self._keys = np.unique(np.concatenate([self._keys, *self._waiting]))
+        self._waiting, self._held = [], 0

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pagas_cl.errors import need
+
 _STRIDE = 4      # Open3D looks at every fourth pixel of every fourth row when it touches blocks (measured)
 # One look in each row and column of a 4 x 4 cell, so that a line one pixel wide is touched too.
 _FEW = ((0, 1), (1, 3), (2, 0), (3, 2))
@@ -21,23 +23,14 @@ def block_resolution(truncation: float) -> int:
 
 
 class Grid:
-    """A sparse TSDF; lengths in the grid's own unit.
+    """A sparse TSDF with room for so many blocks, with colours or without.
 
-    Parameters
-    ----------
-    voxel : float
-        Edge of a voxel.
-    truncation : float
-        In voxels.
-    blocks : int
-        How many blocks to make room for.
-    depth_max : float
-        Above every depth that will come.
-    colour : bool
-        Whether colours are fused too.
+    `voxel` is a voxel's edge and `depth_max` above every depth that will come, both in the grid's own unit;
+    `truncation` is in voxels.
     """
 
-    def __init__(self, voxel: float, truncation: float, blocks: int, depth_max: float, colour: bool, open3d):
+    def __init__(self, voxel: float, truncation: float, blocks: int, depth_max: float, colour: bool):
+        open3d = need("open3d", "mesh", "fusing depth maps to a mesh")
         self._o3c, self._geometry = open3d.core, open3d.t.geometry
         names, channels = ("tsdf", "weight", "color"), ((1), (1), (3))
         used = 3 if colour else 2
@@ -73,26 +66,21 @@ class Grid:
         it together (measured).
         """
         K, pose = self._o3c.Tensor(K), self._o3c.Tensor(np.array(pose))
-        images = [self._image(depth[..., None])]
-        intrinsics = [K]
-        if colour is not None:
-            images.append(self._image(colour))
-            intrinsics.append(K)
+        images = [self._image(image) for image in (depth[..., None], colour) if image is not None]
         for start in range(0, len(blocks), self._room):
             part = self._o3c.Tensor(np.ascontiguousarray(blocks[start:start + self._room]))
-            self._grid.integrate(part, *images, *intrinsics, pose, *self._range)
+            self._grid.integrate(part, *images, *[K] * len(images), pose, *self._range)
 
     def extract(self, threshold: float):
         """Vertices (V, 3), faces (F, 3), normals (V, 3), colours (V, 3) or None, of voxels whose weight is above
         `threshold`; empty arrays where there is no surface."""
-        if self._grid.hashmap().size() == 0:
+        mesh = None
+        if self._grid.hashmap().size():
+            mesh = self._grid.extract_triangle_mesh(weight_threshold=float(threshold))
+        if mesh is None or "positions" not in mesh.vertex or "indices" not in mesh.triangle:
             return np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3)), None
-        mesh = self._grid.extract_triangle_mesh(weight_threshold=float(threshold))
-        if "positions" not in mesh.vertex or "indices" not in mesh.triangle:
-            return np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3)), None
-        colours = mesh.vertex["colors"].numpy() if "colors" in mesh.vertex else None
         return (mesh.vertex["positions"].numpy(), mesh.triangle["indices"].numpy(), mesh.vertex["normals"].numpy(),
-                colours)
+                mesh.vertex["colors"].numpy() if "colors" in mesh.vertex else None)
 
     def seen(self, most: int = 4) -> np.ndarray:
         """How many voxels hold weight 1, 2, ... `most` and more: int64 of shape (most,)."""

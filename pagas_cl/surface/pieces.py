@@ -33,14 +33,7 @@ def pieces(faces: np.ndarray, count: int) -> np.ndarray:
 def without_small_pieces(faces: np.ndarray, count: int, share: float) -> tuple[np.ndarray, np.ndarray, int]:
     """Drop pieces with fewer triangles than `share` of the largest one's, and vertices of no triangle.
 
-    Returns
-    -------
-    keep : ndarray of shape (V',), intp
-        Old indices of the vertices that stay.
-    faces : ndarray of shape (F', 3), int32
-        With new indices.
-    dropped : int
-        How many pieces went.
+    Gives the old indices of the vertices that stay (V',), faces (F', 3) int32 with new ones, and how many pieces went.
     """
     piece = pieces(faces, count)[faces[:, 0]]
     size = np.bincount(piece, minlength=count)
@@ -56,14 +49,8 @@ def without_small_pieces(faces: np.ndarray, count: int, share: float) -> tuple[n
 def in_order(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The same mesh in an order that its geometry alone decides; vertices at the very same place become one.
 
-    Open3D's threads number vertices and faces as they come; sorted, two runs give the same bytes.
-
-    Returns
-    -------
-    first : ndarray of shape (V',), intp
-        Old index of each new vertex.
-    faces : ndarray of shape (F', 3), int32
-        With new indices; faces that lost a corner are gone.
+    Open3D's threads number vertices and faces as they come; sorted, two runs give the same bytes. Gives the old index
+    of each new vertex (V',), and faces (F', 3) int32 with new ones; faces that lost a corner are gone.
     """
     low, span = vertices.min(axis=0), max(float(np.ptp(vertices, axis=0).max()), 1e-300)
     cell = ((vertices - low) * ((_CELLS - 1) / span)).astype(np.int64)

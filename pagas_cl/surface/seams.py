@@ -2,46 +2,29 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from pagas_cl.config import Fusion
-from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.surface.fuse import FusionPlan
+from pagas_cl.surface.fuse import FusionPlan, empty_mesh, in_world, tell_dropped
 from pagas_cl.surface.grid import block_resolution
 from pagas_cl.surface.pieces import pieces
-
-log = logging.getLogger("pagas_cl")
-
 
 _NEAR = 0.1  # voxels: a vertex that two boxes share lies on the side between them
 
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """What is remembered of a box's piece of the mesh.
-
-    Attributes
-    ----------
-    border : ndarray of shape (B,), int32
-        Indices of the vertices on the box's sides.
-    border_part : ndarray of shape (B,), int32
-        Their connected part: a place in `parts`.
-    parts : ndarray of shape (P,), int32
-        The least vertex index of each connected part.
-    sizes : ndarray of shape (P,), int64
-        Triangles of each.
-    """
+    """What is remembered of a box's piece of the mesh."""
 
     file: Path
-    border: np.ndarray
-    border_part: np.ndarray
-    parts: np.ndarray
-    sizes: np.ndarray
+    border: np.ndarray        # (B,) int32: indices of the vertices on the box's sides
+    border_part: np.ndarray   # (B,) int32: their connected part, a place in `parts`
+    parts: np.ndarray         # (P,) int32: the least vertex index of each connected part
+    sizes: np.ndarray         # (P,) int64: triangles of each
 
 
 def write_piece(file: Path, vertices, normals, colours, faces) -> None:
@@ -51,17 +34,15 @@ def write_piece(file: Path, vertices, normals, colours, faces) -> None:
         np.savez(opened, vertices=vertices, normals=normals, colours=colours, faces=faces, root=root)
 
 
-def join(files: list[Path], boxes, plan: FusionPlan, settings: Fusion) -> Surface:
+def join(files: list[Path], boxes, plan: FusionPlan) -> Surface:
     """One mesh from the pieces; they are read one at a time."""
     if not files:
-        raise InputError(f"fused mesh is empty: depths {plan.depth_range[0]:.4g} to {plan.depth_range[1]:.4g}, voxel "
-                         f"{plan.voxel:.4g}, fusion.min_views {settings.min_views}; lower fusion.min_views, or "
-                         f"change fusion.voxel (it is {settings.voxel:g})")
+        raise empty_mesh(plan)
     cell = plan.voxel / plan.grid_scale
-    sides = _sides(boxes, block_resolution(settings.truncation) * cell)
+    sides = _sides(boxes, block_resolution(plan.settings.truncation) * cell)
     remembered, places = zip(*(_remember(file, sides, _NEAR * cell) for file in files))
     first = _first_rows(np.concatenate(places))
-    large = _large_parts(remembered, first, settings.min_component)
+    large = _large_parts(remembered, first, plan.settings)
     return _assembled(remembered, first, large, plan)
 
 
@@ -94,8 +75,8 @@ def _first_rows(places: np.ndarray) -> np.ndarray:
     return first[same.reshape(-1)]
 
 
-def _large_parts(remembered, first: np.ndarray, share: float) -> list[np.ndarray]:
-    """For each piece which of its parts stay: not smaller, with what they touch, than `share` of the largest one."""
+def _large_parts(remembered, first: np.ndarray, settings: Fusion) -> list[np.ndarray]:
+    """For each piece which of its parts stay: with what they touch not too small beside the largest one."""
     offsets = np.cumsum([0] + [len(piece.parts) for piece in remembered])
     part = np.concatenate([piece.border_part + offset for piece, offset in zip(remembered, offsets)])
     links = np.unique(np.column_stack([part, part[first]]), axis=0)
@@ -103,10 +84,8 @@ def _large_parts(remembered, first: np.ndarray, share: float) -> list[np.ndarray
     label = pieces(np.column_stack([links, links[:, :1]]), int(offsets[-1]))
     size = np.zeros(offsets[-1], np.int64)
     np.add.at(size, label, np.concatenate([piece.sizes for piece in remembered]))
-    large = size[label] >= share * size.max()
-    dropped = len(np.unique(label[~large]))
-    if dropped:
-        log.info("fusion: %d pieces with fewer than %g of the largest one's triangles are dropped", dropped, share)
+    large = size[label] >= settings.min_component * size.max()
+    tell_dropped(len(np.unique(label[~large])), settings)
     return np.split(large, offsets[1:-1])
 
 
@@ -126,11 +105,8 @@ def _assembled(remembered, first: np.ndarray, large, plan: FusionPlan) -> Surfac
             number[piece.border[shared]] = number_of_row[first[here][shared]]
             number_of_row[here] = number[piece.border]
             place = slice(starts[k], starts[k + 1])
-            vertices[place] = archive["vertices"][own].astype(np.float64) * plan.grid_scale + plan.middle
-            normal = archive["normals"][own]
-            length = np.linalg.norm(normal, axis=1, keepdims=True)
-            normals[place] = normal / np.where(length > 0, length, 1)
-            colours[place] = np.clip(archive["colours"][own], 0, 1)
+            vertices[place], normals[place], colours[place] = in_world(
+                plan, *(archive[name][own] for name in ("vertices", "normals", "colours")))
             part = archive["faces"]
         part = part[stays[part[:, 0]]]
         faces[at:at + len(part)] = number[part]

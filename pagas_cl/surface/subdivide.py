@@ -20,15 +20,9 @@ _MOST_VERTICES = 40_000_000  # 3 GB of positions and faces
 class Subdivision:
     """How a mesh was subdivided.
 
-    Attributes
-    ----------
-    faces : ndarray of shape (F', 3), int32
-    rounds : list of ndarray of shape (E, 2)
-        For each round the pairs of vertices between which new ones were put, in the order of the new vertices.
-    parent : ndarray of shape (F',)
-        The original face that each face lies in.
-    weights : ndarray of shape (F', 3, 3), float64
-        Barycentric coordinates of each corner in its parent face.
+    faces (F', 3), int32; for each round the pairs (E, 2) of vertices between which new ones were put, in their order;
+    for each face its parent, the original face that it lies in (F',), and the barycentric coordinates of its corners
+    there, weights (F', 3, 3).
     """
 
     faces: np.ndarray = field(repr=False)
@@ -57,19 +51,8 @@ def subdivide(vertices: np.ndarray, faces: np.ndarray, longest: np.ndarray, *,
               most: int = _MOST_VERTICES) -> Subdivision:
     """Split every edge that is longer than `longest` at a corner of one of its faces, until none is.
 
-    Parameters
-    ----------
-    vertices : ndarray of shape (V, 3), float64
-    faces : ndarray of shape (F, 3)
-    longest : ndarray of shape (V,)
-        Longest edge wanted at each vertex; infinite leaves edges between such vertices alone.
-    most : int
-        Most vertices.
-
-    Raises
-    ------
-    InputError
-        More than `most` vertices would be needed.
+    `longest` (V,) is the longest edge wanted at each vertex of `vertices` (V, 3); infinite leaves edges between such
+    vertices alone. InputError where more than `most` vertices would be needed.
     """
     vertices, longest = np.asarray(vertices, np.float64), np.asarray(longest, np.float64)
     faces = np.asarray(faces, np.int64)

@@ -1,9 +1,7 @@
-"""A synthetic scene as a folder that every command takes: photos, cameras, masks, coarse mesh, initial and
-true depth."""
+"""A synthetic scene as a folder that every command takes."""
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +17,8 @@ def write_scene(synthetic: SyntheticScene, folder) -> Path:
     The held-out views are in the folder too, under names that start with "held_out".
     """
     from pagas_cl.scene.depthmap import save_depth
+    from pagas_cl.scene.mesh import Surface
+    from pagas_cl.scene.mesh_file import write_mesh
     from pagas_cl.scene.readers import camera_file
 
     folder = Path(folder)
@@ -27,34 +27,12 @@ def write_scene(synthetic: SyntheticScene, folder) -> Path:
     named = []
     for view in synthetic.all_views:
         file = f"{view.name}.png"
-        _write_png(folder / "images" / file, view.load_image())
+        Image.fromarray(view.load_image()).save(folder / "images" / file)
         if view.mask is not None:
-            _write_png(folder / "masks" / file, view.load_mask().astype(np.uint8) * 255)
+            Image.fromarray(view.load_mask().astype(np.uint8) * 255).save(folder / "masks" / file)
         save_depth(folder / "depth_initial" / f"{view.name}.npz", synthetic.initial_depth(view.camera))
         save_depth(folder / "depth_true" / f"{view.name}.npz", synthetic.true_depth(view.camera))
         named.append(replace(view, mask=None, name=file))
     camera_file.write(folder, named)
-    write_ply(folder / "mesh_coarse.ply", *synthetic.initial_mesh())
+    write_mesh(folder / "mesh_coarse.ply", Surface(*synthetic.initial_mesh()))
     return folder
-
-
-def write_ply(path, vertices, faces) -> None:
-    """Write a triangle mesh as binary PLY, double coordinates."""
-    path = Path(path)
-    header = ("ply\nformat binary_little_endian 1.0\n"
-              f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
-              f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n")
-    rows = np.empty(len(faces), np.dtype([("count", "u1"), ("face", "<i4", 3)]))
-    rows["count"], rows["face"] = 3, faces
-    part = path.with_name(path.name + ".part")
-    with open(part, "wb") as file:
-        file.write(header.encode("ascii"))
-        file.write(np.ascontiguousarray(vertices, "<f8").tobytes())
-        file.write(rows.tobytes())
-    os.replace(part, path)
-
-
-def _write_png(path, pixels):
-    part = path.with_name(path.name + ".part")
-    Image.fromarray(pixels).save(part, "PNG")
-    os.replace(part, path)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import cycle
 
 import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.synthetic.pieces import Bar, Block
-from pagas_cl.synthetic.solid import Solid
+from pagas_cl.synthetic.solid import Bar, Block, Solid, height_of
 from pagas_cl.synthetic.waves import Waves
 
 # steps of the view grid in units of the angle between neighbours (right, down), nearest views first
@@ -104,13 +104,10 @@ class Relief:
 
 def make_cameras(relief: Relief) -> list[Camera]:
     """Target, contexts, held-out cameras; all look at the origin, where the relief's middle is."""
-    cameras = [camera_at(relief, "target", 0, 0)]
-    for k, (right, down) in enumerate(_GRID[:relief.contexts]):
-        cameras.append(camera_at(relief, f"context_{k:02d}", right, down, relief.sizes[k % len(relief.sizes)],
-                               relief.zooms[k % len(relief.zooms)], relief.distances[k % len(relief.distances)]))
-    for k, (right, down) in enumerate(_HELD_OUT[:relief.held_out]):
-        cameras.append(camera_at(relief, f"held_out_{k}", right, down))
-    return cameras
+    views = zip(_GRID[:relief.contexts], cycle(relief.sizes), cycle(relief.zooms), cycle(relief.distances))
+    return [camera_at(relief, "target", 0, 0),
+            *(camera_at(relief, f"context_{k:02d}", *place, *more) for k, (place, *more) in enumerate(views)),
+            *(camera_at(relief, f"held_out_{k}", *place) for k, place in enumerate(_HELD_OUT[:relief.held_out]))]
 
 
 def camera_at(relief, name, right, down, size=1.0, zoom=1.0, distance=1.0) -> Camera:
@@ -141,32 +138,37 @@ def make_solids(relief: Relief, rng) -> tuple[Solid, Solid]:
     error = Waves.random(rng, 6, 100 * pixel, 300 * pixel, 1.0).scaled(relief.coarse_error * relief.parallax)
     blocks, bar = _blocks(relief), _bar(relief)
     outline = half_axes(relief) if relief.foreground else None
-    return (Solid((base, fine), blocks, bar, outline, _limits((base, fine), relief)),
-            Solid((base, error), blocks, _nearer(bar, relief), outline, _limits((base, error), relief)))
+    return (Solid((base, fine), _limits((base, fine), relief), blocks, bar, outline),
+            Solid((base, error), _limits((base, error), relief), blocks, _nearer(bar, relief), outline))
 
 
 def _limits(fields, relief):
     """Largest height and slope on a dense sample, with a margin for what lies between."""
-    half = half_sizes(relief)
-    x, y = np.meshgrid(*(np.linspace(-h, h, 601) for h in half))
-    height, slope_x, slope_y = Solid(fields).height(x, y, precise=False)
+    height, slope_x, slope_y = height_of(fields, *_plane(relief, 601), precise=False)
     return 1.15 * float(np.abs(height).max()) + 1e-3, 1.15 * float(np.hypot(slope_x, slope_y).max())
 
 
 def _mean_absolute(waves, relief):
-    half = half_sizes(relief)
-    x, y = np.meshgrid(*(np.linspace(-h, h, 401) / 1.5 for h in half))
-    return np.abs(waves(x, y, precise=False)[0]).mean()
+    return np.abs(waves(*(side / 1.5 for side in _plane(relief, 401)), precise=False)[0]).mean()
+
+
+def _plane(relief, number):
+    """x and y of a grid of points over the part of the plane that the views may see."""
+    return np.meshgrid(*(np.linspace(-half, half, number) for half in half_sizes(relief)))
 
 
 def half_sizes(relief: Relief) -> tuple[float, float]:
     """Half the part of the plane that the views may see, scene units."""
-    return 0.75 * relief.width * relief.footprint, 0.75 * relief.height * relief.footprint
+    return _of_photo(relief, 0.75)
 
 
 def half_axes(relief: Relief) -> tuple[float, float]:
     """Half axes of the ellipse that a foreground object fills, scene units."""
-    return 0.38 * relief.width * relief.footprint, 0.38 * relief.height * relief.footprint
+    return _of_photo(relief, 0.38)
+
+
+def _of_photo(relief, share):
+    return share * relief.width * relief.footprint, share * relief.height * relief.footprint
 
 
 def _blocks(relief):

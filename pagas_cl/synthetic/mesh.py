@@ -4,37 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl.synthetic.pieces import Bar, Block
-from pagas_cl.synthetic.solid import Solid
+from pagas_cl.synthetic.solid import Bar, Block, Solid
 
 _BAR_SIDES = 24
 
 
 def solid_mesh(solid: Solid, spacing: float, half: tuple[float, float]):
-    """Triangles of a solid, facing the viewers (-z).
+    """Triangles of a solid, facing the viewers (-z): vertices float64 (n, 3), faces int32 (m, 3).
 
-    Parameters
-    ----------
-    spacing : float
-        Distance between neighbouring vertices on the relief, scene units.
-    half : tuple of two floats
-        Half the part of the plane that is meshed; the half axes of the ellipse where the solid has an outline.
-
-    Returns
-    -------
-    vertices : ndarray of float64, (n, 3)
-    faces : ndarray of int32, (m, 3)
+    `spacing` is the distance between neighbouring vertices on the relief, scene units; `half` half the part of the
+    plane that is meshed, or the half axes of the ellipse where the solid has an outline.
     """
     parts = [_relief(solid, spacing, half)]
     parts += [_block(solid, block, spacing) for block in solid.blocks]
     if solid.bar is not None:
         parts.append(_bar(solid.bar, 1.2 * float(np.hypot(*half))))
-    vertices, faces, count = [], [], 0
-    for points, triangles in parts:
-        vertices.append(points)
-        faces.append(triangles + count)
-        count += len(points)
-    return np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
+    first = np.cumsum([0, *(len(points) for points, _ in parts)])
+    faces = np.concatenate([triangles + start for (_, triangles), start in zip(parts, first)])
+    return np.concatenate([points for points, _ in parts]), faces.astype(np.int32)
 
 
 def _grid(across, down):
@@ -42,6 +29,12 @@ def _grid(across, down):
     index = np.arange(across * down).reshape(down, across)
     a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
     return np.concatenate([np.stack([a, c, b], axis=1), np.stack([b, c, d], axis=1)])
+
+
+def _band(near, far):
+    """Triangles of a closed band between two rings of vertices."""
+    next_near, next_far = np.roll(near, -1), np.roll(far, -1)
+    return np.concatenate([np.stack([near, next_near, far], axis=1), np.stack([next_near, next_far, far], axis=1)])
 
 
 def _relief(solid, spacing, half):
@@ -68,9 +61,7 @@ def _block(solid, block: Block, spacing):
     z = solid.height(x, y)[0]
     index = np.arange(across * down).reshape(down, across)
     rim = np.concatenate([index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]])
-    foot = across * down + np.arange(len(rim))
-    next_rim, next_foot = np.roll(rim, -1), np.roll(foot, -1)
-    walls = np.concatenate([np.stack([rim, next_rim, foot], axis=1), np.stack([next_rim, next_foot, foot], axis=1)])
+    walls = _band(rim, across * down + np.arange(len(rim)))
     top = np.stack([x, y, z - block.rise], axis=-1)
     return np.concatenate([top, np.stack([x, y, z], axis=-1)[rim]]), np.concatenate([_grid(across, down), walls])
 
@@ -84,8 +75,4 @@ def _bar(bar: Bar, reach):
     radius = bar.radius * 2 / (1 + np.cos(np.pi / _BAR_SIDES))
     ring = radius * (np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * np.cross(axis, side))
     ends = [np.asarray(bar.point) + sign * reach * axis for sign in (-1, 1)]
-    here = np.arange(_BAR_SIDES)
-    there = np.roll(here, -1)
-    faces = np.concatenate([np.stack([here, there, here + _BAR_SIDES], axis=1),
-                            np.stack([there, there + _BAR_SIDES, here + _BAR_SIDES], axis=1)])
-    return np.concatenate([end + ring for end in ends]), faces
+    return np.concatenate([end + ring for end in ends]), _band(*np.arange(2 * _BAR_SIDES).reshape(2, -1))

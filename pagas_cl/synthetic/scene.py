@@ -9,6 +9,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.view import View
 from pagas_cl.synthetic import photo
 from pagas_cl.synthetic.layout import Relief, half_axes, half_sizes, make_cameras, make_solids
 from pagas_cl.synthetic.solid import Solid
@@ -44,43 +45,37 @@ class SyntheticScene:
         """Views kept out of refinement."""
         return self.all_views[1 + self.relief.contexts:]
 
-    def view(self, index: int):
-        """View `index`, rendered: scene.view.View."""
-        from pagas_cl.scene.view import View
-
+    def view(self, index: int) -> View:
+        """View `index`, rendered."""
         camera = self.cameras[index]
         mask = self.true_depth(camera) > 0 if self.relief.foreground else None
         return View(camera=camera, image=self.image(index), mask=mask, name=camera.name)
 
     def image(self, index: int) -> np.ndarray:
         """Photo of view `index`, uint8 (height, width, 3); rendered once."""
-        if ("image", index) not in self._shared:
-            self._shared["image", index] = self._render(index)
-        return self._shared["image", index]
-
-    def _render(self, index):
+        if ("image", index) in self._shared:
+            return self._shared["image", index]
         relief, camera = self.relief, self.cameras[index]
         rng = np.random.default_rng([relief.seed, 7, index])
         jitter = rng.uniform(-1, 1, 2) * relief.exposure * (0 < index <= relief.contexts)
-        sensor = photo.Sensor(float(np.exp(jitter[0])), 0.1 * jitter[1], relief.noise / 255, relief.seed * 1000 + index)
-        backdrop = None
-        if relief.foreground:
-            side = max(camera.width, camera.height)
-            backdrop = patchwork(side, side, 1.0, rng, kind="noise")
-        return photo.photograph(self.true_solid, self.skin, camera, look=photo.Look(relief.shading, relief.shine),
-                                sensor=sensor, backdrop=backdrop)
+        side = max(camera.width, camera.height)
+        backdrop = patchwork(side, side, 1.0, rng, kind="noise") if relief.foreground else None
+        look = photo.Look(relief.shading, relief.shine, float(np.exp(jitter[0])), 0.1 * jitter[1], relief.noise / 255,
+                          relief.seed * 1000 + index, backdrop)
+        self._shared["image", index] = photo.photograph(self.true_solid, self.skin, camera, look)
+        return self._shared["image", index]
 
     def true_depth(self, camera: Camera) -> np.ndarray:
         """Exact depth seen by `camera`, float32 (height, width)."""
-        return self._depth("true", camera)[0].astype(np.float32)
+        return self._depth(self.true_solid, camera)[0].astype(np.float32)
 
     def true_normals(self, camera: Camera) -> np.ndarray:
         """Exact normals seen by `camera`, float32 (height, width, 3)."""
-        return photo.normals(self.true_solid, camera, *self._depth("true", camera))
+        return photo.normals(self.true_solid, camera, *self._depth(self.true_solid, camera))
 
     def initial_depth(self, camera: Camera) -> np.ndarray:
         """Depth of the surface whose fine detail is smoothed away, float32 (height, width)."""
-        return self._depth("initial", camera)[0].astype(np.float32)
+        return self._depth(self.initial_solid, camera)[0].astype(np.float32)
 
     def initial_mesh(self, spacing: float = 4.0):
         """That surface as a mesh: vertices float64 (n, 3), faces int32 (m, 3); `spacing` in target pixels."""
@@ -96,10 +91,9 @@ class SyntheticScene:
 
         return find_discontinuities(self.true_depth(self.cameras[0]), self.cameras[0])
 
-    def _depth(self, which, camera):
-        key = which, id(camera)
+    def _depth(self, solid, camera):
+        key = id(solid), id(camera)
         if key not in self._shared:
-            solid = self.true_solid if which == "true" else self.initial_solid
             self._shared[key] = (*photo.depth_and_part(solid, camera), camera)  # the camera too: keeps its id taken
         return self._shared[key][:2]
 
@@ -111,14 +105,12 @@ def relief_scene(width: int = 388, height: int = 290, contexts: int = 10, **sett
     from 650, 11 degrees between neighbouring views, an initial error of about a quarter of a pixel of parallax.
     """
     known = {f.name for f in fields(Relief)}
-    for name in settings:
-        if name not in known:
-            raise InputError(f"synthetic scene: unknown setting {name!r}, expected one of {', '.join(sorted(known))}")
+    for name in sorted(settings.keys() - known):
+        raise InputError(f"synthetic scene: unknown setting {name!r}, expected one of {', '.join(sorted(known))}")
     relief = Relief(width=width, height=height, contexts=contexts, **settings)
     rng = np.random.default_rng(relief.seed)
     true, initial = make_solids(relief, rng)
-    half = half_sizes(relief)
-    texels = [int(np.ceil(2 * h / relief.footprint)) for h in half]
+    texels = [int(np.ceil(2 * half / relief.footprint)) for half in half_sizes(relief)]
     skin = patchwork(*texels, relief.footprint, rng, kind=relief.texture, contrast=relief.contrast,
                      tile=int(np.clip(relief.width // 3, 48, 300)))
     return SyntheticScene(relief, make_cameras(relief), true, initial, skin)

@@ -18,18 +18,11 @@ _log = logging.getLogger("pagas_cl")
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """Colours on the plane (x, y).
+    """Colours on the plane (x, y); texel (row, column) is centred at ((column + 0.5) * size, (row + 0.5) * size) from
+    the corner."""
 
-    Parameters
-    ----------
-    texels : ndarray of shape (h, w, 3), float32
-        Colours, 0 to 1; texel (row, column) is centred at ((column + 0.5) * size, (row + 0.5) * size) from the corner.
-    size : float
-        Edge of a texel, scene units.
-    """
-
-    texels: np.ndarray
-    size: float
+    texels: np.ndarray      # (h, w, 3) float32, 0 to 1
+    size: float             # edge of a texel, scene units
 
     def __call__(self, x, y) -> np.ndarray:
         """Colours (float32 of shape (n, 3)) at points, bilinear, mirrored beyond the edges; (0, 0) is the middle."""
@@ -55,16 +48,10 @@ def _mirror(index, number):
 
 
 def patchwork(width, height, size, rng, *, kind="photos", contrast=1.0, tile=None) -> Texture:
-    """A texture of about `width` x `height` texels.
+    """A texture of about `width` x `height` texels, its departures from mid grey multiplied by `contrast`.
 
-    Parameters
-    ----------
-    kind : str
-        "photos": tiles cut from photographs; "noise": smooth noise of many scales; "flat": one grey.
-    contrast : float
-        The texture's departures from mid grey are multiplied by this.
-    tile : int or None
-        Texels along a tile's edge; None picks a third of the width, at most 300.
+    `kind` is "photos" (tiles cut from photographs), "noise" (smooth, of many scales) or "flat" (one grey). `tile` is a
+    tile's edge, texels: a third of the width by default, at most 300.
     """
     if kind not in ("photos", "noise", "flat"):
         raise InputError(f"texture is {kind!r}, expected 'photos', 'noise' or 'flat'")
@@ -75,10 +62,8 @@ def patchwork(width, height, size, rng, *, kind="photos", contrast=1.0, tile=Non
         kind = "noise"
     if kind == "flat":
         texels = np.full((tile, tile, 3), 0.5, np.float32)
-    elif kind == "noise":
-        texels = noise(width, height, rng)
     else:
-        texels = _tiles(width, height, tile, rng)
+        texels = noise(width, height, rng) if kind == "noise" else _tiles(width, height, tile, rng)
     return Texture((0.5 + contrast * (texels - 0.5)).astype(np.float32), float(size))
 
 
@@ -97,30 +82,19 @@ def noise(width, height, rng) -> np.ndarray:
 
 
 def _tiles(width, height, tile, rng):
+    from PIL import Image
+
+    folder = Path(find_spec("skimage").origin).parent / "data"
     across, down = -(-width // tile), -(-height // tile)
     texels = np.empty((down * tile, across * tile, 3), np.float32)
     order = []
     for row in range(down):
         for column in range(across):
-            if not order:
-                order = list(rng.permutation(len(PHOTOGRAPHS)))
-            photo = _photograph(PHOTOGRAPHS[order.pop()])
-            texels[row * tile:(row + 1) * tile, column * tile:(column + 1) * tile] = _cut(photo, tile, rng)
+            order = order or list(rng.permutation(len(PHOTOGRAPHS)))
+            with Image.open(folder / PHOTOGRAPHS[order.pop()]) as photo:
+                pixels = np.asarray(photo.convert("RGB"), np.float32) / 255.0
+            # a square of the photograph; mirrored where the photograph is smaller
+            rows, columns = (_mirror(rng.integers(0, max(size - tile, 0) + 1) + np.arange(tile), size)
+                             for size in pixels.shape[:2])
+            texels[row * tile:(row + 1) * tile, column * tile:(column + 1) * tile] = pixels[rows][:, columns]
     return texels
-
-
-def _cut(photo, tile, rng):
-    """A square of the photograph; mirrored where the photograph is smaller."""
-    h, w = photo.shape[:2]
-    top, left = rng.integers(0, max(h - tile, 0) + 1), rng.integers(0, max(w - tile, 0) + 1)
-    rows = _mirror(np.arange(top, top + tile), h)
-    columns = _mirror(np.arange(left, left + tile), w)
-    return photo[rows][:, columns]
-
-
-def _photograph(name) -> np.ndarray:
-    from PIL import Image
-
-    folder = Path(find_spec("skimage").origin).parent / "data"
-    with Image.open(folder / name) as photo:
-        return np.asarray(photo.convert("RGB"), np.float32) / 255.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,24 +11,12 @@ _CHUNK = 32768  # points at a time: the temporaries stay in the processor's cach
 
 @dataclass(frozen=True, eq=False)
 class Waves:
-    """sum_k amplitude_k sin(2 pi (turns_k . (x, y) + phase_k)), optionally times a slow envelope.
+    """sum_k amplitude_k sin(2 pi (turns_k . (x, y) + phase_k)), times 1 + a slow envelope."""
 
-    Parameters
-    ----------
-    amplitude : ndarray of shape (n,)
-        Scene units.
-    turns : ndarray of shape (n, 2)
-        Waves per scene unit along x and y: direction / wavelength.
-    phase : ndarray of shape (n,)
-        Turns, 0 to 1.
-    envelope : Waves or None
-        Multiplies the sum by 1 + envelope(x, y), so that detail is strong in some places and weak in others.
-    """
-
-    amplitude: np.ndarray
-    turns: np.ndarray
-    phase: np.ndarray
-    envelope: Waves | None = None
+    amplitude: np.ndarray   # (n,), scene units
+    turns: np.ndarray       # (n, 2), waves per scene unit along x and y: direction / wavelength
+    phase: np.ndarray       # (n,), turns, 0 to 1
+    envelope: Waves | None = None       # makes detail strong in some places and weak in others
 
     @classmethod
     def random(cls, rng, number, shortest, longest, power, *, envelope=None) -> Waves:
@@ -42,21 +30,13 @@ class Waves:
 
     def scaled(self, factor: float) -> Waves:
         """The same field times `factor` (a field of `random` has root mean square 1 before its envelope)."""
-        return Waves(self.amplitude * factor, self.turns, self.phase, self.envelope)
+        return replace(self, amplitude=self.amplitude * factor)
 
-    def __call__(self, x, y, *, precise=True):
-        """Height and slope at points.
+    def __call__(self, x, y, *, precise=True) -> np.ndarray:
+        """Height and both slopes at points x, y of one shape: float64 of shape (3, *x.shape).
 
-        Parameters
-        ----------
-        x, y : ndarray of float64, one shape
-        precise : bool
-            float64 sines (error 1e-13 of the amplitude); else float32 sines of exactly reduced phases (3e-7 of it),
-            forty times faster, for photos.
-
-        Returns
-        -------
-        height, slope_x, slope_y : ndarray of float64, the shape of x
+        `precise` takes float64 sines (error 1e-13 of the amplitude); else float32 sines of exactly reduced phases
+        (3e-7 of it), forty times faster, for photos.
         """
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
         out = np.empty((3, x.size))
@@ -64,7 +44,7 @@ class Waves:
         for start in range(0, x.size, _CHUNK):
             part = slice(start, start + _CHUNK)
             out[:, part] = self._chunk(flat_x[part], flat_y[part], precise)
-        return out[0].reshape(x.shape), out[1].reshape(x.shape), out[2].reshape(x.shape)
+        return out.reshape(3, *x.shape)
 
     def _chunk(self, x, y, precise):
         total = np.zeros((3, x.size))
@@ -83,13 +63,3 @@ class Waves:
             total[2] = total[2] * gain + total[0] * gain_y
             total[0] *= gain
         return total
-
-
-def flat() -> Waves:
-    """The plane z = 0."""
-    return Waves(np.zeros(0), np.zeros((0, 2)), np.zeros(0))
-
-
-def joined(*fields: Waves) -> list[Waves]:
-    """The parts that hold any wave, in order; their heights add up."""
-    return [field for field in fields if len(field.amplitude)]

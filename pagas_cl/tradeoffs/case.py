@@ -1,4 +1,5 @@
-"""A case: one view to measure settings on, with its context views, photos kept out of it, and the truth if known."""
+"""A case: one view to measure settings on, with its context views, photos kept out of it, the truth if known; and how
+good a depth map of it is."""
 
 from __future__ import annotations
 
@@ -10,6 +11,13 @@ import numpy as np
 
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError
+from pagas_cl.evaluate import (
+    compare_depth,
+    compare_predictions,
+    depth_normals,
+    depth_per_parallax,
+    find_discontinuities,
+)
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.view import View
 
@@ -20,72 +28,46 @@ _HELD_OUT_PLACES = (1, 4)  # of the choice of contexts: well-placed photos, but 
 
 @dataclass(frozen=True, eq=False)
 class BenchmarkCase:
-    """One view to measure on. Depth maps are (H, W) float32 z-depth, 0 = no surface.
-
-    Attributes
-    ----------
-    name : str
-    target : View
-    contexts : list of View
-        Most useful first; a setting with n context views takes the first n.
-    held_out : list of View
-        Photos that no setting sees.
-    initial : ndarray
-    truth : ndarray or None
-    context_depths : list of (ndarray or None)
-        Initial depth of each context view, for settings that compare refined views.
-    """
+    """One view to measure on. Depth maps are (H, W) float32 z-depth, 0 = no surface."""
 
     name: str
     target: View
-    contexts: list[View] = field(repr=False)
-    held_out: list[View] = field(repr=False)
+    contexts: list[View] = field(repr=False)            # most useful first; a setting with n of them takes the first n
+    held_out: list[View] = field(repr=False)            # photos that no setting sees
     initial: np.ndarray = field(repr=False)
     truth: np.ndarray | None = field(default=None, repr=False)
-    context_depths: list = field(default_factory=list, repr=False)
+    context_depths: list = field(default_factory=list, repr=False)  # initial ones, or None, to compare refined views
 
     @property
     def pixels(self) -> int:
         return self.target.camera.width * self.target.camera.height
 
+    # of the truth and the initial depth, as in evaluate: found once for all settings
+
     @cached_property
     def discontinuities(self) -> np.ndarray:
-        """Pixels beside a discontinuity of the true depth, bool (H, W)."""
-        from pagas_cl.evaluate import find_discontinuities
-
         return find_discontinuities(self.truth, self.target.camera)
 
     @cached_property
     def true_normals(self) -> np.ndarray:
-        """Normals of the true depth, float64 (H, W, 3)."""
-        from pagas_cl.evaluate import depth_normals
-
         return depth_normals(self.truth, self.target.camera)
 
     @cached_property
     def parallax(self) -> np.ndarray:
         """Depth of one pixel of parallax, float64 (H, W), 0 = unknown."""
-        from pagas_cl.evaluate import depth_per_parallax
-
-        return depth_per_parallax(self.initial, self.target.camera, [view.camera for view in self.contexts])
+        cameras = [view.camera for view in self.contexts]
+        return depth_per_parallax(self.initial, self.target.camera, cameras)
 
 
 def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int = 1, held_out=None,
-                 most_contexts: int = 10, scene_name: str = "") -> list[BenchmarkCase]:
-    """Benches from the views of a scene.
+               most_contexts: int = 10, scene_name: str = "") -> list[BenchmarkCase]:
+    """Cases from the views of a scene; `depths` and `truth` as in `tradeoff`.
 
-    Parameters
-    ----------
-    views : list of View
-    depths : list of (ndarray of shape (H, W) or None)
-        Initial depth of each view.
-    truth : list of (ndarray or None), optional
-        True depth of each view.
     names : list of str, optional
         Views to measure on; by default `sample` of those with a depth (and truth), evenly spread.
     held_out : list of str, optional
-        Views that no setting may see; by default one or two well-placed ones of each target, where it has six context
-        views or more to choose from.
+        Views that no setting may see; by default two well-placed ones of each target, where it has six context views or
+        more to choose from.
     """
     truth = truth or [None] * len(views)
     banned = {_index(views, name) for name in held_out or ()}
@@ -98,15 +80,15 @@ def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int
         if depths[k] is None:
             raise InputError(f"view {views[k].name!r} has no initial depth map to measure on")
         chosen = [j for j in chooser.choose(k).indices if j not in banned]
-        kept_out = sorted(banned) if held_out is not None else _kept_out(chosen)
+        spared = [chosen[place] for place in _HELD_OUT_PLACES] if len(chosen) >= 6 else []
+        kept_out = spared if held_out is None else sorted(banned)
         contexts = [j for j in chosen if j not in kept_out][:most_contexts]
         if not contexts:
             log.warning("view %s has no usable context view and is left out", views[k].name)
             continue
         name = f"{scene_name}/{views[k].stem}" if scene_name else views[k].stem
         cases.append(BenchmarkCase(name, views[k], [views[j] for j in contexts], [views[j] for j in kept_out],
-                                   depths[k],
-                             truth[k], [depths[j] for j in contexts]))
+                                   depths[k], truth[k], [depths[j] for j in contexts]))
     if not cases:
         raise InputError("no view can be measured on: none has an initial depth map and a usable context view")
     return cases
@@ -127,11 +109,6 @@ def _targets(depths, truth, sample: int) -> list[int]:
     return [have[k] for k in places]
 
 
-def _kept_out(chosen) -> list[int]:
-    places = _HELD_OUT_PLACES if len(chosen) >= 6 else ()
-    return [chosen[k] for k in places]
-
-
 def loaded(case: BenchmarkCase) -> BenchmarkCase:
     """The case with its photos in memory, so that no file is read while something is timed."""
     def load(view):
@@ -139,3 +116,30 @@ def loaded(case: BenchmarkCase) -> BenchmarkCase:
 
     return replace(case, target=load(case.target), contexts=[load(v) for v in case.contexts],
                    held_out=[load(v) for v in case.held_out])
+
+
+def score(case: BenchmarkCase, depth: np.ndarray) -> dict[str, float]:
+    """Errors of `depth` against the truth where there is one, and how well it predicts the held-out photos.
+
+    With truth: "depth", "depth_median" (scene units), "parallax" (mean, pixels of parallax), "normal" (mean, degrees),
+    away from discontinuities; "edges": mean depth error within 3 pixels of them; "missing": share of the true pixels
+    without a depth. With held-out photos: "unpredicted", "unpredicted_mean": 1 - median and 1 - mean correlation of 7x7
+    patches, mean over the photos, and "unpredicted_before", "unpredicted_mean_before": the same of the initial depth
+    over the same pixels.
+    """
+    scores = {}
+    if case.truth is not None:
+        found = compare_depth(depth, case.truth, case.target.camera, parallax=case.parallax,
+                              mask=case.target.load_mask(), true_normals=case.true_normals,
+                              discontinuities=case.discontinuities)
+        smooth, whole = found.smooth, found.all
+        scores = {"depth": smooth.mean, "depth_median": smooth.median, "parallax": smooth.mean_parallax,
+                  "normal": smooth.normal_mean, "edges": found.edges.mean,
+                  "missing": whole.missing / max(1, whole.pixels + whole.missing)}
+    pairs = [compare_predictions(case.target, [case.initial, depth], other) for other in case.held_out]
+    rows = [(1 - after.median, 1 - after.mean, 1 - before.median, 1 - before.mean) for before, after in pairs
+            if after.pixels]
+    if rows:
+        names = "unpredicted", "unpredicted_mean", "unpredicted_before", "unpredicted_mean_before"
+        scores |= zip(names, np.mean(rows, axis=0).tolist())
+    return scores

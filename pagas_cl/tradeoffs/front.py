@@ -9,22 +9,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Point:
-    """One setting over all cases that it ran on.
+    """One setting over all the cases that it ran on.
 
-    Attributes
-    ----------
-    name, group, paper : str
-    seconds : float
-        Mean per view.
-    device_bytes : int
-        Most of any view.
-    view_steps : float
-        Mean per view.
-    errors : dict of str to float
-        Mean over the views of each figure as a share of the initial depth's: "depth", "normal", "edges",
-        "unpredicted", "unpredicted_mean"; "missing" as it is.
-    views : int
-    on_front : bool
+    `seconds` and `view_steps` are means per view, `device_bytes` the most of any view. `errors`: mean over the views of
+    each figure as a share of the initial depth's ("depth", "normal", "edges", "unpredicted", "unpredicted_mean");
+    "missing" as it is. `paper`: what the paper says of the same change.
     """
 
     name: str
@@ -41,36 +30,29 @@ class Point:
         return self.errors.get(which, float("nan"))
 
 
-def summarise(settings, records, initial: dict, cases) -> list[Point]:
-    """Points of the settings that ran on all of `cases` (names)."""
+def summarise(settings, records, initial: dict) -> list[Point]:
+    """Points of the settings that ran on all cases of `initial`: the name of each -> scores of its initial depth."""
     points = []
     for setting in settings:
         rows = {r["case"]: r for r in records
-                if r["key"] == setting.key and r["case"] in cases and "error" not in r}
-        if len(rows) < len(cases):
-            continue
-        points.append(Point(setting.name, setting.group, setting.paper, _mean(rows, "seconds"),
-                            max(r["device_bytes"] for r in rows.values()), _mean(rows, "view_steps"),
-                            _errors(rows, initial), len(rows)))
+                if r["key"] == setting.key and r["case"] in initial and "error" not in r}
+        if len(rows) == len(initial):
+            seconds, steps = (float(np.mean([r[name] for r in rows.values()])) for name in ("seconds", "view_steps"))
+            points.append(Point(setting.name, setting.group, setting.paper, seconds,
+                                max(r["device_bytes"] for r in rows.values()), steps, _errors(rows, initial),
+                                len(rows)))
     return points
 
 
-def _mean(rows, name):
-    return float(np.mean([r[name] for r in rows.values()]))
-
-
-def _errors(rows, initial) -> dict:
+def _errors(rows, initial) -> dict[str, float]:
     shares: dict[str, list[float]] = {}
     for case, row in rows.items():
-        for name, value in row["scores"].items():
-            value = float("nan") if value is None else value  # JSON has no nan
-            before = initial[case].get(name)
-            if name.startswith("unpredicted") and not name.endswith("before"):
-                before = row["scores"][f"{name}_before"]
-            if name == "missing":
-                shares.setdefault(name, []).append(value)
-            elif not name.endswith("before") and before:
-                shares.setdefault(name, []).append(value / before)
+        scores = {name: float("nan") if value is None else value for name, value in row["scores"].items()}  # JSON: null
+        before = {**initial[case], **{name.removesuffix("_before"): value for name, value in scores.items()
+                                      if name.endswith("_before")}, "missing": 1.0}
+        for name, value in scores.items():
+            if not name.endswith("before") and before.get(name):
+                shares.setdefault(name, []).append(value / before[name])
     return {name: float(np.mean(values)) for name, values in shares.items() if len(values) == len(rows)}
 
 
@@ -90,18 +72,11 @@ def rank_correlation(a, b) -> float:
     both = np.isfinite(a) & np.isfinite(b)
     if both.sum() < 3:
         return float("nan")
-    a, b = _ranks(a[both]), _ranks(b[both])
-    a, b = a - a.mean(), b - b.mean()
-    norm = np.sqrt((a * a).sum() * (b * b).sum())
-    return float((a * b).sum() / norm) if norm > 0 else float("nan")
+    with np.errstate(invalid="ignore"):
+        return float(np.corrcoef(_ranks(a[both]), _ranks(b[both]))[0, 1])
 
 
 def _ranks(values) -> np.ndarray:
     _, inverse, number = np.unique(values, return_inverse=True, return_counts=True)
     last = np.cumsum(number)
     return ((last - number + last - 1) / 2)[inverse]
-
-
-def fitted_exponent(sizes, seconds) -> float:
-    """Slope of log(seconds) over log(sizes): 1 where time is linear in size."""
-    return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])

@@ -1,87 +1,126 @@
-"""Tables of a study, and the page that a person opens."""
+"""Tables of a study, its record, and the page that a person opens."""
 
 from __future__ import annotations
 
 import json
 import logging
-from html import escape
+from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
+
 from pagas_cl.errors import MissingExtraError
-from pagas_cl.report.page import write_text
-from pagas_cl.tradeoffs.book import FILE
+from pagas_cl.report.page import html_page, write_text
 
 log = logging.getLogger("pagas_cl")
 
+FILE = "tradeoff.json"
 _COLUMNS = (("depth", "depth error"), ("normal", "normal error"), ("edges", "near edges"),
             ("unpredicted", "held-out photos"))
-_STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 1100px; padding: 0 1em; color: #222 }
-table { border-collapse: collapse; margin: 1em 0 } td, th { padding: .25em .8em; text-align: right }
-td:first-child, th:first-child { text-align: left } tr.front { background: #e6f2e6; font-weight: 600 }
-img { max-width: 100% }
-"""
-
-
-def rows_of(points) -> tuple[list[str], list[list[str]]]:
-    """Header and cells of the table, one row a point; errors are shares of the initial depth's."""
-    figures = [(key, name) for key, name in _COLUMNS if any(key in p.errors for p in points)]
-    header = ["setting", "s per view", "device MB", "view-steps", *(name for _, name in figures)]
-    rows = [[p.name, f"{p.seconds:.3g}", f"{p.device_bytes / 1e6:.0f}", f"{p.view_steps:.0f}",
-             *(f"{p.error(key):.3f}" for key, _ in figures)] for p in points]
-    return header, rows
-
-
-def markdown(points) -> str:
-    """The table in Markdown; settings of the front in bold."""
-    header, rows = rows_of(points)
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-    for point, row in zip(points, rows):
-        name = f"**{row[0]}**" if point.on_front else row[0]
-        lines.append("| " + " | ".join([name, *row[1:]]) + " |")
-    return "\n".join(lines) + "\n"
+_SAME = 0.02      # relative changes of an error below this count as none
 
 
 def notes(study) -> list[str]:
     """What a reader has to know, one line each."""
     lines = [f"Device: {study.device}. Views: {', '.join(study.initial)}.",
-            "Errors are shares of the initial depth's, means over the views; settings of the Pareto front are marked."]
+             "Errors are shares of the initial depth's, means over the views; settings of the Pareto front are marked."]
     if study.figure == "unpredicted":
         lines.append("There is no truth here: the front is of 1 - median correlation of 7x7 patches with photos that "
-                    "took no part, a proxy.")
+                     "took no part, a proxy.")
     elif study.proxy == study.proxy:
-        lines.append(f"Held-out photos rank these settings like the true depth error does with a rank correlation of "
-                    f"{study.proxy:.2f}.")
+        lines.append("Held-out photos rank these settings like the true depth error does with a rank correlation of "
+                     f"{study.proxy:.2f}.")
     if study.left_out:
         lines.append(f"Left out for lack of time: {'; '.join(study.left_out)}.")
     return lines
 
 
-def write_report(folder: Path, study, content: dict) -> Path:
-    """Write index.html, tradeoff.json and, where matplotlib is there, tradeoff.png; returns the page's path."""
-    folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / FILE, json.dumps(content, indent=1) + "\n")
+def markdown(points) -> str:
+    """The table in Markdown; settings of the front in bold."""
+    header, rows = _front_table(points)
+    names = [f"**{point.name}**" if point.on_front else point.name for point in points]
+    return _markdown(header, [[name, *row[1:]] for name, row in zip(names, rows)])
+
+
+def ablation_table(points) -> str:
+    """The rows of an ablation in Markdown, beside what the paper says; `points` hold the base: its name has no colon.
+
+    Errors are shares of the initial depth's: of depth and normals, or, without truth, of what held-out photos say.
+    "here" compares the first of them with the base's.
+    """
+    base = next((p for p in points if ":" not in p.name), None)
+    figures = _figures(points, without="edges")
+    header = ["change", *(name for _, name in figures), "here", "s per view", "device MB", "paper"]
+    return _markdown(header, [
+        [_kept(p), *(f"{p.error(key):.3f}" if p.error(key) == p.error(key) else "-" for key, _ in figures),
+         _compared(p, base, figures[0][0]), f"{p.seconds:.3g}", f"{p.device_bytes / 1e6:.0f}", p.paper]
+        for p in points])
+
+
+def _markdown(header: list[str], rows: list[list[str]]) -> str:
+    lines = ["| " + " | ".join(row) + " |" for row in (header, *rows)]
+    return "\n".join([lines[0], "|" + "---|" * len(header), *lines[1:]]) + "\n"
+
+
+def _front_table(points) -> tuple[list[str], list[list[str]]]:
+    """Header and cells of the table, one row a point; errors are shares of the initial depth's."""
+    figures = _figures(points)
+    header = ["setting", "s per view", "device MB", "view-steps", *(name for _, name in figures)]
+    return header, [[p.name, f"{p.seconds:.3g}", f"{p.device_bytes / 1e6:.0f}", f"{p.view_steps:.0f}",
+                     *(f"{p.error(key):.3f}" for key, _ in figures)] for p in points]
+
+
+def _figures(points, without: str = "") -> list[tuple[str, str]]:
+    """Key and heading of the errors that any of the points has."""
+    return [(key, name) for key, name in _COLUMNS if key != without and any(key in p.errors for p in points)]
+
+
+def _kept(point) -> str:
+    missing = point.errors.get("missing", 0)
+    kept = f" ({1 - missing:.0%} of the pixels kept)" if missing > 0.005 else ""
+    return point.name.rpartition(": ")[2] + kept
+
+
+def _compared(point, base, key) -> str:
+    if base is None or point is base:
+        return ""
+    change = point.error(key) / base.error(key) - 1
+    if change != change:
+        return "-"
+    return "same" if abs(change) < _SAME else f"{'worse' if change > 0 else 'better'}, {change:+.0%}"
+
+
+def write_report(folder: Path, study, device: str) -> Path:
+    """Write index.html, tradeoff.json and, where matplotlib is there, tradeoff.png; returns the page's path.
+
+    `device` is the one that the records are of.
+    """
+    write_json(folder / FILE, {
+        "device": device, "figure": study.figure, "proxy_rank_correlation": study.proxy, "initial": study.initial,
+        "left_out": study.left_out, "points": [asdict(point) for point in study.points], "records": study.records})
     picture = ""
     if any(point.on_front for point in study.points):
         try:
             from pagas_cl.tradeoffs.plot import plot_front
 
-            plot_front(folder / "tradeoff.png", study.points, study.figure, "error against time")
-            picture = '<img src="tradeoff.png" alt="error against time">'
+            picture = plot_front(folder / "tradeoff.png", study.points, study.figure, "error against time").name
         except MissingExtraError as error:
             log.warning("no plot: %s", error)
     page = folder / "index.html"
-    write_text(page, _html(study, picture))
+    write_text(page, html_page("Error against time", notes(study), *_front_table(study.points), picture=picture,
+                               marked=[point.on_front for point in study.points]))
     return page
 
 
-def _html(study, picture: str) -> str:
-    header, rows = rows_of(study.points)
-    marks = [' class="front"' if point.on_front else "" for point in study.points]
-    body = "".join(f"<tr{mark}>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
-                   for mark, row in zip(marks, rows))
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
-    lines = "".join(f"<p>{escape(line)}</p>" for line in notes(study))
-    return (f'<!doctype html><html lang="en"><meta charset="utf-8"><title>error against time</title>'
-            f"<style>{_STYLE}</style><h1>Error against time</h1>{lines}{picture}"
-            f"<table><tr>{head}</tr>{body}</table></html>\n")
+def write_json(path: Path, content) -> None:
+    """Write `content` beside its name and rename it, null for numbers that JSON does not have; its folder is made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, json.dumps(_json_ready(content), indent=1) + "\n")
+
+
+def _json_ready(value):
+    if isinstance(value, dict):
+        return {key: _json_ready(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_json_ready(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 
 from pagas_cl.errors import need
+from pagas_cl.report.page import replacing
 
 _GROUPS = ("preset", "effects", "steps", "views a step", "context views", "model", "levels", "solver",
            "staged", "ablation")
@@ -24,17 +24,25 @@ def plot_front(path, points, figure: str, title: str = "", at_most: float = 1.3)
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    def place(point):
+        return point.seconds, min(point.error(figure), at_most)
+
     drawing = Figure((7.2, 4.6), layout="constrained")
     FigureCanvasAgg(drawing)
     axes = drawing.add_subplot()
-    _dots(axes, points, figure, at_most)
-    front = sorted((p for p in points if p.on_front), key=lambda p: p.seconds)
-    axes.step([p.seconds for p in front], [min(p.error(figure), at_most) for p in front], where="post", color="black",
-              linewidth=1, zorder=1, label="Pareto front")
+    groups = [g for g in _GROUPS if any(p.group == g for p in points)]
+    groups += sorted({p.group for p in points} - set(groups))
+    for number, group in enumerate(groups):
+        rows = [p for p in points if p.group == group and np.isfinite(p.error(figure))]
+        for marker, above in (("o", False), ("^", True)):
+            places = [place(p) for p in rows if (p.error(figure) > at_most) == above]
+            axes.scatter(*np.reshape(places, (-1, 2)).T, s=22, marker=marker, color=f"C{number}", zorder=2,
+                         label=None if above else group)
+    front = sorted(place(p) for p in points if p.on_front)
+    axes.step(*np.reshape(front, (-1, 2)).T, where="post", color="black", linewidth=1, zorder=1, label="Pareto front")
     for p in points:
         if p.group == "preset":
-            axes.annotate(p.name, (p.seconds, min(p.error(figure), at_most)), textcoords="offset points", xytext=(6, 6),
-                          fontsize=9, fontweight="bold")
+            axes.annotate(p.name, place(p), textcoords="offset points", xytext=(6, 6), fontsize=9, fontweight="bold")
     axes.axhline(1, color="grey", linewidth=0.8, linestyle=":")
     axes.set(xscale="log", yscale="log", xlabel="seconds per view", title=title,
              ylabel=f"{_NAMES.get(figure, figure)}\n(1 = initial depth)")
@@ -44,31 +52,13 @@ def plot_front(path, points, figure: str, title: str = "", at_most: float = 1.3)
     axes.margins(x=0.12)  # room for a name at the right
     axes.grid(True, which="both", alpha=0.2)
     axes.legend(fontsize=7, ncols=2)
-    return _save(drawing, Path(path))
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as beside:
+        drawing.savefig(beside, dpi=110)
+    return path
 
 
 def _few_minor(value, _) -> str:
     """Label of a minor tick: 2 and 5 of each decade, the others run into each other."""
     return f"{value:g}" if f"{value:e}"[0] in "25" else ""
-
-
-def _dots(axes, points, figure, at_most):
-    groups = [g for g in _GROUPS if any(p.group == g for p in points)]
-    groups += sorted({p.group for p in points} - set(groups))
-    for number, group in enumerate(groups):
-        rows = [p for p in points if p.group == group and np.isfinite(p.error(figure))]
-        for marker, some in (("o", [p for p in rows if p.error(figure) <= at_most]),
-                             ("^", [p for p in rows if p.error(figure) > at_most])):
-            axes.scatter([p.seconds for p in some], [min(p.error(figure), at_most) for p in some], s=22, marker=marker,
-                         color=f"C{number}", zorder=2, label=group if marker == "o" else None)
-
-
-def _save(drawing, path: Path) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.stem}.{os.getpid()}.part.png")
-    try:
-        drawing.savefig(beside, dpi=110)
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
-    return path

@@ -1,4 +1,4 @@
-"""One setting on one case: the refined depth, its time and its memory."""
+"""One setting on one case: the refined depth, its time and its memory; and how long that will take."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from zlib import crc32
 
 import numpy as np
 
+from pagas_cl.costs import photo_seconds, probe, view_steps
+from pagas_cl.presets import preset
 from pagas_cl.tradeoffs.case import BenchmarkCase
 from pagas_cl.tradeoffs.plan import OWN_ERROR, RANDOM, Setting
 
@@ -16,22 +18,14 @@ from pagas_cl.tradeoffs.plan import OWN_ERROR, RANDOM, Setting
 class Outcome:
     """What one run gives.
 
-    Attributes
-    ----------
-    depth : ndarray of shape (H, W), float32
-    seconds : float
-        From photos on the device to the depth on the host, the measuring of effects included; median of the repeats.
-        The device's compiler and the upload of the photos are not counted.
-    view_steps : float
-        Full-size steps times context views that were done.
-    device_bytes : int
-        Most memory that was taken on the device, photos included.
+    `seconds` are from photos on the device to the depth on the host, the measuring of effects included; median of the
+    repeats. The device's compiler and the upload of the photos are not counted.
     """
 
-    depth: np.ndarray
+    depth: np.ndarray    # (H, W), float32
     seconds: float
-    view_steps: float
-    device_bytes: int
+    view_steps: float    # full-size steps times context views that were done
+    device_bytes: int    # most that was taken, photos included
 
 
 def run(setting: Setting, case: BenchmarkCase, device, photos, repeats: int = 1) -> Outcome:
@@ -59,40 +53,36 @@ def _stages(stages, target, contexts, depth, device, photos):
         used = contexts[:stage.context.number]
         stage, _, measured = settle(target, used, depth, stage, device, photos)
         found = refine_levels(target, used, depth, stage, device, photos, measured=measured)
-        each = min(stage.solver.views_per_step or len(used), len(used))
-        work += sum(scale**2 * steps * each for scale, steps in zip(stage.pyramid.scales, found.steps))
+        work += view_steps(stage, len(used), found.steps)
         depth, most = found.depth, max(most, found.device_bytes)
     return depth, work, most
 
 
 def _agreed(setting, case, depth, device, photos):
     """The depth where enough refined context views confirm it, 0 elsewhere."""
-    from pagas_cl.surface.agree import confirmations
+    from pagas_cl.surface.agree import counts
 
     views = [case.target, *case.contexts]
+    known = [(view, start) for view, start in zip(case.contexts, case.context_depths) if start is not None]
     cameras, others = [], []
-    for view, start in zip(case.contexts, case.context_depths):
-        if start is not None and len(others) < 2 * setting.agree:
-            around = [other for other in views if other is not view]
-            cameras.append(view.camera)
-            others.append(_stages(setting.stages, view, around, start, device, photos)[0])
-    count = confirmations(case.target.camera, depth, cameras, others, setting.stages[-1].fusion.agree_pixels,
-                          device)
+    for view, start in known[:2 * setting.agree]:
+        around = [other for other in views if other is not view]
+        cameras.append(view.camera)
+        others.append(_stages(setting.stages, view, around, start, device, photos)[0])
+    count, _ = counts(case.target.camera, depth, cameras, others, setting.stages[-1].fusion.agree_pixels, device)
     return np.where(count >= setting.agree, depth, np.float32(0))
 
 
 def initial_depth(setting: Setting, case: BenchmarkCase) -> np.ndarray:
     """The depth that `setting` starts from: the case's own, or one made from it, the same every time."""
-    given = np.where(np.isfinite(case.initial), case.initial, 0).astype(np.float32)
+    depth = given = np.where(np.isfinite(case.initial), case.initial, 0).astype(np.float32)
     rng = np.random.default_rng(crc32(case.name.encode()))
     valid = given > 0
     if setting.initial == RANDOM:
-        low, high = (float(f(given[valid])) for f in (np.min, np.max))
-        return np.where(valid, rng.uniform(low, high, given.shape), 0).astype(np.float32)
-    if setting.initial == OWN_ERROR:
-        return np.where(valid, np.maximum(given + 0.5 * case.parallax * _smooth_noise(rng, given.shape, 40), 0),
-                        0).astype(np.float32)
-    return given
+        depth = rng.uniform(float(given[valid].min()), float(given[valid].max()), given.shape)
+    elif setting.initial == OWN_ERROR:
+        depth = np.maximum(given + 0.5 * case.parallax * _smooth_noise(rng, given.shape, 40), 0)
+    return np.where(valid, depth, 0).astype(np.float32)
 
 
 def _smooth_noise(rng, shape, wavelength: int) -> np.ndarray:
@@ -102,3 +92,29 @@ def _smooth_noise(rng, shape, wavelength: int) -> np.ndarray:
     coarse = rng.uniform(1.0, 3.0, [max(2, n // wavelength + 2) for n in shape]).astype(np.float32)
     noise = depth_up(coarse, shape[1], shape[0]).astype(np.float64) - 2.0
     return noise / np.abs(noise).mean()
+
+
+class Guess:
+    """How long a run and its judging will take: by its work, corrected by how long the ones before it took."""
+
+    def __init__(self, case: BenchmarkCase, device, repeats: int):
+        self.cost = probe(case.target, case.contexts, case.initial, preset("balanced"), device,
+                          photo=photo_seconds((case.target,), device))
+        self.repeats, self.factor = max(1, repeats), 1.3
+
+    def seconds(self, setting: Setting, case: BenchmarkCase) -> float:
+        return self.factor * self._seconds(setting, case)
+
+    def _seconds(self, setting, case) -> float:
+        total = 0.0
+        for stage in setting.stages:
+            size = 1 + 2 * round(stage.splatting.radius)
+            factor = size**2 / 9 * (4.0 if stage.splatting.blend == "alpha" else 1.0)
+            factor *= 0.7 if stage.loss.grey else 1.0
+            total += factor * self.cost.seconds(stage, case.pixels, len(case.contexts))
+        judging = 1e-6 * case.pixels * (1 + len(case.held_out))
+        return total * self.repeats * (1 + 2 * setting.agree) + judging + 0.5
+
+    def learn(self, setting: Setting, case: BenchmarkCase, seconds: float) -> None:
+        """Told that the run took `seconds`."""
+        self.factor = 0.8 * self.factor + 0.2 * min(10.0, max(0.1, seconds / self._seconds(setting, case)))

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from stripped import never_had, parameters_in, parameters_of
+from stripped import never_had
 from support.effects import COMPILED
 
 from pagas_cl.config import Effects
@@ -25,6 +25,7 @@ from pagas_cl.runtime import program
 from pagas_cl.runtime.device import open_device
 from pagas_cl.runtime.timing import stage_times
 from pagas_cl.scene.view import View
+from pagas_cl.splat import options
 from pagas_cl.splat import view as refinement
 from pagas_cl.synthetic.layout import Relief, make_cameras
 
@@ -34,33 +35,20 @@ ROUNDS, REPEATS = 7, 20
 @contextmanager
 def as_if_never_written(effect):
     """Programs built meanwhile are those of sources without the effect, and launches hand over what they still take."""
-    source, build, bind, files = program.source, program.build, program.bind, {}
-    modules = [m for name, m in sys.modules.items() if name.startswith("pagas_cl.splat") and m is not None]
+    source, bind, programs = program.source, program.bind, dict(program._programs)
 
-    def bare_build(device, name, defines=()):
-        built = build(device, name, defines)
-        files[built.int_ptr] = name
-        return built
+    def bare_bind(built, kernel, size, group, known, **arguments):
+        there = built.signatures[kernel]
+        return bind(built, kernel, size, group, known, **{k: v for k, v in arguments.items() if k in there})
 
-    def bare_bind(built, kernel, size, group, *arguments):
-        file = files[built.int_ptr]
-        gone, names = parameters_in(effect, file), parameters_of(source(file), kernel)
-        return bind(built, kernel, size, group, *(a for a, name in zip(arguments, names) if name not in gone))
-
-    kept = [(m, name, getattr(m, name)) for m in modules for name in ("build", "bind") if hasattr(m, name)]
-    programs = dict(program._programs)
-    program.source = lambda name: never_had(effect, name, source(name))
+    program.source, options.bind = lambda name: never_had(effect, name, source(name)), bare_bind
     program._programs.clear()
-    for module, name, _ in kept:
-        setattr(module, name, bare_build if name == "build" else bare_bind)
     try:
         yield
     finally:
-        program.source = source
+        program.source, options.bind = source, bind
         program._programs.clear()
         program._programs.update(programs)
-        for module, name, value in kept:
-            setattr(module, name, value)
 
 
 def level_of(device, config, views, depth):

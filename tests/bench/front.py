@@ -11,15 +11,16 @@ from __future__ import annotations
 import argparse
 import logging
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depthmap import find_depth, load_depth
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.tradeoffs.ablation import ablation_plan, ablation_table
 from pagas_cl.tradeoffs.case import BenchmarkCase, loaded, make_cases
-from pagas_cl.tradeoffs.page import markdown, notes
-from pagas_cl.tradeoffs.plan import front_plan
+from pagas_cl.tradeoffs.page import ablation_table, markdown, notes
+from pagas_cl.tradeoffs.plan import ablation_plan, front_plan
 from pagas_cl.tradeoffs.study import collect, measure
 
 PARTS = ("front", "ablation")
@@ -50,7 +51,7 @@ def front(cases, out, device, given):
         if not some:
             continue
         study = measure(some, settings, device=device, report=out / "front" / name, repeats=given.repeats,
-                        workers=given.workers)
+                        executor=given.executor)
         for part in parts_of(study, settings):
             lines += [f"## {', '.join(part.initial)}", "", *notes(part), "", markdown(part.points)]
     return lines
@@ -69,7 +70,7 @@ def ablation(cases, out, device, given):
     for base in given.bases:
         settings = ablation_plan(base)
         study = measure(cases, settings, device=device, repeats=given.repeats, report=out / "ablation" / base,
-                        workers=given.workers)
+                        executor=given.executor)
         order = {s.name: k for k, s in enumerate(settings)}
         for part in parts_of(study, settings):
             rows = sorted(part.points, key=lambda p: order[p.name])
@@ -87,8 +88,9 @@ def main() -> None:
     parser.add_argument("--bases", nargs="*", default=("paper", "balanced"), help="presets of `ablation`")
     parser.add_argument("--device")
     parser.add_argument("--repeats", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=0, help="processes that judge while the device goes on")
     given = parser.parse_args()
+    given.executor = ProcessPoolExecutor(given.workers, get_context("spawn")) if given.workers else None
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     given.folders = [given.scenes / name for name in given.names if (given.scenes / name).is_dir()]
     cases, device = [loaded(case_of(folder)) for folder in given.folders], open_device(given.device)

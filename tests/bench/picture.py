@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from pagas_cl import refine_depth
-from pagas_cl.report.colors import normal_colors
+from pagas_cl.report.pictures import normal_colors
 from pagas_cl.result import normals_of
 from pagas_cl.synthetic import relief_scene
 

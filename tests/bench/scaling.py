@@ -24,7 +24,6 @@ from pagas_cl.scene.depthmap import resize_depth
 from pagas_cl.scene.view import View
 from pagas_cl.splat import PhotoStore, refine_levels
 from pagas_cl.tradeoffs.case import loaded
-from pagas_cl.tradeoffs.front import fitted_exponent
 from pagas_cl.tradeoffs.plan import fixed
 
 BASE = fixed("balanced")
@@ -72,6 +71,11 @@ class Scene:
 
         whole = least(config)
         return whole, whole - least(config.with_settings(pyramid__steps=(0,)))
+
+
+def fitted_exponent(sizes, seconds) -> float:
+    """Slope of log(seconds) over log(sizes): 1 where time is linear in size."""
+    return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
 
 
 def against_pixels(scene: Scene, device):

@@ -20,9 +20,8 @@ from front import case_of
 
 from pagas_cl.runtime.device import open_device
 from pagas_cl.splat import PhotoStore, refine_levels
-from pagas_cl.tradeoffs.case import loaded
+from pagas_cl.tradeoffs.case import loaded, score
 from pagas_cl.tradeoffs.plan import fixed
-from pagas_cl.tradeoffs.score import score
 
 TILE = 32
 

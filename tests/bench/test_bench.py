@@ -54,3 +54,9 @@ def test_memory_page_runs(capsys, monkeypatch):
     monkeypatch.setattr("sys.argv", ["memory.py", "--size", "176", "144", "--contexts", "3", "--preset", "fast"])
     assert memory.main() == 0
     assert capsys.readouterr().out.rstrip().endswith("the same bytes")
+
+
+def test_exponent_of_linear_times_is_one():
+    from scaling import fitted_exponent
+
+    assert fitted_exponent([1, 2, 4, 8], [3, 6, 12, 24]) == pytest.approx(1)

@@ -17,7 +17,7 @@ from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError
 from pagas_cl.presets import BALANCED, FAST, PAPER
 from pagas_cl.refine import refine_depth, refine_views
 from pagas_cl.runtime import memory
-from pagas_cl.runtime.arena import Arena, BufferSpec
+from pagas_cl.runtime.arena import BufferSpec, allocate
 from pagas_cl.runtime.device import open_device
 from pagas_cl.runtime.memory import Memory, limit_of
 from pagas_cl.scene.view import View
@@ -52,7 +52,7 @@ def a_device(**info):
 def test_refused_before_anything_is_allocated(monkeypatch, info, shape, kind, sentence):
     monkeypatch.setattr(memory, "_Counted", lambda *_: pytest.fail("allocated"))
     with pytest.raises(kind, match=sentence):
-        Arena(a_device(**info), [BufferSpec("depth", shape, np.float32)])
+        allocate(a_device(**info), [BufferSpec("depth", shape, np.float32)])
 
 
 def test_an_allocation_that_fails_gives_the_others_back(monkeypatch):
@@ -66,7 +66,7 @@ def test_an_allocation_that_fails_gives_the_others_back(monkeypatch):
     monkeypatch.setattr(memory, "_Counted", buffer)
     specs = [BufferSpec(str(n), (n,), np.float32) for n in (1, 2, 3)]
     with pytest.raises(DeviceMemoryError, match="refused 0 MB"):
-        Arena(a_device(), specs)
+        allocate(a_device(), specs)
     assert released == [4, 8]
 
 

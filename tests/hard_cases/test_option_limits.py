@@ -78,7 +78,7 @@ def test_fusion_at_its_limit(made, name):
     from pagas_cl.result import DepthResult
     from pagas_cl.surface.agree import confirmed
     from pagas_cl.surface.blocks import fuse_within
-    from pagas_cl.surface.weights import weights_of
+    from pagas_cl.surface.fuse import weights_of
 
     views, depths = made
     settings = with_values("fusion", FUSION[name]).fusion

@@ -17,7 +17,9 @@ from oclgrind import command
 from pagas_cl.runtime import arena, program
 from pagas_cl.selftest import BLENDS, device_gradient, normalized
 from pagas_cl.selftest import scenes as make
-from pagas_cl.splat import level, options, tile
+from pagas_cl.splat import options, tile
+
+pytestmark = pytest.mark.kernels
 
 KERNELS = Path(program.files("pagas_cl.cl_kernels").joinpath("loss.cl")).parent
 FILES = sorted(path.name for path in KERNELS.glob("*.cl"))
@@ -76,7 +78,7 @@ def test_work_group_sizes_agree(device, blend, monkeypatch):
     found = set()
     for group in (1, 32, 64, 256):
         tiles = tuple(replace(part, group=group) for part in tile.SCALAR)
-        monkeypatch.setattr(level, "choose_tiles", lambda *_, tiles=tiles: tiles)
+        monkeypatch.setattr(options, "choose_tiles", lambda *_, tiles=tiles: tiles)
         found.add(gradients(device, BLENDS[blend]))
     assert len(found) == 1
 
@@ -85,15 +87,16 @@ def test_work_group_sizes_agree(device, blend, monkeypatch):
 @pytest.mark.parametrize("name", VARIANTS)
 def test_nothing_is_read_before_it_is_written(device, name, monkeypatch):
     """Buffers that start as NaN, as ones, and as zeros give the same bits."""
-    config, found, plain = variant(name).with_settings(loss__exposure=False), set(), arena.Arena.__init__
+    config, found, plain = variant(name).with_settings(loss__exposure=False), set(), arena.allocate
 
     for pattern in (0, 0xFFFFFFFF, 0x3F800000):
-        def poisoned(self, on, specs, pattern=pattern):
-            plain(self, on, specs)
+        def poisoned(on, specs, pattern=pattern):
+            made = plain(on, specs)
             for spec in specs:
-                cl.enqueue_fill_buffer(on.queue, self[spec.name], np.uint32(pattern), 0, spec.nbytes // 4 * 4)
+                cl.enqueue_fill_buffer(on.queue, made[spec.name], np.uint32(pattern), 0, spec.nbytes // 4 * 4)
+            return made
 
-        monkeypatch.setattr(arena.Arena, "__init__", poisoned)
+        monkeypatch.setattr(arena, "allocate", poisoned)
         found.add(gradients(device, config, (45, 37)))
     assert len(found) == 1
 

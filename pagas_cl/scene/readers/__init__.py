@@ -1,17 +1,20 @@
-"""Scenes of other programs. One small module a format, each with `detect(folder) -> bool` and `read(folder) -> Scene`.
+"""Scenes of other programs: one small module a format, with two functions.
 
-A new format is a new file here and its name in FORMATS.
+`detect(folder)` looks at names of files, cheaply, never raises, and says whether the folder holds the format.
+`read(folder, **options)` gives the Scene: cameras in our convention (scene.camera), photos, masks, points if there are.
+The module's first lines say the format's own convention; only the module converts. Scenes come from strangers:
+numbers, texts and cameras go through `untrusted`, paths through `photos.inside`, arrays through `scene.files`; what is
+damaged, distorted or unclear ends in one InputError sentence. A new format is a new module and a line in FORMATS.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.links import tell_links
+from pagas_cl.scene.readers.photos import tell_links
 from pagas_cl.scene.view import Scene
 
 # In the order of looking: what names its convention and its photos itself comes first.
@@ -27,11 +30,6 @@ FORMATS = {
 }
 
 
-def formats() -> list[str]:
-    """Names of the formats that this installation reads."""
-    return [name for name, module in FORMATS.items() if find_spec(f"{__name__}.{module}") is not None]
-
-
 def read_scene(folder: str | Path, format: str | None = None, **options: Any) -> Scene:
     """Read the scene in `folder`.
 
@@ -39,7 +37,7 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
     ----------
     folder : path
     format : str, optional
-        One of `formats()`; found by looking at the folder where it is left out.
+        One of FORMATS; found by looking at the folder where it is left out.
     options
         Passed on to the format's `read`.
 
@@ -51,14 +49,13 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
     folder = Path(folder)
     if not folder.exists():
         raise InputError(f"scene {str(folder)!r} does not exist")
-    known = formats()
-    if format is not None and format not in known:
-        raise InputError(f"unknown format {format!r}, expected one of {', '.join(known)}")
-    for name in known if format is None else [format]:
+    if format is not None and format not in FORMATS:
+        raise InputError(f"unknown format {format!r}, expected one of {', '.join(FORMATS)}")
+    for name in FORMATS if format is None else [format]:
         module = import_module(f"{__name__}.{FORMATS[name]}")
         if format is not None or module.detect(folder):
             scene: Scene = module.read(folder, **options)
             tell_links(scene.views, folder)
             return scene
-    raise InputError(f"scene {str(folder)!r} holds no cameras in a known format ({', '.join(known)}); expected for "
+    raise InputError(f"scene {str(folder)!r} holds no cameras in a known format ({', '.join(FORMATS)}); expected for "
                      "instance images/ and a COLMAP model in sparse/0")

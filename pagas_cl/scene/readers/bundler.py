@@ -2,20 +2,20 @@
 
 Convention: world-to-camera with OpenGL axes (x right, y up, looking along -z), one focal length, no principal point:
 it is the photo's middle. Sizes come from the photos. What the format cannot hold (off-centre principal points,
-non-square pixels) is lost by whoever writes it; `write` refuses such cameras.
+non-square pixels) is lost by whoever writes it.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from pagas_cl.errors import InputError
+from pagas_cl.scene.camera import intrinsics
 from pagas_cl.scene.readers import photos, untrusted
-from pagas_cl.scene.view import Scene, View
+from pagas_cl.scene.view import Scene
 
 FILES = ("bundle.out", "bundle.rd.out", "bundle/bundle.out")
 LISTS = ("list.txt", "bundle.out.list.txt", "bundle.rd.out.list.txt", "bundle/list.txt")
@@ -25,7 +25,7 @@ log = logging.getLogger("pagas_cl")
 
 def detect(folder: Path) -> bool:
     """Whether `folder` holds a bundle.out."""
-    return any((Path(folder) / name).is_file() for name in FILES)
+    return photos.first_file(Path(folder), FILES) is not None
 
 
 def read(folder: Path, *, outside: bool = False) -> Scene:
@@ -34,7 +34,7 @@ def read(folder: Path, *, outside: bool = False) -> Scene:
     `outside`: whether photos outside `folder` may be read.
     """
     folder = Path(folder)
-    path = next((folder / name for name in FILES if (folder / name).is_file()), folder / FILES[0])
+    path = photos.first_file(folder, FILES) or folder / FILES[0]
     cameras, points = read_bundle(path)
     images = _images(folder, path, len(cameras), outside)
     views = []
@@ -42,8 +42,8 @@ def read(folder: Path, *, outside: bool = False) -> Scene:
         if f == 0:
             continue
         width, height = photos.photo_size(photo)
-        K = np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]])
-        camera = untrusted.pinhole(K, np.column_stack([_FLIP @ R, _FLIP @ t]), width, height, photo.name)
+        camera = untrusted.pinhole(intrinsics(f, f, width / 2, height / 2), np.column_stack([_FLIP @ R, _FLIP @ t]),
+                                   width, height, photo.name)
         views.append(photos.view_of(folder, camera, photo))
     if not views:
         raise InputError(f"{path}: none of the {len(cameras)} cameras was placed by Bundler (focal length 0)")
@@ -53,21 +53,19 @@ def read(folder: Path, *, outside: bool = False) -> Scene:
 
 
 def _images(folder: Path, path: Path, count: int, outside: bool) -> list[Path]:
-    names = next((folder / name for name in LISTS if (folder / name).is_file()), None)
+    names = photos.first_file(folder, LISTS)
     if names is None:
         return photos.one_photo_each(photos.scene_photos(folder), count, str(path))
     lines = [line.split()[0] for line in untrusted.read_text(names).splitlines() if line.strip()]
     if len(lines) != count:
         raise InputError(f"{names} names {len(lines)} photos and {path} has {count} cameras, expected as many")
-    return [_photo(folder, names, line, outside) for line in lines]
+    return [_photo(folder, line, str(names), outside) for line in lines]
 
 
-def _photo(folder: Path, names: Path, line: str, outside: bool) -> Path:
-    path = photos.inside(folder, line, f"{names}: photo", outside=outside)
-    for candidate in [path] + [folder / place / path.name for place in photos.FOLDERS]:
-        if candidate.is_file():
-            return candidate
-    return photos.existing(path, str(names))
+def _photo(folder: Path, name: str, where: str, outside: bool) -> Path:
+    path = photos.inside(folder, name, f"{where}: photo", outside=outside)
+    beside = photos.first_file(folder, (f"{place}/{path.name}" for place in photos.FOLDERS))
+    return beside if beside and not path.is_file() else photos.existing(path, where)
 
 
 def read_bundle(path: Path) -> tuple[list[tuple[float, np.ndarray, np.ndarray]], np.ndarray]:
@@ -85,44 +83,14 @@ def read_bundle(path: Path) -> tuple[list[tuple[float, np.ndarray, np.ndarray]],
         raise InputError(f"{path} has {len(rows)} lines, expected {1 + 5 * cameras + 3 * points} for {cameras} cameras "
                          f"and {points} points: is the file cut off?")
     found = [_camera(rows[1 + 5 * i:6 + 5 * i], f"{path}, camera {i}") for i in range(cameras)]
-    first = 1 + 5 * cameras
-    places = [_three(rows[first + 3 * i], f"{path}, point {i}") for i in range(points)]
+    places = [untrusted.words(row, f"{path}, point {i}", 3) for i, row in enumerate(rows[1 + 5 * cameras::3])]
     return found, np.array(places, np.float64).reshape(-1, 3)
 
 
-def _camera(rows: Sequence[Sequence[str]], where: str) -> tuple[float, np.ndarray, np.ndarray]:
-    f, k1, k2 = _three(rows[0], f"{where}: focal length and distortion")
+def _camera(rows: list[list[str]], where: str) -> tuple[float, np.ndarray, np.ndarray]:
+    f, k1, k2 = untrusted.words(rows[0], f"{where}: focal length and distortion", 3)
     if f != 0 and (k1 != 0 or k2 != 0):
         raise InputError(f"{where}: distortion is {k1:g} {k2:g}, expected 0 0: photos must be undistorted first "
                          "(Bundler's RadialUndistort, then bundle.rd.out)")
-    R = np.array([_three(row, f"{where}: rotation") for row in rows[1:4]])
-    return f, R, _three(rows[4], f"{where}: translation")
-
-
-def _three(row: Sequence[str], what: str) -> np.ndarray:
-    if len(row) != 3:
-        raise InputError(f"{what} has {len(row)} numbers, expected 3")
-    return untrusted.words(row, what)
-
-
-def write(folder: Path, views: list[View]) -> Path:
-    """Write bundle.out and list.txt.
-
-    InputError where the format would lose something: a principal point that is not the middle, or fx unlike fy.
-    """
-    folder = Path(folder)
-    rows, names = ["# Bundle file v0.3", f"{len(views)} 0"], []
-    for view in views:
-        camera = view.camera
-        if max(abs(camera.cx - camera.width / 2), abs(camera.cy - camera.height / 2)) > 1e-9 * camera.width:
-            raise InputError(f"view {view.name!r}: the principal point ({camera.cx:g}, {camera.cy:g}) is not the "
-                             "photo's middle, and Bundler's format cannot hold it; write another format")
-        if abs(camera.fx - camera.fy) > 1e-9 * camera.fx:
-            raise InputError(f"view {view.name!r}: fx {camera.fx!r} and fy {camera.fy!r} differ, and Bundler's format "
-                             "holds one focal length; write another format")
-        pose = _FLIP @ camera.world_to_camera[:3]
-        rows.append(f"{camera.fx!r} 0 0")
-        rows += [" ".join(repr(float(v)) for v in row) for row in (*pose[:, :3], pose[:, 3])]
-        names.append(photos.file_of(view).relative_to(folder).as_posix())
-    untrusted.write_text(folder / LISTS[0], "\n".join(names) + "\n")
-    return untrusted.write_text(folder / FILES[0], "\n".join(rows) + "\n")
+    R = np.array([untrusted.words(row, f"{where}: rotation", 3) for row in rows[1:4]])
+    return f, R, untrusted.words(rows[4], f"{where}: translation", 3)

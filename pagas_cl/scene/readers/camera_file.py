@@ -15,8 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from pagas_cl.errors import InputError
+from pagas_cl.scene.camera import intrinsics
+from pagas_cl.scene.files import write_text
 from pagas_cl.scene.readers import untrusted
-from pagas_cl.scene.readers.photos import find_mask, inside
+from pagas_cl.scene.readers.photos import find_mask, inside, view_of
 from pagas_cl.scene.view import Scene, View
 
 NAME = "cameras.json"
@@ -38,10 +40,8 @@ def read(folder: str | Path, *, outside: bool = False) -> Scene:
     if data.get("convention") != CONVENTION:
         raise InputError(f"{path}: convention is {untrusted.short(data.get('convention'))}, expected {CONVENTION!r}; "
                          "convert the cameras and say so")
-    views = data.get("views")
-    if not isinstance(views, list) or not views:
-        raise InputError(f"{path}: 'views' is {untrusted.short(views)}, expected a list with one object a photo")
-    return Scene([_view(folder, view, f"{path}, view {i}", outside) for i, view in enumerate(views)], str(path))
+    views = untrusted.objects(data, "views", "view", path, _KNOWN)
+    return Scene([_view(folder, view, where, outside) for view, where in views], str(path))
 
 
 def write(folder: str | Path, views: list[View]) -> Path:
@@ -55,30 +55,21 @@ def write(folder: str | Path, views: list[View]) -> Path:
         if isinstance(view.mask, Path):
             entry["mask"] = os.path.relpath(view.mask, Path(folder) / "masks")
         entries.append(entry)
-    beside = path.with_name(f".{NAME}.{os.getpid()}.part")
-    beside.write_text(json.dumps({"convention": CONVENTION, "views": entries}, indent=1), encoding="utf-8")
-    os.replace(beside, path)
-    return path
+    return write_text(path, json.dumps({"convention": CONVENTION, "views": entries}, indent=1))
 
 
-def _view(folder: Path, entry: Any, where: str, outside: bool) -> View:
-    if not isinstance(entry, dict):
-        raise InputError(f"{where} is {untrusted.short(entry)}, expected an object")
-    untrusted.refuse_near_misses(entry, _KNOWN, where)
+def _view(folder: Path, entry: dict[str, Any], where: str, outside: bool) -> View:
     absent = [key for key in _KNOWN if key not in entry and key not in ("mask", "name")]
     if absent:
         raise InputError(f"{where}: {absent[0]!r} is missing")
     image = _file(folder / "images", entry["image"], f"{where}: image", outside)
-    fx, fy, cx, cy = (untrusted.number(entry[key], f"{where}: {key}") for key in ("fx", "fy", "cx", "cy"))
-    camera = untrusted.pinhole([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
-                               untrusted.matrix(entry["world_to_camera"], 4, 4, f"{where}: world_to_camera"),
-                               entry["width"], entry["height"], entry["image"])
+    K = intrinsics(*(untrusted.number(entry[key], f"{where}: {key}") for key in ("fx", "fy", "cx", "cy")))
+    pose = untrusted.matrix(entry["world_to_camera"], 4, 4, f"{where}: world_to_camera")
+    camera = untrusted.pinhole(K, pose, entry["width"], entry["height"], entry["image"])
     mask = entry.get("mask")
     if mask is not None:
         mask = _file(folder / "masks", mask, f"{where}: mask", outside)
-    view = View(camera, image, mask or find_mask(folder, image, ("masks",)), entry["image"])
-    view.check_files()
-    return view
+    return view_of(folder, camera, image, mask or find_mask(folder, image, ("masks",)), entry["image"])
 
 
 def _file(folder: Path, name: Any, what: str, outside: bool) -> Path:

@@ -13,7 +13,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene.lens import Lens, ThroughLens
 from pagas_cl.scene.readers import untrusted
 from pagas_cl.scene.readers.colmap_model import Model, ModelImage, read_model
-from pagas_cl.scene.readers.photos import find_mask, inside
+from pagas_cl.scene.readers.photos import find_mask, first_file, inside
 from pagas_cl.scene.view import Scene, View
 
 log = logging.getLogger("pagas_cl")
@@ -85,11 +85,8 @@ def _view(model: Model, image: ModelImage, path: Path, folder: Path, lenses: dic
 
 
 def _mask(folder: Path, name: str, path: Path) -> Path | None:
-    masks = folder / "masks"
-    for candidate in (masks / (name + ".png"), (masks / name).with_suffix(".png")):
-        if candidate.is_file():
-            return candidate
-    return find_mask(folder, path, ("masks",))
+    named = first_file(folder / "masks", (f"{name}.png", Path(name).with_suffix(".png")))
+    return named or find_mask(folder, path, ("masks",))
 
 
 def _check_photos(paths: dict[str, Path], photos: Path) -> None:

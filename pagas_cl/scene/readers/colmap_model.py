@@ -7,7 +7,7 @@ camera model ends the process. It is left what only it can do, the lens models (
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,6 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError, need
+from pagas_cl.scene.camera import intrinsics
+from pagas_cl.scene.files import translated
 from pagas_cl.scene.readers import untrusted
 
 # COLMAP's numbers of camera models -> name, number of parameters
@@ -43,8 +45,7 @@ class ModelCamera:
     @property
     def K(self) -> np.ndarray:
         """Intrinsics (3, 3) of PINHOLE and SIMPLE_PINHOLE, pixel centres at +0.5."""
-        fx, fy, cx, cy = self.params if self.model == "PINHOLE" else (self.params[0], *self.params)
-        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        return intrinsics(*(self.params if self.model == "PINHOLE" else (self.params[0], *self.params)))
 
     def to_pycolmap(self) -> Any:
         """The same as a pycolmap.Camera."""
@@ -78,42 +79,38 @@ def read_model(place: Path) -> Model:
     place = Path(place)
     binary = all((place / f"{part}.bin").is_file() for part in ("cameras", "images"))
     suffix = ".bin" if binary else ".txt"
-    cameras = _guarded(place / f"cameras{suffix}", _cameras_bin if binary else _cameras_txt)
+    found = _guarded(place / f"cameras{suffix}", _cameras_bin if binary else _cameras_txt)
     images = _guarded(place / f"images{suffix}", _images_bin if binary else _images_txt)
-    names = [image.name for image in images]
+    cameras = dict(found)
+    for what, parts in (("camera", [number for number, _ in found]), ("image", [image.name for image in images])):
+        if untrusted.twice(parts) is not None:
+            raise InputError(f"{place}: {what} {untrusted.short(untrusted.twice(parts))} is there twice")
     for image in images:
         if image.camera_id not in cameras:
             raise InputError(f"{place}: image {untrusted.short(image.name)} has camera {image.camera_id}, which is not "
                              f"in cameras{suffix}")
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"{place}: image {untrusted.short(twice)} is there twice")
     points = place / f"points3D{suffix}"
-    found = _guarded(points, _points_bin if binary else _points_txt) if points.is_file() else np.zeros((0, 3))
-    return Model(cameras, images, found)
+    read_points = _points_bin if binary else _points_txt
+    return Model(cameras, images, _guarded(points, read_points) if points.is_file() else np.zeros((0, 3)))
 
 
 def _guarded(path: Path, read: Callable[[bytes, Path], _Part]) -> _Part:
     data = untrusted.read_bytes(path, _BYTES)
-    try:
+    with translated(f"the COLMAP model cannot be read: {path}: ", "; is it cut off or damaged?"):
         return read(data, path)
-    except InputError:
-        raise
-    except (struct.error, ValueError, IndexError, OverflowError) as error:
-        raise InputError(f"the COLMAP model cannot be read: {path}: {str(error)[:120]}; is it cut off or "
-                         "damaged?") from error
 
 
-def _camera(model: str, width: float, height: float, params: Sequence[float] | np.ndarray,
+def _camera(model: str | int, width: float, height: float, params: Sequence[float] | np.ndarray,
             where: str) -> ModelCamera:
+    if not isinstance(model, str) or model not in _COUNTS:
+        raise InputError(f"{where} has model {untrusted.short(model)}, which is unknown; undistort first: colmap "
+                         "image_undistorter")
     if len(params) != _COUNTS[model]:
         raise InputError(f"{where}: {model} has {len(params)} parameters, expected {_COUNTS[model]}")
-    for side, value in (("width", width), ("height", height)):
-        untrusted.whole(value, 1, untrusted.MAX_SIDE, f"{where}: {side}")
     if not np.isfinite(params).all() or np.abs(params).max(initial=0) > 1e9:
         raise InputError(f"{where}: the parameters are {untrusted.short(list(params))}, expected finite numbers of "
                          "pixels")
-    return ModelCamera(model, int(width), int(height), tuple(float(p) for p in params))
+    return ModelCamera(model, *untrusted.size(width, height, where), tuple(float(p) for p in params))
 
 
 def _image(numbers: npt.ArrayLike, camera: int, name: str, where: str) -> ModelImage:
@@ -133,100 +130,86 @@ def _image(numbers: npt.ArrayLike, camera: int, name: str, where: str) -> ModelI
     return ModelImage(name, camera, pose)
 
 
-def _records(data: bytes, least: int) -> int:
-    """The count at the start of a binary file, refused where not even the smallest records would fit."""
-    count: int = struct.unpack_from("<Q", data, 0)[0]
-    if count * least > len(data) - 8:
+def _records(data: bytes, least: int, read: Callable[[int, int], tuple[_Part, int]]) -> list[_Part]:
+    """What `read(row, place)` makes of each record of a binary file; it returns the next one's place too.
+
+    The count at the file's start is refused where not even the smallest records would fit.
+    """
+    (count,), place, found = struct.unpack_from("<Q", data, 0), 8, []
+    if count * least > len(data) - place:
         raise ValueError(f"it says {count} records and has {len(data)} bytes")
-    return count
-
-
-def _ended(place: int, data: bytes) -> None:
+    for row in range(count):
+        record, place = read(row, place)
+        found.append(record)
+        if place > len(data):
+            raise ValueError(f"record {row} says that it goes on behind the end of the file")
     if place != len(data):
         raise ValueError(f"{len(data) - place} bytes follow the last record")
+    return found
 
 
-def _cameras_bin(data: bytes, path: Path) -> dict[int, ModelCamera]:
-    cameras, place = {}, 8
-    for _ in range(_records(data, 24)):
+def _cameras_bin(data: bytes, path: Path) -> list[tuple[int, ModelCamera]]:
+    def read(row: int, place: int) -> tuple[tuple[int, ModelCamera], int]:
         number, model, width, height = struct.unpack_from("<IiQQ", data, place)
-        if model not in MODELS:
-            raise InputError(f"{path}: camera {number} has model number {model}, which is unknown; undistort first: "
-                             "colmap image_undistorter")
-        if number in cameras:
-            raise InputError(f"{path}: camera {number} is there twice")
-        name, count = MODELS[model]
+        name, count = MODELS.get(model, (model, 0))
         params = struct.unpack_from(f"<{count}d", data, place + 24)
-        cameras[number] = _camera(name, width, height, params, f"{path}: camera {number}")
-        place += 24 + 8 * count
-    _ended(place, data)
-    return cameras
+        return (number, _camera(name, width, height, params, f"{path}: camera {number}")), place + 24 + 8 * count
+
+    return _records(data, 24, read)
 
 
 def _images_bin(data: bytes, path: Path) -> list[ModelImage]:
-    images, place = [], 8
-    for _ in range(_records(data, 73)):
-        number, *pose = struct.unpack_from("<I7d", data, place)
-        (camera,) = struct.unpack_from("<I", data, place + 60)
+    def read(row: int, place: int) -> tuple[ModelImage, int]:
+        number, *pose, camera = struct.unpack_from("<I7dI", data, place)
         end = data.index(b"\0", place + 64, place + 64 + _NAME)
         name = data[place + 64:end].decode("utf-8")
         (points,) = struct.unpack_from("<Q", data, end + 1)
-        place = end + 9 + 24 * points
-        if place > len(data):
-            raise ValueError(f"image {number} says that it has {points} points")
-        images.append(_image(pose, camera, name, f"{path}: image {number}"))
-    _ended(place, data)
-    return images
+        return _image(pose, camera, name, f"{path}: image {number}"), end + 9 + 24 * points
+
+    return _records(data, 73, read)
 
 
 def _points_bin(data: bytes, path: Path) -> np.ndarray:
-    count, place = _records(data, 51), 8
-    points, track = np.empty((count, 3)), struct.Struct("<8x3d11xQ")
-    for row in range(count):
-        *points[row], length = track.unpack_from(data, place)
-        place += 51 + 8 * length  # number, position, colour, error, length of the track; then the track
-        if place > len(data):
-            raise ValueError(f"point {row} says that {length} images see it")
-    _ended(place, data)
-    return points
+    track = struct.Struct("<8x3d11xQ")  # number, position, colour, error, length of the track; then the track
+
+    def read(row: int, place: int) -> tuple[list[float], int]:
+        *point, length = track.unpack_from(data, place)
+        return point, place + 51 + 8 * length
+
+    return np.array(_records(data, 51, read), np.float64).reshape(-1, 3)
 
 
-def _lines(data: bytes) -> list[str]:
-    return [line.strip() for line in data.decode("utf-8").splitlines()]
+def _lines(data: bytes) -> Iterator[str]:
+    return (line.strip() for line in data.decode("utf-8").splitlines())
 
 
-def _cameras_txt(data: bytes, path: Path) -> dict[int, ModelCamera]:
-    cameras = {}
-    for line in _lines(data):
-        if not line or line.startswith("#"):
-            continue
-        tokens = line.split()
-        where = f"{path}: camera {untrusted.short(tokens[0])}"
-        if len(tokens) < 4:
-            raise InputError(f"{where}: {len(tokens)} words, expected number, model, width, height and parameters")
-        if tokens[1] not in _COUNTS:
-            raise InputError(f"{where} has model {untrusted.short(tokens[1])}, which is unknown; undistort first: "
-                             "colmap image_undistorter")
-        number, width, height = (untrusted.word(tokens[k], where) for k in (0, 2, 3))
-        if number in cameras:
-            raise InputError(f"{where} is there twice")
-        cameras[int(untrusted.whole(number, 0, 2**32 - 1, where))] = _camera(
-            tokens[1], width, height, untrusted.words(tokens[4:], where), where)
+def _rows(lines: Iterator[str], splits: int, least: int, path: Path, columns: str) -> Iterator[list[str]]:
+    """The words of each line that is neither empty nor a comment, split at most `splits` times (-1: everywhere)."""
+    for line in lines:
+        if line and not line.startswith("#"):
+            row = line.split(maxsplit=splits)
+            if len(row) < least:
+                raise InputError(f"{path}: line {untrusted.short(line)} has {len(row)} words, expected {columns}")
+            yield row
+
+
+def _cameras_txt(data: bytes, path: Path) -> list[tuple[int, ModelCamera]]:
+    cameras = []
+    for row in _rows(_lines(data), -1, 4, path, "number, model, width, height and parameters"):
+        where = f"{path}: camera {untrusted.short(row[0])}"
+        number, width, height = untrusted.words([row[0], *row[2:4]], where)
+        cameras.append((untrusted.whole(float(number), 0, 2**32 - 1, where),
+                        _camera(row[1], width, height, untrusted.words(row[4:], where), where)))
     return cameras
 
 
 def _images_txt(data: bytes, path: Path) -> list[ModelImage]:
-    images, lines = [], iter(_lines(data))
-    for line in lines:
-        if not line or line.startswith("#"):
-            continue
-        tokens = line.split(maxsplit=9)
-        where = f"{path}: image {untrusted.short(tokens[0])}"
-        if len(tokens) < 10:
-            raise InputError(f"{where}: {len(tokens)} words, expected number, quaternion, translation, camera, name")
-        numbers = untrusted.words(tokens[:9], where)
+    images, lines = [], _lines(data)
+    for row in _rows(lines, 9, 10, path, "number, quaternion, translation, camera, name"):
+        where = f"{path}: image {untrusted.short(row[0])}"
+        numbers = untrusted.words(row[:9], where)
         camera = untrusted.whole(float(numbers[8]), 0, 2**32 - 1, f"{where}: camera")
-        images.append(_image(numbers[1:8], camera, tokens[9], where))
+        images.append(_image(numbers[1:8], camera, row[9], where))
         points = next(lines, "").split()  # a second line holds its points, and may be empty
         if len(points) % 3 or points and not untrusted.is_number(points[-1]):
             raise InputError(f"{where}: the line after it holds no points (3 numbers each): is a line missing?")
@@ -234,7 +217,5 @@ def _images_txt(data: bytes, path: Path) -> list[ModelImage]:
 
 
 def _points_txt(data: bytes, path: Path) -> np.ndarray:
-    rows = [line.split(maxsplit=4)[1:4] for line in _lines(data) if line and not line.startswith("#")]
-    if any(len(row) != 3 for row in rows):
-        raise InputError(f"{path}: a line has fewer than 4 words: is the file damaged?")
+    rows = [row[1:4] for row in _rows(_lines(data), 4, 4, path, "number, position, ...: is the file damaged?")]
     return untrusted.words([token for row in rows for token in row], str(path)).reshape(-1, 3)

@@ -18,13 +18,16 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.camera import Camera, intrinsics
+from pagas_cl.scene.files import write_text
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.readers.mlp_flavour import FLAVOURS, settle_flavour
-from pagas_cl.scene.readers.safe_xml import read_xml
 from pagas_cl.scene.view import Scene, View
 
 _FLIP = np.diag([1.0, -1.0, -1.0])
+# of a VCGCamera: attribute, how many numbers, what it is where it is left out
+_NUMBERS = (("FocalMm", 1, None), ("PixelSizeMm", 2, None), ("CenterPx", 2, None), ("ViewportPx", 2, None),
+            ("LensDistortion", 2, "0 0"), ("RotationMatrix", 16, None), ("TranslationVector", 4, None))
 log = logging.getLogger("pagas_cl")
 
 
@@ -55,7 +58,7 @@ class RasterLayer:
             raise InputError(f"mlp flavour is {flavour!r}, expected {' or '.join(map(repr, FLAVOURS))}")
         (width, height), (cx, cy) = self.size, self.center
         corner = flavour == "meshlab"
-        K = np.array([[self.focal[0], 0, cx], [0, self.focal[1], height - cy if corner else cy], [0, 0, 1]])
+        K = intrinsics(*self.focal, cx, height - cy if corner else cy)
         return untrusted.pinhole(K, self.world_to_camera, width, height, self.path.name,
                                  pixel_center=0.5 if corner else 0.0)
 
@@ -77,10 +80,6 @@ class Project:
             photos.existing(raster.path, f"{self.path}, raster layer {raster.label!r}")
         views = [photos.view_of(self.path.parent, raster.camera(flavour), raster.path) for raster in self.rasters]
         return Scene(views=views, source=f"{self.path} (MeshLab project, {flavour})")
-
-    def readings_differ(self) -> float:
-        """How many pixels lie between the two readings of CenterPx, the most of all raster layers."""
-        return max((abs(raster.size[1] - 2 * raster.center[1] - 0.5) for raster in self.rasters), default=0.0)
 
 
 def detect(folder: Path) -> bool:
@@ -116,7 +115,7 @@ def read_project(path: Path, *, outside: bool = False) -> Project:
         Whether its meshes and photos may lie outside its folder; relative paths start there.
     """
     path = Path(path)
-    root = read_xml(path, "MeshLabProject")
+    root = untrusted.read_xml(path, "MeshLabProject")
     meshes = [_mesh(e, path, i, outside) for i, e in enumerate(root.findall("MeshGroup/MLMesh"))]
     rasters = [_raster(e, path, i, outside) for i, e in enumerate(root.findall("RasterGroup/MLRaster"))]
     strays = len(list(root.iter("VCGCamera"))) - len(rasters) - len(root.findall("MeshGroup/MLMesh/VCGCamera"))
@@ -126,17 +125,20 @@ def read_project(path: Path, *, outside: bool = False) -> Project:
 
 
 def _mesh(element: Element, path: Path, number: int, outside: bool) -> MeshLayer:
-    where = f"{path}, mesh layer {number}"
-    name = element.get("filename", "")
-    text = element.findtext("MLMatrix44")
-    stored = element.find("MLMatrix44")
-    if stored is not None and stored.get("BinaryData", "0") != "0":
-        raise InputError(f"{where}: the matrix is stored as binary; save the project as .mlp, not .mlb")
-    matrix = np.eye(4) if text is None else _numbers(text, 16, f"{where}: MLMatrix44").reshape(4, 4)
+    where, name = f"{path}, mesh layer {number}", element.get("filename", "")
+    stored, matrix = element.find("MLMatrix44"), np.eye(4)
+    if stored is not None:
+        _refuse_binary(stored, f"{where}: the matrix")
+        matrix = untrusted.words(stored.text, f"{where}: MLMatrix44", 16).reshape(4, 4)
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-9 or abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
         raise InputError(f"{where}: MLMatrix44 is no affine transform that can be undone")
     file = photos.inside(path.parent, name, f"{where}: filename", outside=outside) if name else None
     return MeshLayer(element.get("label", name), file, matrix, element.get("visible", "1") != "0")
+
+
+def _refuse_binary(element: Element, what: str) -> None:
+    if element.get("BinaryData", "0") != "0":
+        raise InputError(f"{what} is stored as binary; save the project as .mlp, not .mlb")
 
 
 def _raster(element: Element, path: Path, number: int, outside: bool) -> RasterLayer:
@@ -144,28 +146,26 @@ def _raster(element: Element, path: Path, number: int, outside: bool) -> RasterL
     camera = element.find("VCGCamera")
     if camera is None:
         raise InputError(f"{where} has no VCGCamera")
-    if camera.get("BinaryData", "0") != "0":
-        raise InputError(f"{where}: the camera is stored as binary; save the project as .mlp, not .mlb")
+    _refuse_binary(camera, f"{where}: the camera")
     if camera.get("CameraType", "0") != "0":
         raise InputError(f"{where}: CameraType is {untrusted.short(camera.get('CameraType'))}, expected 0 "
                          "(perspective)")
-    get = {key: _numbers(camera.get(key), count, f"{where}: {key}") for key, count in
-           (("FocalMm", 1), ("PixelSizeMm", 2), ("CenterPx", 2), ("ViewportPx", 2), ("RotationMatrix", 16),
-            ("TranslationVector", 4))}
-    if np.any(_numbers(camera.get("LensDistortion", "0 0"), 2, f"{where}: LensDistortion") != 0):
+    get = {key: untrusted.words(camera.get(key, left_out), f"{where}: {key}", count)
+           for key, count, left_out in _NUMBERS}
+    if get["LensDistortion"].any():
         raise InputError(f"{where}: LensDistortion is {untrusted.short(camera.get('LensDistortion'))}, expected 0 0: "
                          "photos must be undistorted first")
     if (get["PixelSizeMm"] <= 0).any():
         raise InputError(f"{where}: PixelSizeMm is {get['PixelSizeMm'].tolist()}, expected numbers above 0")
-    width, height = (untrusted.whole(n, 1, untrusted.MAX_SIDE, f"{where}: ViewportPx")
-                     for n in get["ViewportPx"].tolist())
+    width, height = get["ViewportPx"].tolist()[:2]
+    size = untrusted.size(width, height, f"{where}: ViewportPx")
     with np.errstate(over="ignore"):
         fx, fy = (get["FocalMm"][0] / get["PixelSizeMm"]).tolist()
     cx, cy = get["CenterPx"].tolist()
     plane = element.find("Plane")
     name = plane.get("fileName") if plane is not None else None
     file = photos.inside(path.parent, name, f"{where}: fileName of its Plane", outside=outside)
-    raster = RasterLayer(element.get("label", ""), file, (width, height), (fx, fy), (cx, cy),
+    raster = RasterLayer(element.get("label", ""), file, size, (fx, fy), (cx, cy),
                          _pose(get["RotationMatrix"].reshape(4, 4), get["TranslationVector"], where))
     raster.camera()  # checks the rotation and the focal length now
     return raster
@@ -176,13 +176,6 @@ def _pose(rotation: np.ndarray, translation: np.ndarray, where: str) -> np.ndarr
         raise InputError(f"{where}: RotationMatrix or TranslationVector is not of the form that MeshLab writes")
     R = _FLIP @ rotation[:3, :3]
     return np.column_stack([R, R @ translation[:3]])
-
-
-def _numbers(text: str | None, count: int, what: str) -> np.ndarray:
-    tokens = (text or "").split()
-    if len(tokens) != count:
-        raise InputError(f"{what} is {untrusted.short(text)}, expected {count} numbers")
-    return untrusted.words(tokens, what)
 
 
 def write_project(path: Path, views: list[View], meshes: Sequence[MeshLayer] = ()) -> Path:
@@ -200,7 +193,7 @@ def write_project(path: Path, views: list[View], meshes: Sequence[MeshLayer] = (
     for view in views:
         rows += [f"  <MLRaster label={quoteattr(view.name)}>", f"   <VCGCamera {_camera(view.camera)}/>",
                  f'   <Plane semantic="1" fileName={_name(path, photos.file_of(view))}/>', "  </MLRaster>"]
-    return untrusted.write_text(path, "\n".join([*rows, " </RasterGroup>", "</MeshLabProject>", ""]))
+    return write_text(path, "\n".join([*rows, " </RasterGroup>", "</MeshLabProject>", ""]))
 
 
 def _camera(camera: Camera) -> str:

@@ -8,7 +8,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError, MissingExtraError
 from pagas_cl.scene import patches
-from pagas_cl.scene.mesh import Surface, read_mesh
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_file import read_mesh
 
 if TYPE_CHECKING:
     from pagas_cl.scene.readers.meshlab import Project
@@ -25,33 +26,26 @@ def settle_flavour(project: Project) -> tuple[str, str]:
     reading is taken where the two hardly differ, where there is no mesh or photo to compare, and where the photos do
     not prefer the other one.
     """
-    apart = project.readings_differ()
+    apart = max((abs(raster.size[1] - 2 * raster.center[1] - 0.5) for raster in project.rasters), default=0.0)
     what = f"{project.path}: CenterPx.y"
     if apart < _SAME:
         return "meshlab", f"{what} reads the same from the top and from the bottom (within {_SAME:g} pixel)"
     unsettled = f"{what} was read from the bottom, as MeshLab writes it, {apart:.4g} pixels from the other reading"
     try:
-        surface = _surface(project)
-        found = {flavour: _score(project, surface, flavour) for flavour in FLAVOURS}
+        scores = _scores(project)
     except (InputError, MissingExtraError) as error:
         return "meshlab", f"{unsettled}; photos could not settle it ({error})"
-    scores = {flavour: score for flavour, score in found.items() if score is not None}
-    if len(scores) < len(FLAVOURS):
+    if not scores:
         return "meshlab", f"{unsettled}; photos could not settle it (too few textured patches are seen by two views)"
-    better = {f: patches.prefers(scores[f], scores[FLAVOURS[1 - i]])[0] for i, f in enumerate(FLAVOURS)}
-    medians = {f: _median(score) for f, score in scores.items()}
-    agreement = f"(correlation {medians['meshlab']:.2f} from the bottom, {medians['openmvs']:.2f} from the top)"
-    if better["openmvs"]:
+    medians = [float(np.nanmedian(scores[f])) for f in FLAVOURS]
+    agreement = f"(correlation {medians[0]:.2f} from the bottom, {medians[1]:.2f} from the top)"
+    if patches.prefers(scores["openmvs"], scores["meshlab"]):
         return "openmvs", (f"{what} was read from the TOP, as OpenMVS writes it: the photos prefer it {agreement}; "
                            "pass flavour='meshlab' if that is wrong")
-    if better["meshlab"]:
+    if patches.prefers(scores["meshlab"], scores["openmvs"]):
         return "meshlab", f"{what} was read from the bottom, as MeshLab writes it; the photos agree {agreement}"
     return "meshlab", (f"{unsettled}; the photos prefer neither {agreement}: pass flavour='openmvs' if OpenMVS wrote "
                        "the file")
-
-
-def _median(values: np.ndarray) -> float:
-    return float(np.nanmedian(values))
 
 
 def _surface(project: Project) -> Surface:
@@ -63,16 +57,16 @@ def _surface(project: Project) -> Surface:
     raise InputError("the project has no mesh layer with a file")
 
 
-def _score(project: Project, surface: Surface, flavour: str) -> np.ndarray | None:
-    """Correlations of patches between pairs of views; pairs and patches are those of MeshLab's reading."""
-    keep = np.unique(np.linspace(0, len(project.rasters) - 1, min(_VIEWS, len(project.rasters))).astype(int))
-    views = [project.scene(flavour).views[k] for k in keep]
-    plain = [project.rasters[k].camera("meshlab") for k in keep]
-    samples = patches.sample_surface(surface)
-    seen = np.array([patches.visible(camera, samples) for camera in plain])
-    pairs = patches.choose_pairs(plain, seen, samples)
-    if not pairs:
-        return None
-    greys = [patches.grey_of(view.load_image()) for view in views]
-    scores = patches.patch_correlation([v.camera for v in views], greys, pairs, seen, samples)
-    return scores if np.isfinite(scores).sum() >= 30 else None
+def _scores(project: Project) -> dict[str, np.ndarray]:
+    """For each flavour correlations of patches between pairs of views; of both the same pairs, of MeshLab's reading.
+
+    Empty where too few patches can be compared.
+    """
+    samples = patches.sample_surface(_surface(project))
+    keep = patches.evenly(len(project.rasters), _VIEWS)
+    cameras = {flavour: [project.rasters[k].camera(flavour) for k in keep] for flavour in FLAVOURS}
+    views = project.scene().views
+    greys = [patches.grey_of(views[k].load_image()) for k in keep]
+    seen, pairs = patches.overlaps(cameras["meshlab"], samples)
+    scores = {f: patches.patch_correlation(cameras[f], greys, pairs, seen, samples) for f in FLAVOURS}
+    return scores if min(np.isfinite(score).sum() for score in scores.values()) >= patches.LEAST else {}

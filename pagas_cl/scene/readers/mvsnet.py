@@ -6,8 +6,8 @@ format itself does not say. It holds no image size either: that comes from the p
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -52,12 +52,16 @@ def read(folder: Path, *, pixel_center: float = 0.5, intrinsics_scale: float | N
         raise InputError(f"{folder} has no NNNNNNNN_cam.txt in {', '.join(CAMERA_FOLDERS)}")
     files = {int(match[1]): p for p in sorted(place.iterdir()) if (match := _FILE.fullmatch(p.name))}
     found = _photos_by_number(folder)
-    if not set(files) & set(found):
+    both = sorted(set(files) & set(found))
+    if not both:
         raise InputError(f"{folder}: none of the {len(found)} photos has the number of a camera file in {place}")
-    views = [_view(folder, files[n], found[n], pixel_center, intrinsics_scale) for n in sorted(set(files) & set(found))]
-    pairs = next((p for p in (folder / "pair.txt", place / "pair.txt", place.parent / "pair.txt") if p.is_file()), None)
+    views = [_view(folder, files[n], found[n], pixel_center, intrinsics_scale) for n in both]
+    pairs = photos.first_file(folder, ("pair.txt", place / "pair.txt", place.parent / "pair.txt"))
     if pairs is not None:
-        _check_pairs(read_pairs(pairs), set(files), pairs)
+        recommended = read_pairs(pairs)
+        strange = {*recommended, *(other for row in recommended.values() for other, _ in row)} - set(files)
+        if strange:
+            raise InputError(f"{pairs} names view {min(strange)}, which has no camera file")
     return Scene(views=views, source=f"{folder} (MVSNet)")
 
 
@@ -100,11 +104,9 @@ def _refuse_other_size(K: np.ndarray, width: int, height: int, path: Path, photo
 def read_camera(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """World-to-camera pose (4, 4) and K (3, 3) of one NNNNNNNN_cam.txt, float64."""
     tokens = untrusted.read_text(path, 1 << 20).split()
-    if len(tokens) < 27 or tokens[0] != "extrinsic" or tokens[17] != "intrinsic":
-        raise InputError(f"{path}: expected 'extrinsic', 16 numbers, 'intrinsic', 9 numbers and the depth range, got "
-                         f"{len(tokens)} words: is the file damaged?")
-    if len(tokens) > 31:
-        raise InputError(f"{path}: {len(tokens)} words, expected at most 31: is the file damaged?")
+    if not 27 <= len(tokens) <= 31 or tokens[0] != "extrinsic" or tokens[17] != "intrinsic":
+        raise InputError(f"{path}: expected 'extrinsic', 16 numbers, 'intrinsic', 9 numbers and the depth range of up "
+                         f"to 4, got {len(tokens)} words: is the file damaged?")
     pose = untrusted.words(tokens[1:17], f"{path}: extrinsic").reshape(4, 4)
     K = untrusted.words(tokens[18:27], f"{path}: intrinsic").reshape(3, 3)
     untrusted.words(tokens[27:], f"{path}: depth range")
@@ -113,55 +115,24 @@ def read_camera(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def read_pairs(path: Path) -> dict[int, list[tuple[int, float]]]:
     """pair.txt: for each view the other views it recommends, with their scores, best first."""
-    tokens = untrusted.read_text(path).split()
-    place = 0
+    tokens = iter(untrusted.read_text(path).split())
 
-    def take(what: str, low: int, high: int) -> int:
-        nonlocal place
-        if place >= len(tokens):
+    def take(what: str, high: float) -> float:
+        token = next(tokens, None)
+        if token is None:
             raise InputError(f"{path} ends before the {what}: is the file cut off?")
-        place += 1
-        return untrusted.whole(untrusted.word(tokens[place - 1], f"{path}: {what}"), low, high, f"{path}: {what}")
+        value = untrusted.word(token, f"{path}: {what}")
+        return value if high == math.inf else untrusted.whole(value, 0, int(high), f"{path}: {what}")
 
     pairs: dict[int, list[tuple[int, float]]] = {}
-    for _ in range(take("number of views", 0, 10**7)):
-        view = take("view", 0, 10**9)
+    for _ in range(int(take("number of views", 1e7))):
+        view = int(take("view", 1e9))
         if view in pairs:
             raise InputError(f"{path}: view {view} is there twice")
-        pairs[view] = []
-        for _ in range(take(f"number of neighbours of view {view}", 0, 10**6)):
-            other = take(f"neighbour of view {view}", 0, 10**9)
-            score = untrusted.words(tokens[place:place + 1], f"{path}: score of view {view}")
-            if not len(score):
-                raise InputError(f"{path} ends before the score of view {view}: is the file cut off?")
-            place += 1
-            pairs[view].append((other, float(score[0])))
-    if place != len(tokens):
-        raise InputError(f"{path}: {len(tokens) - place} words after the last view: is the file damaged?")
+        count = int(take(f"number of neighbours of view {view}", 1e6))
+        pairs[view] = [(int(take(f"neighbour of view {view}", 1e9)), take(f"score of view {view}", math.inf))
+                       for _ in range(count)]
+    left = len(list(tokens))
+    if left:
+        raise InputError(f"{path}: {left} words after the last view: is the file damaged?")
     return pairs
-
-
-def _check_pairs(pairs: dict[int, list[tuple[int, float]]], cameras: set[int], path: Path) -> None:
-    named = set(pairs) | {other for row in pairs.values() for other, _ in row}
-    strange = sorted(named - cameras)
-    if strange:
-        raise InputError(f"{path} names view {strange[0]}, which has no camera file")
-
-
-def write(folder: Path, views: list[View], depth_range: tuple[float, float] = (0.0, 0.0)) -> None:
-    """Write cams/NNNNNNNN_cam.txt for views whose photos are called by numbers; every camera keeps all its digits.
-
-    `depth_range`: least depth and depth interval, which other programs ask for and pagas_cl does not use.
-    """
-    place = Path(folder) / "cams"
-    place.mkdir(parents=True, exist_ok=True)
-    for view in views:
-        if not re.fullmatch(r"\d+", view.stem, re.ASCII):
-            raise InputError(f"view {view.name!r}: MVSNet's files are called by numbers, such as 00000007.png")
-        rows = ["extrinsic", *(_row(row) for row in view.camera.world_to_camera), "", "intrinsic",
-                *(_row(row) for row in view.camera.K), "", _row(depth_range), ""]
-        untrusted.write_text(place / f"{int(view.stem):08d}_cam.txt", "\n".join(rows))
-
-
-def _row(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)

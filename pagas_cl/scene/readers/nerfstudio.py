@@ -7,7 +7,6 @@ meshes that nerfstudio writes beside them, share the file's world.
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.camera import Camera, inverse_pose
+from pagas_cl.scene.camera import Camera, intrinsics
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene, View
 
@@ -26,42 +25,28 @@ _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 _KNOWN = _PINHOLE + _DISTORTION + ("w", "h", "camera_angle_x", "camera_angle_y", "camera_model", "frames",
                                    "file_path", "transform_matrix", "mask_path")
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
-_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 log = logging.getLogger("pagas_cl")
 
 
 def detect(folder: Path) -> bool:
     """Whether `folder` holds a transforms.json (or transforms_train.json)."""
-    return any((Path(folder) / name).is_file() for name in FILES)
+    return photos.first_file(Path(folder), FILES) is not None
 
 
 def read(folder: Path, *, outside: bool = False) -> Scene:
-    """Read the scene.
-
-    Parameters
-    ----------
-    folder : path
-    outside : bool
-        Whether photos and masks outside `folder` may be read.
-    """
+    """Read the scene; `outside`: whether photos and masks outside `folder` may be read."""
     folder = Path(folder)
-    path = next((folder / name for name in FILES if (folder / name).is_file()), folder / FILES[0])
+    path = photos.first_file(folder, FILES) or folder / FILES[0]
     data = untrusted.read_json(path)
-    frames = data.get("frames")
-    if not isinstance(frames, list) or not frames:
-        raise InputError(f"{path}: 'frames' is {untrusted.short(frames)}, expected a list with one object a photo")
     untrusted.refuse_near_misses(data, _KNOWN, str(path))
-    views = [_view(folder, path, data, frame, number, outside) for number, frame in enumerate(frames)]
+    frames = untrusted.objects(data, "frames", "frame", path, _KNOWN)
+    views = [_view(folder, data, frame, where, outside) for frame, where in frames]
     if "applied_transform" in data:
         log.info("%s: cameras are kept in the file's world; its applied_transform is not undone", path)
     return Scene(views=views, source=str(path))
 
 
-def _view(folder: Path, path: Path, data: dict[str, Any], frame: Any, number: int, outside: bool) -> View:
-    where = f"{path}, frame {number}"
-    if not isinstance(frame, dict):
-        raise InputError(f"{where} is {untrusted.short(frame)}, expected an object")
-    untrusted.refuse_near_misses(frame, _KNOWN, where)
+def _view(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str, outside: bool) -> View:
     photo = _photo(folder, frame.get("file_path"), f"{where}: file_path", outside)
     values = {**data, **frame}
     _refuse_distortion(values, where)
@@ -69,9 +54,8 @@ def _view(folder: Path, path: Path, data: dict[str, Any], frame: Any, number: in
     c2w = untrusted.matrix(frame.get("transform_matrix"), 4, 4, f"{where}: transform_matrix")
     if np.abs(c2w[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise InputError(f"{where}: the last row of transform_matrix is {c2w[3].tolist()}, expected [0, 0, 0, 1]")
-    name = photo.name
-    rigid = untrusted.pinhole(_intrinsics(values, width, height, where), c2w, width, height, name)  # checks c2w
-    camera = Camera.from_opengl_c2w(rigid.K, rigid.world_to_camera, width, height, name=name)
+    rigid = untrusted.pinhole(_intrinsics(values, width, height, where), c2w, width, height, photo.name)  # checks c2w
+    camera = Camera.from_opengl_c2w(rigid.K, rigid.world_to_camera, width, height, name=photo.name)
     mask = frame.get("mask_path")
     if mask is not None:
         mask = photos.existing(photos.inside(folder, mask, f"{where}: mask_path", outside=outside), where)
@@ -81,8 +65,7 @@ def _view(folder: Path, path: Path, data: dict[str, Any], frame: Any, number: in
 def _photo(folder: Path, name: Any, what: str, outside: bool) -> Path:
     photo = photos.inside(folder, name, what, outside=outside)
     if not photo.suffix:  # NeRF's synthetic scenes leave the suffix out
-        photo = next((photo.with_name(photo.name + s) for s in untrusted.IMAGE_SUFFIXES
-                      if photo.with_name(photo.name + s).is_file()), photo)
+        photo = photos.first_file(photo.parent, (photo.name + s for s in untrusted.IMAGE_SUFFIXES)) or photo
     return photos.existing(photo, what)
 
 
@@ -102,8 +85,7 @@ def _size(values: dict[str, Any], photo: Path, where: str) -> tuple[int, int]:
         raise InputError(f"{where}: only one of w and h is given; give both or neither")
     if "w" not in values:
         return photos.photo_size(photo)
-    width, height = (untrusted.whole(values[key], 1, untrusted.MAX_SIDE, f"{where}: {key}") for key in "wh")
-    return width, height
+    return untrusted.size(values["w"], values["h"], where)
 
 
 def _intrinsics(values: dict[str, Any], width: int, height: int, where: str) -> np.ndarray:
@@ -119,7 +101,7 @@ def _intrinsics(values: dict[str, Any], width: int, height: int, where: str) -> 
         cx, cy = width / 2, height / 2
     else:
         raise InputError(f"{where}: no intrinsics: expected fl_x, fl_y, cx and cy, or camera_angle_x")
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    return intrinsics(fx, fy, cx, cy)
 
 
 def _focal(values: dict[str, Any], key: str, side: int, where: str) -> float:
@@ -127,17 +109,3 @@ def _focal(values: dict[str, Any], key: str, side: int, where: str) -> float:
     if not 0 < angle < math.pi:
         raise InputError(f"{where}: {key} is {angle:g}, expected radians between 0 and pi")
     return side / 2 / math.tan(angle / 2)
-
-
-def write(folder: Path, views: list[View]) -> Path:
-    """Write transforms.json for views whose photos lie in `folder`; every camera keeps all its digits."""
-    folder = Path(folder)
-    frames = []
-    for view in views:
-        camera = view.camera
-        frame = {"file_path": photos.file_of(view).relative_to(folder).as_posix(),
-                 "w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy,
-                 "cx": camera.cx, "cy": camera.cy,
-                 "transform_matrix": (inverse_pose(camera.world_to_camera) @ _OPENGL).tolist()}
-        frames.append(frame)
-    return untrusted.write_text(folder / FILES[0], json.dumps({"camera_model": "PINHOLE", "frames": frames}, indent=1))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import re
 import zipfile
-import zlib
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -17,12 +16,12 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.files import read_member, translated
 from pagas_cl.scene.readers import photos, untrusted
-from pagas_cl.scene.view import Scene, View
+from pagas_cl.scene.view import Scene
 
 FILES = ("cameras_sphere.npz", "cameras.npz", "cameras_large.npz")
 _KEY = re.compile(r"(world_mat|scale_mat)_(\d+)", re.ASCII)
-_HEADER = re.compile(rb"\{'descr': '([<>]f[48])', 'fortran_order': (True|False), 'shape': \(4, 4\), \} *\n?")
 _SKEW_PIXELS = 0.05  # a skew that moves no pixel by more is calibration noise and is dropped
 _ENTRIES = 1_000_000
 log = logging.getLogger("pagas_cl")
@@ -30,7 +29,7 @@ log = logging.getLogger("pagas_cl")
 
 def detect(folder: Path) -> bool:
     """Whether `folder` holds one of the npz files with a world_mat in it."""
-    path = _file(Path(folder))
+    path = photos.first_file(Path(folder), FILES)
     if path is None:
         return False
     try:
@@ -38,10 +37,6 @@ def detect(folder: Path) -> bool:
             return any(name.startswith("world_mat_") for name in archive.namelist())
     except (OSError, zipfile.BadZipFile, ValueError):
         return False
-
-
-def _file(folder: Path) -> Path | None:
-    return next((folder / name for name in FILES if (folder / name).is_file()), None)
 
 
 def read(folder: Path, *, frame: str = "world", pixel_center: float = 0.5) -> Scene:
@@ -64,7 +59,7 @@ def read(folder: Path, *, frame: str = "world", pixel_center: float = 0.5) -> Sc
     if frame not in ("world", "sphere"):
         raise InputError(f"frame is {frame!r}, expected 'world' or 'sphere'")
     folder = Path(folder)
-    path = _file(folder)
+    path = photos.first_file(folder, FILES)
     if path is None:
         raise InputError(f"{folder} has none of {', '.join(FILES)}")
     matrices = read_matrices(path)
@@ -100,22 +95,16 @@ def read_matrices(path: Path) -> dict[int, dict[str, np.ndarray]]:
     Sizes and headers are checked before anything is unpacked, and nothing is unpickled.
     """
     found: dict[int, dict[str, np.ndarray]] = {}
-    try:
-        with zipfile.ZipFile(path) as archive:
-            entries = archive.infolist()
-            if len(entries) > _ENTRIES:
-                raise InputError(f"{path} has {len(entries)} entries, expected at most {_ENTRIES}")
-            for entry in entries:
-                key = _KEY.fullmatch(entry.filename.removesuffix(".npy"))
-                if key:
-                    found.setdefault(int(key[2]), {})
-                    if key[1] in found[int(key[2])]:
-                        raise InputError(f"{path}: {key[0]} is there twice")
-                    found[int(key[2])][key[1]] = _matrix(archive, entry, f"{path}: {key[0]}")
-    except (OSError, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path} cannot be read ({str(error)[:120]}): is the file damaged?") from error
+    with translated(f"{path} cannot be read (", "): is the file damaged?"), zipfile.ZipFile(path) as archive:
+        if len(archive.infolist()) > _ENTRIES:
+            raise InputError(f"{path} has {len(archive.infolist())} entries, expected at most {_ENTRIES}")
+        for entry in archive.infolist():
+            key = _KEY.fullmatch(entry.filename.removesuffix(".npy"))
+            if key:
+                of_view = found.setdefault(int(key[2]), {})
+                if key[1] in of_view:
+                    raise InputError(f"{path}: {key[0]} is there twice")
+                of_view[key[1]] = _matrix(archive, entry, f"{path}: {key[0]}")
     if not any("world_mat" in mats for mats in found.values()):
         raise InputError(f"{path} has no world_mat_0, world_mat_1 ...: is it a camera file of IDR or NeuS?")
     return found
@@ -125,22 +114,11 @@ def _matrix(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, what: str) -> np.n
     """One 4x4 array of the archive."""
     if entry.file_size > 4096:
         raise InputError(f"{what} has {entry.file_size} bytes, expected a 4 x 4 matrix")
-    with archive.open(entry) as file:
-        content = file.read()
-    # numpy's own reader of this header raises half a dozen kinds of exceptions on damaged ones
-    start = {b"\x01\x00": 10, b"\x02\x00": 12}.get(content[6:8])
-    if content[:6] != b"\x93NUMPY" or start is None:
-        raise InputError(f"{what} is no array of numpy's format 1.0: is the file damaged?")
-    stop = start + int.from_bytes(content[8:start], "little")
-    header = _HEADER.fullmatch(content[start:stop])
-    if not header:
-        raise InputError(f"{what} has the header {untrusted.short(content[start:min(stop, start + 100)])}, expected a "
-                         "4 x 4 matrix of floating point numbers")
-    dtype, fortran = np.dtype(header[1].decode()), header[2] == b"True"
-    data = content[stop:]
-    if len(data) != 16 * dtype.itemsize:
-        raise InputError(f"{what} has {len(data)} bytes of numbers, expected {16 * dtype.itemsize}")
-    values = np.frombuffer(data, dtype).reshape(4, 4, order="F" if fortran else "C").astype(np.float64)
+    stored = read_member(archive, entry)
+    if stored.shape != (4, 4) or stored.dtype.kind != "f":
+        raise InputError(f"{what} is {stored.dtype} of shape {stored.shape}, expected a 4 x 4 matrix of floating point "
+                         "numbers")
+    values = stored.astype(np.float64)
     if not np.isfinite(values).all():
         raise InputError(f"{what} holds values that are not finite")
     if np.abs(values[3] - [0, 0, 0, 1]).max() > 1e-6:
@@ -180,15 +158,3 @@ def _rq(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     signs = np.sign(np.diag(K))
     K, R = K * signs, R * signs[:, None]
     return K / K[2, 2], R
-
-
-def write(folder: Path, views: list[View], scale_mat: np.ndarray | None = None) -> Path:
-    """Write cameras.npz, view i as number i; `scale_mat` (4, 4) takes the unit sphere to the world (identity)."""
-    scale = np.eye(4) if scale_mat is None else np.asarray(scale_mat, np.float64)
-    arrays = {}
-    for number, view in enumerate(views):
-        K = np.eye(4)
-        K[:3, :3] = view.camera.K
-        arrays[f"world_mat_{number}"] = K @ view.camera.world_to_camera
-        arrays[f"scale_mat_{number}"] = scale
-    return untrusted.write_npz(Path(folder) / "cameras.npz", arrays)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,8 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.readers.untrusted import IMAGE_SUFFIXES, MAX_SIDE, short
 from pagas_cl.scene.view import View
+
+log = logging.getLogger("pagas_cl")
 
 FOLDERS = ("images", "image", "color", "rgb", "blended_images")
 
@@ -43,6 +47,11 @@ def existing(path: Path, what: str) -> Path:
     if not found:
         raise InputError(f"{what}: there is no file {short(str(path))}")
     return path
+
+
+def first_file(folder: Path, names: Iterable[str | Path]) -> Path | None:
+    """The first of `names` that is a file in `folder`."""
+    return next((folder / name for name in names if (folder / name).is_file()), None)
 
 
 def list_photos(folder: Path) -> list[Path]:
@@ -98,8 +107,34 @@ def file_of(view: View) -> Path:
     return view.image
 
 
-def view_of(folder: Path, camera: Camera, photo: Path, mask: Path | None = None) -> View:
+def view_of(folder: Path, camera: Camera, photo: Path, mask: Path | None = None, name: str = "") -> View:
     """The view of `photo` with its mask, given or found; InputError where a file's size is not the camera's."""
-    view = View(camera=camera, image=photo, mask=mask or find_mask(folder, photo), name=photo.name)
+    view = View(camera, photo, mask or find_mask(folder, photo), name or photo.name)
     view.check_files()
     return view
+
+
+def tell_links(views: Iterable[View], folder: str | Path) -> list[Path]:
+    """Log which files of `views` a symbolic link takes out of the scene's `folder` (or file); returns them.
+
+    A link is made by whoever owns the disk or by whoever packed the scene, and cannot be told apart: a scene with its
+    photos linked in is common, so they are read, and the caller is told where from.
+    """
+    folder = Path(folder)
+    root = os.path.realpath(folder if folder.is_dir() else folder.parent)
+    lexical, found = os.path.abspath(folder if folder.is_dir() else folder.parent), []
+    for view in views:
+        for source in (view.image, view.mask):
+            path = getattr(source, "path", source)
+            if isinstance(path, Path) and _below(os.path.abspath(path), lexical):
+                real = os.path.realpath(path)
+                if not _below(real, root):
+                    found.append(path)
+    if found:
+        log.warning("%d photos or masks of scene %s lie outside it, through symbolic links: %s is %s; do not go on if "
+                    "you do not know who made the links", len(found), folder, found[0], os.path.realpath(found[0]))
+    return found
+
+
+def _below(path: str, root: str) -> bool:
+    return os.path.commonpath([path, root]) == root

@@ -6,22 +6,25 @@ hang, much memory, or a file opened outside the scene's folder.
 
 from __future__ import annotations
 
-import io
 import json
-import os
 import re
-from collections.abc import Iterable
+import xml.etree.ElementTree as ElementTree
+from collections import Counter
+from collections.abc import Hashable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
+from xml.parsers import expat
 
 import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.files import translated
 
 MAX_BYTES = 256 << 20      # a camera file of 100,000 views has some 100 MB
 MAX_SIDE = 1 << 20         # pixels; larger sides are damage, not photos
+_XML_DEPTH, _XML_BYTES = 32, 64 << 20
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)  # float() would take "1_0", "nan", "inf"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".ppm")
 
@@ -49,22 +52,61 @@ def read_json(path: Path) -> dict[str, Any]:
     """A JSON object; keys given twice are refused, since one of the two would be dropped in silence."""
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        found = dict(pairs)
-        if len(found) != len(pairs):
-            names = [name for name, _ in pairs]
-            twice = next(name for name in names if names.count(name) > 1)
-            raise InputError(f"{path}: the key {short(twice)} is given twice in one object; remove one")
-        return found
+        key = twice([name for name, _ in pairs])
+        if key is not None:
+            raise InputError(f"{path}: the key {short(key)} is given twice in one object; remove one")
+        return dict(pairs)
 
-    try:
+    with translated(f"{path} is not valid JSON (", "): is the file damaged?"):
         data = json.loads(read_text(path), object_pairs_hook=unique)
-    except InputError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not valid JSON ({str(error)[:120]}): is the file damaged?") from error
     if not isinstance(data, dict):
         raise InputError(f"{path} holds a JSON {type(data).__name__}, expected an object")
     return data
+
+
+def read_xml(path: Path, root: str) -> ElementTree.Element:
+    """The root element of an XML file, which must be called `root`.
+
+    InputError for anything that is not plain, well-formed XML: entity declarations (which can expand without bound, or
+    read other files) are refused before anything is expanded.
+    """
+    data = read_bytes(Path(path), _XML_BYTES)
+    with translated(f"{path} is not valid XML (", "): is the file damaged?"):
+        _inspect_xml(data, path)
+        element = ElementTree.fromstring(data)
+    if element.tag != root:
+        raise InputError(f"{path}: the root element is <{element.tag[:40]}>, expected <{root}>")
+    return element
+
+
+def _inspect_xml(data: bytes, path: Path) -> None:
+    """Walk through once with handlers that refuse what the second parse must not see."""
+    depth = 0
+
+    def refuse(*_: object) -> NoReturn:
+        raise InputError(f"{path} declares XML entities, which are not read; remove them from its DOCTYPE")
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > _XML_DEPTH:
+            raise InputError(f"{path} nests its elements more than {_XML_DEPTH} deep: is the file damaged?")
+
+    def end(name: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    parser = expat.ParserCreate()
+    parser.EntityDeclHandler = refuse
+    parser.UnparsedEntityDeclHandler = refuse
+    parser.ExternalEntityRefHandler = refuse
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.Parse(data, True)
+
+
+def twice(values: Sequence[Hashable]) -> Hashable:
+    """The first of `values` that is there twice, or None."""
+    return None if len(set(values)) == len(values) else Counter(values).most_common(1)[0][0]
 
 
 def short(value: object) -> str:
@@ -98,8 +140,12 @@ def word(token: str, what: str) -> float:
     return number(float(token), what)
 
 
-def words(tokens: Iterable[str], what: str) -> np.ndarray:
-    """Several words of a text file as float64 of shape (N,)."""
+def words(text: str | Sequence[str] | None, what: str, count: int | None = None) -> npt.NDArray[np.float64]:
+    """The words of a text (or the words themselves) as float64 of shape (N,); N must be `count` where that is given."""
+    tokens = text.split() if isinstance(text, str) else text or ()
+    if count not in (None, len(tokens)):
+        shown = text if text is None or isinstance(text, str) else " ".join(text)
+        raise InputError(f"{what} is {short(shown)}, expected {count} numbers")
     return np.array([word(token, what) for token in tokens], np.float64)
 
 
@@ -111,12 +157,31 @@ def whole(value: Any, low: int, high: int, what: str) -> int:
     return int(value)
 
 
+def size(width: Any, height: Any, where: str) -> tuple[int, int]:
+    """Width and height in pixels, such as a photo may have."""
+    return whole(width, 1, MAX_SIDE, f"{where}: width"), whole(height, 1, MAX_SIDE, f"{where}: height")
+
+
 def matrix(value: Any, rows: int, columns: int, what: str) -> np.ndarray:
     """Nested JSON lists as float64 of shape (rows, columns)."""
-    ok = isinstance(value, list) and len(value) == rows
-    if not ok or not all(isinstance(row, list) and len(row) == columns for row in value):
+    if not isinstance(value, list) or len(value) != rows or not all(
+            isinstance(row, list) and len(row) == columns for row in value):
         raise InputError(f"{what} is {short(value)}, expected {rows} rows of {columns} numbers")
     return np.array([[number(cell, what) for cell in row] for row in value], np.float64)
+
+
+def objects(data: dict[str, Any], key: str, one: str, path: Path,
+            known: tuple[str, ...] = ()) -> list[tuple[dict[str, Any], str]]:
+    """The JSON objects listed under `key`, one a photo, each with the words that a message calls it by (`one` 7)."""
+    found = data.get(key)
+    if not isinstance(found, list) or not found:
+        raise InputError(f"{path}: {key!r} is {short(found)}, expected a list with one object a photo")
+    named = [(entry, f"{path}, {one} {i}") for i, entry in enumerate(found)]
+    for entry, where in named:
+        if not isinstance(entry, dict):
+            raise InputError(f"{where} is {short(entry)}, expected an object")
+        refuse_near_misses(entry, known, where)
+    return named
 
 
 def refuse_near_misses(found: dict[str, Any], known: tuple[str, ...], where: str) -> None:
@@ -132,8 +197,7 @@ def refuse_near_misses(found: dict[str, Any], known: tuple[str, ...], where: str
 def pinhole(K: npt.ArrayLike, world_to_camera: npt.ArrayLike, width: int, height: int, name: str, *,
             pixel_center: float = 0.5) -> Camera:
     """Camera.from_opencv_w2c for values out of a file: also refuses sizes and focal lengths that no photo has."""
-    for side, value in (("width", width), ("height", height)):
-        whole(value, 1, MAX_SIDE, f"camera {name!r}: {side}")
+    size(width, height, f"camera {name!r}")
     K = np.asarray(K, np.float64)
     below = np.array([K[1, 0], K[2, 0], K[2, 1], K[2, 2] - 1]) if K.shape == (3, 3) else np.zeros(4)
     if np.abs(below).max() > 1e-6:
@@ -143,28 +207,3 @@ def pinhole(K: npt.ArrayLike, world_to_camera: npt.ArrayLike, width: int, height
     if np.abs(np.asarray(world_to_camera)).max(initial=0) > 1e15:
         raise InputError(f"camera {name!r}: the pose holds values above 1e15: is the file damaged?")
     return Camera.from_opencv_w2c(K, world_to_camera, width, height, pixel_center=pixel_center, name=name)
-
-
-def write_text(path: Path, text: str) -> Path:
-    """Write a text file; returns its path."""
-    return write_bytes(path, text.encode("utf-8"))
-
-
-def write_npz(path: Path, arrays: dict[str, Any]) -> Path:
-    """Write an .npz archive of arrays by name; returns its path."""
-    buffer = io.BytesIO()
-    np.savez(buffer, **arrays)
-    return write_bytes(path, buffer.getvalue())
-
-
-def write_bytes(path: Path, data: bytes) -> Path:
-    """Write `data` beside `path` and rename, so that no half-written file ever has the final name."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        beside.write_bytes(data)
-        os.replace(beside, path)
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
-    finally:
-        beside.unlink(missing_ok=True)
-    return path

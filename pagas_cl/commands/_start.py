@@ -1,19 +1,48 @@
-"""Where a refinement starts: the initial depth of every view, from --mesh or from --depth-dir."""
+"""What commands do before the work: try the places they write to, read the scene and the initial depth of its views."""
 
 from __future__ import annotations
 
 import logging
+import tempfile
+from pathlib import Path
 
 from pagas_cl.errors import InputError
 
 log = logging.getLogger("pagas_cl")
 
 
-def check_source(mesh, depth_dir, what: str) -> None:
+def check_source(mesh, other, what: str, option: str = "--depth-dir") -> None:
     """Raise InputError unless exactly one of both is given; `what` says in the message what they are for."""
-    if (mesh is None) == (depth_dir is None):
-        raise InputError(f"expected either --mesh or --depth-dir ({what}), got "
-                         + ("neither" if mesh is None else "both"))
+    if (mesh is None) == (other is None):
+        raise InputError(f"expected either --mesh or {option} ({what}), got {'neither' if mesh is None else 'both'}")
+
+
+def check_writable(option: str, folder: Path | None) -> None:
+    """Raise InputError where no file can be made in `folder`, which need not exist: it is not made by this."""
+    if folder is None:
+        return
+    folder = folder.absolute()
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        file = next((path for path in (folder, *folder.parents) if path.is_file()), None)
+        why = f"{str(file)!r} is a file" if file else error.strerror or str(error)
+        raise InputError(f"{option}: cannot write in the folder {str(folder)!r} ({why}): choose another one"
+                         + ("" if file else ", or see to its permissions")) from error
+    finally:
+        for path in new:
+            if path.is_dir():
+                path.rmdir()
+
+
+def load_scene(scene, format, outside: bool):
+    """The scene in a folder; `outside` is only passed to readers that know it, which is their error to tell."""
+    from pagas_cl.scene.readers import read_scene
+
+    return read_scene(scene, format, **({"outside": True} if outside else {}))
 
 
 def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None) -> list:
@@ -38,12 +67,9 @@ def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, n
         raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
                          f"expected for instance {found.views[0].stem}.npz")
     _tell_missing(depth_dir, [view for view, file in zip(found.views, files) if file is None], names)
-    depths = []
-    for view, file in zip(found.views, files):
-        size = view.camera.width, view.camera.height
-        source = None if file is None else DepthFile(file.resolve(), size, depth_scale)
-        depths.append(source if source is None or folder is not None else source.load())
-    return depths
+    sources = [file and DepthFile(file.resolve(), (view.camera.width, view.camera.height), depth_scale)
+               for view, file in zip(found.views, files)]
+    return sources if folder is not None else [source and source.load() for source in sources]
 
 
 def _tell_missing(depth_dir, without, names) -> None:

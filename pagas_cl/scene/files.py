@@ -1,0 +1,104 @@
+"""Files of any kind: NumPy's, read by several threads at a time, and writing such that no name ever holds half a file.
+
+NumPy parses a header with `ast.literal_eval`, which in CPython 3.11 fails now and then when two threads are in it
+("AST constructor recursion depth mismatch"): only one is let in. Unpacking, which takes longer, goes on beside it.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import socket
+import struct
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Lock
+from xml.parsers import expat
+
+import numpy as np
+
+from pagas_cl.errors import InputError
+
+MOST_BYTES = 1 << 31       # of one array: a depth map of 268 megapixels of float64
+# what numpy, zipfile, Pillow, json, struct and XML parsers raise on damaged files, as fuzzing found it
+DAMAGE = (OSError, ValueError, EOFError, LookupError, SyntaxError, MemoryError, RuntimeError, OverflowError,
+          zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error, expat.ExpatError)
+
+_one_header = Lock()
+
+
+@contextmanager
+def translated(before: str, after: str = "", damage: tuple[type[Exception], ...] = DAMAGE) -> Iterator[None]:
+    """Context: what is raised on damaged files becomes an InputError that says `before`, the reason, `after`."""
+    try:
+        yield
+    except InputError:
+        raise
+    except damage as error:
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:120]
+        raise InputError(f"{before}{reason}{after}") from error
+
+
+def read_npy(path: str | Path) -> np.ndarray:
+    """The array of a .npy file; one of DAMAGE where it holds none."""
+    with _one_header:
+        values = np.load(path, allow_pickle=False)
+    if not isinstance(values, np.ndarray):
+        raise ValueError("it holds no array")
+    return values
+
+
+def read_first(path: str | Path) -> np.ndarray:
+    """The first array of a .npz archive; one of DAMAGE where it holds none."""
+    if not zipfile.is_zipfile(path):   # NumPy would speak of pickled data
+        raise ValueError("it is no .npz archive; the file is damaged or cut off: write it again")
+    with zipfile.ZipFile(path) as archive:
+        members = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
+        if not members:
+            raise ValueError("it holds no array")
+        unpacked = max(entry.file_size for entry in members)
+        if unpacked > MOST_BYTES:      # a few megabytes may unpack to any number of gigabytes
+            raise ValueError(f"it unpacks to {unpacked / 1e9:.1f} GB, a depth map has at most {MOST_BYTES / 1e9:.1f}")
+        return read_member(archive, members[0])
+
+
+def read_member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
+    """One array of an archive, nothing unpickled; one of DAMAGE where it is none."""
+    raw = io.BytesIO(archive.read(entry))
+    header = np.lib.format
+    with _one_header:
+        read = header.read_array_header_1_0 if header.read_magic(raw) == (1, 0) else header.read_array_header_2_0
+        shape, fortran, dtype = read(raw)
+    count, left = math.prod(shape), len(raw.getbuffer()) - raw.tell()
+    if dtype.hasobject or count * dtype.itemsize > left:     # NumPy would take memory for the claim first
+        raise ValueError(f"its header says {shape} of {dtype}, expected no more than the {left} bytes that follow")
+    return np.frombuffer(raw.read(), dtype, count).reshape(shape, order="F" if fortran else "C")
+
+
+@contextmanager
+def replaced(path: str | Path, suffix: str = "") -> Iterator[Path]:
+    """Context: a name beside `path` to write to, ending in `suffix`, which gets the name `path` at the end."""
+    path = Path(path)  # its folder is made
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}.part{suffix}")
+    try:
+        yield beside
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Write a text file whole, UTF-8; returns its path."""
+    path = Path(path)
+    try:
+        with replaced(path) as beside:
+            beside.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
+    return path

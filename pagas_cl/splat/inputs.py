@@ -1,0 +1,110 @@
+"""What a level works on: photos and cameras at its size, and each of them as the launchers take it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.config import Config
+from pagas_cl.runtime.program import Upload
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.rig import camera_table, footprint
+from pagas_cl.splat.buffers import Size, dimensions
+
+
+@dataclass(frozen=True, eq=False)
+class LevelView:
+    """One photo beside the target's.
+
+    Attributes
+    ----------
+    number : int
+        Of the view, from 1; 0 is the target itself.
+    size, target_size : Size
+        Of the photo and of the target's.
+    photo, target_photo : pyopencl.Buffer
+        uchar4 per pixel.
+    threshold : float
+        Depth threshold delta, device units.
+    pixels : ndarray of shape (H, W, 4), uint8, optional
+        What `photo` is to be filled with before it is read, where several photos share the buffer.
+    """
+
+    number: int
+    size: Size
+    photo: cl.Buffer
+    threshold: float
+    target_size: Size
+    target_photo: cl.Buffer
+    pixels: np.ndarray | None = None
+
+    @property
+    def arguments(self) -> dict:
+        """As kernels name them."""
+        return {"view": self.number, "photo": self.photo, "target_photo": self.target_photo,
+                "threshold": self.threshold, **self.size.extent}
+
+    def fetch(self) -> list:
+        """What brings the photo to its buffer; nothing where it is there."""
+        return [] if self.pixels is None else [Upload(self.photo, self.pixels)]
+
+
+@dataclass(frozen=True)
+class LevelInput:
+    """The target first, then `contexts` context views, then views that only judge.
+
+    Attributes
+    ----------
+    cameras : list of Camera
+        At the level's size.
+    photos : list of pyopencl.Buffer
+        uchar4 per pixel, at the level's size.
+    scene_scale : float
+        Scene units per device unit.
+    threshold : float
+        Depth threshold, device units.
+    viewing_distance : float
+        Median distance of the cameras from the point they look at, device units.
+    contexts : int
+        Number of context views.
+    host : tuple of ndarray of shape (H, W, 4), uint8
+        Photos of all views but the target's, where the device holds one of them at a time: every photos[1:] is then
+        the same buffer.
+    specularity : ndarray, optional
+        Specularity measured on a grid over the target (Measurements.local_specularity).
+    """
+
+    cameras: list[Camera]
+    photos: list[cl.Buffer]
+    scene_scale: float
+    threshold: float
+    viewing_distance: float
+    contexts: int
+    host: tuple = ()
+    specularity: np.ndarray | None = None
+
+    @cached_property
+    def sizes(self) -> list[Size]:
+        return [Size(camera.width, camera.height) for camera in self.cameras]
+
+    @property
+    def camera_table(self) -> np.ndarray:
+        """As the kernels read it: float32, 20 numbers a camera."""
+        return camera_table(self.cameras[0], self.cameras[1:], self.scene_scale)
+
+    def views(self, config: Config) -> list[LevelView]:
+        """All of them, the target's own first: `number` is the place in the list. The threshold of each is at least
+        some of its footprints, or a slope would hide itself."""
+        target, *_ = self.cameras
+        return [LevelView(k, self.sizes[k], photo,
+                          max(self.threshold, config.splatting.depth_footprints
+                              * footprint(target, camera, self.scene_scale)),
+                          self.sizes[0], self.photos[0], self.host[k - 1] if self.host and k else None)
+                for k, (camera, photo) in enumerate(zip(self.cameras, self.photos))]
+
+    def dimensions(self, config: Config) -> dict:
+        """Of the buffers of a level, as buffers.py has them."""
+        return dimensions(config, self.sizes[0], self.sizes[1:], self.contexts)

@@ -1,0 +1,128 @@
+"""Photos on the device: all of them, each uploaded once, or one at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.splat.buffers import Size
+
+PHOTO_MARGIN = 16         # pixels behind a photo that may be read
+
+
+class PhotoStore:
+    """Photos on the device, 8-bit RGB with validity in the fourth channel; each one uploaded once.
+
+    Full-size photos stay until `limit_bytes` is reached, then the one unused for longest goes.
+    """
+
+    def __init__(self, device, limit_bytes: int | None = None):
+        self.device, self.limit = device, limit_bytes or device.memory.limit // 4
+        self._photos: dict[object, cl.Buffer] = {}
+
+    def photo(self, view) -> cl.Buffer:
+        """Buffer of (height, width) uchar4 of `view`, a pagas_cl.scene.view.View."""
+        key = id(view)
+        held = self._photos.pop(key, None)
+        if held is None:
+            pixels = rgba(view.load_image(), view.load_mask())
+            self._make_room(pixels.nbytes)
+            held = (view, photo_buffer(self.device, _full_size(view).pixels))
+            cl.enqueue_copy(self.device.queue, held[1], pixels)
+        self._photos[key] = held       # last in the order of use; the view is held so that its id stays its own
+        return held[1]
+
+    def level(self, views, sizes: list[Size], resampler):
+        """Photos of `views` at `sizes`, all on the device; none on the host (see StreamedPhotos)."""
+        return [_resized(self.device, resampler, self.photo(view), _full_size(view), size)
+                for view, size in zip(views, sizes)], ()
+
+    def clear(self) -> None:
+        """Forget every photo, and the buffers that wait for another view."""
+        self._photos.clear()
+        self.device.memory.clear()
+
+    def beside(self, views) -> int:
+        """Bytes of the photos that are here and are not of `views`."""
+        own = {id(view) for view in views}
+        return sum(buffer.size for view, buffer in self._photos.values() if id(view) not in own)
+
+    def trim(self, nbytes: int):
+        """Keep no more photos than leave room for `nbytes` of other buffers."""
+        self.limit = max(0, min(self.limit, self.device.memory.limit - nbytes))
+        self._make_room(0)
+
+    def _make_room(self, nbytes: int):
+        while self._photos and sum(buffer.size for _, buffer in self._photos.values()) + nbytes > self.limit:
+            self._photos.pop(next(iter(self._photos)))
+
+
+class StreamedPhotos:
+    """Stands in for a PhotoStore where the device has little memory: photos stay on the host, and the kernels read the
+    same bytes from one place that each photo is copied to."""
+
+    def __init__(self, device):
+        self.device = device
+        self._pixels: dict[int, tuple] = {}
+
+    def level(self, views, sizes: list[Size], resampler):
+        """Buffers of the photos of `views` at `sizes`, all but the first one the same, and what each is filled with."""
+        place = photo_buffer(self.device, max((size.pixels for size in sizes[1:]), default=1))
+        target = self._at(views[0], sizes[0], resampler)
+        host = tuple(self._on_host(view, size, resampler) for view, size in zip(views[1:], sizes[1:]))
+        return [target, *[place] * len(host)], host
+
+    def beside(self, views) -> int:
+        """No photos are kept."""
+        return 0
+
+    def trim(self, nbytes: int):
+        """No photos are kept."""
+
+    def _at(self, view, size: Size, resampler) -> cl.Buffer:
+        buffer = photo_buffer(self.device, _full_size(view).pixels)
+        cl.enqueue_copy(self.device.queue, buffer, self._full(view))
+        return _resized(self.device, resampler, buffer, _full_size(view), size)
+
+    def _on_host(self, view, size: Size, resampler) -> np.ndarray:
+        if size == _full_size(view):
+            return self._full(view)
+        pixels = np.empty((size.height, size.width, 4), np.uint8)
+        cl.enqueue_copy(self.device.queue, pixels, self._at(view, size, resampler))
+        return pixels
+
+    def _full(self, view) -> np.ndarray:
+        if id(view) not in self._pixels:
+            self._pixels[id(view)] = view, rgba(view.load_image(), view.load_mask())
+        return self._pixels[id(view)][1]
+
+
+def _full_size(view) -> Size:
+    return Size(view.camera.width, view.camera.height)
+
+
+def _resized(device, resampler, source: cl.Buffer, size: Size, to: Size) -> cl.Buffer:
+    """A photo at the size `to`; `source` itself where nothing changes."""
+    if size == to:
+        return source
+    out = photo_buffer(device, to.pixels)
+    resampler.shrink_photo(source, size, out, to)
+    return out
+
+
+def photo_buffer(device, pixels: int) -> cl.Buffer:
+    """Room for a photo of `pixels`, and for what vector reads touch behind it."""
+    return device.memory.buffer(device.context, photo_bytes(pixels))
+
+
+def photo_bytes(pixels: int) -> int:
+    """Bytes of `photo_buffer`."""
+    return 4 * (pixels + PHOTO_MARGIN)
+
+
+def rgba(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
+    """uint8 of shape (height, width, 4): colour and validity (255 or 0)."""
+    pixels = np.empty((*image.shape[:2], 4), np.uint8)
+    pixels[..., :3] = image
+    pixels[..., 3] = 255 if mask is None else np.where(mask, 255, 0)
+    return pixels
