@@ -19,8 +19,6 @@ from pagas_cl.selftest import BLENDS, device_gradient, normalized
 from pagas_cl.selftest import scenes as make
 from pagas_cl.splat import options, tile
 
-pytestmark = pytest.mark.kernels
-
 KERNELS = Path(program.files("pagas_cl.cl_kernels").joinpath("loss.cl")).parent
 FILES = sorted(path.name for path in KERNELS.glob("*.cl"))
 VARIANTS = {
