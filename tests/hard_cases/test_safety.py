@@ -17,7 +17,7 @@ from oclgrind import command
 from pagas_cl.runtime import arena, program
 from pagas_cl.selftest import BLENDS, device_gradient, normalized
 from pagas_cl.selftest import scenes as make
-from pagas_cl.splat import options, tile
+from pagas_cl.splat import measure, options, tile
 
 KERNELS = Path(program.files("pagas_cl.cl_kernels").joinpath("loss.cl")).parent
 FILES = sorted(path.name for path in KERNELS.glob("*.cl"))
@@ -26,6 +26,7 @@ VARIANTS = {
     "grey": dict(loss__grey=True, loss__robust=0.5, loss__structure=True, loss__exposure=True),
 }
 TILE_OF = {"ssim.cl": tile.SCALAR[0], "loss.cl": tile.SCALAR[1]}
+MORE = {"measure.cl": measure._ROW_NUMBERS}        # of a file alone
 NEWER = r"\bdouble|\bhalf\b|atomic_fetch|work_group_(?:all|any|reduce|scan|broadcast|barrier)|generic\b"
 NO_DOUBLE = "#pragma OPENCL EXTENSION cl_khr_fp64 : disable\n"
 
@@ -42,7 +43,7 @@ ORDER_FREE_ONLY = ("composite.cl",)       # never built with the alpha blend
                                         if not (file in ORDER_FREE_ONLY and name.startswith("alpha"))])
 def test_kernels_fit_any_device_of_opencl_1_2(device, file, name):
     """Without double precision, within 32 kB of local memory and 256 work-items."""
-    given = options.defines(variant(name).with_settings(solver__gradient_filter=2), device, 64)
+    given = options.defines(variant(name).with_settings(solver__gradient_filter=2), device, 64) + MORE.get(file, ())
     for part in tile.SCALAR:
         built = cl.Program(device.context, NO_DOUBLE + program.source(file)).build(
             [*program.OPTIONS, *(f"-D{define}" for define in (*given, *part.defines))])
