@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from support.scenes import relief_scene
 
 from pagas_cl.__main__ import run
 from pagas_cl.commands._settings import build_config, effect_settings
@@ -15,8 +16,9 @@ from pagas_cl.errors import InputError
 from pagas_cl.measurements import RULES
 from pagas_cl.presets import BALANCED
 from pagas_cl.surface.agree import contradicted
-from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.disk import write_scene
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

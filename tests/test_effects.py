@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.effects import COMPILED, EFFECTS
 from twins import exposure
 
 from pagas_cl.config import Effects
@@ -14,27 +15,29 @@ from pagas_cl.errors import InputError
 from pagas_cl.measurements import RULES, Measurements, measure
 from pagas_cl.presets import BALANCED, PAPER
 
-CALM = Measurements(overlap=1.0, hidden=0.0, unseen=0.0, exposure_change=0.0, specularity=0.0, smallest=0.5,
-                    textureless=0.0, noise=0.002, far_off=0.0, misaligned=0.0, masked=False,
-                    gains=(((1.0, 0.0),) * 3,))
-ABOVE = {"occlusion": {"hidden": 0.1}, "unseen_mask": {"unseen": 0.3}, "exposure": {"exposure_change": 0.1},
-         "view_dependence": {"specularity": 0.2}, "antialiasing": {"smallest": 0.2}, "smoothness": {"textureless": 0.5},
-         "noise": {"noise": 0.02}, "pyramid": {"far_off": 0.5}}
+CALM = Measurements(overlap=1.0, misaligned=0.0, masked=False, gains=(((1.0, 0.0),) * 3,),
+                    **{name: value for effect in EFFECTS.values() for name, value in effect.below.items()})
 ALPHA = BALANCED.with_settings(splatting__blend="alpha")      # the blend that has every effect
 
 
 def switched_on(config) -> dict[str, bool]:
     """Which effects the settings simulate."""
-    return {"occlusion": config.splatting.occlusion, "unseen_mask": config.loss.unseen_mask,
-            "exposure": config.loss.exposure, "view_dependence": config.loss.structure,
-            "antialiasing": config.splatting.low_pass > 0, "smoothness": config.smoothness.kind != "none",
-            "noise": config.smoothness.weight > BALANCED.smoothness.weight, "pyramid": config.pyramid.scales[0] < 0.5}
+    return {name: effect.is_on(config) for name, effect in EFFECTS.items()}
+
+
+def calling_for(effect: str) -> Measurements:
+    """Of a scene that calls for one effect, and for smoothness, without which noise has nothing to weigh."""
+    return replace(CALM, **{"textureless": 0.5, **EFFECTS[effect].above})
+
+
+def test_every_effect_has_an_entry():
+    assert set(EFFECTS) == set(RULES) and all(effect.on and effect.off for effect in COMPILED.values())
 
 
 @pytest.mark.parametrize("effect", RULES)
 def test_auto_follows_the_evidence(effect):
     assert not switched_on(decide(ALPHA, CALM)[0])[effect]
-    measured = replace(CALM, textureless=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "textureless"})
+    measured = calling_for(effect)
     config, decisions = decide(ALPHA, measured)
     assert switched_on(config)[effect]
     decision = next(d for d in decisions if d.effect == effect)
@@ -45,14 +48,14 @@ def test_auto_follows_the_evidence(effect):
 @pytest.mark.parametrize("effect", RULES)
 def test_one_effect_alone_is_switched_on(effect):
     """Beside smoothness, without which noise has nothing to weigh; noise also follows the measured specularity."""
-    measured = replace(CALM, textureless=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "textureless"})
+    measured = calling_for(effect)
     on = {name for name, value in switched_on(decide(ALPHA, measured)[0]).items() if value}
     assert on - ({"noise"} if effect == "view_dependence" else set()) == {effect, "smoothness"}
 
 
 @pytest.mark.parametrize("effect", RULES)
 def test_off_and_on_hold_against_the_evidence(effect):
-    called_for = replace(CALM, textureless=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "textureless"})
+    called_for = calling_for(effect)
     off, told = decide(ALPHA.with_settings(**{f"effects__{effect}": "off"}), called_for)
     assert not switched_on(off)[effect]
     assert "asked for: off" in {d.reason for d in told}
@@ -64,7 +67,8 @@ def test_off_and_on_hold_against_the_evidence(effect):
 @pytest.mark.parametrize("effect", RULES)
 def test_set_leaves_the_settings_alone(effect):
     for base in (ALPHA, PAPER):
-        config, decisions = decide(base.with_settings(**{f"effects__{effect}": "set"}), replace(CALM, **ABOVE[effect]))
+        given = base.with_settings(**{f"effects__{effect}": "set"})
+        config, decisions = decide(given, replace(CALM, **EFFECTS[effect].above))
         assert switched_on(config)[effect] == switched_on(base)[effect]
         assert effect not in {d.effect for d in decisions}
 
@@ -125,13 +129,15 @@ def test_exposure_fit_of_one_colour_is_the_ratio():
 
 
 def measured_of(device, **settings) -> Measurements:
-    from pagas_cl.synthetic import relief_scene
+    from support.scenes import relief_scene
 
     made = relief_scene(120, 90, 3, held_out=0, **settings)
     target, *contexts = made.views
     return measure(target, contexts, made.initial_depth(made.cameras[0]), BALANCED, device)
 
 
+@pytest.mark.kernels
+@pytest.mark.slow
 def test_measurements_tell_made_scenes_apart(device):
     clean = measured_of(device, steps=0)
     assert clean.overlap > 0.9 and clean.hidden <= RULES["occlusion"][1] and clean.far_off < 0.05
@@ -148,7 +154,7 @@ def test_measurements_tell_made_scenes_apart(device):
 
 
 def test_without_surface_nothing_is_measured(device):
-    from pagas_cl.synthetic import relief_scene
+    from support.scenes import relief_scene
 
     made = relief_scene(64, 48, 2, held_out=0)
     measured = measure(made.views[0], made.views[1:], np.zeros((48, 64), np.float32), BALANCED, device)
@@ -164,7 +170,7 @@ def test_an_effect_that_is_off_is_in_no_program():
 
     config = decide(ALPHA.with_settings(**{f"effects__{name}": "off" for name in RULES}), CALM)[0]
     words = set(defines(config, SimpleNamespace(has=lambda extension: True), 200))
-    assert not words & {"OCCLUSION", "UNSEEN_MASK", "EXPOSURE", "STRUCTURE", "LOW_PASS"}
+    switches = {effect.macros[0] for effect in COMPILED.values()}
+    assert not words & switches
     on = decide(ALPHA.with_settings(**{f"effects__{name}": "on" for name in RULES}), CALM)[0]
-    assert {"OCCLUSION", "UNSEEN_MASK", "EXPOSURE", "STRUCTURE", "LOW_PASS"} <= set(
-        defines(on, SimpleNamespace(has=lambda extension: True), 200))
+    assert switches <= set(defines(on, SimpleNamespace(has=lambda extension: True), 200))

@@ -25,6 +25,8 @@ from pagas_cl.scene import files
 from pagas_cl.scene.partners import PartnerChooser
 from pagas_cl.scene.view import View
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def own_locks(tmp_path, monkeypatch):

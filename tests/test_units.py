@@ -10,6 +10,8 @@ from pagas_cl.runtime.transfer import download, upload
 from pagas_cl.scene.sampling import FAR, MEDIAN_SAMPLES, NEAR, scene_scale_of
 from pagas_cl.splat.units import NormalizedDepth
 
+pytestmark = pytest.mark.kernels
+
 SPECIAL = np.array([0, -0.0, 1, -1, np.nan, np.inf, -np.inf, 1e-45, 1e-38, 3e38], np.float32)
 
 
