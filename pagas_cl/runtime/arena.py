@@ -75,12 +75,8 @@ def declared(shape: tuple[int | str, ...], dtype: type, unit: str, purpose: str,
     ----------
     shape : tuple of int and str
         A str names one of the dimensions that a plan is made for.
-    dtype : type
-        Of an element.
     unit : str
         Of what an element says; "" for none.
-    purpose : str
-        What the buffer is for.
     needed : str, optional
         Names a dimension; the field is None where that is zero or False.
     start : NumPy scalar of 32 bits, optional

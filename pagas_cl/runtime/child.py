@@ -14,22 +14,15 @@ from typing import IO, Any
 
 @dataclass(frozen=True)
 class Answer:
-    """What a child process came to.
-
-    Attributes
-    ----------
-    value : dict or None
-        What it answered; None where it ended without an answer.
-    fault : str
-        How it ended then: "aborted (SIGABRT: ...)", "gave no answer within 60 s", ...
-    hung, crashed : bool
-        It gave no answer in time; a signal has ended it.
-    """
+    """What a child process came to."""
 
     value: dict[str, Any] | None
+    """What it answered; None where it ended without an answer."""
     fault: str = ""
+    """How it ended then: "aborted (SIGABRT: ...)", "gave no answer within 60 s", ..."""
     hung: bool = False
     crashed: bool = False
+    """hung, crashed: it gave no answer in time; a signal has ended it."""
 
 
 def ask(module: str, question: dict[str, Any], timeout: float, environment: dict[str, str] | None = None) -> Answer:

@@ -57,8 +57,7 @@ def claim_device(names: str | Sequence[str] | Device | None = None) -> Device:
     Raises
     ------
     DeviceError
-        All of them are taken, or cannot be opened. PAGAS_CL_SHARE=3 in the environment lets three
-        processes work on one device.
+        All are taken, or cannot be opened. PAGAS_CL_SHARE=3 in the environment lets three processes share one.
     """
     if isinstance(names, Device):
         return devices.working(names)

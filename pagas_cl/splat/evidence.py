@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
+from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import Fill, run_once
-from pagas_cl.runtime.transfer import download
 from pagas_cl.splat import project
 from pagas_cl.splat.buffers import EvidenceBuffers
 from pagas_cl.splat.constants import CLEAR_NOISE, COST_BINS, COST_GROUP, COST_ONE

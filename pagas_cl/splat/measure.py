@@ -11,8 +11,8 @@ import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.runtime.arena import declared, total_bytes
+from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, build, run_once
-from pagas_cl.runtime.transfer import download, upload
 from pagas_cl.splat import exposure, project
 from pagas_cl.splat.buffers import ExposureBuffers, SampleGrid, SurfaceBuffers, dimensions
 from pagas_cl.splat.constants import MEAN, NUMBER, OFFSETS, QUANTILE, SHARED, SHIFTS, SUMMARY_GROUP, define
@@ -103,32 +103,23 @@ class ImageNoise:
 
 @dataclass(frozen=True, eq=False)
 class ProbeResult:
-    """What was measured.
-
-    Attributes
-    ----------
-    view_samples : dict of str to ndarray of shape (contexts, 4)
-        By row of measure.cl: number, mean, quantile and mean square over the samples; NaN without samples.
-    seen, far : ndarray of shape (4,)
-        The same of samples that some view sees (0 or 1), and of those that match better two or more pixels away.
-    gains : ndarray of shape (contexts, 3, 2)
-        Gain and offset of each channel from the target's photo to each context photo.
-    noise, textureless : float
-        Of the target's photo; see ImageNoise.
-    stride : int
-        Pixels of the target between samples.
-    local_specularity : ndarray of shape (down, across), float32
-        Mean specularity over the context views at each sample, NaN = unknown.
-    """
+    """What was measured."""
 
     view_samples: dict[str, np.ndarray]
+    """By row of measure.cl: number, mean, quantile and mean square over the samples; NaN without samples."""
     seen: np.ndarray
     far: np.ndarray
+    """seen, far: of shape (4,): the same of samples that some view sees (0 or 1), and of those that match better two or
+    more pixels away."""
     gains: np.ndarray
+    """Of shape (contexts, 3, 2): gain and offset of each channel from the target's photo to each context photo."""
     noise: float
     textureless: float
+    """noise, textureless: of the target's photo; see ImageNoise."""
     stride: int
+    """Pixels of the target between samples."""
     local_specularity: np.ndarray
+    """float32 of shape (down, across): mean specularity over the context views at each sample, NaN = unknown."""
 
 
 @dataclass(eq=False)

@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.runtime.transfer import download
+from pagas_cl.runtime.memory import download
 from pagas_cl.splat.constants import BEST, DONE, LOSS, LOSS_ONE, RATE
 
 _LOOK_EVERY = 10          # steps between two looks of the host at the schedule

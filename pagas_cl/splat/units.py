@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, build, run_once
-from pagas_cl.runtime.transfer import download, upload
 from pagas_cl.scene.sampling import scene_scale_of
 from pagas_cl.splat.constants import SHARED
 
