@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from difflib import get_close_matches
 from typing import Any
 
 from pagas_cl.errors import InputError
@@ -308,7 +309,8 @@ class Config:
         for key, value in settings.items():
             key = key.replace("__", ".")
             if key not in setting_names():
-                raise InputError(f"unknown setting {key!r}; {_nearest(key)}")
+                nearest, = get_close_matches(key, setting_names(), n=1, cutoff=0.0)
+                raise InputError(f"unknown setting {key!r}; the nearest known one is {nearest!r}")
             stage, _, name = key.partition(".")
             by_stage.setdefault(stage, {})[name] = value
         return replace(self, **{stage: replace(getattr(self, stage), **values) for stage, values in by_stage.items()})
@@ -321,10 +323,3 @@ class Config:
 def setting_names() -> list[str]:
     """Every setting as "stage.field", in order."""
     return [f"{stage.name}.{f.name}" for stage in fields(Config) for f in fields(globals()[str(stage.type)])]
-
-
-def _nearest(key: str) -> str:
-    from difflib import get_close_matches
-
-    near = get_close_matches(key, setting_names(), n=1, cutoff=0.0)
-    return f"the nearest known one is {near[0]!r}"

@@ -132,13 +132,8 @@ def _decision(config: Config, name: str, measured: Measurements) -> Decision:
 def decide_consistency(cameras, depths, config: Config, device=None) -> tuple[Config, Decision | None]:
     """Settle effects.consistency: fusion.agree_views as it follows, and the decision (None where it is "set").
 
-    Parameters
-    ----------
-    cameras : list of Camera
-    depths : list of (ndarray of shape (H, W), DepthResult, something with load(), or None)
-        The depth maps that are to be fused.
-    device : Device, optional
-        Where they are compared; in NumPy by default.
+    `depths` are those to be fused, one a camera: an ndarray of shape (H, W), a DepthResult, something with load(), or
+    None. They are compared on `device`, in NumPy by default.
     """
     from pagas_cl.surface.agree import contradicted
 

@@ -100,9 +100,10 @@ def measure(target, contexts, depth, config: Config, device, photos=None, *, nor
 
     found = probe_view(target, contexts, depth, config, device, photos, normalized=normalized)
     samples = found.view_samples
+    changes = np.abs([samples[f"change {c}"][:, QUANTILE] for c in "rgb"])
     return Measurements(
         overlap=_number(found.seen[MEAN]), hidden=_share(samples["hidden"]), unseen=_unseen(found, contexts),
-        exposure_change=_largest([samples[f"change {c}"][:, QUANTILE] for c in "rgb"]),
+        exposure_change=float(np.nan_to_num(changes).max(initial=0.0)),
         specularity=float(np.median(np.nan_to_num(samples["specularity"][:, QUANTILE]))),
         smallest=_number(np.min(samples["size"][:, QUANTILE], initial=np.inf,
                                 where=samples["size"][:, NUMBER] > 0), 0.5),
@@ -120,10 +121,6 @@ def _number(value, otherwise: float = 0.0) -> float:
 def _share(rows) -> float:
     """Mean over all samples of all views."""
     return float((np.nan_to_num(rows[:, MEAN]) * rows[:, NUMBER]).sum() / max(1, rows[:, NUMBER].sum()))
-
-
-def _largest(values) -> float:
-    return float(np.nan_to_num(np.abs(values)).max(initial=0.0))
 
 
 def _unseen(found, contexts) -> float:

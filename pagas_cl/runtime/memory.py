@@ -37,12 +37,8 @@ class Memory:
     def buffer(self, context: cl.Context, nbytes: int, role: str = "") -> _Counted:
         """A buffer for reading and writing; what is in it is left over from whatever it served before.
 
-        One that has served in the `role` is taken again, so that kernels find it where it was.
-
-        Raises
-        ------
-        DeviceMemoryError
-            It would exceed the limit, or the driver refuses it.
+        One that has served in the `role` is taken again, so that kernels find it where it was. DeviceMemoryError where
+        it would exceed the limit, or the driver refuses it.
         """
         if self.held + nbytes > self.limit:
             raise DeviceMemoryError(f"{self.title} may hold {_mb(self.limit)} MB, {_mb(self.held)} MB are taken and "

@@ -1,4 +1,4 @@
-"""Kernels from package data: includes pasted, compiled once a device and defines, launched and timed with bound arguments."""
+"""Kernels from package data: includes pasted, compiled once a device and defines, launched with bound arguments."""
 
 from __future__ import annotations
 
@@ -248,12 +248,8 @@ def bind(program: Program, name: str, global_size: Sequence[int], local_size: Se
     Work-items are rounded up to whole groups of `local_size` (usual_group by default). Arguments that are not given are
     looked up in `known`; each is a Buffer, None (a null buffer), or a number, which is converted to the kernel's type.
 
-    Raises
-    ------
-    DeviceError
-        A whole number does not fit into 32 bits.
-    TypeError
-        An argument is missing, or the kernel has none of that name.
+    DeviceError where a whole number does not fit into 32 bits; TypeError where an argument is missing, or the kernel
+    has none of that name.
     """
     signature = program.signatures[name]
     unknown, missing = arguments.keys() - signature, signature.keys() - arguments.keys() - known.keys()

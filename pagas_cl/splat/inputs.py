@@ -26,9 +26,8 @@ class LevelView:
     threshold: float
     """Depth threshold delta, device units."""
     target_size: Size
-    """size, target_size: of the photo and of the target's."""
     target_photo: cl.Buffer
-    """photo, target_photo: uchar4 per pixel."""
+    """uchar4 per pixel, as `photo`."""
     pixels: np.ndarray | None = None
     """uint8 of shape (H, W, 4): what `photo` is to be filled with before it is read, where several photos share the
     buffer."""
@@ -59,12 +58,11 @@ class LevelInput:
     viewing_distance: float
     """Median distance of the cameras from the point they look at, device units."""
     contexts: int
-    """Number of context views."""
     host: tuple = ()
-    """Photos of all views but the target's, where the device holds one of them at a time: every photos[1:] is then the
-    same buffer."""
+    """uint8 of shape (H, W, 4) of all views but the target's, where the device holds one photo at a time: every
+    photos[1:] is then the same buffer."""
     specularity: np.ndarray | None = None
-    """Specularity measured on a grid over the target (Measurements.local_specularity)."""
+    """Measurements.local_specularity."""
 
     @cached_property
     def sizes(self) -> list[Size]:

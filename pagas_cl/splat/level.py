@@ -18,12 +18,11 @@ from pagas_cl.splat.options import Programs
 
 @dataclass(frozen=True)
 class Phase:
-    """How the steps of a level go, from one of them on."""
+    """How the steps of a level go, from one of them on: the `config` that the programs of the views are made for, and
+    whether smoothness is `raised` to what few context views and specularity call for."""
 
     config: Config
-    """What the programs of the views are made for."""
     raised: bool
-    """Whether smoothness weighs what few context views and specularity call for."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from pagas_cl.runtime.arena import declared, total_bytes
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.splat import exposure, project
-from pagas_cl.splat.buffers import ExposureBuffers, SampleGrid, SurfaceBuffers, dimensions
+from pagas_cl.splat.buffers import ExposureBuffers, MaybeBuffer, SampleGrid, SurfaceBuffers, dimensions
 from pagas_cl.splat.constants import MEAN, NUMBER, OFFSETS, QUANTILE, SHARED, SHIFTS, SUMMARY_GROUP, define
 from pagas_cl.splat.options import Programs
 
@@ -32,13 +32,8 @@ _RULES = [(-0.5, 2047.5, 0.25), (-0.5, 2047.5, 0.5), (-0.5, 2047.5, 0.5)]     # 
 
 
 class Rows:
-    """Rows of `count` float32 on the device, NaN = no value, and what they come to.
-
-    Parameters
-    ----------
-    rules : list of (lowest, highest, share)
-        Of each row: the values that its quantile lies between, and the share of the values below it.
-    """
+    """Rows of `count` float32 on the device, NaN = no value, and what they come to. `rules` has (lowest, highest,
+    share) of each: the values that its quantile lies between and the share of the values below it."""
 
     def __init__(self, device, rules, count: int):
         self.device, self.rows, self.count = device, len(rules), count
@@ -109,13 +104,12 @@ class ProbeResult:
     """By row of measure.cl: number, mean, quantile and mean square over the samples; NaN without samples."""
     seen: np.ndarray
     far: np.ndarray
-    """seen, far: of shape (4,): the same of samples that some view sees (0 or 1), and of those that match better two or
-    more pixels away."""
+    """The same, of shape (4,), of samples that match better two or more pixels away; `seen`: that some view sees."""
     gains: np.ndarray
     """Of shape (contexts, 3, 2): gain and offset of each channel from the target's photo to each context photo."""
     noise: float
     textureless: float
-    """noise, textureless: of the target's photo; see ImageNoise."""
+    """This and `noise` of the target's photo, as ImageNoise reads them."""
     stride: int
     """Pixels of the target between samples."""
     local_specularity: np.ndarray
@@ -126,8 +120,8 @@ class ProbeResult:
 class ProbeBuffers(SurfaceBuffers, ExposureBuffers):
     """What measuring works on."""
 
-    costs: cl.Buffer | None = declared((_MOVES, "samples"), np.float32, "1", "1 - correlation at each sample, by move")
-    totals: cl.Buffer | None = declared((SHIFTS + 2, "samples"), np.float32, "1", "of the views, as in measure.cl")
+    costs: MaybeBuffer = declared((_MOVES, "samples"), np.float32, "1", "1 - correlation at each sample, by move")
+    totals: MaybeBuffer = declared((SHIFTS + 2, "samples"), np.float32, "1", "of the views, as in measure.cl")
 
 
 def probe_config(config: Config) -> Config:

@@ -67,17 +67,8 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
 
 
 class Programs:
-    """The kernels as `config` wants them on `device`, for images of `cameras`, the target first.
-
-    Attributes
-    ----------
-    defines : tuple of str
-        Of every kernel file.
-    more : dict of str to tuple of str
-        Further ones, by kernel file.
-    tiles : dict of str to Tile
-        How ssim.cl and loss.cl share an image.
-    """
+    """The kernels as `config` wants them on `device`, for images of `cameras`, the target first: `defines` of every
+    kernel file, `more` by file, and `tiles`, how ssim.cl and loss.cl share an image."""
 
     def __init__(self, device, config: Config, cameras: list[Camera], more: dict | None = None):
         self.device, self.config = device, config

@@ -22,26 +22,23 @@ from pagas_cl.splat.units import NormalizedDepth
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """What the levels leave, arrays of the target's full size, lengths in scene units."""
+    """What the levels leave: arrays of the target's full size (H, W), lengths in scene units."""
 
     depth: np.ndarray
-    """float32 of shape (H, W): refined depth, 0 = no surface."""
+    """Float32, 0 = no surface."""
     status: np.ndarray
-    """uint8 of shape (H, W): 0 no surface, 1 refined, 2 kept (no other view sees it, or it is masked out), 3 rejected
-    (the photos speak against it)."""
+    """uint8, as in scene/depthmap.py."""
     deviation: np.ndarray
-    """float32 of shape (H, W): standard deviation of the depth; infinite where nothing is known, 0 where there is no
-    surface."""
+    """Standard deviation of the depth, float32; infinite where nothing is known, 0 where there is no surface."""
     parallax: np.ndarray
-    """float32 of shape (H, W): depth change that moves a pixel by one pixel in the context views; 0 where none sees
-    it."""
+    """Depth change that moves a pixel by one pixel in the context views, float32; 0 where none sees it."""
     cost: tuple[float, float]
     """Mean 1 - correlation of patches with the context photos, before and after."""
     held_out: tuple[tuple[float, float], ...]
     """Median 1 - correlation with each photo that took no part, before and after, over the pixels that it sees; NaN
     where there are none."""
     steps: tuple[int, ...]
-    """Steps done at each level."""
+    """Done at each level."""
     losses: list[float]
     """Loss of each step, where the schedule follows it."""
     device_bytes: int
@@ -56,7 +53,6 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
 
     Parameters
     ----------
-    target : View
     contexts : list of View
         At least one.
     depth : ndarray of shape (H, W)
@@ -68,14 +64,11 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     held_out : sequence of View
         Views that take no part and judge the result.
     measured : Measurements, optional
-        What was measured of the view: its evidence and deviations depend on it.
+        Evidence and deviations depend on it.
     normalized : NormalizedDepth, optional
         `depth`, where it is on the device already; used up.
 
-    Raises
-    ------
-    DeviceMemoryError
-        Before the first step, where the device may not hold what is planned.
+    DeviceMemoryError comes before the first step, where the device may not hold what is planned.
     """
     photos = photos or PhotoStore(device)
     cameras = [view.camera for view in (target, *contexts, *held_out)]
