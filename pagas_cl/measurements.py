@@ -7,16 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.splat.constants import (
-    CLEAR_NOISE,
-    MEAN,
-    MEAN_SQUARE,
-    MISALIGNED,
-    NUMBER,
-    QUANTILE,
-    SPECULAR_VIEW,
-    SURE_SPECULARITY,
-)
+from pagas_cl.splat import constants
+from pagas_cl.splat.constants import MEAN, MEAN_SQUARE, NUMBER, QUANTILE
 
 FAR_OFF = 0.15           # share of samples that match elsewhere, beyond which the depth as a whole is too far off
 _QUANTISATION = 0.0012   # noise that rounding to 8 bits alone leaves
@@ -62,22 +54,22 @@ class Measurements:
     @property
     def unexplained(self) -> float:
         """What the photos show that no depth explains, against what the default smoothness is made for."""
-        return max(self.unexplained_everywhere, min(self.residual, 0.1) / SPECULAR_VIEW)
+        return max(self.unexplained_everywhere, min(self.residual, 0.1) / constants.SPECULAR_VIEW)
 
     @property
     def unexplained_everywhere(self) -> float:
         """The same without specularity, which is in some places more than in others."""
-        return max(self.relative_noise, self.misaligned / MISALIGNED)
+        return max(self.relative_noise, self.misaligned / constants.MISALIGNED)
 
     @property
     def relative_noise(self) -> float:
         """Noise of the photos, of what the default weight of the smoothness allows for."""
-        return self.noise / CLEAR_NOISE
+        return self.noise / constants.CLEAR_NOISE
 
     @property
     def error_factor(self) -> float:
         """By how much depth errors exceed what the sharpness of the match alone tells (tests/bench/calibration.py)."""
-        return max(1.0, self.relative_noise**0.5, self.residual / SURE_SPECULARITY)
+        return max(1.0, self.relative_noise**0.5, self.residual / constants.SURE_SPECULARITY)
 
     @property
     def residual(self) -> float:

@@ -103,8 +103,9 @@ class ProbeResult:
     view_samples: dict[str, np.ndarray]
     """By row of measure.cl: number, mean, quantile and mean square over the samples; NaN without samples."""
     seen: np.ndarray
+    """The same, of shape (4,), of samples that some view sees (0 or 1)."""
     far: np.ndarray
-    """The same, of shape (4,), of samples that match better two or more pixels away; `seen`: that some view sees."""
+    """The same of those that match better two or more pixels away."""
     gains: np.ndarray
     """Of shape (contexts, 3, 2): gain and offset of each channel from the target's photo to each context photo."""
     noise: float

@@ -25,7 +25,7 @@ class Refinement:
     """What the levels leave: arrays of the target's full size (H, W), lengths in scene units."""
 
     depth: np.ndarray
-    """Float32, 0 = no surface."""
+    """Refined, float32; 0 = no surface."""
     status: np.ndarray
     """uint8, as in scene/depthmap.py."""
     deviation: np.ndarray
@@ -38,7 +38,7 @@ class Refinement:
     """Median 1 - correlation with each photo that took no part, before and after, over the pixels that it sees; NaN
     where there are none."""
     steps: tuple[int, ...]
-    """Done at each level."""
+    """Those done at each level."""
     losses: list[float]
     """Loss of each step, where the schedule follows it."""
     device_bytes: int
