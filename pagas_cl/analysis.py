@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from pagas_cl.config import Config
-from pagas_cl.effects import Decision, decide, decide_consistency
-from pagas_cl.measurements import RULES, Measurements, measure
+from pagas_cl.effects import EFFECTS, Decision, decide, decide_consistency
+from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import preset
 from pagas_cl.scene.inputs import asked_views, checked_depth, depth_array
 from pagas_cl.scene.partners import PartnerChooser
@@ -101,7 +101,7 @@ def effect_costs(target, contexts, depth, config: Config, measured: Measurements
             known[settled] = time_step(target, contexts, depth, settled, device, photos)
         return known[settled].view_seconds(settled), known[settled].device_bytes
 
-    names = [name for name in RULES if getattr(config.effects, name) != "set"]
+    names = [name for name in EFFECTS if getattr(config.effects, name) != "set"]
     for done, name in enumerate(names):
         if progress:
             progress("time the effects", done, len(names))

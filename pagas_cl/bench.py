@@ -106,7 +106,7 @@ def copy_bandwidth(device) -> float:
 
 def _step(device, target, contexts, depth, config, repeats, copy):
     """The Stages of one step, slowest first, and the context views in it."""
-    from pagas_cl.runtime.timing import stage_times
+    from pagas_cl.runtime.program import stage_times
     from pagas_cl.splat.view import full_level
 
     level = full_level(target, contexts, depth, config, device)

@@ -6,46 +6,47 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.effects import COMPILED, EFFECTS
+from support.effects import COMPILED
+from support.effects import EFFECTS as CASES
 from twins import exposure
 
 from pagas_cl.config import Effects
-from pagas_cl.effects import LOW_PASS, decide
+from pagas_cl.effects import EFFECTS, LOW_PASS, decide
 from pagas_cl.errors import InputError
-from pagas_cl.measurements import RULES, Measurements, measure
+from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import BALANCED, PAPER
 
 CALM = Measurements(overlap=1.0, misaligned=0.0, masked=False, gains=(((1.0, 0.0),) * 3,),
-                    **{name: value for effect in EFFECTS.values() for name, value in effect.below.items()})
+                    **{name: value for effect in CASES.values() for name, value in effect.below.items()})
 ALPHA = BALANCED.with_settings(splatting__blend="alpha")      # the blend that has every effect
 
 
 def switched_on(config) -> dict[str, bool]:
     """Which effects the settings simulate."""
-    return {name: effect.is_on(config) for name, effect in EFFECTS.items()}
+    return {name: effect.is_on(config) for name, effect in CASES.items()}
 
 
 def calling_for(effect: str) -> Measurements:
     """Of a scene that calls for one effect, and for smoothness, without which noise has nothing to weigh."""
-    return replace(CALM, **{"textureless": 0.5, **EFFECTS[effect].above})
+    return replace(CALM, **{"textureless": 0.5, **CASES[effect].above})
 
 
 def test_every_effect_has_an_entry():
-    assert set(EFFECTS) == set(RULES) and all(effect.on and effect.off for effect in COMPILED.values())
+    assert set(CASES) == set(EFFECTS) and all(effect.on and effect.off for effect in COMPILED.values())
 
 
-@pytest.mark.parametrize("effect", RULES)
+@pytest.mark.parametrize("effect", EFFECTS)
 def test_auto_follows_the_evidence(effect):
     assert not switched_on(decide(ALPHA, CALM)[0])[effect]
     measured = calling_for(effect)
     config, decisions = decide(ALPHA, measured)
     assert switched_on(config)[effect]
     decision = next(d for d in decisions if d.effect == effect)
-    assert decision.on and decision.threshold == RULES[effect][1]
-    assert decision.evidence == pytest.approx(getattr(measured, RULES[effect][0]))
+    assert decision.on and decision.threshold == EFFECTS[effect].threshold
+    assert decision.evidence == pytest.approx(getattr(measured, EFFECTS[effect].evidence))
 
 
-@pytest.mark.parametrize("effect", RULES)
+@pytest.mark.parametrize("effect", EFFECTS)
 def test_one_effect_alone_is_switched_on(effect):
     """Beside smoothness, without which noise has nothing to weigh; noise also follows the measured specularity."""
     measured = calling_for(effect)
@@ -53,7 +54,7 @@ def test_one_effect_alone_is_switched_on(effect):
     assert on - ({"noise"} if effect == "view_dependence" else set()) == {effect, "smoothness"}
 
 
-@pytest.mark.parametrize("effect", RULES)
+@pytest.mark.parametrize("effect", EFFECTS)
 def test_off_and_on_hold_against_the_evidence(effect):
     called_for = calling_for(effect)
     off, told = decide(ALPHA.with_settings(**{f"effects__{effect}": "off"}), called_for)
@@ -64,11 +65,11 @@ def test_off_and_on_hold_against_the_evidence(effect):
         assert switched_on(on)[effect]
 
 
-@pytest.mark.parametrize("effect", RULES)
+@pytest.mark.parametrize("effect", EFFECTS)
 def test_set_leaves_the_settings_alone(effect):
     for base in (ALPHA, PAPER):
         given = base.with_settings(**{f"effects__{effect}": "set"})
-        config, decisions = decide(given, replace(CALM, **EFFECTS[effect].above))
+        config, decisions = decide(given, replace(CALM, **CASES[effect].above))
         assert switched_on(config)[effect] == switched_on(base)[effect]
         assert effect not in {d.effect for d in decisions}
 
@@ -81,7 +82,7 @@ def test_all_set_needs_no_measurements_and_changes_nothing():
 def test_decisions_are_settled():
     """What comes out says "set", so that nothing is decided twice."""
     config, decisions = decide(BALANCED, CALM)
-    assert all(getattr(config.effects, name) == "set" for name in RULES)
+    assert all(getattr(config.effects, name) == "set" for name in EFFECTS)
     assert decide(config, None) == (config, [])
     assert all(set(d.as_dict()) == {"effect", "evidence", "threshold", "on", "reason"} for d in decisions)
 
@@ -140,14 +141,14 @@ def measured_of(device, **settings) -> Measurements:
 @pytest.mark.slow
 def test_measurements_tell_made_scenes_apart(device):
     clean = measured_of(device, steps=0)
-    assert clean.overlap > 0.9 and clean.hidden <= RULES["occlusion"][1] and clean.far_off < 0.05
+    assert clean.overlap > 0.9 and clean.hidden <= EFFECTS["occlusion"].threshold and clean.far_off < 0.05
     assert clean.exposure_change < 0.012 and not clean.masked
     assert clean.smallest == pytest.approx(0.5, abs=0.1)
     assert np.shape(clean.gains) == (3, 3, 2)
     jitter = measured_of(device, steps=0, exposure=0.3)
     assert jitter.exposure_change > 0.012
-    assert measured_of(device, bar=10.0).hidden > clean.hidden + RULES["occlusion"][1]
-    assert measured_of(device, steps=0, coarse_error=4.0).far_off > RULES["pyramid"][1]
+    assert measured_of(device, bar=10.0).hidden > clean.hidden + EFFECTS["occlusion"].threshold
+    assert measured_of(device, steps=0, coarse_error=4.0).far_off > EFFECTS["pyramid"].threshold
     assert measured_of(device, steps=0, distances=(2.5,)).smallest < 0.36
     noisy = measured_of(device, steps=0, contrast=0.2, noise=6.0)
     assert noisy.noise > 0.01 and noisy.unexplained > 1.4
@@ -168,9 +169,9 @@ def test_an_effect_that_is_off_is_in_no_program():
 
     from pagas_cl.splat.options import defines
 
-    config = decide(ALPHA.with_settings(**{f"effects__{name}": "off" for name in RULES}), CALM)[0]
+    config = decide(ALPHA.with_settings(**{f"effects__{name}": "off" for name in EFFECTS}), CALM)[0]
     words = set(defines(config, SimpleNamespace(has=lambda extension: True), 200))
     switches = {effect.macros[0] for effect in COMPILED.values()}
     assert not words & switches
-    on = decide(ALPHA.with_settings(**{f"effects__{name}": "on" for name in RULES}), CALM)[0]
+    on = decide(ALPHA.with_settings(**{f"effects__{name}": "on" for name in EFFECTS}), CALM)[0]
     assert switches <= set(defines(on, SimpleNamespace(has=lambda extension: True), 200))

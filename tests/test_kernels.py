@@ -16,8 +16,8 @@ from pagas_cl.presets import BALANCED, PAPER
 from pagas_cl.reference.level import prepare
 from pagas_cl.reference.pairs import candidates, nearest_surface
 from pagas_cl.reference.project import project as twin_project
+from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import run_once
-from pagas_cl.runtime.transfer import download, upload
 from pagas_cl.splat import project
 from pagas_cl.splat.buffers import LevelBuffers
 from pagas_cl.splat.inputs import LevelInput

@@ -18,8 +18,8 @@ from pagas_cl.reference import loss as losses
 from pagas_cl.reference.composite import composite_vjp
 from pagas_cl.reference.level import State, prepare, render
 from pagas_cl.reference.smooth import smoothness
+from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import run_once
-from pagas_cl.runtime.transfer import download, upload
 from pagas_cl.splat import composite, gradient_filter, project, smooth
 from pagas_cl.splat.buffers import LevelBuffers, Size
 from pagas_cl.splat.inputs import LevelInput

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pagas_cl.reference import units as twin
-from pagas_cl.runtime.transfer import download, upload
+from pagas_cl.runtime.memory import download, upload
 from pagas_cl.scene.sampling import FAR, MEDIAN_SAMPLES, NEAR, scene_scale_of
 from pagas_cl.splat.units import NormalizedDepth
 

@@ -23,7 +23,7 @@ from pagas_cl.config import Effects
 from pagas_cl.presets import BALANCED
 from pagas_cl.runtime import program
 from pagas_cl.runtime.device import open_device
-from pagas_cl.runtime.timing import stage_times
+from pagas_cl.runtime.program import stage_times
 from pagas_cl.scene.view import View
 from pagas_cl.splat import options
 from pagas_cl.splat import view as refinement
