@@ -41,9 +41,8 @@ class FScore(Figures):
 class VisibleSpace:
     """What a benchmark's scanner could see: only there is a result judged. Lengths in scene units.
 
-    seen : ndarray of bool, (X, Y, Z); voxel (i, j, k) is centred at corner + voxel * (i, j, k).
-    corner, far_corner : ndarray of shape (3,), the box that DTU calls BB: points further than `margin` outside are not
-    looked at, on either side.
+    `seen` is bool (X, Y, Z), voxel (i, j, k) centred at corner + voxel * (i, j, k); `corner` to `far_corner` is the box
+    that DTU calls BB: points further than `margin` outside are not looked at.
     """
 
     seen: np.ndarray
@@ -67,14 +66,10 @@ class VisibleSpace:
 
 def chamfer(result, truth, *, downsample=None, max_distance=np.inf, visible: VisibleSpace | None = None,
             ground=None) -> Chamfer:
-    """Chamfer distances between two clouds.
+    """Chamfer distances between two clouds (n, 3); for meshes see `evaluate.sample`.
 
     DTU's own figures: `downsample` 0.2 mm, `max_distance` 20 mm, its ObsMask as `visible`, its Plane as `ground`.
 
-    Parameters
-    ----------
-    result, truth : ndarray of shape (n, 3)
-        Points; for meshes see `evaluate.sample`.
     downsample : float or None
         Thin the result so that no two points are nearer than this.
     max_distance : float
@@ -127,14 +122,10 @@ def nearest(points, cloud) -> np.ndarray:
 
 
 def thin(points, radius: float, seed: int = 0) -> np.ndarray:
-    """Keep points in a random but repeatable order, dropping each within `radius` of one kept before.
+    """Keep points in a random but repeatable order, dropping each within `radius` of one kept before: bool (n,).
 
     What DTU's evaluation does, with the same result as its loop, in rounds over all points at once: a point whose
     earlier neighbours are all dropped is kept, and one with a kept earlier neighbour is dropped.
-
-    Returns
-    -------
-    ndarray of bool, (n,)
     """
     if not radius > 0:
         raise InputError(f"thinning: the radius is {radius!r}, expected a length above 0 in scene units")

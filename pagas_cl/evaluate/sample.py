@@ -48,13 +48,10 @@ def extent(points) -> float:
 
 
 def read_shape(source):
-    """Vertices and faces of a mesh, or points and None.
+    """Vertices and faces of a mesh, or points (n, 3) and None, from a path, an array, a pair or a mesh object.
 
-    Parameters
-    ----------
-    source : path, ndarray of shape (n, 3), pair (vertices, faces), or a mesh object
-        Files: .npy, .npz (first array), .xyz, .txt (x y z first on a line); else what Open3D reads (.ply, .obj, ...);
-        a file with triangles is a mesh, else a point cloud.
+    Files: .npy, .npz (first array), .xyz, .txt (x y z first on a line); else what Open3D reads (.ply, .obj, ...);
+    a file with triangles is a mesh, else a point cloud.
     """
     if isinstance(source, (str, Path)):
         points, faces = _read(Path(source))

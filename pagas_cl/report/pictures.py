@@ -40,18 +40,10 @@ class Picture:
 
 
 def view_pictures(photo, camera: Camera, before, after, *, change=None, confidence=None) -> list[Picture]:
-    """Every picture of one view.
+    """Every picture of one view: of its photo, uint8 (H, W, 3), and its z-depths (H, W), 0 = no surface.
 
-    Parameters
-    ----------
-    photo : ndarray of shape (H, W, 3), uint8
-    camera : Camera
-    before, after : ndarray of shape (H, W)
-        z-depth, 0 = no surface.
-    change : ndarray of shape (H, W), optional
-        Signed move in pixels of parallax (`parallax_change`), NaN = unknown.
-    confidence : ndarray of shape (H, W), optional
-        0 to 1.
+    `change` (H, W) is the signed move in pixels of parallax (`parallax_change`), NaN = unknown; `confidence` (H, W) is
+    from 0 to 1.
     """
     low, high = depth_range(before, after)
     depths = {"before": np.asarray(before), "after": np.asarray(after)}

@@ -70,16 +70,8 @@ _DETAILS = (
 def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDArray[np.float64]:
     """Raise InputError when the poses are such that hardly a camera sees the mesh, saying which reading would mend it.
 
-    Parameters
-    ----------
-    surface : Surface, or ndarray of shape (V, 3)
-        The mesh, or its vertices, world coordinates.
-    cameras : list of Camera
-
-    Returns
-    -------
-    ndarray of shape (N,), float64
-        Share of the mesh's points in front of and inside each camera's image.
+    `surface` is the mesh, or its vertices (V, 3) in world coordinates. Returns the share of its points in front of and
+    inside each camera's image, float64 (cameras,).
     """
     if not cameras:
         raise InputError("there are no cameras: nothing can be refined")
@@ -177,14 +169,9 @@ class CameraReport:
 
 
 def check_cameras(mesh: Mesh, cams: Cameras, images: Images | None = None) -> CameraReport:
-    """Check cameras against a mesh and, where given, photos.
+    """Check cameras against a mesh and photos, all as `refine_mesh` takes them.
 
-    Parameters
-    ----------
-    mesh : anything that `refine_mesh` takes
-    cams : list of Camera, Open3D PinholeCameraTrajectory, or pycolmap Reconstruction
-    images : list of arrays or paths, dict by camera name, or a folder; optional
-        Without photos only what each view sees of the mesh is compared.
+    Without photos only what each view sees of the mesh is compared.
     """
     if images is None:
         return check_views(mesh, as_cameras(cams), None)

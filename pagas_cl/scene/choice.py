@@ -24,18 +24,10 @@ _RISE, _FALL = 8.0, 25.0  # degrees: the angle score is 1 between them and falls
 
 @dataclass(frozen=True)
 class ContextChoice:
-    """Context views of a target, most useful first.
+    """Context views of a target, most useful first, as `indices` into the list of cameras.
 
-    Attributes
-    ----------
-    indices : tuple of int
-        Into the list of cameras.
-    overlaps : tuple of float
-        Share of the target's valid depths that the view sees at an angle within the settings' limits.
-    angles : tuple of float
-        Median angle between the rays of target and view, degrees.
-    reason : str
-        Empty, or why there are fewer views than wanted.
+    `overlaps`: share of the target's valid depths that the view sees at an angle within the settings' limits; `angles`:
+    median between the rays of target and view, degrees; `reason`: empty, or why there are fewer views than wanted.
     """
 
     indices: tuple[int, ...]
@@ -53,12 +45,8 @@ def choose_contexts(target: int, cameras: Sequence[Camera], depths: Sequence[np.
 class ContextChooser:
     """Chooses for one target after another; what all targets share is worked out once.
 
-    Parameters
-    ----------
-    cameras : list of Camera
-    depths : list of (ndarray of shape (H, W), DepthSample, or None)
-        Initial depth of each camera. A target needs one; another view without one is taken to hide nothing.
-    settings : config.Context
+    `depths` are the cameras' initial ones, (H, W) in scene units. A target needs one; another view without one is taken
+    to hide nothing.
     """
 
     def __init__(self, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None],
@@ -77,7 +65,6 @@ class ContextChooser:
                 np.array([((c.fx, c.fy), (c.cx, c.cy), (c.width, c.height)) for c in cameras], np.float64), 1, 0)
 
     def choose(self, target: int) -> ContextChoice:
-        """Context views of the camera `target`."""
         points, z = self._points(target)
         if len(z) == 0:
             return ContextChoice((), (), (), "its initial depth has no valid pixel (finite and above 0)")
@@ -92,11 +79,10 @@ class ContextChooser:
         score = useful * _angle_score(angle, self.settings) / np.maximum(coarser, 1)
         usable = (overlap >= self.settings.min_overlap) & (overlap > 0)
         order = _greedy(score, np.flatnonzero(usable), self.settings.number)
-        angles = [float(np.median(angle[k][useful[k]])) for k in order]
         wanted = min(self.settings.number, len(self.cameras) - 1)
         reason = "" if len(order) == wanted > 0 else self._reason(len(order), inside, seen, useful, angle)
         return ContextChoice(tuple(int(candidates[k]) for k in order), tuple(float(overlap[k]) for k in order),
-                             tuple(angles), reason)
+                             tuple(float(np.median(angle[k][useful[k]])) for k in order), reason)
 
     def _points(self, target: int) -> tuple[np.ndarray, np.ndarray]:
         """Sampled surface points of the target, (N, 3) relative to the first camera's centre, and their depth (N,)."""
@@ -200,8 +186,7 @@ def _angle_score(angle: np.ndarray, settings: Context) -> np.ndarray:
 def _greedy(score: np.ndarray, usable: np.ndarray, number: int) -> list[int]:
     """Up to `number` of `usable`, each the one that adds most to the sum over samples of sqrt(score so far).
 
-    The root makes the second view of a region worth less than the first, so that no part of the target is left to
-    chance by ten views of the other part.
+    The root makes the second view of a region worth less than the first, so that every part of the target is seen.
     """
     total, left = np.zeros(score.shape[1]), list(usable)
     order: list[int] = []

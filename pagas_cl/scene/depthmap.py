@@ -33,7 +33,7 @@ def find_depth(folder: str | Path, image_name: str) -> Path | None:
 
 def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
                scale: float | None = None) -> npt.NDArray[np.float32]:
-    """Read a depth map.
+    """Read a depth map: (H, W) float32, 0 where it is not finite or below 0.
 
     Parameters
     ----------
@@ -43,11 +43,6 @@ def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
         Size wanted; another size is resampled by `resize_depth`.
     scale : float, optional
         The file's number for one scene unit (1000 for millimetres in a scene of metres); a PNG needs it, else 1.
-
-    Returns
-    -------
-    ndarray of shape (H, W), float32
-        What is not finite, or below 0, is 0.
     """
     path = Path(path)
     if not path.is_file():

@@ -18,16 +18,10 @@ Mesh: TypeAlias = Any
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Triangle mesh, world coordinates.
+    """Triangle mesh, world coordinates, scene units.
 
-    Parameters
-    ----------
-    vertices : ndarray of shape (V, 3), float64, scene units
-    faces : ndarray of shape (F, 3), int32, 0-based
-    normals : ndarray of shape (V, 3), float64, or None
-    colors : ndarray of shape (V, 3), float64 from 0 to 1, or None
-    quality : ndarray of shape (V,), float64, or None
-        MeshLab's vertex quality; our confidence goes there.
+    Vertices and normals are (V, 3), colors (V, 3) from 0 to 1, faces (F, 3) 0-based; quality (V,) is MeshLab's vertex
+    quality, where our confidence goes.
     """
 
     vertices: npt.NDArray[np.float64] = field(repr=False)
@@ -54,13 +48,10 @@ class Surface:
 
 
 def to_surface(mesh: Mesh) -> Surface:
-    """Surface of an Open3D TriangleMesh (legacy or tensor), a pymeshlab Mesh or MeshSet (its current mesh, layer
-    matrix applied), a pair (vertices, faces), a Surface, or the path of a mesh file.
+    """Surface of any Mesh; of a MeshSet the current mesh, layer matrix applied.
 
-    Raises
-    ------
-    InputError
-        Empty mesh, vertices that are not finite, face indices out of range, unknown kind or unreadable file.
+    InputError for an empty mesh, vertices that are not finite, face indices out of range, an unknown kind or an
+    unreadable file.
     """
     if isinstance(mesh, Surface):
         return mesh
@@ -85,8 +76,7 @@ def from_surface(surface: Surface, like: Mesh) -> Mesh:
     kind = mesh_kind(like)
     if kind == "pair":
         return surface.vertices.copy(), surface.faces.copy()
-    make = {"open3d": to_legacy, "open3d.t": _to_tensor, "pymeshlab": _to_pymeshlab}[kind]
-    return make(surface, like)
+    return {"open3d": to_legacy, "open3d.t": _to_tensor, "pymeshlab": _to_pymeshlab}[kind](surface, like)
 
 
 def mesh_kind(mesh: Mesh) -> str:
@@ -155,9 +145,8 @@ def _from_tensor(mesh: Any) -> Surface:
     colors = take.get("colors")
     if colors is not None and colors.dtype.kind in "iu":
         colors = colors / float(np.iinfo(colors.dtype).max)
-    quality = take.get("quality")
-    return Surface(take["positions"], mesh.triangle["indices"].cpu().numpy(), take.get("normals"), colors,
-                   None if quality is None else quality.reshape(len(quality)))
+    quality = take["quality"].reshape(len(take["quality"])) if "quality" in take else None
+    return Surface(take["positions"], mesh.triangle["indices"].cpu().numpy(), take.get("normals"), colors, quality)
 
 
 def _to_tensor(surface: Surface, like: Mesh) -> Mesh:
@@ -165,11 +154,10 @@ def _to_tensor(surface: Surface, like: Mesh) -> Mesh:
     mesh = o3d.t.geometry.TriangleMesh()
     mesh.vertex["positions"] = positions(surface.vertices, like)
     mesh.triangle["indices"] = o3d.core.Tensor(surface.faces.astype(np.int64))
-    for name, value in (("normals", surface.normals), ("colors", surface.colors)):
+    quality = None if surface.quality is None else surface.quality[:, None]
+    for name, value in (("normals", surface.normals), ("colors", surface.colors), ("quality", quality)):
         if value is not None:
             mesh.vertex[name] = o3d.core.Tensor(value.astype(np.float32))
-    if surface.quality is not None:
-        mesh.vertex["quality"] = o3d.core.Tensor(surface.quality[:, None].astype(np.float32))
     return mesh
 
 

@@ -21,15 +21,8 @@ _MANY = 64  # with more views than this, planning looks at samples of their dept
 class Partners:
     """Places in the list of views.
 
-    Attributes
-    ----------
-    target : int
-    contexts : tuple of int
-        Most useful first; empty where no view is usable.
-    held_out : tuple of int
-        Usable views that take no part.
-    reason : str
-        Why there are fewer context views than wanted.
+    `contexts`: most useful first, empty where no view is usable; `held_out`: usable views that take no part; `reason`:
+    why there are fewer context views than wanted.
     """
 
     target: int
@@ -65,7 +58,6 @@ class PartnerChooser:
         self._chooser = ContextChooser(cameras, depths, replace(settings, number=more))
 
     def choose(self, target: int) -> Partners:
-        """Partners of the view `target`."""
         choice = self._chooser.choose(target)
         contexts, held_out = shared_out(choice.indices, self._number)
         return Partners(target, contexts, held_out, choice.reason)

@@ -123,17 +123,10 @@ def overlaps(cameras: list[Camera], samples: Samples, most: int = 12) -> tuple[n
 
 def patch_correlation(cameras: list[Camera], greys: list[np.ndarray], pairs: list[tuple[int, int]], seen: np.ndarray,
                       samples: Samples) -> np.ndarray:
-    """Zero-mean normalised correlation of each patch between the two views of each pair.
+    """Zero-mean normalised correlation of each patch between the reference view and the other view of each pair.
 
-    Parameters
-    ----------
-    greys : list of ndarray (H, W), float32, grey levels of 255 (None where no pair needs it)
-    pairs : list of (reference view, other view)
-    seen : bool (views, few)
-
-    Returns
-    -------
-    ndarray of shape (pairs, few), NaN where the patch is unseen or has no texture
+    `greys` are (H, W) float32, grey levels of 255; `seen` is bool (views, few). Gives (pairs, few), NaN where the patch
+    is unseen or has no texture.
     """
     points, normals = samples.points[:samples.few], samples.normals[:samples.few]
     result = np.full((len(pairs), samples.few), np.nan)

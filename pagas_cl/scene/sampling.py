@@ -15,15 +15,8 @@ MEDIAN_SAMPLES = 65536
 class DepthSample:
     """Some depths of a view, and a coarse grid of its farthest ones (some 30 kB a view).
 
-    Attributes
-    ----------
-    rows, columns : ndarray of shape (N,), int32
-    depth : ndarray of shape (N,), float32
-        Up to `SAMPLES` valid pixels, evenly spread.
-    farthest : ndarray of shape (h, w), float32
-        Largest depth in each cell of a coarse grid over the image, 0 where none is valid.
-    shape : (int, int)
-        Height and width of the depth map.
+    `rows`, `columns` (int32) and `depth` (float32) are (N,): up to `SAMPLES` valid pixels, evenly spread. `farthest`
+    (h, w) is the largest depth in each cell, 0 where none is valid; `shape` is height and width of the depth map.
     """
 
     rows: np.ndarray = field(repr=False)

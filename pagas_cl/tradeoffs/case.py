@@ -63,11 +63,9 @@ def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int
                most_contexts: int = 10, scene_name: str = "") -> list[BenchmarkCase]:
     """Cases from the views of a scene; `depths` and `truth` as in `tradeoff`.
 
-    names : list of str, optional
-        Views to measure on; by default `sample` of those with a depth (and truth), evenly spread.
-    held_out : list of str, optional
-        Views that no setting may see; by default two well-placed ones of each target, where it has six context views or
-        more to choose from.
+    `names`: views to measure on, by default `sample` of those with a depth (and truth), evenly spread; `held_out`:
+    names of views that no setting may see, by default two well-placed ones of each target with six context views or
+    more.
     """
     truth = truth or [None] * len(views)
     banned = {_index(views, name) for name in held_out or ()}

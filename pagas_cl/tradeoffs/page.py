@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import MissingExtraError
-from pagas_cl.report.page import html_page, write_text
+from pagas_cl.report.page import html_page
+from pagas_cl.scene.files import write_text
 
 log = logging.getLogger("pagas_cl")
 
@@ -106,15 +107,13 @@ def write_report(folder: Path, study, device: str) -> Path:
             picture = plot_front(folder / "tradeoff.png", study.points, study.figure, "error against time").name
         except MissingExtraError as error:
             log.warning("no plot: %s", error)
-    page = folder / "index.html"
-    write_text(page, html_page("Error against time", notes(study), *_front_table(study.points), picture=picture,
-                               marked=[point.on_front for point in study.points]))
-    return page
+    marked = [point.on_front for point in study.points]
+    return write_text(folder / "index.html", html_page("Error against time", notes(study), *_front_table(study.points),
+                                                       picture=picture, marked=marked))
 
 
 def write_json(path: Path, content) -> None:
-    """Write `content` beside its name and rename it, null for numbers that JSON does not have; its folder is made."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write `content`, null for numbers that JSON does not have; its folder is made."""
     write_text(path, json.dumps(_json_ready(content), indent=1) + "\n")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import need
-from pagas_cl.report.page import replacing
+from pagas_cl.scene.files import replaced
 
 _GROUPS = ("preset", "effects", "steps", "views a step", "context views", "model", "levels", "solver",
            "staged", "ablation")
@@ -16,10 +16,7 @@ _NAMES = {"depth": "mean depth error", "normal": "mean normal error",
 
 
 def plot_front(path, points, figure: str, title: str = "", at_most: float = 1.3) -> Path:
-    """Write a PNG of `points` (front.Point); errors above `at_most` are drawn at the top as arrows.
-
-    Needs matplotlib.
-    """
+    """Write a PNG of `points` (front.Point) by matplotlib; errors above `at_most` are drawn at the top as arrows."""
     need("matplotlib", "report", "the plot of error against time")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -52,11 +49,9 @@ def plot_front(path, points, figure: str, title: str = "", at_most: float = 1.3)
     axes.margins(x=0.12)  # room for a name at the right
     axes.grid(True, which="both", alpha=0.2)
     axes.legend(fontsize=7, ncols=2)
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as beside:
+    with replaced(path, Path(path).suffix) as beside:
         drawing.savefig(beside, dpi=110)
-    return path
+    return Path(path)
 
 
 def _few_minor(value, _) -> str:

@@ -47,17 +47,13 @@ def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: in
 
     Parameters
     ----------
-    views : list of View
-    depths : list of (ndarray of shape (H, W) or None)
-        Initial depth of each view, z-depth in scene units, 0 = no surface.
-    truth : list of (ndarray or None), optional
-        True depth of each view; without it held-out photos are the judge.
+    depths, truth : list of (ndarray of shape (H, W) or None)
+        Initial and true depth of each view, z-depth in scene units, 0 = no surface; without truth held-out photos are
+        the judge.
     names, held_out, sample
         Views to measure on, views kept out of everything, or how many views to take: see `make_cases`.
     budget : float, optional
-        Minutes; settings that do not fit any more are left out.
-    settings : list of Setting, optional
-        `front_plan()` by default.
+        Minutes; settings (by default `front_plan()`) that do not fit any more are left out.
     report : path, optional
         Folder for tradeoff.json, the plot and the page. A study that finds its own earlier records there goes on
         where that one ended.

@@ -27,7 +27,7 @@ def detect(folder: str | Path) -> bool:
 
 
 def model_folder(folder: Path) -> Path | None:
-    """The folder of the model: the first of sparse/0, sparse, colmap/sparse/0 and the folder itself that has one."""
+    """The first of the usual places that holds a model, or None."""
     for place in _PLACES:
         for suffix in (".bin", ".txt"):
             if all((folder / place / (part + suffix)).is_file() for part in ("cameras", "images")):
@@ -38,10 +38,7 @@ def model_folder(folder: Path) -> Path | None:
 def read(folder: str | Path, *, outside: bool = False) -> Scene:
     """Read the scene; every registered image becomes a view, in the order of their names.
 
-    Raises
-    ------
-    InputError
-        No model, a model that cannot be read, no registered image, photos that are missing or of another size.
+    InputError for no model, one that cannot be read, no registered image, photos that are missing or of another size.
     """
     folder = Path(folder)
     place = model_folder(folder)

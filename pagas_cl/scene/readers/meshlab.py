@@ -106,14 +106,7 @@ def read(folder: Path, *, flavour: str | None = None, outside: bool = False) -> 
 
 
 def read_project(path: Path, *, outside: bool = False) -> Project:
-    """Read a .mlp file.
-
-    Parameters
-    ----------
-    path : path
-    outside : bool
-        Whether its meshes and photos may lie outside its folder; relative paths start there.
-    """
+    """Read a .mlp file; `outside`: whether meshes and photos may lie outside its folder, where relative paths start."""
     path = Path(path)
     root = untrusted.read_xml(path, "MeshLabProject")
     meshes = [_mesh(e, path, i, outside) for i, e in enumerate(root.findall("MeshGroup/MLMesh"))]

@@ -35,16 +35,10 @@ def _camera_folder(folder: Path) -> Path | None:
 
 
 def read(folder: Path, *, pixel_center: float = 0.5, intrinsics_scale: float | None = None) -> Scene:
-    """Read the scene.
+    """Read the scene; `pixel_center`: where the intrinsics put the centre of the top-left pixel.
 
-    Parameters
-    ----------
-    folder : path
-    pixel_center : float
-        Where the intrinsics put the centre of the top-left pixel.
-    intrinsics_scale : float, optional
-        Multiplies K, for camera files made for photos of another size (MVSNet's DTU training set: 4). Without it
-        intrinsics that plainly belong to another size are refused.
+    `intrinsics_scale` multiplies K, for camera files made for photos of another size (MVSNet's DTU training set: 4).
+    Without it intrinsics that plainly belong to another size are refused.
     """
     folder = Path(folder)
     place = _camera_folder(folder)
