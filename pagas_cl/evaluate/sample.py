@@ -34,10 +34,7 @@ def sample_surface(vertices, faces, spacing: float) -> np.ndarray:
 
 
 def load_points(source, spacing: float | None = None) -> np.ndarray:
-    """Points of a mesh (sampled every `spacing`) or of a point cloud (as they are): float64 (n, 3).
-
-    `source` is what `read_shape` takes; `spacing` None takes a thousandth of the shape's extent.
-    """
+    """Points (n, 3) of what `read_shape` takes: of a mesh every `spacing` (None: its extent / 1000), or a cloud's."""
     points, faces = read_shape(source)
     return points if faces is None else sample_surface(points, faces, spacing or extent(points) / 1000)
 

@@ -100,10 +100,7 @@ def change_in_units(before, after, parallax) -> np.ndarray:
 
 
 def colored(values, low: float, high: float, valid, map_name: str = "sequential") -> np.ndarray:
-    """Colours, uint8 (H, W, 3), of `values` (H, W) clipped to `low` .. `high`; NOTHING where not `valid`, bool (H, W).
-
-    `map_name` is "sequential" or "signed".
-    """
+    """Colours, uint8 (H, W, 3), of `values` (H, W) clipped to `low` .. `high`; NOTHING where not `valid`, (H, W)."""
     anchors = np.array(_MAPS[map_name], np.float64)
     places = np.linspace(0, 1, len(anchors))
     share = np.clip((np.where(valid, values, low) - low) / max(high - low, 1e-30), 0, 1)
@@ -112,10 +109,7 @@ def colored(values, low: float, high: float, valid, map_name: str = "sequential"
 
 
 def normal_colors(normals, valid) -> np.ndarray:
-    """Colours, uint8 (H, W, 3), of unit normals (H, W, 3): red to the right, green up, blue towards the camera.
-
-    Convention: camera axes x right, y down, z forward; a normal may point to or from the camera, it is turned to it.
-    """
+    """Colours, uint8 (H, W, 3), of unit normals (H, W, 3) in camera axes, turned to the camera."""
     facing = np.where(normals[..., 2:] > 0, -normals, normals) * (1, -1, -1)
     return np.where(valid[..., None], np.rint((facing + 1) * 127.5), NOTHING).astype(np.uint8)
 

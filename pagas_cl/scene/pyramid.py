@@ -57,8 +57,7 @@ def depth_down(depth: np.ndarray, width: int, height: int) -> np.ndarray:
 def depth_up(depth: np.ndarray, width: int, height: int) -> np.ndarray:
     """Depth (H, W) at a finer size: bilinear at pixel centres over the valid (> 0) neighbours, 0 where there is none.
 
-    A pixel gets a depth as soon as one of its neighbours that count has one, so that validity grows by up to a pixel
-    of the coarse level; restore the validity that is wanted afterwards.
+    Validity grows by up to a pixel of the coarse level: one valid neighbour is enough.
     """
     if depth.shape == (height, width):
         return depth

@@ -27,7 +27,6 @@ class DepthSample:
 
     @property
     def cell(self) -> int:
-        """Edge of a cell, pixels."""
         return _cell(self.shape)
 
 
@@ -62,10 +61,7 @@ def _cell(shape: tuple[int, ...]) -> int:
 
 
 def scene_scale_of(depth: np.ndarray, mask: np.ndarray | None) -> float:
-    """A view's unit of length while it is refined: the median of the valid depths (of a regular sample of a large map).
-
-    1 without any.
-    """
+    """A view's unit of length while it is refined: the median of (a regular sample of) its valid depths; 1 without."""
     every = max(1, depth.size // MEDIAN_SAMPLES)
     sample = _valid_of(depth, mask, every)
     if every > 1 and sample.size < MEDIAN_SAMPLES // 16:        # a small object in a large photo

@@ -11,13 +11,8 @@ import numpy as np
 
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError
-from pagas_cl.evaluate import (
-    compare_depth,
-    compare_predictions,
-    depth_normals,
-    depth_per_parallax,
-    find_discontinuities,
-)
+from pagas_cl.evaluate.depth import compare_depth, depth_normals, depth_per_parallax, find_discontinuities
+from pagas_cl.evaluate.predict import compare_predictions
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.view import View
 

@@ -64,7 +64,7 @@ def _markdown(header: list[str], rows: list[list[str]]) -> str:
 
 
 def _front_table(points) -> tuple[list[str], list[list[str]]]:
-    """Header and cells of the table, one row a point; errors are shares of the initial depth's."""
+    """Header and cells of the table, one row a point."""
     figures = _figures(points)
     header = ["setting", "s per view", "device MB", "view-steps", *(name for _, name in figures)]
     return header, [[p.name, f"{p.seconds:.3g}", f"{p.device_bytes / 1e6:.0f}", f"{p.view_steps:.0f}",
@@ -92,10 +92,7 @@ def _compared(point, base, key) -> str:
 
 
 def write_report(folder: Path, study, device: str) -> Path:
-    """Write index.html, tradeoff.json and, where matplotlib is there, tradeoff.png; returns the page's path.
-
-    `device` is the one that the records are of.
-    """
+    """Write index.html, tradeoff.json (records of `device`) and, with matplotlib, tradeoff.png; gives the page."""
     write_json(folder / FILE, {
         "device": device, "figure": study.figure, "proxy_rank_correlation": study.proxy, "initial": study.initial,
         "left_out": study.left_out, "points": [asdict(point) for point in study.points], "records": study.records})

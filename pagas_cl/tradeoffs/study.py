@@ -100,15 +100,13 @@ def collect(records, settings, initial: dict, device: str, left_out=()) -> Study
 
 
 class Book:
-    """Records of runs, in a file that is whole at any time: an interrupted study goes on where it ended.
+    """Records of runs on `device`, in `folder`'s tradeoff.json (None: in memory), which is whole at any time.
 
-    `folder` is where tradeoff.json is or will be; None keeps the records in memory. Records of another `device` than
-    this one are not taken up.
+    An interrupted study goes on where it ended; records of another device are not taken up.
     """
 
     def __init__(self, folder: Path | None, device: str):
-        self.path = None if folder is None else folder / FILE
-        self.device, self.records = device, []
+        self.path, self.device, self.records = folder and folder / FILE, device, []
         if self.path is not None and self.path.is_file():
             try:
                 kept = json.loads(self.path.read_text())
@@ -153,8 +151,8 @@ def _fill(book, cases, settings, device, budget, repeats, executor, progress) ->
     _write_judged(book, waiting, wait=True)
     if progress:
         progress("measure", len(todo), len(todo))
-    left_out = list(dict.fromkeys(left_out))
     if left_out:
+        left_out = list(dict.fromkeys(left_out))
         log.warning("left out, since the budget of %g minutes would not do: %s", budget, "; ".join(left_out))
     return left_out
 

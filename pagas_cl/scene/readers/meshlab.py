@@ -33,7 +33,7 @@ log = logging.getLogger("pagas_cl")
 
 @dataclass(frozen=True, eq=False)
 class MeshLayer:
-    """A mesh layer: `matrix` (4, 4) float64 takes the file's vertices to the project's world."""
+    """A mesh layer: `matrix` (4, 4) takes the file's vertices to the project's world."""
 
     label: str
     path: Path | None
@@ -91,8 +91,7 @@ def detect(folder: Path) -> bool:
 def read(folder: Path, *, flavour: str | None = None, outside: bool = False) -> Scene:
     """Read the views of the only .mlp file in `folder` (or of the file `folder`).
 
-    Without `flavour` the reading of CenterPx is settled by the photos, where the project has a mesh to compare them
-    over, and told in the log; else MeshLab's own reading is taken.
+    Without `flavour` the reading of CenterPx is settled by the photos (`settle_flavour`), and told in the log.
     """
     folder = Path(folder)
     files = [folder] if folder.is_file() else sorted(folder.glob("*.mlp"))
