@@ -8,8 +8,8 @@ from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide, decide_consistency
 from pagas_cl.measurements import RULES, Measurements, measure
 from pagas_cl.presets import preset
+from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.inputs import asked_views, checked_depth, depth_array
-from pagas_cl.scene.partners import PartnerChooser
 
 _NOT_TOLD = ("gains", "local_specularity")  # of what is measured: arrays, no figures
 

@@ -21,9 +21,8 @@ import numpy as np
 from pagas_cl.config import Config, Context
 from pagas_cl.errors import InputError
 from pagas_cl.presets import preset
-from pagas_cl.scene.choice import ContextChooser
+from pagas_cl.scene.choice import MOST_HELD_OUT, ContextChooser, shared_out
 from pagas_cl.scene.inputs import depth_array
-from pagas_cl.scene.partners import MOST_HELD_OUT, shared_out
 from pagas_cl.scene.sampling import sample_depth
 
 log = logging.getLogger("pagas_cl")

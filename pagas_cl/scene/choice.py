@@ -8,15 +8,18 @@ useful for depth. With many cameras the candidates are first cut by cheap geomet
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pagas_cl.config import Context
+from pagas_cl.config import MOST_CONTEXTS, Context
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.sampling import SAMPLES, DepthSample, sample_pixels
+from pagas_cl.scene.sampling import SAMPLES, DepthSample, sample_depth, sample_pixels
 
+MOST_HELD_OUT = 3       # most views that only judge
+SPARE_ONE = 6           # with so many usable views, one is spared for that even where all could be used
+_SAMPLED = 64           # with more views than this, planning looks at samples of their depth maps
 _MANY = 64              # with more cameras than this the candidates are cut first
 _HIDDEN = 1.02          # a point this much deeper than the other view's own surface is hidden there
 _RISE, _FALL = 8.0, 25.0  # degrees: the angle score is 1 between them and falls towards the limits of the setting
@@ -196,3 +199,49 @@ def _greedy(score: np.ndarray, usable: np.ndarray, number: int) -> list[int]:
         total += score[best]
         order.append(int(best))
     return order
+
+
+@dataclass(frozen=True)
+class Partners:
+    """Places in the list of views.
+
+    `contexts`: most useful first, empty where no view is usable; `held_out`: usable views that take no part; `reason`:
+    why there are fewer context views than wanted.
+    """
+
+    target: int
+    contexts: tuple[int, ...]
+    held_out: tuple[int, ...] = ()
+    reason: str = ""
+
+    @property
+    def all(self) -> tuple[int, ...]:
+        """Every view that is needed."""
+        return (self.target, *self.contexts, *self.held_out)
+
+
+def for_planning(depth: np.ndarray | DepthSample | None, views: int) -> np.ndarray | DepthSample | None:
+    """What is needed of a depth map (or None) to choose partners among so many views: all of it, or a sample."""
+    return depth if depth is None or views <= _SAMPLED or isinstance(depth, DepthSample) else sample_depth(depth)
+
+
+def shared_out(usable: tuple[int, ...], number: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Of usable views, most useful first: the context views, at most `number`, and the held-out views."""
+    used = min(number, len(usable) - 1 if len(usable) >= SPARE_ONE else len(usable))
+    return usable[:used], usable[used:number + MOST_HELD_OUT]
+
+
+class PartnerChooser:
+    """Chooses for one target after another; parameters as in ContextChooser."""
+
+    def __init__(self, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None],
+                 settings: Context):
+        self._number = settings.number
+        depths = [for_planning(depth, len(cameras)) for depth in depths]
+        more = min(settings.number + MOST_HELD_OUT, MOST_CONTEXTS)
+        self._chooser = ContextChooser(cameras, depths, replace(settings, number=more))
+
+    def choose(self, target: int) -> Partners:
+        choice = self._chooser.choose(target)
+        contexts, held_out = shared_out(choice.indices, self._number)
+        return Partners(target, contexts, held_out, choice.reason)
