@@ -134,11 +134,9 @@ class Camera:
                        cy=self.cy * sy)
 
     def relative_to(self, target: Camera) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Rotation R (3, 3) and translation tau (3,) from `target`'s camera frame to this one (method section 3).
-
-        tau comes from the difference of the centres, so that it keeps its digits when both are far from the origin.
-        """
+        """Rotation R (3, 3) and translation tau (3,) from `target`'s camera frame to this one (method section 3)."""
         rotation = self.world_to_camera[:3, :3] @ target.world_to_camera[:3, :3].T
+        # the centres' difference keeps its digits when both are far from the origin
         return rotation, self.world_to_camera[:3, :3] @ (target.center - self.center)
 
 

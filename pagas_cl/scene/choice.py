@@ -1,4 +1,4 @@
-"""Context choice: which other views constrain a target, from what its initial depth says is seen by both.
+"""Context choice: which other views constrain a target, and which only judge, from what its depth says both see.
 
 No photo and no sparse point is needed. Up to 2000 of the target's depths are carried to the candidates; what counts is
 the share that lands in front and inside, is not hidden behind that view's own initial depth, and is seen at an angle
@@ -151,12 +151,11 @@ class ContextChooser:
         hidden = np.zeros(inside.shape, bool)
         for k, j in enumerate(which):
             own = self.depths[j]
-            if own is None:
-                continue
-            sampled = isinstance(own, DepthSample)
-            at = uv[k][inside[k]].astype(np.intp) // (own.cell if sampled else 1)
-            surface = (own.farthest if sampled else own)[at[:, 1], at[:, 0]]
-            hidden[k, inside[k]] = (surface > 0) & (depth[k][inside[k]] > _HIDDEN * surface)
+            if own is not None:
+                farthest, cell = (own.farthest, own.cell) if isinstance(own, DepthSample) else (own, 1)
+                at = uv[k][inside[k]].astype(np.intp) // cell
+                surface = farthest[at[:, 1], at[:, 0]]
+                hidden[k, inside[k]] = (surface > 0) & (depth[k][inside[k]] > _HIDDEN * surface)
         return hidden
 
     def _reason(self, found: int, inside: np.ndarray, seen: np.ndarray, useful: np.ndarray, angle: np.ndarray) -> str:
@@ -187,10 +186,8 @@ def _angle_score(angle: np.ndarray, settings: Context) -> np.ndarray:
 
 
 def _greedy(score: np.ndarray, usable: np.ndarray, number: int) -> list[int]:
-    """Up to `number` of `usable`, each the one that adds most to the sum over samples of sqrt(score so far).
-
-    The root makes the second view of a region worth less than the first, so that every part of the target is seen.
-    """
+    """Up to `number` of `usable`, each the one that adds most to the sum over samples of sqrt(score so far)."""
+    # the root makes a region's second view worth less than its first: every part of the target is to be seen
     total, left = np.zeros(score.shape[1]), list(usable)
     order: list[int] = []
     while left and len(order) < number:
@@ -203,10 +200,9 @@ def _greedy(score: np.ndarray, usable: np.ndarray, number: int) -> list[int]:
 
 @dataclass(frozen=True)
 class Partners:
-    """Places in the list of views.
+    """Places in the list of views: contexts, most useful first, and usable views that are held out.
 
-    `contexts`: most useful first, empty where no view is usable; `held_out`: usable views that take no part; `reason`:
-    why there are fewer context views than wanted.
+    `reason`: why there are fewer context views than wanted.
     """
 
     target: int
@@ -216,7 +212,6 @@ class Partners:
 
     @property
     def all(self) -> tuple[int, ...]:
-        """Every view that is needed."""
         return (self.target, *self.contexts, *self.held_out)
 
 

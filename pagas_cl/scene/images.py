@@ -74,8 +74,8 @@ def as_photo(pixels: npt.ArrayLike, who: str = "image") -> npt.NDArray[np.uint8]
 def as_mask(values: npt.ArrayLike, who: str = "mask") -> npt.NDArray[np.bool_]:
     """A mask as bool (H, W): true = keep.
 
-    Boolean arrays stay; of integers, those above half of the dtype's range are true (above 0 where nothing exceeds
-    1); of floating point numbers, those above 0.5. Anti-aliased borders are thereby cut in the middle.
+    Of integers those above half of the dtype's range are true (above 0 where nothing exceeds 1), of floating point
+    numbers those above 0.5: anti-aliased borders are cut in the middle.
     """
     values = np.asarray(values)
     if values.ndim == 3 and values.shape[2] in (1, 3, 4):
@@ -93,9 +93,9 @@ def as_mask(values: npt.ArrayLike, who: str = "mask") -> npt.NDArray[np.bool_]:
 
 
 def bilinear(pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Values of an image (H, W) or (H, W, C) at positions x, y of any shape, pixel centres at +0.5, border repeated.
+    """Values of an image (H, W) or (H, W, C) at positions x, y, pixel centres at +0.5, border repeated.
 
-    Shares are of the positions' dtype. A position that is not finite gets some value or other.
+    A position that is not finite gets some value or other.
     """
     height, width = pixels.shape[:2]
     x, y = (np.nan_to_num(np.clip(at - 0.5, 0, side - 1)) for at, side in ((x, width), (y, height)))

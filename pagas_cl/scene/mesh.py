@@ -66,10 +66,9 @@ def to_surface(mesh: Mesh) -> Surface:
 
 
 def from_surface(surface: Surface, like: Mesh) -> Mesh:
-    """`surface` as the kind of mesh that `like` is (a path gives the Surface itself).
+    """`surface` as a new mesh of the kind that `like` is (a path gives the Surface itself).
 
-    Open3D's and pymeshlab's own classes come back new, `like` is left alone. pymeshlab keeps colours in 8 bits and
-    makes its own normals.
+    pymeshlab keeps colours in 8 bits and makes its own normals.
     """
     if isinstance(like, (str, Path, Surface)):
         return surface
@@ -126,7 +125,7 @@ def from_legacy(mesh: Any) -> Surface:
 
 
 def to_legacy(surface: Surface, like: Mesh = None) -> Mesh:
-    """A new Open3D legacy TriangleMesh; `like` is what the other ways need."""
+    """A new Open3D legacy TriangleMesh."""
     o3d = need("open3d", "mesh", "making an Open3D mesh")
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(surface.vertices),
                                      o3d.utility.Vector3iVector(surface.faces))
@@ -162,10 +161,7 @@ def _to_tensor(surface: Surface, like: Mesh) -> Mesh:
 
 
 def positions(vertices: np.ndarray, like: Mesh) -> Any:
-    """Vertices (V, 3) as an Open3D Tensor for a mesh like `like`.
-
-    A float32 mesh stays one unless its coordinates are so large that a millionth of its size would be lost.
-    """
+    """Vertices (V, 3) as an Open3D Tensor: float32 where `like` is and no millionth of the mesh's size is lost."""
     core = need("open3d", "mesh", "making an Open3D mesh").core
     single = "positions" in like.vertex and like.vertex["positions"].dtype == core.float32
     fits = np.abs(vertices).max() * 2.0**-24 < 1e-6 * np.ptp(vertices, axis=0).max()

@@ -26,10 +26,9 @@ _PER_CELL = 6        # surface samples in a cell of the depth buffer, on average
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Points spread evenly over a surface.
+    """Points spread evenly over a surface, and unit normals, float64 (N, 3).
 
-    `points` and `normals` are float64 of shape (N, 3), normals unit; the first `few` of them are the middles of
-    patches, all of them fill the depth buffer.
+    The first `few` of them are the middles of patches, all of them fill the depth buffer.
     """
 
     points: np.ndarray = field(repr=False)
@@ -43,10 +42,7 @@ def evenly(count: int, most: int) -> npt.NDArray[np.intp]:
 
 
 def on_faces(surface: Surface, along: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3) where shares `along` (N,) of the area end, at `u`, `v` (N,) in their triangles; unit normals.
-
-    None where the mesh has no area; faces without area have no points.
-    """
+    """Points (N, 3) where shares `along` (N,) of the area end, at `u`, `v` (N,) in their triangles; unit normals."""
     a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     twice_area = np.linalg.norm(across, axis=1)
@@ -166,10 +162,8 @@ def grey_of(image: np.ndarray) -> np.ndarray:
 
 
 def prefers(other: np.ndarray, given: np.ndarray) -> bool:
-    """Whether patches correlate significantly better under another reading.
-
-    Patches are compared one by one; neighbours are related, so that only a quarter of them is counted as independent.
-    """
+    """Whether patches correlate significantly better under another reading."""
+    # neighbours are related: only a quarter of them is counted as independent
     gain = (other - given)[np.isfinite(other) & np.isfinite(given)]
     return bool(len(gain) >= LEAST and (gain > 0).mean() > 0.5 + 1.5 / np.sqrt(len(gain) / 4)
                 and np.median(gain) > 2e-3)

@@ -107,7 +107,6 @@ class Scene:
 
     @property
     def cameras(self) -> list[Camera]:
-        """The cameras of the views, in their order."""
         return [view.camera for view in self.views]
 
     def index(self, name: str) -> int:

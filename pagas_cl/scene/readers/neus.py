@@ -80,10 +80,7 @@ def _matched(images: list[Path], matrices: dict[int, dict[str, np.ndarray]],
 
 
 def read_matrices(path: Path) -> dict[int, dict[str, np.ndarray]]:
-    """{number: {"world_mat": (4, 4), "scale_mat": (4, 4)}}, float64; other arrays of the file are left alone.
-
-    Sizes and headers are checked before anything is unpacked, and nothing is unpickled.
-    """
+    """{number: {"world_mat": (4, 4), "scale_mat": (4, 4)}}, float64; other arrays of the file are left alone."""
     found: dict[int, dict[str, np.ndarray]] = {}
     with translated(f"{path} cannot be read (", "): is the file damaged?"), zipfile.ZipFile(path) as archive:
         if len(archive.infolist()) > _ENTRIES:
@@ -119,8 +116,7 @@ def _matrix(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, what: str) -> np.n
 
 def camera_from_projection(P: np.ndarray, width: int, height: int, name: str = "", *,
                            pixel_center: float = 0.5) -> Camera:
-    """Camera of a projection matrix P = s K [R | t] of shape (3, 4), s any number but 0 (a similarity's scale goes
-    into s, so that the pose stays rigid)."""
+    """Camera of a projection matrix P = s K [R | t] of shape (3, 4), s any number but 0."""
     P = np.asarray(P, np.float64)
     what = f"camera {name!r}"
     if P.shape != (3, 4) or not np.isfinite(P).all():
