@@ -84,10 +84,9 @@ def _mean_and_median(values):
 
 
 def depth_normals(depth, camera) -> np.ndarray:
-    """Normals by central differences of the depth map's points.
+    """Normals by central differences of the depth map's points: float64 (H, W, 3), camera frame, towards the camera.
 
-    Unit, in the camera's frame, towards the camera: float64 (H, W, 3); nan where a pixel or one of its four
-    neighbours has no depth.
+    Nan where a pixel or one of its four neighbours has no depth.
     """
     depth = np.asarray(depth, np.float64)
     points = np.where(depth > 0, depth, np.nan)[..., None] * camera.rays()

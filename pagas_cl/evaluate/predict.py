@@ -60,8 +60,7 @@ def predict_photo(target, depth, other, other_depth=None, *, patch=7, tolerance=
 
 
 def compare_predictions(target, depths, other, other_depth=None, **settings) -> list[Prediction]:
-    """`predict_photo` for several depth maps over the pixels that all of them predict, so that none gains by leaving
-    out what is hard."""
+    """`predict_photo` for several depth maps over the pixels that all predict: none gains by leaving some out."""
     maps = [predict_photo(target, depth, other, other_depth, **settings).correlation for depth in depths]
     common = np.logical_and.reduce([np.isfinite(m) for m in maps])
     return [Prediction.of(np.where(common, m, np.nan).astype(np.float32)) for m in maps]
@@ -70,7 +69,7 @@ def compare_predictions(target, depths, other, other_depth=None, **settings) -> 
 def correlate(a, b, valid, patch) -> np.ndarray:
     """Zero-mean normalised cross-correlation of two grey images (0..255) in windows, float32 (H, W).
 
-    nan where the window leaves the image, holds an invalid pixel, or has a standard deviation below half a grey level.
+    Nan where the window leaves the image, holds an invalid pixel, or deviates by less than half a grey level.
     """
     a, b = np.asarray(a, np.float64), np.where(valid, b, 0.0)
     number = patch * patch

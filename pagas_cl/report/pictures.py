@@ -1,7 +1,7 @@
 """The pictures of one refined view, as arrays: the photo, depth and normals before and after, what changed by how much.
 
-Colour maps are a few anchors with straight lines between them, so that nothing but NumPy is needed; each rises evenly
-in lightness, the signed one from both ends to white at zero.
+Colour maps are a few anchors with straight lines between them; each rises evenly in lightness, the signed one from both
+ends to white at zero.
 """
 
 from __future__ import annotations
@@ -26,10 +26,9 @@ _MAPS = {
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """One picture, uint8 (H, W, 3), and its `legend`: what the colours mean, in words and numbers.
+    """One picture, uint8 (H, W, 3): `key` is part of the file's name, `title` the heading on the page.
 
-    `key` becomes part of the file's name, `title` the heading on the page; `map_name` is the colour map of the legend's
-    strip, empty where there is none.
+    `legend`: what the colours mean, in words and numbers; `map_name`: the colour map of its strip, if there is one.
     """
 
     key: str
@@ -76,10 +75,9 @@ def depth_range(*depths) -> tuple[float, float]:
 
 
 def parallax_change(target: Camera, contexts: list[Camera], before, after) -> np.ndarray:
-    """How far each pixel's point moved, seen from the context views: pixels, float64 (H, W).
+    """How far each pixel's point moved, seen from the context views: pixels, below 0 where nearer, float64 (H, W).
 
-    Root mean square over the context views that have the old point inside their image; negative where the surface came
-    nearer. NaN where there is no depth before or after, or no context view sees the point.
+    Root mean square over the views that have the old point in their image; NaN where there is none, or no depth.
     """
     before, after = np.asarray(before, np.float64), np.asarray(after, np.float64)
     total, count = np.zeros(before.shape), np.zeros(before.shape)

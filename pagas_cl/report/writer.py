@@ -62,7 +62,6 @@ class Report:
         self._sections.append((view.name, figures, list(remarks)))
 
     def note(self, text: str) -> None:
-        """Add a line below the title."""
         self.notes.append(text)
 
     def write(self) -> Path:
@@ -83,7 +82,6 @@ def file_stem(name: str) -> str:
 
 
 def _change_figures(change, confidence, after) -> dict:
-    """Columns that the pictures give: how far pixels moved, and the mean confidence."""
     figures = {}
     if change is not None and np.isfinite(change).any():
         moved = np.abs(change[np.isfinite(change)])

@@ -12,6 +12,7 @@ import numpy as np
 from pagas_cl.errors import MissingExtraError
 from pagas_cl.report.page import html_page
 from pagas_cl.scene.files import write_text
+from pagas_cl.tradeoffs.front import plot_front
 
 log = logging.getLogger("pagas_cl")
 
@@ -46,8 +47,7 @@ def markdown(points) -> str:
 def ablation_table(points) -> str:
     """The rows of an ablation in Markdown, beside what the paper says; `points` hold the base: its name has no colon.
 
-    Errors are shares of the initial depth's: of depth and normals, or, without truth, of what held-out photos say.
-    "here" compares the first of them with the base's.
+    "here" compares the first of the errors with the base's.
     """
     base = next((p for p in points if ":" not in p.name), None)
     figures = _figures(points, without="edges")
@@ -99,8 +99,6 @@ def write_report(folder: Path, study, device: str) -> Path:
     picture = ""
     if any(point.on_front for point in study.points):
         try:
-            from pagas_cl.tradeoffs.plot import plot_front
-
             picture = plot_front(folder / "tradeoff.png", study.points, study.figure, "error against time").name
         except MissingExtraError as error:
             log.warning("no plot: %s", error)
