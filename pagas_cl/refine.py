@@ -20,10 +20,10 @@ from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
 from pagas_cl.result import DepthResult, OnDisk, joined
+from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth
 from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
-from pagas_cl.scene.partners import PartnerChooser, Partners
 from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:

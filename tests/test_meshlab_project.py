@@ -11,8 +11,7 @@ from support.scenes import relief_scene
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.readers import meshlab, read_scene
-from pagas_cl.scene.readers.meshlab import MeshLayer, read_project, write_project
-from pagas_cl.scene.readers.mlp_flavour import settle_flavour
+from pagas_cl.scene.readers.meshlab import MeshLayer, read_project, settle_flavour, write_project
 from pagas_cl.scene.view import View
 
 pytestmark = pytest.mark.slow

@@ -10,7 +10,7 @@ from pagas_cl.config import Config
 from pagas_cl.jobs.finished import stems
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch, ViewTask, task_key, view_digest
-from pagas_cl.scene.partners import PartnerChooser
+from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.view import View
 
 _BATCH = 16      # most views in a batch
@@ -31,7 +31,7 @@ class Planner:
         Photos and masks on disk.
     depths : list of (object with load() and digest, or None)
     samples : list
-        What planning needs of each depth map; see scene.partners.
+        What planning needs of each depth map; see scene.choice.
     """
 
     def __init__(self, views: list[View], depths: list, samples: list, config: Config, work):

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import base64
 import io
-import os
-from contextlib import contextmanager
 from html import escape
 from pathlib import Path
 
 from PIL import Image
 
 from pagas_cl.report.pictures import css_gradient
+from pagas_cl.scene.files import replaced
 
 _THUMBNAIL = 480  # pixels, longer side of a picture inside the page
 _STYLE = """
@@ -26,27 +25,10 @@ tr.marked, tr.marked:nth-child(even) { background: #e6f2e6; font-weight: 600 }
 """
 
 
-@contextmanager
-def replacing(path: Path):
-    """Context of a path beside `path`, of the same suffix, that gets its name when all has gone well."""
-    beside = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
-    try:
-        yield beside
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
-
-
 def write_picture(path: Path, pixels) -> None:
     """Write a picture beside its name and rename it; the suffix says the kind."""
-    with replacing(path) as beside:
+    with replaced(path, path.suffix) as beside:
         Image.fromarray(pixels).save(beside, **({"quality": 92} if path.suffix == ".jpg" else {}))
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write text beside its name and rename it."""
-    with replacing(path) as beside:
-        beside.write_text(text, encoding="utf-8")
 
 
 def figure(picture, link: str) -> str:
@@ -58,10 +40,10 @@ def figure(picture, link: str) -> str:
 
 def html_page(title: str, notes: list[str], header: list[str], rows: list[list[str]], sections: list[tuple] = (),
               legend: list[str] = (), picture: str = "", marked=()) -> str:
-    """The whole page: `notes` below the title, a table, below it its `legend`, then the sections.
+    """The whole page: `notes` below the title, an image `picture`, a table, below it its `legend`, then the sections.
 
-    A section is (name, pictures as HTML, lines of text); a row whose first cell names one leads there. `picture` is the
-    address of an image above the table, `marked` (a sequence of bool) says which rows stand out.
+    A section is (name, pictures as HTML, lines of text); a row whose first cell names one leads there. Rows that are
+    `marked` stand out.
     """
     parts = [f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
              f"<style>{_STYLE}</style><h1>{escape(title)}</h1>", _paragraphs(notes)]
@@ -69,8 +51,7 @@ def html_page(title: str, notes: list[str], header: list[str], rows: list[list[s
         parts.append(f'<img src="{escape(picture)}" alt="{escape(title)}">')
     linked = {name for name, *_ in sections}
     parts.append("<table>" + _row("th", header))
-    for number, row in enumerate(rows):
-        parts.append(_row("td", row, row[0] in linked, number < len(marked) and marked[number]))
+    parts += [_row("td", row, row[0] in linked, k < len(marked) and marked[k]) for k, row in enumerate(rows)]
     parts += ["</table>", _paragraphs(legend, ' class="legend"')]
     for name, figures, remarks in sections:
         parts += [f'<h2 id="{escape(name)}">{escape(name)}</h2>', _paragraphs(remarks),
