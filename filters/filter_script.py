@@ -41,16 +41,9 @@ class Step:
 def check_script(path, *, outside: bool = False) -> list[Step]:
     """Read a script and check all of it; nothing is run on any mesh of yours.
 
-    Parameters
-    ----------
-    outside : bool
-        Whether steps that read or write files of their own are allowed.
-
-    Raises
-    ------
-    InputError
-        No script, unknown filter (the nearest known one is named), unknown parameter, wrong type or value, a filter
-        that would abort Python, or one that names files.
+    `outside` allows steps that read or write files of their own. InputError: no script, unknown filter (the nearest
+    known one is named), unknown parameter, wrong type or value, a filter that would abort Python, or one that names
+    files.
     """
     elements = list(read_xml(Path(path), "FilterScript"))
     try:
@@ -124,22 +117,11 @@ def _nearest(name: str) -> str:
 
 def run_script(meshes, path, scene=None, *, outside: bool = False, device: str | None = None,
                progress=None) -> list[Step]:
-    """Check a script, then run it on `meshes`.
+    """Check a script, then run it on `meshes` (pymeshlab.MeshSet), from its current mesh on.
 
-    Parameters
-    ----------
-    meshes : pymeshlab.MeshSet
-        Its current mesh is what the first step works on.
-    path : path
-        The script; `refine.mlx` beside this module is one.
-    scene : folder, Scene, list of View, or (cameras, images)
-        What our step refines with; may be left out where the script has no such step.
-    device : str, optional
-        Replaces the device that the script names.
-
-    Notes
-    -----
-    A step that fails inside pymeshlab leaves the meshes as the steps before it made them; it is named in the error.
+    `refine.mlx` beside this module is a script. `scene` is what our step refines with (folder, Scene, list of View, or
+    (cameras, images)); it may be left out where the script has no such step. `device` replaces the one that the script
+    names. A step that fails inside pymeshlab is named in the error, and leaves the meshes as those before it made them.
     """
     from pagas_cl.filters.pymeshlab_step import refine_layer, scene_views
 

@@ -17,16 +17,13 @@ from pagas_cl.scene.view import View
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One frame: its view, its depth in scene units (0 = none), and the form it came in.
-
-    `form`: "legacy" (RGBDImage), "tensor" (t.geometry.RGBDImage), or "pair"; `scale`: what divides its depth numbers.
-    """
+    """One frame."""
 
     view: View
-    depth: np.ndarray
+    depth: np.ndarray   # scene units, 0 = none
     given: Any
-    form: str
-    scale: float
+    form: str           # of `given`: "legacy" (RGBDImage), "tensor" (t.geometry.RGBDImage), or "pair"
+    scale: float        # what divides its depth numbers
 
 
 def read_frames(frames, intrinsics, extrinsics=None, *, depth_scale=None, depth_trunc=None,
@@ -112,17 +109,9 @@ def _numpy(value) -> np.ndarray:
 
 
 def read_cameras(intrinsics, extrinsics, sizes, *, pixel_center: float = 0.0) -> list[Camera]:
-    """Cameras of Open3D's intrinsics and extrinsics.
+    """Cameras of Open3D's intrinsics (one for all, or a list) and world-to-camera extrinsics, or of a trajectory alone.
 
-    Parameters
-    ----------
-    intrinsics : PinholeCameraTrajectory; or PinholeCameraIntrinsic, (3, 3) array or tensor, one for all or a list
-    extrinsics : list of (4, 4) arrays or tensors, world-to-camera; None with a trajectory
-    sizes : list of (width, height)
-        Of the frames.
-    pixel_center : float
-        Where the intrinsics put the centre of the top-left pixel: 0 (Open3D's legacy cameras and PrimeSense defaults),
-        or 0.5 (COLMAP).
+    Parameters as in open3d_pipeline.refine_rgbd; `sizes` are (width, height) of the frames.
     """
     count = len(sizes)
     if hasattr(intrinsics, "parameters"):

@@ -14,15 +14,8 @@ PATIENCE = 20  # seconds to wait for a scheduler's answer
 class Workers:
     """An executor and the device that its tasks are to take; arguments as in whole.refine_all.
 
-    Attributes
-    ----------
-    executor : Executor
-    device : Device, str, tuple of str, or None
-        What the workers are told: this process opens its device here, others choose from what is named.
-    own : bool
-        Whether the executor is ours to close.
-    local : bool
-        Whether tasks run in this process, one after another.
+    `device`: what the workers are told; this process opens its device here, others choose from what is named. `own`:
+    the executor is ours to close. `local`: tasks run in this process, one after another.
     """
 
     def __init__(self, executor, device):
@@ -69,10 +62,7 @@ class SerialExecutor(Executor):
 
 
 def local_pool(devices) -> ProcessPoolExecutor:
-    """One process for each device of this machine that `devices` means ("all", or part of names); each takes its own.
-
-    Processes are spawned: an OpenCL context does not survive a fork.
-    """
+    """One spawned process for each device that `devices` means: an OpenCL context does not survive a fork."""
     from pagas_cl.runtime.claim import known_devices
     from pagas_cl.runtime.device import shares
 

@@ -25,13 +25,7 @@ def on_disk(views: list[View], store: Store) -> list[View]:
 class Planner:
     """Makes one view's task after another, so that workers have begun long before the last one is planned.
 
-    Parameters
-    ----------
-    views : list of View
-        Photos and masks on disk.
-    depths : list of (object with load() and digest, or None)
-    samples : list
-        What planning needs of each depth map; see scene.partners.
+    Photos and masks of `views` are on disk; `depths` have load() and digest, `samples` are for scene.partners.
     """
 
     def __init__(self, views: list[View], depths: list, samples: list, config: Config, work):
@@ -61,8 +55,8 @@ class Planner:
 def groups(asked: list[int], views: list[View], workers: int) -> list[list[int]]:
     """Views that go together, in the order in which they should be given out.
 
-    The views are put along a curve through the camera centres, which is cut into one stretch a worker; groups are
-    given out from the start of each stretch in turn, so that workers of one speed go along stretches of their own.
+    A curve through the camera centres is cut into one stretch a worker; groups are given out from the start of each
+    stretch in turn, so that workers of one speed go along stretches of their own.
     """
     order = np.asarray(asked)[along_curve([views[index].camera.center for index in asked])]
     size = int(np.clip(len(asked) // (workers * _SHARES), 1, _BATCH))

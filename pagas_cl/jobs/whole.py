@@ -25,16 +25,13 @@ log = logging.getLogger("pagas_cl")
 
 def refine_all(work, views, depths, asked, config, *, device=None, executor=None, folder=None, extras=True,
                progress=None, on_view=None) -> list:
-    """Refine many views, resuming what an earlier run has finished.
+    """Refine the views `asked`, resuming what an earlier run has finished.
 
     Parameters
     ----------
     work : callable
         See task.Batch.
-    views : list of View
     depths : list of (ndarray of shape (H, W), StoredArray, DepthFile, or None)
-    asked : list of int
-        Views to refine.
     device : str, sequence of str, Device, or None
         "all" and sequences: one process a device. With an executor: what each worker chooses from.
     executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
@@ -45,12 +42,8 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
     extras : bool
         Whether status, deviation and parallax are kept.
     on_view : callable of (view, initial depth, result), optional
-        Called in the order of `asked`.
-
-    Returns
-    -------
-    list of StoredResult (DepthResult without a folder), in the order of `asked`. A view that failed three times has
-    no surface, and its error in `report["failed"]`.
+        Called in the order of `asked`, in which the results come too: StoredResult (DepthResult without a folder). A
+        view that failed three times has no surface, and its error in `report["failed"]`.
     """
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="pagas_cl-") as temporary:
@@ -134,8 +127,7 @@ class _Collect:
                 self.on_view(self.views[index], self.depths[index].load(), self._result(index))
 
     def inside(self, number: int):
-        """Progress of view `number` of the batch at hand, beside those that have come. What it raises ends the run: it
-        is the caller's and not the view's fault."""
+        """Progress of view `number` of the batch at hand. What it raises is the caller's error, and ends the run."""
         tell = self.progress.inside(len(self.records) + number)
 
         def relay(*given):

@@ -69,23 +69,11 @@ class Inputs:
 
 def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_mb: float | None = None, *, weights=None,
                 progress=None, executor=None, folder=None) -> Surface:
-    """Fuse depth maps to a mesh in no more than `memory_mb` of host memory (what is free by default).
+    """Fuse depth maps to a mesh in at most `memory_mb` of host memory (by default what is free), in boxes if need be.
 
-    One grid where it fits, else boxes.
-
-    Parameters
-    ----------
-    views, depths, settings, weights, progress
-        As in surface.fuse.fuse. Depths that are paths, and photos that are, are read when they are needed.
-    executor : concurrent.futures.Executor, optional
-        Fuses boxes elsewhere, `memory_mb` for each; photos and depths must then be on disk, and Open3D where it runs.
-    folder : path, optional
-        For what is put on disk meanwhile; with an executor on several machines one that all of them see.
-
-    Raises
-    ------
-    InputError
-        As fuse; and where the mesh alone would not fit.
+    As surface.fuse.fuse. An `executor` (concurrent.futures) fuses boxes elsewhere, `memory_mb` for each; photos and
+    depths must then be on disk, and Open3D where it runs. `folder` is for what is put on disk meanwhile; all machines
+    must see it. InputError also where the mesh alone would not fit.
     """
     allowed = available_mb() if memory_mb is None else memory_mb
     with tempfile.TemporaryDirectory(prefix=".fusion-", dir=folder) as scratch:
@@ -141,10 +129,7 @@ def cut(plan: FusionPlan, blocks: np.ndarray, allowed_mb: float, views) -> list[
 
 
 def fuse_box(inputs: Inputs | Path, task: tuple[Box, Path]) -> Path | None:
-    """Fuse a box and write its piece of the mesh to a file; None where it holds no triangle.
-
-    `inputs` is the path of a pickle where the task is sent away.
-    """
+    """Fuse a box, write its piece of the mesh to a file; None without a triangle. `inputs` may be a pickle's path."""
     inputs, (box, file) = inputs if isinstance(inputs, Inputs) else _unpickled(inputs), task
     plan, grid = inputs.plan, inputs.plan.grid(box.blocks)
     for index, view in enumerate(inputs.views):

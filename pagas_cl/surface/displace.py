@@ -25,10 +25,8 @@ _STEPS = 3       # Newton steps along the normal; one is exact on a plane
 
 @dataclass(frozen=True, eq=False)
 class Displacement:
-    """Where the vertices go: vertices (V, 3), float64; which have moved (V,), the others having too few views that
-    agree, or a triangle that would turn over; views that agree (V,); quality (V,), the mean confidence (0 to 1) of
-    those, 0 where the vertex stayed.
-    """
+    """Where the vertices go, (V, 3) float64; which have moved (V,), the others having too few views that agree, or a
+    triangle that would turn over; views that agree (V,); mean confidence of those (V,), 0 where the vertex stayed."""
 
     vertices: np.ndarray = field(repr=False)
     moved: np.ndarray = field(repr=False)
@@ -49,15 +47,8 @@ class Observed:
 
 def displace(surface: Surface, views: list[Observed], *, agree_views: int = 1,
              agree_pixels: float = 2.0) -> Displacement:
-    """Move the vertices of `surface`.
-
-    Parameters
-    ----------
-    agree_views : int
-        A vertex moves only if the view that speaks for it is confirmed by at least this many others (at least 1).
-    agree_pixels : float
-        What "confirmed" means: the moves differ by no more than this many pixels of parallax.
-    """
+    """Move the vertices of `surface`, each only if at least `agree_views` (at least 1) others confirm the view that
+    speaks for it: their moves differ by no more than `agree_pixels` pixels of parallax."""
     points, welded = np.unique(surface.vertices, axis=0, return_inverse=True)
     welded, agree_views = welded.reshape(-1), max(1, agree_views)
     faces, middle = welded[surface.faces], points.mean(axis=0)

@@ -68,14 +68,7 @@ class FusionPlan:
 
 
 def fusion_plan(views, depths, settings: Fusion = Fusion()) -> FusionPlan:
-    """Voxel, range and memory of fusing `depths`.
-
-    Parameters
-    ----------
-    views : list of View or Camera
-    depths : list of (ndarray of shape (H, W), Path, or None)
-        z-depth, 0 = no surface; paths are read when they are needed.
-    """
+    """Voxel, range and memory of fusing `depths`; arguments as in `fuse`, cameras may stand for views."""
     return plan_with_blocks(views, depths, settings, [])[0]
 
 
@@ -120,10 +113,8 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
 
     Parameters
     ----------
-    views : list of View
     depths : list of (ndarray of shape (H, W), Path, or None)
         z-depth in scene units, 0 = no surface. NaN is taken as 0: Open3D would invent surface there.
-    settings : config.Fusion
     weights : list of (ndarray of shape (H, W) from 0 to 1, or None), optional
         How far each depth counts, rounded up to thirds; 0 leaves a pixel out. Open3D's own integration has no weights:
         a depth of weight 2/3 is integrated twice, so that `min_views` then counts thirds.
@@ -131,12 +122,7 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
     plan : FusionPlan, optional
         From `fusion_plan` with these settings, so that it is not made twice.
     memory_mb : float, optional
-        Most host memory; what the machine has free where it is left out.
-
-    Raises
-    ------
-    InputError
-        No valid depth, an empty mesh, or more memory than allowed (before the work starts).
+        Most host memory; what is free by default. InputError before the work where it is too little.
     """
     plan = plan or fusion_plan(views, depths, settings)
     log.info("%s", plan)
