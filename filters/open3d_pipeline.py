@@ -5,7 +5,7 @@
 
 Half pixels: Open3D's legacy cameras (PinholeCameraIntrinsic) and volumes count pixel centres at whole numbers, its
 VoxelBlockGrid at +0.5. Intrinsics are read with `pixel_center` (0, as the legacy ones have it); what goes into a
-VoxelBlockGrid here is shifted as a measurement of the installed Open3D says (surface.convention).
+VoxelBlockGrid here is shifted as a measurement of the installed Open3D says (surface.grid).
 """
 
 from __future__ import annotations
@@ -92,8 +92,7 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
         config = config.with_settings(fusion__voxel=_footprints(read, voxel_size))
     results = _refined(read, config, device, progress)
     surface = fuse_results([frame.view for frame in read], results, config, progress, device=device)
-    quality = vertex_confidence(surface.vertices, [r.camera for r in results], [r.depth for r in results],
-                                [r.confidence for r in results])
+    quality = vertex_confidence(surface.vertices, results)
     o3d = need("open3d", "mesh", "making an Open3D mesh")
     return from_surface(replace(surface, quality=quality), like=o3d.t.geometry.TriangleMesh())
 
@@ -103,7 +102,7 @@ def grid_intrinsic(intrinsic, *, pixel_center: float = 0.0):
 
     Passing a legacy intrinsic to a VoxelBlockGrid unchanged puts the surface half a pixel off.
     """
-    from pagas_cl.surface.convention import grid_shift
+    from pagas_cl.surface.grid import grid_shift
 
     o3d = need("open3d", "mesh", "a VoxelBlockGrid")
     K = np.array(intrinsic.intrinsic_matrix if hasattr(intrinsic, "intrinsic_matrix") else intrinsic, np.float64)

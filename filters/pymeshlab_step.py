@@ -147,8 +147,7 @@ def _add_layer(meshes, surface, results, label: str, matrix: np.ndarray) -> None
     from pagas_cl.scene.mesh import from_surface
     from pagas_cl.surface.vertices import vertex_confidence
 
-    quality = vertex_confidence(surface.vertices, [r.camera for r in results], [r.depth for r in results],
-                                [r.confidence for r in results])
+    quality = vertex_confidence(surface.vertices, results)
     surface = replace(surface, vertices=_local(surface.vertices, matrix), quality=quality, normals=None)
     meshes.add_mesh(from_surface(surface, like=meshes.current_mesh()), label)
     if not np.array_equal(matrix, np.eye(4)):

@@ -16,7 +16,7 @@ from pagas_cl.measurements import RULES
 from pagas_cl.presets import BALANCED
 from pagas_cl.surface.agree import contradicted
 from pagas_cl.synthetic import relief_scene
-from pagas_cl.synthetic.disk import write_scene
+from pagas_cl.synthetic.scene import write_scene
 
 
 @pytest.fixture(scope="module")

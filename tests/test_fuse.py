@@ -13,7 +13,7 @@ from pagas_cl.errors import InputError, PagasError  # noqa: E402
 from pagas_cl.scene.camera import Camera  # noqa: E402
 from pagas_cl.scene.depthmap import save_depth  # noqa: E402
 from pagas_cl.scene.view import View  # noqa: E402
-from pagas_cl.surface import convention  # noqa: E402
+from pagas_cl.surface import grid as convention  # noqa: E402
 from pagas_cl.surface.fuse import fuse, fusion_plan  # noqa: E402
 from pagas_cl.surface.grid import Grid, block_resolution  # noqa: E402
 from pagas_cl.surface.pieces import pieces, without_small_pieces  # noqa: E402

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import base64
 import io
-import os
-from contextlib import contextmanager
 from html import escape
 from pathlib import Path
 
 from PIL import Image
 
 from pagas_cl.report.pictures import css_gradient
+from pagas_cl.scene.files import replaced
 
 _THUMBNAIL = 480  # pixels, longer side of a picture inside the page
 _STYLE = """
@@ -26,27 +25,10 @@ tr.marked, tr.marked:nth-child(even) { background: #e6f2e6; font-weight: 600 }
 """
 
 
-@contextmanager
-def replacing(path: Path):
-    """Context of a path beside `path`, of the same suffix, that gets its name when all has gone well."""
-    beside = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
-    try:
-        yield beside
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
-
-
 def write_picture(path: Path, pixels) -> None:
     """Write a picture beside its name and rename it; the suffix says the kind."""
-    with replacing(path) as beside:
+    with replaced(path, path.suffix) as beside:
         Image.fromarray(pixels).save(beside, **({"quality": 92} if path.suffix == ".jpg" else {}))
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write text beside its name and rename it."""
-    with replacing(path) as beside:
-        beside.write_text(text, encoding="utf-8")
 
 
 def figure(picture, link: str) -> str:

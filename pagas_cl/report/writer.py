@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.report.page import figure, html_page, write_picture, write_text
+from pagas_cl.report.page import figure, html_page, write_picture
 from pagas_cl.report.pictures import change_in_units, parallax_change, view_pictures
+from pagas_cl.scene.files import write_text
 
 LEGEND = ["Pixels: refined = moved by the photos; kept = the input stays, since no other photo sees the pixel, it is "
           "masked out, or the whole view came back as it came; rejected = the input stays, since the photos speak "

@@ -57,16 +57,6 @@ class Box:
     blocks: int
 
 
-@dataclass(frozen=True, eq=False)
-class Inputs:
-    """What all boxes share."""
-
-    views: list
-    depths: list
-    weights: list | None
-    plan: FusionPlan
-
-
 def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_mb: float | None = None, *, weights=None,
                 progress=None, executor=None, folder=None) -> Surface:
     """Fuse depth maps to a mesh in at most `memory_mb` of host memory (by default what is free), in boxes if need be.
@@ -86,7 +76,7 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
         most = max(grid_mb(box.blocks, settings) for box in boxes)
         log.info("fusion: %d boxes, at most %.0f MB each, %.0f MB for the mesh, %.0f MB allowed", len(boxes), most,
                  mesh_mb(plan), allowed)
-        inputs, files = Inputs(views, depths, weights, plan), []
+        inputs, files = (views, depths, weights, plan), []
         if executor is not None:
             (scratch / "inputs.pickle").write_bytes(pickle.dumps(inputs))
             inputs = scratch / "inputs.pickle"
@@ -128,16 +118,18 @@ def cut(plan: FusionPlan, blocks: np.ndarray, allowed_mb: float, views) -> list[
     return boxes
 
 
-def fuse_box(inputs: Inputs | Path, task: tuple[Box, Path]) -> Path | None:
-    """Fuse a box, write its piece of the mesh to a file; None without a triangle. `inputs` may be a pickle's path."""
-    inputs, (box, file) = inputs if isinstance(inputs, Inputs) else _unpickled(inputs), task
-    plan, grid = inputs.plan, inputs.plan.grid(box.blocks)
-    for index, view in enumerate(inputs.views):
+def fuse_box(inputs: tuple | Path, task: tuple[Box, Path]) -> Path | None:
+    """Fuse a box and write its piece of the mesh to a file; None where it holds no triangle.
+
+    `inputs` are what all boxes share (views, depths, weights, plan), or a pickle of it.
+    """
+    views, depths, weights, plan = _unpickled(inputs) if isinstance(inputs, Path) else inputs
+    (box, file), grid = task, plan.grid(task[0].blocks)
+    for index, view in enumerate(views):
         blocks = plan.blocks[index]
         blocks = blocks[within(blocks, box.low, box.high, 1)]
         if len(blocks):
-            weight = None if inputs.weights is None else inputs.weights[index]
-            integrate(grid, plan, blocks, view, inputs.depths[index], weight)
+            integrate(grid, plan, blocks, view, depths[index], None if weights is None else weights[index])
     vertices, faces, normals, colours = grid.extract(plan.settings.min_views - 0.5)
     del grid
     edge = block_resolution(plan.settings.truncation) * plan.voxel / plan.grid_scale
@@ -154,7 +146,7 @@ def fuse_box(inputs: Inputs | Path, task: tuple[Box, Path]) -> Path | None:
 
 
 @lru_cache(maxsize=1)
-def _unpickled(path: Path) -> Inputs:
+def _unpickled(path: Path) -> tuple:
     """What this run itself has written."""
     return pickle.loads(path.read_bytes())
 

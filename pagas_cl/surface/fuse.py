@@ -19,8 +19,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import clean_depth, load_depth
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
-from pagas_cl.surface.convention import grid_shift
-from pagas_cl.surface.grid import Grid, block_resolution
+from pagas_cl.surface.grid import Grid, block_resolution, grid_shift
 from pagas_cl.surface.pieces import in_order, without_small_pieces
 
 log = logging.getLogger("pagas_cl")

@@ -18,19 +18,12 @@ def footprints(vertices: np.ndarray, cameras: list[Camera], depths: list[np.ndar
     return finest
 
 
-def vertex_confidence(vertices: np.ndarray, cameras: list[Camera], depths: list[np.ndarray],
-                      confidences: list[np.ndarray]) -> np.ndarray:
-    """Mean confidence (0 to 1) of the views that see each vertex, float64 of shape (V,); 0 where none does.
-
-    Parameters
-    ----------
-    vertices : ndarray of shape (V, 3), world coordinates
-    depths, confidences : lists of arrays (H, W), one a camera
-    """
+def vertex_confidence(vertices: np.ndarray, results) -> np.ndarray:
+    """Mean confidence (0 to 1) of the DepthResults that see each vertex, float64 of shape (V,); 0 where none does."""
     total, count = np.zeros(len(vertices)), np.zeros(len(vertices))
-    for camera, depth, confidence in zip(cameras, depths, confidences):
-        index, place, _ = _seen(vertices, camera, depth)
-        total[index] += confidence[place]
+    for result in results:
+        index, place, _ = _seen(vertices, result.camera, result.depth)
+        total[index] += result.confidence[place]
         count[index] += 1
     return total / np.maximum(count, 1)
 

@@ -19,6 +19,7 @@ _HELD_OUT = ((0.6, -0.75), (-1.35, 0.45), (0.4, 1.5), (-0.5, -1.4))
 _FOCAL = 2892 / 1554  # focal length over image width: 300 units fill most of the image at 650
 _OBJECT = 300.0
 _DISTANCE = 650.0
+PLANE, ELLIPSE = 0.75, 0.38   # half the plane that views may see, half axes of a foreground: shares of the photo
 
 
 @dataclass(frozen=True)
@@ -103,10 +104,11 @@ def make_solids(relief: Relief, rng) -> tuple[Solid, Solid]:
     base = Waves.random(rng, 6, 0.4 * _OBJECT, 1.2 * _OBJECT, 1.5).scaled(relief.base)
     strength = Waves.random(rng, 4, 60 * pixel, 200 * pixel, 0).scaled(0.35)
     fine = Waves.random(rng, 28, relief.finest * pixel, relief.coarsest * pixel, relief.power, envelope=strength)
-    fine = fine.scaled(relief.detail * relief.parallax / _mean_absolute(fine, relief))
+    height = fine(*(side / 1.5 for side in _plane(relief, 401)), precise=False)[0]
+    fine = fine.scaled(relief.detail * relief.parallax / np.abs(height).mean())
     error = Waves.random(rng, 6, 100 * pixel, 300 * pixel, 1.0).scaled(relief.coarse_error * relief.parallax)
     blocks, bar = _blocks(relief), _bar(relief)
-    outline = half_axes(relief) if relief.foreground else None
+    outline = half_sizes(relief, ELLIPSE) if relief.foreground else None
     return (Solid((base, fine), _limits((base, fine), relief), blocks, bar, outline),
             Solid((base, error), _limits((base, error), relief), blocks, _nearer(bar, relief), outline))
 
@@ -117,26 +119,13 @@ def _limits(fields, relief):
     return 1.15 * float(np.abs(height).max()) + 1e-3, 1.15 * float(np.hypot(slope_x, slope_y).max())
 
 
-def _mean_absolute(waves, relief):
-    return np.abs(waves(*(side / 1.5 for side in _plane(relief, 401)), precise=False)[0]).mean()
-
-
 def _plane(relief, number):
     """x and y of a grid of points over the part of the plane that the views may see."""
     return np.meshgrid(*(np.linspace(-half, half, number) for half in half_sizes(relief)))
 
 
-def half_sizes(relief: Relief) -> tuple[float, float]:
-    """Half the part of the plane that the views may see, scene units."""
-    return _of_photo(relief, 0.75)
-
-
-def half_axes(relief: Relief) -> tuple[float, float]:
-    """Half axes of the ellipse that a foreground object fills, scene units."""
-    return _of_photo(relief, 0.38)
-
-
-def _of_photo(relief, share):
+def half_sizes(relief: Relief, share: float = PLANE) -> tuple[float, float]:
+    """Half the part of the plane that the views may see, scene units; with ELLIPSE a foreground object's half axes."""
     return share * relief.width * relief.footprint, share * relief.height * relief.footprint
 
 

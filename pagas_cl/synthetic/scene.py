@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.view import View
 from pagas_cl.synthetic import photo
-from pagas_cl.synthetic.layout import Relief, half_axes, half_sizes, make_cameras, make_solids
+from pagas_cl.synthetic.layout import ELLIPSE, PLANE, Relief, half_sizes, make_cameras, make_solids
 from pagas_cl.synthetic.solid import Solid
 from pagas_cl.synthetic.texture import Texture, patchwork
 
@@ -82,7 +84,7 @@ class SyntheticScene:
         from pagas_cl.synthetic.mesh import solid_mesh
 
         return solid_mesh(self.initial_solid, spacing * self.relief.footprint,
-                          half_axes(self.relief) if self.relief.foreground else half_sizes(self.relief))
+                          half_sizes(self.relief, ELLIPSE if self.relief.foreground else PLANE))
 
     @cached_property
     def discontinuities(self) -> np.ndarray:
@@ -114,3 +116,30 @@ def relief_scene(width: int = 388, height: int = 290, contexts: int = 10, **sett
     skin = patchwork(*texels, relief.footprint, rng, kind=relief.texture, contrast=relief.contrast,
                      tile=int(np.clip(relief.width // 3, 48, 300)))
     return SyntheticScene(relief, make_cameras(relief), true, initial, skin)
+
+
+def write_scene(synthetic: SyntheticScene, folder) -> Path:
+    """Write SCENE/images, cameras.json, masks, mesh_coarse.ply, depth_initial and depth_true; returns SCENE.
+
+    The held-out views are in the folder too, under names that start with "held_out".
+    """
+    from pagas_cl.scene.depthmap import save_depth
+    from pagas_cl.scene.mesh import Surface
+    from pagas_cl.scene.mesh_file import write_mesh
+    from pagas_cl.scene.readers import camera_file
+
+    folder = Path(folder)
+    for name in ("images", "depth_initial", "depth_true", *(["masks"] if synthetic.relief.foreground else [])):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    named = []
+    for view in synthetic.all_views:
+        file = f"{view.name}.png"
+        Image.fromarray(view.load_image()).save(folder / "images" / file)
+        if view.mask is not None:
+            Image.fromarray(view.load_mask().astype(np.uint8) * 255).save(folder / "masks" / file)
+        save_depth(folder / "depth_initial" / f"{view.name}.npz", synthetic.initial_depth(view.camera))
+        save_depth(folder / "depth_true" / f"{view.name}.npz", synthetic.true_depth(view.camera))
+        named.append(replace(view, mask=None, name=file))
+    camera_file.write(folder, named)
+    write_mesh(folder / "mesh_coarse.ply", Surface(*synthetic.initial_mesh()))
+    return folder

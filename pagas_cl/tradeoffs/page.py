@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import MissingExtraError
-from pagas_cl.report.page import html_page, write_text
+from pagas_cl.report.page import html_page
+from pagas_cl.scene.files import write_text
 
 log = logging.getLogger("pagas_cl")
 

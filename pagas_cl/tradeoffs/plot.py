@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import need
-from pagas_cl.report.page import replacing
+from pagas_cl.scene.files import replaced
 
 _GROUPS = ("preset", "effects", "steps", "views a step", "context views", "model", "levels", "solver",
            "staged", "ablation")
@@ -53,8 +53,7 @@ def plot_front(path, points, figure: str, title: str = "", at_most: float = 1.3)
     axes.grid(True, which="both", alpha=0.2)
     axes.legend(fontsize=7, ncols=2)
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as beside:
+    with replaced(path, path.suffix) as beside:
         drawing.savefig(beside, dpi=110)
     return path
 
