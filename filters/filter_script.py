@@ -83,17 +83,14 @@ def _checked_step(number: int, element, known: native.Known, where: str, outside
         parameters.check_parameter(attributes, known.types, values, where)
         parameter, kind, value = (attributes.get(key, "") for key in ("name", "type", "value"))
         what = f"{where}: parameter {parameter!r}"
-        if name != FILTER and not outside and _names_file(kind, parameter, value):
+        names_file = kind in _FILES or _FILE_NAMES.search(parameter) and re.search(r"[\\/]|\.\.", value)
+        if names_file and name != FILTER and not outside:
             raise InputError(f"{what} names a file ({short(value)}); pass outside=True (--outside) if you trust the "
                              "script")
         # pymeshlab takes the default for a value that it cannot read
         parameters.check_value(kind, attributes.get("value"), what, (known.enums or {}).get(parameter))
         values[parameter] = value
     return Step(number, name, element, parameters.request(values, where) if name == FILTER else None)
-
-
-def _names_file(kind: str, parameter: str, value: str) -> bool:
-    return kind in _FILES or bool(_FILE_NAMES.search(parameter) and re.search(r"[\\/]|\.\.", value))
 
 
 def _check_runs(known: native.Known, name: str, where: str) -> None:
@@ -170,13 +167,9 @@ def restore_history(meshes, elements: list[ElementTree.Element]) -> None:
         return
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "history.mlx"
-        path.write_text(script_text(elements), encoding="utf-8")
+        root = ElementTree.Element("FilterScript")
+        root.extend(elements)
+        ElementTree.indent(root, " ")
+        text = ElementTree.tostring(root, encoding="unicode")
+        path.write_text(f"<!DOCTYPE FilterScript>\n{text}\n", encoding="utf-8")
         meshes.load_filter_script(str(path))
-
-
-def script_text(elements: list[ElementTree.Element]) -> str:
-    """A script of `elements`, as MeshLab writes one."""
-    root = ElementTree.Element("FilterScript")
-    root.extend(elements)
-    ElementTree.indent(root, " ")
-    return "<!DOCTYPE FilterScript>\n" + ElementTree.tostring(root, encoding="unicode") + "\n"

@@ -38,9 +38,8 @@ def displaced_mesh(mesh, views: list[View], depths, results, config: Config, sub
     subdivide : float, optional
         First split edges that are longer than this many pixel footprints (of the finest view that sees them).
     """
-    from pagas_cl.surface.displace import displace
+    from pagas_cl.surface.displace import displace, footprints
     from pagas_cl.surface.subdivide import subdivide as split_edges
-    from pagas_cl.surface.vertices import footprints
 
     check_subdivide(subdivide)
     mesh = load_whole(mesh)

@@ -96,11 +96,9 @@ def _on_device(target, depth, others, depths, pixels: float, device, maps) -> tu
 
 def confirmed(cameras: list[Camera], depths: Sequence[np.ndarray | Path | None], settings: Fusion,
               neighbours: list | None = None, device=None) -> list[np.ndarray | Path | None]:
-    """Copies of the depth maps without the depths that fewer than `settings.agree_views` others confirm.
-
-    Each of `depths` is an array (H, W) or None; a path stays what it is where nobody is asked. `neighbours` holds for
-    each view the others to ask (its context views), all by default; `device` as in `counts`.
-    """
+    """Copies of the depth maps (H, W) without the depths that fewer than `settings.agree_views` others confirm. A path
+    stays what it is where nobody is asked. `neighbours` holds for each view the others to ask (its context views), all
+    by default; `device` as in `counts`."""
     if settings.agree_views == 0:
         return list(depths)
     kept, maps = [], None if device is None else DepthMaps(device)
@@ -130,9 +128,7 @@ def comparison_device(name: Any) -> Any:
 
 def contradicted(cameras: list[Camera], depths, pixels: float, device=None) -> float:
     """Share of the depths which a neighbouring view should confirm, and none does: of a sample of views and pixels.
-
-    `depths` are arrays (H, W), or have a load() or a .depth.
-    """
+    `depths` are arrays (H, W), or have a load() or a .depth."""
     seen, refused = 0, 0
     for k in np.unique(np.linspace(0, len(cameras) - 1, _SAMPLED).astype(int)):
         depth, place = _array(depths[k]), np.s_[_EVERY // 2::_EVERY, _EVERY // 2::_EVERY]

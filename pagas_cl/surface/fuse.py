@@ -125,7 +125,11 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
     """
     plan = plan or fusion_plan(views, depths, settings)
     log.info("%s", plan)
-    _check_memory(plan, available_mb() if memory_mb is None else memory_mb)
+    allowed = available_mb() if memory_mb is None else memory_mb
+    if plan.memory_mb > allowed:
+        fits = settings.voxel * np.sqrt(plan.memory_mb / allowed) * 1.05
+        raise InputError(f"fusion needs {plan.memory_mb:.0f} MB and {allowed:.0f} MB are free: set fusion.voxel to "
+                         f"{fits:.2g} (it is {settings.voxel:g}), or give the machine more memory")
     tell, grid = progress or (lambda stage, done, total: None), plan.grid(plan.block_count)
     for i, view in enumerate(views):
         integrate(grid, plan, plan.blocks[i], view, depths[i], None if weights is None else weights[i])
@@ -197,10 +201,8 @@ def weights_of(results, least: float) -> list[_Weight] | None:
 
 
 def available_mb() -> float:
-    """Host memory that can be taken without swapping, MB: the least of what the system and the container allow.
-
-    Infinite where neither says (neither /proc nor cgroup version 2).
-    """
+    """Host memory that can be taken without swapping, MB: the least of what /proc and cgroup 2 allow; infinite
+    without."""
     found = [float("inf")]
     try:
         for line in Path("/proc/meminfo").read_text().splitlines():
@@ -212,14 +214,6 @@ def available_mb() -> float:
     except (OSError, ValueError, IndexError):
         pass
     return max(min(found), 1.0)
-
-
-def _check_memory(plan: FusionPlan, allowed: float) -> None:
-    if plan.memory_mb > allowed:
-        voxel = plan.settings.voxel
-        fits = voxel * np.sqrt(plan.memory_mb / allowed) * 1.05
-        raise InputError(f"fusion needs {plan.memory_mb:.0f} MB and {allowed:.0f} MB are free: set fusion.voxel to "
-                         f"{fits:.2g} (it is {voxel:g}), or give the machine more memory")
 
 
 def _measured(cameras: list[Camera], depths) -> tuple[float, float, np.ndarray, float, float]:

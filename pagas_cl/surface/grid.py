@@ -30,11 +30,8 @@ def block_resolution(truncation: float) -> int:
 
 
 class Grid:
-    """A sparse TSDF with room for so many blocks, with colours or without.
-
-    `voxel` is a voxel's edge and `depth_max` above every depth that will come, both in the grid's own unit;
-    `truncation` is in voxels.
-    """
+    """A sparse TSDF with room for so many blocks, with colours or without. `voxel` is a voxel's edge and `depth_max`
+    above every depth that will come, both in the grid's own unit; `truncation` is in voxels."""
 
     def __init__(self, voxel: float, truncation: float, blocks: int, depth_max: float, colour: bool):
         open3d = need("open3d", "mesh", "fusing depth maps to a mesh")
@@ -49,10 +46,8 @@ class Grid:
         self._range = (1.0, float(depth_max), float(truncation))
 
     def touched(self, depth: np.ndarray, K: np.ndarray, pose: np.ndarray, *, every: bool = False) -> np.ndarray:
-        """Blocks within the truncation distance of the depths: int32 of shape (N, 3), maybe none.
-
-        `every` looks at every pixel; needed where a pixel is wider than a voxel.
-        """
+        """Blocks within the truncation distance of the depths: int32 of shape (N, 3), maybe none. `every` looks at
+        every pixel; needed where a pixel is wider than a voxel."""
         found = []
         for row, column in _ALL if every else _FEW:
             part = depth[row:, column:]
@@ -67,11 +62,8 @@ class Grid:
 
     def integrate(self, blocks: np.ndarray, depth: np.ndarray, colour: np.ndarray | None, K: np.ndarray,
                   pose: np.ndarray) -> None:
-        """Add one depth map (H, W) float32, with colours (H, W, 3) float32 from 0 to 1.
-
-        Blocks go in by parts: Open3D doubles its table when the blocks it has and those that come, old or new, exceed
-        it together (measured).
-        """
+        """Add one depth map (H, W) float32, with colours (H, W, 3) float32 from 0 to 1: by parts, since Open3D doubles
+        its table when the blocks it has and those that come, old or new, exceed it together (measured)."""
         K, pose = self._o3c.Tensor(K), self._o3c.Tensor(np.array(pose))
         images = [self._image(image) for image in (depth[..., None], colour) if image is not None]
         for start in range(0, len(blocks), self._room):

@@ -20,10 +20,8 @@ from pagas_cl.synthetic.texture import Texture, patchwork
 
 @dataclass(frozen=True, eq=False)
 class SyntheticScene:
-    """A synthetic scene. Views: `views[0]` is the target, the others its contexts; `held_out` took no part.
-
-    Depth maps are float32 z-depth, 0 = no surface; normals are unit, in the camera's frame, towards the camera.
-    """
+    """A synthetic scene: `views[0]` is the target, the others its contexts; `held_out` took no part. Depth maps are
+    float32 z-depth, 0 = no surface; normals are unit, in the camera's frame, towards the camera."""
 
     relief: Relief
     cameras: list[Camera]
@@ -86,13 +84,6 @@ class SyntheticScene:
         return solid_mesh(self.initial_solid, spacing * self.relief.footprint,
                           half_sizes(self.relief, ELLIPSE if self.relief.foreground else PLANE))
 
-    @cached_property
-    def discontinuities(self) -> np.ndarray:
-        """Target pixels beside a depth discontinuity of the true surface, bool (height, width)."""
-        from pagas_cl.evaluate.depth import find_discontinuities
-
-        return find_discontinuities(self.true_depth(self.cameras[0]), self.cameras[0])
-
     def _depth(self, solid, camera):
         key = id(solid), id(camera)
         if key not in self._shared:
@@ -119,10 +110,8 @@ def relief_scene(width: int = 388, height: int = 290, contexts: int = 10, **sett
 
 
 def write_scene(synthetic: SyntheticScene, folder) -> Path:
-    """Write SCENE/images, cameras.json, masks, mesh_coarse.ply, depth_initial and depth_true; returns SCENE.
-
-    The held-out views are in the folder too, under names that start with "held_out".
-    """
+    """Write SCENE/images, cameras.json, masks, mesh_coarse.ply, depth_initial and depth_true; returns SCENE. The
+    held-out views are there too, under names that start with "held_out"."""
     from pagas_cl.scene.depthmap import save_depth
     from pagas_cl.scene.mesh import Surface
     from pagas_cl.scene.mesh_file import write_mesh

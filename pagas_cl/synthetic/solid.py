@@ -132,10 +132,8 @@ class Solid:
         return rise, smooth
 
     def normals(self, points, part, *, slopes=None, precise=True):
-        """Outward unit normals at points of shape (n, 3) on the parts of shape (n,); zero where part is MISS.
-
-        `slopes` (dz/dx, dz/dy of the relief at the points) saves their computation.
-        """
+        """Outward unit normals at points (n, 3) on the parts (n,); zero where part is MISS. `slopes` (dz/dx, dz/dy of
+        the relief at the points) saves their computation."""
         if slopes is None:
             slopes = self.height(points[:, 0], points[:, 1], precise=precise)[1:]
         normal = np.stack([*slopes, -np.ones_like(slopes[0])], axis=-1)
