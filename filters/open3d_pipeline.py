@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pagas_cl.config import Config
+from pagas_cl.config import Config, Fusion
 from pagas_cl.errors import InputError, need
 from pagas_cl.filters.open3d_frames import Frame, give_back, read_frames
 from pagas_cl.presets import settings_of
@@ -84,12 +84,17 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
     from pagas_cl.refine import fuse_results
     from pagas_cl.scene.mesh import from_surface
     from pagas_cl.surface.displace import vertex_confidence
+    from pagas_cl.surface.fuse import fusion_plan
 
     config = settings_of(preset, config)
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,
                        pixel_center=pixel_center)
     if voxel_size is not None:
-        config = config.with_settings(fusion__voxel=_footprints(read, voxel_size))
+        if not (np.isfinite(voxel_size) and voxel_size > 0):
+            raise InputError(f"voxel_size is {voxel_size!r}, expected scene units above 0")
+        coarse = 64.0  # the plan is only asked for the footprint: let it touch few blocks
+        plan = fusion_plan([frame.view for frame in read], [frame.depth for frame in read], Fusion(voxel=coarse))
+        config = config.with_settings(fusion__voxel=float(voxel_size * coarse / plan.voxel))
     results = _refined(read, config, device, progress)
     surface = fuse_results([frame.view for frame in read], results, config, progress, device=device)
     quality = vertex_confidence(surface.vertices, results)
@@ -148,15 +153,3 @@ def _agreed(read: list[Frame], depths: list[np.ndarray], share: float) -> list[n
     log.info("frames agree within %g of the depth on %.0f %% of the refined depths; the rest is as it came", share,
              100 * taken / max(1, total))
     return chosen
-
-
-def _footprints(read: list[Frame], voxel_size: float) -> float:
-    """A voxel's edge in scene units as pixel footprints."""
-    from pagas_cl.config import Fusion
-    from pagas_cl.surface.fuse import fusion_plan
-
-    if not (np.isfinite(voxel_size) and voxel_size > 0):
-        raise InputError(f"voxel_size is {voxel_size!r}, expected scene units above 0")
-    coarse = 64.0  # the plan is only asked for the footprint: let it touch few blocks
-    plan = fusion_plan([frame.view for frame in read], [frame.depth for frame in read], Fusion(voxel=coarse))
-    return float(voxel_size * coarse / plan.voxel)

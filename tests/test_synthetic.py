@@ -154,7 +154,7 @@ def test_mixed_views():
     assert sizes == [(48, 36), (96, 72)] * 2
     away = [np.linalg.norm(v.center) for v in made.cameras]
     assert np.allclose(away[:2], [650, 845])
-    assert made.view(1).load_image().shape == (36, 48, 3)
+    assert made.all_views[1].load_image().shape == (36, 48, 3)
 
 
 def test_initial_mesh_matches_the_initial_depth():

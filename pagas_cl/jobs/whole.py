@@ -13,7 +13,7 @@ from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.finished import StoredResult, find_finished, work_folder
 from pagas_cl.jobs.plan import Planner, groups, on_disk
 from pagas_cl.jobs.run import Run
-from pagas_cl.jobs.store import Store, clear_parts, translate_os_errors
+from pagas_cl.jobs.store import Store, translate_os_errors
 from pagas_cl.jobs.task import Batch, Record, code_version
 from pagas_cl.jobs.worker import STOP, close_worker_contexts
 from pagas_cl.progress import ViewProgress
@@ -172,6 +172,7 @@ def _make_ready(folder: Path) -> None:
     work = work_folder(folder)
     with translate_os_errors(folder):
         work.mkdir(parents=True, exist_ok=True)
-        clear_parts(folder)
+        for left in list(folder.rglob(".*.part")):  # beside final names
+            left.unlink(missing_ok=True)
         shutil.rmtree(work / "journal", ignore_errors=True)
         (work / STOP).unlink(missing_ok=True)

@@ -1,8 +1,8 @@
 """TSDF fusion in less memory than the whole grid takes: space is cut into boxes, one grid after another.
 
-Each box is fused with a margin of one block of the grid around it, where the same depths make the same voxels as in
-one grid, and keeps the triangles of its own cells. A cell belongs to exactly one box, so that the pieces fit without a
-seam: the same triangles, bit for bit, as from one grid, in another order.
+Each box has a margin of one block, where the same depths make the same voxels as in one grid, and keeps the triangles
+of its own cells. A cell is in exactly one box: the pieces fit without a seam, the same triangles, bit for bit, as from
+one grid, in another order; at the seams doubled vertices become one.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Keep my mesh: move its vertices onto refined depths that several views agree on.
+"""Keep my mesh: move its vertices onto refined depths that several views agree on; what views say of vertices.
 
 Topology, and with it texture coordinates and whatever else sits on the mesh, stays. Each vertex moves along its normal
 by what the refined depth maps say against the initial ones, so that the mesh's own deviation from its depth maps

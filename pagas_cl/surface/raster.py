@@ -18,13 +18,8 @@ from pagas_cl.scene.mesh import Surface
 _RAYS = 1 << 21  # rays cast at a time: 48 MB of float32 and twice that while they are made
 
 
-def render_depths(surface: Surface, cameras: Iterable[Camera]) -> list[np.ndarray]:
-    """Depth map (H, W) float32 of `surface` in every camera, 0 = no surface."""
-    return list(each_depth(surface, cameras))
-
-
 def each_depth(surface: Surface, cameras: Iterable[Camera]) -> Iterator[np.ndarray]:
-    """The same, one at a time, in the order of `cameras`."""
+    """Depth map (H, W) float32 of `surface` in every camera, one at a time, in their order; 0 = no surface."""
     o3d = need("open3d", "mesh", "rendering a mesh to depth maps")
     if len(surface.faces) == 0:
         raise InputError("the mesh has no faces, expected triangles; a point cloud cannot be rendered to depth")
