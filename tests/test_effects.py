@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from twins import exposure
 
 from pagas_cl.config import Effects
 from pagas_cl.effects import LOW_PASS, decide
 from pagas_cl.errors import InputError
 from pagas_cl.measurements import RULES, Measurements, measure
 from pagas_cl.presets import BALANCED, PAPER
-from pagas_cl.reference import exposure
 
 CALM = Measurements(overlap=1.0, hidden=0.0, unseen=0.0, exposure_change=0.0, specularity=0.0, smallest=0.5,
                     textureless=0.0, noise=0.002, far_off=0.0, misaligned=0.0, masked=False,

@@ -6,9 +6,9 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from kernel_cases import Scene, start_level
+from twins import evidence as twin
 
 from pagas_cl.presets import BALANCED
-from pagas_cl.reference import evidence as twin
 from pagas_cl.reference.pairs import candidates, nearest_surface
 from pagas_cl.reference.project import project
 from pagas_cl.runtime.program import bind, build, run_once

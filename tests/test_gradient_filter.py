@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from kernel_cases import Scene, start_level
+from twins.gradient_filter import filter_gradient
 
 from pagas_cl.presets import preset
-from pagas_cl.reference.gradient_filter import filter_gradient
 from pagas_cl.reference.level import parts_of_loss, prepare
 from pagas_cl.runtime.device import open_device
 

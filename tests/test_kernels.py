@@ -9,9 +9,10 @@ import pyopencl as cl
 import pytest
 from close import assert_kernel_close
 from kernel_cases import SEES_LOSS, Scene, device_gradient, start_level, twin_gradient, view_of
+from twins.level import run_level
 
 from pagas_cl.presets import BALANCED, PAPER
-from pagas_cl.reference.level import prepare, run_level
+from pagas_cl.reference.level import prepare
 from pagas_cl.reference.pairs import candidates, nearest_surface
 from pagas_cl.reference.project import project as twin_project
 from pagas_cl.runtime.program import run_once

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kernel_cases import Scene, view_of
+from twins import exposure as exposure_twin
+from twins import measure as twin
 
 from pagas_cl.presets import BALANCED
-from pagas_cl.reference import exposure as exposure_twin
-from pagas_cl.reference import measure as twin
 from pagas_cl.reference.level import Photo, prepare
 from pagas_cl.runtime.program import run_once
 from pagas_cl.splat import exposure, project

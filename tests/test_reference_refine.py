@@ -7,13 +7,15 @@ import pytest
 from close import closeness
 from random_scenes import pose, random_image, random_scene, rotation
 from reference_cases import BASE, prepared
+from twins import resample
+from twins.level import refine
+from twins.step import Adam, Plateau
 
 from pagas_cl.config import Config, Loss
 from pagas_cl.reference import loss as losses
-from pagas_cl.reference import resample, smooth
-from pagas_cl.reference.level import Photo, loss_and_gradient, prepare, refine
+from pagas_cl.reference import smooth
+from pagas_cl.reference.level import Photo, loss_and_gradient, prepare
 from pagas_cl.reference.project import NEAR, median_depth, project
-from pagas_cl.reference.step import Adam, Plateau
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import viewing_distance
 

@@ -1,4 +1,4 @@
-"""Twin of splat/level: the loss and gradient of one step, and a whole small refinement (method sections 3 to 6)."""
+"""Twin of splat/level: the loss and gradient of one step (method sections 3 to 6)."""
 
 from __future__ import annotations
 
@@ -8,12 +8,9 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.reference import loss as losses
-from pagas_cl.reference import resample
 from pagas_cl.reference.composite import Rendered, composite, composite_vjp
-from pagas_cl.reference.gradient_filter import filter_gradient
-from pagas_cl.reference.project import is_valid, median_depth, project
+from pagas_cl.reference.project import depth_per_parallax, is_valid, project
 from pagas_cl.reference.smooth import smoothness
-from pagas_cl.reference.step import Adam, Plateau, depth_per_parallax, late_share
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import footprint, viewing_distance
 
@@ -32,12 +29,6 @@ class Photo:
     def from_view(cls, view) -> Photo:
         """From a pagas_cl.scene.view.View."""
         return cls(view.camera, view.load_image() / 255.0, view.load_mask())
-
-    def resized(self, scale: float) -> Photo:
-        """The view at a pyramid level."""
-        size = resample.scaled_size(self.camera.width, self.camera.height, scale)
-        mask = None if self.mask is None else resample.shrink_mask(self.mask, *size)
-        return Photo(self.camera.resized(*size), resample.shrink_image(self.image, *size), mask, self.exposure)
 
     def exposed_as(self, context: Photo) -> np.ndarray:
         """This photo with the exposure of `context`, clipped as a photo is."""
@@ -76,15 +67,6 @@ class State:
     distance: float
     seen: tuple[np.ndarray, ...]
     texture: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Refined:
-    """depth (H, W) float64 in scene units, 0 = no surface; the loss of every step; steps of every level."""
-
-    depth: np.ndarray
-    losses: list[float]
-    steps: list[int]
 
 
 def depth_threshold(depth: np.ndarray, slices: float) -> float:
@@ -166,55 +148,3 @@ def parts_of_loss(depth, target: Photo, contexts: list[Photo], config: Config, s
     value, gradient = smoothness(depth, is_valid(depth), held, state.kappa, target.camera.rays(), state.texture)
     photos = tuple(sum(part[k] for part in parts) / len(parts) for k in (0, 1))
     return (float(photos[0]), depth.size * photos[1]), (float(value), depth.size * gradient)
-
-
-def views_of_step(step: int, number: int, per_step: int) -> list[int]:
-    """Context views of step 0, 1, ...: `per_step` of them in turn, or all."""
-    if per_step <= 0 or per_step >= number:
-        return list(range(number))
-    return [(step * per_step + i) % number for i in range(per_step)]
-
-
-def run_level(depth, target: Photo, contexts: list[Photo], config: Config, state: State, steps: int):
-    """Adam on one level: the depth in units after at most `steps` steps, and the loss before each of them."""
-    solver, history = config.solver, []
-    length = state.parallax if solver.rate_unit == "parallax" else np.where(state.parallax > 0, state.distance, 0.0)
-    adam = Adam.start(depth.shape, solver.beta1, solver.beta2)
-    schedule = Plateau(solver.rate, solver.patience, solver.rate_floor)
-    for step in range(steps):
-        views = views_of_step(step, len(contexts), solver.views_per_step)
-        photos, smooth = parts_of_loss(depth, target, contexts, config, state, views,
-                                       raised=step >= solver.photos_first(steps))
-        filtered = filter_gradient(photos[1], state.parallax, solver.gradient_filter)
-        value, gradient = photos[0] + smooth[0], filtered + smooth[1]
-        history.append(value)
-        rate = schedule.next_rate(value)
-        if rate == 0:
-            break
-        depth = adam.step(depth, gradient, length, rate * late_share(step, steps, solver.final_rate),
-                          solver.damping_at(step, steps))
-    return depth, history
-
-
-def refine(depth, target: Photo, contexts: list[Photo], config: Config) -> Refined:
-    """Refine a depth map (H, W) in scene units, 0 = no surface: every level of the pyramid (method section 6).
-
-    Pixels that moved by more than `solver.max_move` pixels of parallax get their input back.
-    """
-    valid = is_valid(depth) if target.mask is None else is_valid(depth) & target.mask
-    scene_scale = median_depth(np.where(valid, depth, 0.0))
-    initial = np.where(valid, depth, 0.0) / scene_scale
-    delta = depth_threshold(initial, config.splatting.depth_slices)
-    current, history, counts = None, [], []
-    for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
-        level_target, level_contexts = target.resized(scale), [c.resized(scale) for c in contexts]
-        size = level_target.camera.width, level_target.camera.height
-        level_initial = resample.shrink_depth(initial, *size)
-        finer = level_initial if current is None else resample.enlarge_depth(current, *size)
-        start = np.where((level_initial > 0) & (finer > 0), finer, level_initial)
-        state = prepare(level_initial, level_target, level_contexts, config, scene_scale, delta, start)
-        current, values = run_level(start, level_target, level_contexts, config, state, steps)
-        history += values
-        counts.append(len(values))
-    kept = (current == initial) | (np.abs(current - initial) > config.solver.max_move * state.parallax)
-    return Refined(np.where(valid, np.where(kept, depth, current * scene_scale), 0.0), history, counts)

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from twins.level import refine
 
 from pagas_cl.presets import BALANCED, PAPER
-from pagas_cl.reference.level import Photo, refine
+from pagas_cl.reference.level import Photo
 from pagas_cl.splat.view import full_level
 from pagas_cl.synthetic import relief_scene
 

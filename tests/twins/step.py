@@ -1,4 +1,4 @@
-"""Twin of splat/step: Adam with the plateau schedule, and the units it steps in (method section 6)."""
+"""Twin of splat/step: Adam with the plateau schedule (method section 6)."""
 
 from __future__ import annotations
 
@@ -6,22 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pagas_cl.reference.project import NEAR, Projected
-
-
-def depth_per_parallax(projections: list[Projected], sizes: list[tuple[int, int]]) -> np.ndarray:
-    """u of shape (N,): the change of depth that moves the projected mean by one pixel, root mean square over views.
-
-    u = 1 / sqrt(mean_v |dm/dd|^2) over the context views where z > near and m is inside the image, `sizes` being
-    their (width, height); 0 where there is none, or none with parallax (the pixel is fixed).
-    """
-    total, count = 0.0, 0
-    for projected, size in zip(projections, sizes):
-        inside = projected.valid & ((projected.m >= 0) & (projected.m < size)).all(axis=1)
-        total = total + inside * (projected.m_d**2).sum(axis=1)
-        count = count + inside
-    total = np.asarray(total, np.float64)
-    return np.where(total > 0, np.sqrt(count / np.where(total > 0, total, 1.0)), 0.0)
+from pagas_cl.reference.project import NEAR
 
 
 def late_share(step: int, steps: int, final: float) -> float:
