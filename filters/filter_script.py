@@ -41,16 +41,9 @@ class Step:
 def check_script(path, *, outside: bool = False) -> list[Step]:
     """Read a script and check all of it; nothing is run on any mesh of yours.
 
-    Parameters
-    ----------
-    outside : bool
-        Whether steps that read or write files of their own are allowed.
-
-    Raises
-    ------
-    InputError
-        No script, unknown filter (the nearest known one is named), unknown parameter, wrong type or value, a filter
-        that would abort Python, or one that names files.
+    `outside` allows steps that read or write files of their own. InputError: no script, unknown filter (the nearest
+    known one is named), unknown parameter, wrong type or value, a filter that would abort Python, or one that names
+    files.
     """
     elements = list(read_xml(Path(path), "FilterScript"))
     try:
@@ -90,17 +83,14 @@ def _checked_step(number: int, element, known: native.Known, where: str, outside
         parameters.check_parameter(attributes, known.types, values, where)
         parameter, kind, value = (attributes.get(key, "") for key in ("name", "type", "value"))
         what = f"{where}: parameter {parameter!r}"
-        if name != FILTER and not outside and _names_file(kind, parameter, value):
+        names_file = kind in _FILES or _FILE_NAMES.search(parameter) and re.search(r"[\\/]|\.\.", value)
+        if names_file and name != FILTER and not outside:
             raise InputError(f"{what} names a file ({short(value)}); pass outside=True (--outside) if you trust the "
                              "script")
         # pymeshlab takes the default for a value that it cannot read
         parameters.check_value(kind, attributes.get("value"), what, (known.enums or {}).get(parameter))
         values[parameter] = value
     return Step(number, name, element, parameters.request(values, where) if name == FILTER else None)
-
-
-def _names_file(kind: str, parameter: str, value: str) -> bool:
-    return kind in _FILES or bool(_FILE_NAMES.search(parameter) and re.search(r"[\\/]|\.\.", value))
 
 
 def _check_runs(known: native.Known, name: str, where: str) -> None:
@@ -124,22 +114,11 @@ def _nearest(name: str) -> str:
 
 def run_script(meshes, path, scene=None, *, outside: bool = False, device: str | None = None,
                progress=None) -> list[Step]:
-    """Check a script, then run it on `meshes`.
+    """Check a script, then run it on `meshes` (pymeshlab.MeshSet), from its current mesh on.
 
-    Parameters
-    ----------
-    meshes : pymeshlab.MeshSet
-        Its current mesh is what the first step works on.
-    path : path
-        The script; `refine.mlx` beside this module is one.
-    scene : folder, Scene, list of View, or (cameras, images)
-        What our step refines with; may be left out where the script has no such step.
-    device : str, optional
-        Replaces the device that the script names.
-
-    Notes
-    -----
-    A step that fails inside pymeshlab leaves the meshes as the steps before it made them; it is named in the error.
+    `refine.mlx` beside this module is a script. `scene` is what our step refines with (folder, Scene, list of View, or
+    (cameras, images)); it may be left out where the script has no such step. `device` replaces the one that the script
+    names. A step that fails inside pymeshlab is named in the error, and leaves the meshes as those before it made them.
     """
     from pagas_cl.filters.pymeshlab_step import refine_layer, scene_views
 
@@ -188,13 +167,9 @@ def restore_history(meshes, elements: list[ElementTree.Element]) -> None:
         return
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "history.mlx"
-        path.write_text(script_text(elements), encoding="utf-8")
+        root = ElementTree.Element("FilterScript")
+        root.extend(elements)
+        ElementTree.indent(root, " ")
+        text = ElementTree.tostring(root, encoding="unicode")
+        path.write_text(f"<!DOCTYPE FilterScript>\n{text}\n", encoding="utf-8")
         meshes.load_filter_script(str(path))
-
-
-def script_text(elements: list[ElementTree.Element]) -> str:
-    """A script of `elements`, as MeshLab writes one."""
-    root = ElementTree.Element("FilterScript")
-    root.extend(elements)
-    ElementTree.indent(root, " ")
-    return "<!DOCTYPE FilterScript>\n" + ElementTree.tostring(root, encoding="unicode") + "\n"

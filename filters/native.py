@@ -1,9 +1,6 @@
 """What pymeshlab knows of the MeshLab filters that a script names: which exist, which parameters they take.
 
-Nothing here is a list that ages: the installed pymeshlab is asked, in a child process, since some filters abort it:
-
-    python -m pagas_cl.filters.native QUESTIONS.json ANSWERS.jsonl
-
+Nothing here is a list that ages: the installed pymeshlab is asked, in a child process, since some filters abort it.
 Each question is [MeshLab name, pymeshlab name or null]. Each answer is a line: {"start": name} before it is tried, then
 {"name", "known", "written"}: `written` is the filter as pymeshlab itself writes it, with all parameters and types.
 """

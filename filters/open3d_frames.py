@@ -17,16 +17,13 @@ from pagas_cl.scene.view import View
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One frame: its view, its depth in scene units (0 = none), and the form it came in.
-
-    `form`: "legacy" (RGBDImage), "tensor" (t.geometry.RGBDImage), or "pair"; `scale`: what divides its depth numbers.
-    """
+    """One frame."""
 
     view: View
-    depth: np.ndarray
+    depth: np.ndarray   # scene units, 0 = none
     given: Any
-    form: str
-    scale: float
+    form: str           # of `given`: "legacy" (RGBDImage), "tensor" (t.geometry.RGBDImage), or "pair"
+    scale: float        # what divides its depth numbers
 
 
 def read_frames(frames, intrinsics, extrinsics=None, *, depth_scale=None, depth_trunc=None,
@@ -45,7 +42,8 @@ def read_frames(frames, intrinsics, extrinsics=None, *, depth_scale=None, depth_
 
 def _frame(given, camera: Camera, depth_scale, depth_trunc) -> Frame:
     color, depth = _parts(given)
-    form = _form(given)
+    form = "tensor" if ".t." in type(given).__module__ else "legacy"
+    form = "pair" if isinstance(given, (tuple, list)) else form
     raw = _pixels(depth, f"depth of frame {camera.name}")
     if form == "legacy" and depth_scale not in (None, 1, 1.0):
         raise InputError(f"frame {camera.name}: depth_scale is {depth_scale:g}, but an RGBDImage already holds scene "
@@ -56,22 +54,17 @@ def _frame(given, camera: Camera, depth_scale, depth_trunc) -> Frame:
     if depth_trunc is not None:
         depth = np.where(depth < depth_trunc, depth, np.float32(0))  # as Open3D: what reaches it is dropped
     who = f"color of frame {camera.name}"
-    photo = read_photo(color) if isinstance(color, (str, Path)) else as_photo(_intensity(_pixels(color, who)), who)
+    if isinstance(color, (str, Path)):
+        photo = read_photo(color)
+    else:
+        photo = _pixels(color, who)
+        if photo.dtype.kind == "f" and photo.max(initial=0) < 1.01:
+            photo = np.clip(photo, 0, 1)    # floating point colours as Open3D makes them can pass 1 by rounding
+        photo = as_photo(photo, who)
     if photo.shape[:2] != depth.shape:
         raise InputError(f"frame {camera.name}: color is {photo.shape[1]} x {photo.shape[0]} and depth "
                          f"{depth.shape[1]} x {depth.shape[0]}; register the depth to the color first")
     return Frame(View(camera, photo, None, camera.name), depth, given, form, float(depth_scale))
-
-
-def _intensity(pixels: np.ndarray) -> np.ndarray:
-    """Floating point colours as Open3D makes them can pass 1 by rounding."""
-    return np.clip(pixels, 0, 1) if pixels.dtype.kind == "f" and pixels.max(initial=0) < 1.01 else pixels
-
-
-def _form(given) -> str:
-    if isinstance(given, (tuple, list)):
-        return "pair"
-    return "tensor" if ".t." in type(given).__module__ else "legacy"
 
 
 def _parts(given) -> tuple:
@@ -112,17 +105,9 @@ def _numpy(value) -> np.ndarray:
 
 
 def read_cameras(intrinsics, extrinsics, sizes, *, pixel_center: float = 0.0) -> list[Camera]:
-    """Cameras of Open3D's intrinsics and extrinsics.
+    """Cameras of Open3D's intrinsics (one for all, or a list) and world-to-camera extrinsics, or of a trajectory alone.
 
-    Parameters
-    ----------
-    intrinsics : PinholeCameraTrajectory; or PinholeCameraIntrinsic, (3, 3) array or tensor, one for all or a list
-    extrinsics : list of (4, 4) arrays or tensors, world-to-camera; None with a trajectory
-    sizes : list of (width, height)
-        Of the frames.
-    pixel_center : float
-        Where the intrinsics put the centre of the top-left pixel: 0 (Open3D's legacy cameras and PrimeSense defaults),
-        or 0.5 (COLMAP).
+    Parameters as in open3d_pipeline.refine_rgbd; `sizes` are (width, height) of the frames.
     """
     count = len(sizes)
     if hasattr(intrinsics, "parameters"):
@@ -163,7 +148,12 @@ def give_back(frame: Frame, depth: np.ndarray):
         return type(frame.given)((color, raw))
     o3d = need("open3d", "mesh", "RGB-D frames")
     if hasattr(given, "as_tensor"):
-        color, made = _float_color(o3d, color), o3d.t.geometry.Image(o3d.core.Tensor(raw[..., None]))
+        made = o3d.t.geometry.Image(o3d.core.Tensor(raw[..., None]))
+        if hasattr(color, "as_tensor"):
+            pixels = _numpy(color)
+            full = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1
+            pixels = np.ascontiguousarray(pixels.astype(np.float32) / full, np.float32)
+            color = o3d.t.geometry.Image(o3d.core.Tensor(pixels))
     else:
         made = o3d.geometry.Image(raw)
     if frame.form == "pair":
@@ -173,13 +163,3 @@ def give_back(frame: Frame, depth: np.ndarray):
     new = o3d.geometry.RGBDImage()
     new.color, new.depth = color, made
     return new
-
-
-def _float_color(o3d, color):
-    """A tensor image as float32 from 0 to 1; anything else as it is."""
-    if not hasattr(color, "as_tensor"):
-        return color
-    pixels = _numpy(color)
-    if pixels.dtype.kind in "iu":
-        pixels = pixels.astype(np.float32) / np.iinfo(pixels.dtype).max
-    return o3d.t.geometry.Image(o3d.core.Tensor(np.ascontiguousarray(pixels, np.float32)))

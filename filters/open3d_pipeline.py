@@ -5,7 +5,7 @@
 
 Half pixels: Open3D's legacy cameras (PinholeCameraIntrinsic) and volumes count pixel centres at whole numbers, its
 VoxelBlockGrid at +0.5. Intrinsics are read with `pixel_center` (0, as the legacy ones have it); what goes into a
-VoxelBlockGrid here is shifted as a measurement of the installed Open3D says (surface.convention).
+VoxelBlockGrid here is shifted as a measurement of the installed Open3D says (surface.grid).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pagas_cl.config import Config
+from pagas_cl.config import Config, Fusion
 from pagas_cl.errors import InputError, need
 from pagas_cl.filters.open3d_frames import Frame, give_back, read_frames
 from pagas_cl.presets import settings_of
@@ -83,17 +83,21 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
     """
     from pagas_cl.refine import fuse_results
     from pagas_cl.scene.mesh import from_surface
-    from pagas_cl.surface.vertices import vertex_confidence
+    from pagas_cl.surface.displace import vertex_confidence
+    from pagas_cl.surface.fuse import fusion_plan
 
     config = settings_of(preset, config)
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,
                        pixel_center=pixel_center)
     if voxel_size is not None:
-        config = config.with_settings(fusion__voxel=_footprints(read, voxel_size))
+        if not (np.isfinite(voxel_size) and voxel_size > 0):
+            raise InputError(f"voxel_size is {voxel_size!r}, expected scene units above 0")
+        coarse = 64.0  # the plan is only asked for the footprint: let it touch few blocks
+        plan = fusion_plan([frame.view for frame in read], [frame.depth for frame in read], Fusion(voxel=coarse))
+        config = config.with_settings(fusion__voxel=float(voxel_size * coarse / plan.voxel))
     results = _refined(read, config, device, progress)
     surface = fuse_results([frame.view for frame in read], results, config, progress, device=device)
-    quality = vertex_confidence(surface.vertices, [r.camera for r in results], [r.depth for r in results],
-                                [r.confidence for r in results])
+    quality = vertex_confidence(surface.vertices, results)
     o3d = need("open3d", "mesh", "making an Open3D mesh")
     return from_surface(replace(surface, quality=quality), like=o3d.t.geometry.TriangleMesh())
 
@@ -103,7 +107,7 @@ def grid_intrinsic(intrinsic, *, pixel_center: float = 0.0):
 
     Passing a legacy intrinsic to a VoxelBlockGrid unchanged puts the surface half a pixel off.
     """
-    from pagas_cl.surface.convention import grid_shift
+    from pagas_cl.surface.grid import grid_shift
 
     o3d = need("open3d", "mesh", "a VoxelBlockGrid")
     K = np.array(intrinsic.intrinsic_matrix if hasattr(intrinsic, "intrinsic_matrix") else intrinsic, np.float64)
@@ -149,15 +153,3 @@ def _agreed(read: list[Frame], depths: list[np.ndarray], share: float) -> list[n
     log.info("frames agree within %g of the depth on %.0f %% of the refined depths; the rest is as it came", share,
              100 * taken / max(1, total))
     return chosen
-
-
-def _footprints(read: list[Frame], voxel_size: float) -> float:
-    """A voxel's edge in scene units as pixel footprints."""
-    from pagas_cl.config import Fusion
-    from pagas_cl.surface.fuse import fusion_plan
-
-    if not (np.isfinite(voxel_size) and voxel_size > 0):
-        raise InputError(f"voxel_size is {voxel_size!r}, expected scene units above 0")
-    coarse = 64.0  # the plan is only asked for the footprint: let it touch few blocks
-    plan = fusion_plan([frame.view for frame in read], [frame.depth for frame in read], Fusion(voxel=coarse))
-    return float(voxel_size * coarse / plan.voxel)

@@ -80,20 +80,14 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
     asked, history = request(values, FILTER), saved_history(self)
     try:
         counts = refine_layer(self, scene_views(scene), asked, progress=progress)
-        history.append(history_element(values))
+        element = ElementTree.Element("filter", name=FILTER)
+        for p in (p for p in PARAMETERS if p.name in values):
+            ElementTree.SubElement(element, "Param", type=p.rich, name=p.name, value=values[p.name],
+                                   description=p.description, tooltip="")
+        history.append(element)
     finally:
         restore_history(self, history)
     return counts
-
-
-def history_element(values: dict[str, str]) -> ElementTree.Element:
-    """The step as MeshLab's history and scripts hold one."""
-    element = ElementTree.Element("filter", name=FILTER)
-    for parameter in PARAMETERS:
-        if parameter.name in values:
-            ElementTree.SubElement(element, "Param", type=parameter.rich, name=parameter.name,
-                                   value=values[parameter.name], description=parameter.description, tooltip="")
-    return element
 
 
 def scene_views(scene) -> list[View]:
@@ -145,10 +139,9 @@ def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 def _add_layer(meshes, surface, results, label: str, matrix: np.ndarray) -> None:
     """The fused mesh as a new current layer with the old one's matrix, confidence as quality, unit normals."""
     from pagas_cl.scene.mesh import from_surface
-    from pagas_cl.surface.vertices import vertex_confidence
+    from pagas_cl.surface.displace import vertex_confidence
 
-    quality = vertex_confidence(surface.vertices, [r.camera for r in results], [r.depth for r in results],
-                                [r.confidence for r in results])
+    quality = vertex_confidence(surface.vertices, results)
     surface = replace(surface, vertices=_local(surface.vertices, matrix), quality=quality, normals=None)
     meshes.add_mesh(from_surface(surface, like=meshes.current_mesh()), label)
     if not np.array_equal(matrix, np.eye(4)):
@@ -195,7 +188,7 @@ def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: 
     import pymeshlab
 
     from pagas_cl.scene.mesh import to_surface
-    from pagas_cl.surface.vertices import footprints
+    from pagas_cl.surface.displace import footprints
 
     finest = footprints(surface.vertices, [view.camera for view in views], depths)
     if not np.isfinite(finest).any():

@@ -13,20 +13,10 @@ ENOUGH = 3               # photos that took no part: cameras that are off agree 
 
 
 def rejection_reason(refined, depth, contexts: int, held_out, measured) -> str:
-    """Why a refinement is not to be trusted as a whole; empty where it is.
+    """Why a refinement (splat.Refinement) is not to be trusted as a whole; empty where it is.
 
-    Enough photos that took no part are a measurement; with fewer of them, what is likely to make it worse counts too.
-
-    Parameters
-    ----------
-    refined : splat.Refinement
-    depth : ndarray of shape (H, W)
-        What it started from.
-    contexts : int
-        Number of context views.
-    held_out : sequence of View
-        The views that took no part.
-    measured : Measurements or None
+    It started from `depth` (H, W) with `contexts` context views; the views `held_out` took no part. Enough of these are
+    a measurement; with fewer, what is likely to make it worse counts too (`measured`: Measurements or None).
     """
     seen = [(view.name, cost) for view, cost in zip(held_out, refined.held_out) if np.isfinite(cost).all()]
     if len(seen) < ENOUGH and (reason := _likely_reason(refined, depth, contexts, measured)):

@@ -10,7 +10,7 @@ from pathlib import Path
 from pagas_cl.evaluate import DepthReport, compare_depth, compare_predictions
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import ViewProgress
-from pagas_cl.synthetic import SyntheticScene, relief_scene
+from pagas_cl.synthetic.scene import SyntheticScene, relief_scene, write_scene
 
 _log = logging.getLogger("pagas_cl")
 
@@ -44,20 +44,11 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = 
              progress=None, **settings) -> DemoResult:
     """Make a relief scene, refine the depth of each of its views, compare with the truth, fuse a mesh.
 
-    Parameters
-    ----------
-    folder : path
-        Gets `scene/` (photos, cameras, coarse mesh, depth maps: input for the other commands), `report/` with the
-        page and the pictures, `mesh_refined.ply`.
-    width, height, contexts : int
-        Size of the photos; number of views besides the target and one held-out view.
-    preset, config, device, progress
-        As in `refine_depth`.
-    settings
-        Further fields of `synthetic.Relief`.
+    `folder` gets `scene/` (photos, cameras, coarse mesh, depth maps: input for the other commands), `report/` with the
+    page and the pictures, `mesh_refined.ply`. `contexts`: views besides the target and one held-out view. `preset`,
+    `config`, `device` and `progress` as in refine_depth; `settings` are further fields of synthetic.Relief.
     """
     from pagas_cl.report import Report
-    from pagas_cl.synthetic.disk import write_scene
 
     folder, progress = Path(folder), progress or (lambda stage, done, total: None)
     synthetic = relief_scene(width, height, contexts, held_out=1, **settings)

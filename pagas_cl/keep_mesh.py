@@ -34,9 +34,8 @@ def displaced_mesh(mesh, views: list[View], depths, results, config: Config, sub
     what refine_views took and gave. First, edges are split that are longer than `subdivide` pixel footprints (of the
     finest view that sees them).
     """
-    from pagas_cl.surface.displace import displace
+    from pagas_cl.surface.displace import displace, footprints
     from pagas_cl.surface.subdivide import subdivide as split_edges
-    from pagas_cl.surface.vertices import footprints
 
     check_subdivide(subdivide)
     mesh = load_whole(mesh)

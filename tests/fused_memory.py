@@ -12,8 +12,8 @@ import numpy as np
 
 from pagas_cl.config import Fusion
 from pagas_cl.surface.blocks import fuse_within
-from pagas_cl.surface.convention import grid_shift
 from pagas_cl.surface.fuse import fuse, fusion_plan
+from pagas_cl.surface.grid import grid_shift
 
 
 def kib(name: str) -> int:

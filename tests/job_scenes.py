@@ -16,7 +16,7 @@ from pagas_cl.refine import refine_one
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.depthmap import find_depth, load_depth
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.synthetic.disk import write_scene
+from pagas_cl.synthetic.scene import write_scene
 
 TESTS = Path(__file__).resolve().parent
 QUICK = preset("balanced").with_settings(pyramid__steps=(3,), context__number=3)

@@ -15,7 +15,7 @@ from pagas_cl.effects import CONTRADICTED, EFFECTS, decide_consistency
 from pagas_cl.errors import InputError
 from pagas_cl.presets import BALANCED
 from pagas_cl.surface.agree import contradicted
-from pagas_cl.synthetic.disk import write_scene
+from pagas_cl.synthetic.scene import write_scene
 
 pytestmark = pytest.mark.slow
 

@@ -21,7 +21,7 @@ QUICK = ["--quiet", "--set", "pyramid.steps=3"]
 def made_scene(tmp_path_factory):
     from support.scenes import relief_scene
 
-    from pagas_cl.synthetic.disk import write_scene
+    from pagas_cl.synthetic.scene import write_scene
 
     return write_scene(relief_scene(64, 48, 2, held_out=0), tmp_path_factory.mktemp("synthetic") / "scene")
 

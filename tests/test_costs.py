@@ -12,7 +12,7 @@ from pagas_cl.presets import preset
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device
 from pagas_cl.splat.exposure import fitted_before
-from pagas_cl.synthetic.disk import write_scene
+from pagas_cl.synthetic.scene import write_scene
 
 pytestmark = pytest.mark.slow
 

@@ -11,7 +11,7 @@ from support.scenes import tiny
 from pagas_cl.__main__ import run
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.synthetic.disk import write_scene
+from pagas_cl.synthetic.scene import write_scene
 
 pytestmark = pytest.mark.slow
 

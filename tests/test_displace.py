@@ -9,9 +9,8 @@ from support.scenes import relief_scene
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_attributes import load_whole, with_vertices
-from pagas_cl.surface.displace import Observed, displace
+from pagas_cl.surface.displace import Observed, displace, footprints
 from pagas_cl.surface.subdivide import subdivide
-from pagas_cl.surface.vertices import footprints
 
 pytestmark = pytest.mark.slow
 

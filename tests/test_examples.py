@@ -10,7 +10,7 @@ from support.scenes import relief_scene
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_file import write_mesh
 from pagas_cl.scene.view import View
-from pagas_cl.synthetic.disk import write_scene
+from pagas_cl.synthetic.scene import write_scene
 
 pytestmark = pytest.mark.slow
 

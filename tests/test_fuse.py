@@ -13,7 +13,7 @@ from pagas_cl.errors import InputError, PagasError  # noqa: E402
 from pagas_cl.scene.camera import Camera  # noqa: E402
 from pagas_cl.scene.depthmap import save_depth  # noqa: E402
 from pagas_cl.scene.view import View  # noqa: E402
-from pagas_cl.surface import convention  # noqa: E402
+from pagas_cl.surface import grid as convention  # noqa: E402
 from pagas_cl.surface.fuse import fuse, fusion_plan  # noqa: E402
 from pagas_cl.surface.grid import Grid, block_resolution  # noqa: E402
 from pagas_cl.surface.pieces import pieces, without_small_pieces  # noqa: E402
@@ -281,14 +281,14 @@ def test_real_scene_comes_back_as_it_went_in(data_dir):
     from pagas_cl.scene.mesh import to_surface
     from pagas_cl.scene.pyramid import view_at
     from pagas_cl.scene.readers import read_scene
-    from pagas_cl.surface.raster import render_depths
+    from pagas_cl.surface.raster import each_depth
 
     folder = data_dir / "dtu_scan24"
     views = [view_at(view, 0.25) for view in read_scene(folder).views[::5]]
     cameras = [view.camera for view in views]
-    depths = render_depths(to_surface(folder / "derived" / "mesh_coarse.ply"), cameras)
+    depths = list(each_depth(to_surface(folder / "derived" / "mesh_coarse.ply"), cameras))
     mesh = fuse(views, depths)
-    again = render_depths(mesh, cameras)
+    again = each_depth(mesh, cameras)
     error = np.concatenate([(a - b)[(a > 0) & (b > 0)] for a, b in zip(again, depths)])
     footprint = 650 / (2890 / 4)
     assert np.median(np.abs(error)) < 0.15 * footprint and abs(np.median(error)) < 0.03 * footprint

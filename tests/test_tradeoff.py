@@ -13,7 +13,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.presets import preset
 from pagas_cl.runtime.device import open_device
 from pagas_cl.splat import PhotoStore
-from pagas_cl.synthetic.disk import write_scene
+from pagas_cl.synthetic.scene import write_scene
 from pagas_cl.tradeoffs import plan
 from pagas_cl.tradeoffs.case import make_cases, score
 from pagas_cl.tradeoffs.front import pareto, rank_correlation

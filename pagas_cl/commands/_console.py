@@ -69,16 +69,15 @@ class Lines:
 
     def __init__(self, write=None, clock=time.monotonic):
         self._write, self._clock = write or sys.stderr.write, clock
-        self._began: dict[str, float] = {}
-        self._last_line: dict[str, float] = {}
+        self._times: dict[str, tuple[float, float]] = {}    # of each stage: when it began, when its last line was
 
     def __call__(self, stage: str, done: float, total: int) -> None:
         now = self._clock()
-        began, last = self._began.setdefault(stage, now), self._last_line.setdefault(stage, now)
+        began, last = self._times.setdefault(stage, (now, now))
         if done >= total:
-            self._began.pop(stage), self._last_line.pop(stage)
+            self._times.pop(stage)
             self._write(f"{stage}: {total} of {total} in {now - began:.0f} s\n")
         elif done and now - last >= _LINE_EVERY:
-            self._last_line[stage] = now
+            self._times[stage] = began, now
             left = (now - began) * (total - done) / done
             self._write(f"{stage}: {int(done)} of {total}, about {left:.0f} s left\n")

@@ -46,11 +46,8 @@ def load_scene(scene, format, outside: bool):
 
 
 def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None) -> list:
-    """Initial depth of every view, from the mesh or from files; None for a view without a file.
-
-    With a folder for the run they stay on disk, and what stands for them is given instead. The views `names` must
-    have a file.
-    """
+    """Initial depth of every view, from the mesh or from files; None for a view without a file, which `names` must
+    have. With a folder for the run they stay on disk, and what stands for them is given instead."""
     from pagas_cl.jobs.finished import work_folder
     from pagas_cl.jobs.store import DepthFile, Store
 
@@ -66,14 +63,7 @@ def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, n
     if not any(files):
         raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
                          f"expected for instance {found.views[0].stem}.npz")
-    _tell_missing(depth_dir, [view for view, file in zip(found.views, files) if file is None], names)
-    sources = [file and DepthFile(file.resolve(), (view.camera.width, view.camera.height), depth_scale)
-               for view, file in zip(found.views, files)]
-    return sources if folder is not None else [source and source.load() for source in sources]
-
-
-def _tell_missing(depth_dir, without, names) -> None:
-    """Refuse a view that was asked for and has no depth map; name the others."""
+    without = [view for view, file in zip(found.views, files) if file is None]
     asked = [view for view in without if names and view.name in names]
     if asked:
         raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the view {asked[0].name!r}, which was "
@@ -81,3 +71,6 @@ def _tell_missing(depth_dir, without, names) -> None:
     if without and not names:
         log.warning("%d views have no depth map in %s and serve as context views only: %s", len(without), depth_dir,
                     ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
+    sources = [file and DepthFile(file.resolve(), (view.camera.width, view.camera.height), depth_scale)
+               for view, file in zip(found.views, files)]
+    return sources if folder is not None else [source and source.load() for source in sources]

@@ -140,12 +140,6 @@ def _table(title, rows):
     widths = {name: max(len(name), 10) for name in columns}
     lines = [title, " " * head + "".join(f"  {name:>{widths[name]}}" for name in columns)]
     for name, row in rows.items():
-        cells = (_cell(row.get(column)) for column in columns)
+        cells = ("" if x is None else f"{x:d}" if isinstance(x, int) else f"{x:.5g}" for x in map(row.get, columns))
         lines.append(f"{name:<{head}}" + "".join(f"  {cell:>{widths[c]}}" for cell, c in zip(cells, columns)))
     return "\n".join(lines) + "\n\n"
-
-
-def _cell(value):
-    if value is None:
-        return ""
-    return f"{value:d}" if isinstance(value, int) else f"{value:.5g}"

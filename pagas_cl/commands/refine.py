@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from shutil import rmtree
 
@@ -67,7 +68,9 @@ def command(
         view.check_files()
     for option, where in (("--output", output and output.parent), ("--save-depth", save_depth), ("--report", report)):
         check_writable(option, where)
-    place, folder = _place(device, devices, scheduler), _folder(save_depth, output)
+    # finished views are kept with the depth maps, or beside the mesh until it is written
+    folder = output.parent / f".{output.name}.views" if save_depth is None and output is not None else save_depth
+    place = _place(device, devices, scheduler)
     names = [found.views[found.index(name)].name for name in views] or None
     with shown_progress(quiet) as progress, _report(report, found, preset, settings, place) as page:
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder, names)
@@ -75,7 +78,7 @@ def command(
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
         results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
-                               progress=progress, on_view=page and _Pictures(page),
+                               progress=progress, on_view=page and partial(_add_pictures, page),
                                extras=page is not None or keep_mesh or config.fusion.least_weight < 1)
         if output is not None and keep_mesh:
             write_whole(output, displaced_mesh(mesh, found.views, depths, results, config, subdivide))
@@ -85,7 +88,6 @@ def command(
         if output is not None:
             log.info("mesh: %s", output)
     _tell(results, save_depth, report)
-    _tell_failures(results)
     if folder is not None and save_depth is None:
         rmtree(folder, ignore_errors=True)
 
@@ -100,13 +102,6 @@ def _place(device, devices, scheduler) -> dict:
     if scheduler is not None:
         return {"executor": scheduler, "device": several or device}
     return {"device": several or open_device(device)}
-
-
-def _folder(save_depth, output) -> Path | None:
-    """Where finished views are kept: with the depth maps, or beside the mesh until it is written."""
-    if save_depth is not None or output is None:
-        return save_depth
-    return output.parent / f".{output.name}.views"
 
 
 def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh: bool, subdivide) -> None:
@@ -135,25 +130,20 @@ def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mes
                          "(--set fusion.voxel=...)")
 
 
-class _Pictures:
-    """Puts each view's pictures on the page as soon as it is done, so that an interrupted run has them."""
+def _add_pictures(page, view, initial, result) -> None:
+    """Put a view's pictures on the page as soon as it is done, so that an interrupted run has them."""
+    from pagas_cl.effects import Decision
 
-    def __init__(self, page):
-        self.page = page
-
-    def __call__(self, view, initial, result) -> None:
-        from pagas_cl.effects import Decision
-
-        report = result.report
-        remarks = [f"kept as it came: {result.reason}"] if result.reason else []
-        if report.get("contexts"):
-            remarks.append("context views: " + ", ".join(report["contexts"]))
-        for on, what in ((True, "effects simulated"), (False, "effects not called for")):
-            effects = [str(Decision(**fields)) for fields in report.get("effects", ()) if fields["on"] == on]
-            remarks += [f"{what}: " + "; ".join(effects)] if effects else []
-        figures = {"seconds": round(report["seconds"], 2)} if "seconds" in report else {}
-        self.page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
-                      counts={**result.counts, **figures}, remarks=remarks)
+    report = result.report
+    remarks = [f"kept as it came: {result.reason}"] if result.reason else []
+    if report.get("contexts"):
+        remarks.append("context views: " + ", ".join(report["contexts"]))
+    for on, what in ((True, "effects simulated"), (False, "effects not called for")):
+        effects = [str(Decision(**fields)) for fields in report.get("effects", ()) if fields["on"] == on]
+        remarks += [f"{what}: " + "; ".join(effects)] if effects else []
+    figures = {"seconds": round(report["seconds"], 2)} if "seconds" in report else {}
+    page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
+             counts={**result.counts, **figures}, remarks=remarks)
 
 
 def _report(folder, found, preset, settings, place):
@@ -169,6 +159,7 @@ def _report(folder, found, preset, settings, place):
 
 
 def _tell(results, save_depth, report) -> None:
+    """Say what came out; an error where views were left out, though what was made without them stays."""
     total = Counter()
     for result in results:
         total.update(result.counts)
@@ -180,10 +171,6 @@ def _tell(results, save_depth, report) -> None:
         log.info("depth maps: %s", save_depth)
     if report is not None:
         log.info("pictures: %s", report / "index.html")
-
-
-def _tell_failures(results) -> None:
-    """The exit status says so when views were left out; what was made without them stays."""
     failed = [(r.name, r.report["failed"]) for r in results if "failed" in r.report]
     if failed:
         names = ", ".join(name for name, _ in failed[:10]) + (", ..." if len(failed) > 10 else "")

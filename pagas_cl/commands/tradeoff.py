@@ -46,10 +46,13 @@ def command(
     for view in found.views:
         view.check_files()
     check_writable("--report", report)
+    if truth is not None and not truth.exists():
+        raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
     opened = open_device(device)
     with shown_progress(quiet) as progress:
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress)
-        true = None if truth is None else _truth(found, truth, depth_scale, progress)
+        true_mesh, true_dir = (None, truth) if truth is None or truth.is_dir() else (truth, None)
+        true = truth and initial_depths(found, true_mesh, true_dir, depth_scale, progress)
         study = tradeoff(found.views, depths, truth=true, names=views or None, held_out=held_out or None, sample=sample,
                          budget=budget, settings=ablation_plan(ablation) if ablation else None, device=opened,
                          report=report, repeats=repeats, progress=progress)
@@ -60,11 +63,3 @@ def command(
     sys.stdout.write(ablation_table(study.points) if ablation else markdown(study.points))
     if report is not None:
         sys.stdout.write(f"\nplot and page: {report / 'index.html'}\n")
-
-
-def _truth(found, truth: Path, depth_scale, progress) -> list:
-    """True depth of every view, from files or rendered from a mesh; None where there is no file."""
-    if not truth.exists():
-        raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
-    mesh, folder = (None, truth) if truth.is_dir() else (truth, None)
-    return initial_depths(found, mesh, folder, depth_scale, progress)

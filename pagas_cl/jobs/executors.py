@@ -12,18 +12,9 @@ PATIENCE = 20  # seconds to wait for a scheduler's answer
 
 
 class Workers:
-    """An executor and the device that its tasks are to take; arguments as in whole.refine_all.
-
-    Attributes
-    ----------
-    executor : Executor
-    device : Device, str, tuple of str, or None
-        What the workers are told: this process opens its device here, others choose from what is named.
-    own : bool
-        Whether the executor is ours to close.
-    local : bool
-        Whether tasks run in this process, one after another.
-    """
+    """An executor and the device that its tasks are to take; arguments as in whole.refine_all. `device` is what the
+    workers are told: this process opens its device here, others choose from what is named. `own`: the executor is ours
+    to close; `local`: tasks run in this process, one after another."""
 
     def __init__(self, executor, device):
         self._pooled = executor is None and (device == "all" or isinstance(device, (list, tuple)))
@@ -69,15 +60,14 @@ class SerialExecutor(Executor):
 
 
 def local_pool(devices) -> ProcessPoolExecutor:
-    """One process for each device of this machine that `devices` means ("all", or part of names); each takes its own.
-
-    Processes are spawned: an OpenCL context does not survive a fork.
-    """
+    """One spawned process for each device that `devices` means: an OpenCL context does not survive a fork."""
     from pagas_cl.runtime.claim import known_devices
     from pagas_cl.runtime.device import shares
 
     number = len(known_devices(devices)) * shares()
-    return ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=_ignore_interrupts)
+    # Ctrl-C reaches every process of a terminal: the first one asks the workers to end after their present view
+    return ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=signal.signal,
+                               initargs=(signal.SIGINT, signal.SIG_IGN))
 
 
 def dask_executor(address: str) -> Executor:
@@ -89,8 +79,3 @@ def dask_executor(address: str) -> Executor:
         raise DeviceError(f"no Dask scheduler answers at {address!r} ({str(error).splitlines()[0]}): start one with "
                           "'dask scheduler' and workers with 'dask worker --nthreads 1 ADDRESS'") from error
     return client.get_executor(pure=False)
-
-
-def _ignore_interrupts() -> None:
-    """Ctrl-C reaches every process of a terminal; the first one asks the workers to end after their present view."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -89,11 +89,7 @@ class StoredResult:
     folder: Path
     record: Record
 
-    @property
-    def file(self) -> Path:
-        """The refined depth map's file."""
-        return self.folder / f"{self.record.stem}.npz"
-
+    file = property(lambda self: self.folder / f"{self.record.stem}.npz")
     name = property(lambda self: self.record.name)
     reason = property(lambda self: self.record.reason)
     counts = property(lambda self: self.record.counts)

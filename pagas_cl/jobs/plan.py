@@ -23,16 +23,8 @@ def on_disk(views: list[View], store: Store) -> list[View]:
 
 
 class Planner:
-    """Makes one view's task after another, so that workers have begun long before the last one is planned.
-
-    Parameters
-    ----------
-    views : list of View
-        Photos and masks on disk.
-    depths : list of (object with load() and digest, or None)
-    samples : list
-        What planning needs of each depth map; see scene.choice.
-    """
+    """Makes one view's task after another, so that workers have begun long before the last one is planned. Photos and
+    masks of `views` are on disk; `depths` have load() and digest, `samples` are for scene.choice."""
 
     def __init__(self, views: list[View], depths: list, samples: list, config: Config, work):
         self.views, self._depths, self._config, self._work = views, depths, config, work
@@ -59,11 +51,8 @@ class Planner:
 
 
 def groups(asked: list[int], views: list[View], workers: int) -> list[list[int]]:
-    """Views that go together, in the order in which they should be given out.
-
-    The views are put along a curve through the camera centres, which is cut into one stretch a worker; groups are
-    given out from the start of each stretch in turn, so that workers of one speed go along stretches of their own.
-    """
+    """Views that go together, in the order in which to give them out: a curve through the camera centres is cut into
+    one stretch a worker, and each worker that keeps pace goes along a stretch of its own."""
     order = np.asarray(asked)[along_curve([views[index].camera.center for index in asked])]
     size = int(np.clip(len(asked) // (workers * _SHARES), 1, _BATCH))
     stretches = [[part[start:start + size].tolist() for start in range(0, len(part), size)]

@@ -24,18 +24,8 @@ HOPELESS = 8  # so many views given up before one is done: something is wrong th
 
 
 class Run:
-    """One run's batches on their way.
-
-    Parameters
-    ----------
-    workers : Workers
-    folder : Path
-        Where results go.
-    on_record : callable(Record)
-        Called for each view, done or given up.
-    inside : callable of a number, optional
-        Progress of that view of the present batch, where it is refined in this process.
-    """
+    """One run's batches on their way; results go to `folder`. `on_record(Record)` is called for each view, done or
+    given up; `inside(k)` is the progress of view `k` of the present batch, where it is refined in this process."""
 
     def __init__(self, workers: Workers, folder: Path, on_record, inside=None):
         self.workers, self.folder, self.on_record = workers, folder, on_record

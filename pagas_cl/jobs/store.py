@@ -37,12 +37,6 @@ def translate_os_errors(path: Path):
                           "or choose another folder, and start the same command again") from error
 
 
-def clear_parts(folder: Path) -> None:
-    """Remove what killed runs have left beside final names."""
-    for left in list(folder.rglob(".*.part")):
-        left.unlink(missing_ok=True)
-
-
 def digest_of(parts) -> str:
     """Hash of bytes that come in parts."""
     digest = hashlib.blake2b(digest_size=16)

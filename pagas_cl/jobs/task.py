@@ -37,33 +37,17 @@ class ViewTask:
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Neighbouring views that one worker refines one after another, so that it reads the photos they share once.
+    """Neighbouring views that one worker refines one after another, so that it reads the photos they share once."""
 
-    Attributes
-    ----------
-    work : callable(views, partners, depth, config, device, photos, progress) -> DepthResult
-        A function at the top of a module; `progress` is None in other processes, and where nobody wants to know.
-    views, digests : dict of int to View, to str
-        Every view that the tasks need, photos and masks on disk; see view_digest.
-    folder : Path
-        Where results go; every worker sees it under this name.
-    device : Device, str, tuple of str, or None
-        See runtime.claim.claim_device; a Device is taken as it is (in this process only).
-    code : str
-        The code_version that planned it.
-    extras : bool
-        Whether status, deviation and parallax are kept beside the depth.
-    """
-
-    work: Callable
-    views: dict[int, View]
-    digests: dict[int, str]
+    work: Callable      # of a module: (views, partners, depth, config, device, photos, progress or None) -> DepthResult
+    views: dict[int, View]      # every one that the tasks need, photos and masks on disk
+    digests: dict[int, str]     # view_digest of each
     tasks: tuple[ViewTask, ...]
     config: Config
-    folder: Path
-    device: Any
-    code: str
-    extras: bool = True
+    folder: Path                # for results; every worker sees it under this name
+    device: Any                 # see runtime.claim.claim_device; a Device is taken as it is (in this process only)
+    code: str                   # the code_version that planned it
+    extras: bool = True         # whether status, deviation and parallax are kept beside the depth
 
     def only(self, tasks) -> Batch:
         """The same with fewer tasks."""

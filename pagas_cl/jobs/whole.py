@@ -13,7 +13,7 @@ from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.finished import StoredResult, find_finished, work_folder
 from pagas_cl.jobs.plan import Planner, groups, on_disk
 from pagas_cl.jobs.run import Run
-from pagas_cl.jobs.store import Store, clear_parts, translate_os_errors
+from pagas_cl.jobs.store import Store, translate_os_errors
 from pagas_cl.jobs.task import Batch, Record, code_version
 from pagas_cl.jobs.worker import STOP, close_worker_contexts
 from pagas_cl.progress import ViewProgress
@@ -25,16 +25,13 @@ log = logging.getLogger("pagas_cl")
 
 def refine_all(work, views, depths, asked, config, *, device=None, executor=None, folder=None, extras=True,
                progress=None, on_view=None) -> list:
-    """Refine many views, resuming what an earlier run has finished.
+    """Refine the views `asked`, resuming what an earlier run has finished.
 
     Parameters
     ----------
     work : callable
         See task.Batch.
-    views : list of View
     depths : list of (ndarray of shape (H, W), StoredArray, DepthFile, or None)
-    asked : list of int
-        Views to refine.
     device : str, sequence of str, Device, or None
         "all" and sequences: one process a device. With an executor: what each worker chooses from.
     executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
@@ -45,12 +42,8 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
     extras : bool
         Whether status, deviation and parallax are kept.
     on_view : callable of (view, initial depth, result), optional
-        Called in the order of `asked`.
-
-    Returns
-    -------
-    list of StoredResult (DepthResult without a folder), in the order of `asked`. A view that failed three times has
-    no surface, and its error in `report["failed"]`.
+        Called in the order of `asked`, in which the results come too: StoredResult (DepthResult without a folder). A
+        view that failed three times has no surface, and its error in `report["failed"]`.
     """
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="pagas_cl-") as temporary:
@@ -134,8 +127,7 @@ class _Collect:
                 self.on_view(self.views[index], self.depths[index].load(), self._result(index))
 
     def inside(self, number: int):
-        """Progress of view `number` of the batch at hand, beside those that have come. What it raises ends the run: it
-        is the caller's and not the view's fault."""
+        """Progress of view `number` of the batch at hand. What it raises is the caller's error, and ends the run."""
         tell = self.progress.inside(len(self.records) + number)
 
         def relay(*given):
@@ -180,6 +172,7 @@ def _make_ready(folder: Path) -> None:
     work = work_folder(folder)
     with translate_os_errors(folder):
         work.mkdir(parents=True, exist_ok=True)
-        clear_parts(folder)
+        for left in list(folder.rglob(".*.part")):  # beside final names
+            left.unlink(missing_ok=True)
         shutil.rmtree(work / "journal", ignore_errors=True)
         (work / STOP).unlink(missing_ok=True)

@@ -98,14 +98,11 @@ class WorkerContext:
 
 
 def run_batch(batch: Batch, inside=None) -> list[Record]:
-    """Refine the views of `batch` that are not finished; one record each.
-
-    `inside(k)` is the progress of its view `k`, where somebody in this process wants to know.
+    """Refine the views of `batch` that are not finished; one record each, which also tells of the view's error.
 
     The device refines one view while the files of the next are read and those of the one before are written.
-
-    An error of one view is told in its record. OutputError (nothing can be written) and DeviceError (no device to
-    work with) are raised: they are not the view's fault.
+    `inside(k)` is the progress of view `k`, where somebody in this process wants to know. OutputError (nothing can be
+    written) and DeviceError (no device to work with) are raised: they are not the view's fault.
     """
     if batch.code != code_version():
         raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "

@@ -6,6 +6,7 @@ same bits twice; then a few steps: finite, inputs without a surface stay so, fix
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -153,17 +154,6 @@ def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> 
     return [fault for fault, found in faults.items() if found]
 
 
-def run_all(device, progress=None, blends=BOTH) -> list[Outcome]:
-    """Every small case with each of its blends, in order; `progress(outcome)` as each one is done."""
-    return collect((run_case(case, blend, device) for case in CASES for blend in case.blends if blend in blends),
-                   progress)
-
-
-def collect(outcomes, progress) -> list[Outcome]:
-    """A list of what `outcomes` yields; each is told to `progress`, where there is one, as it comes."""
-    found = []
-    for outcome in outcomes:
-        found.append(outcome)
-        if progress:
-            progress(outcome)
-    return found
+def run_all(device, blends=BOTH) -> Iterator[Outcome]:
+    """Every small case with each of its blends, in order, as they come."""
+    return (run_case(case, blend, device) for case in CASES for blend in case.blends if blend in blends)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from pagas_cl.scene.view import View
-from pagas_cl.selftest.check import Outcome, collect, difference, repeated_gradient, twin_gradient
+from pagas_cl.selftest.check import Outcome, difference, repeated_gradient, twin_gradient
 from pagas_cl.selftest.scenes import HardScene, base, camera, turn, waves
 from pagas_cl.selftest.table import BLENDS, Case
 
@@ -19,16 +20,8 @@ SHIFT = 0.004                  # baseline: so short that the window sees all tha
 SIZES = {"12 megapixels": (4000, 3000), "more than 2^24 pixels": (4128, 4120)}
 
 
-@dataclass(frozen=True)
-class Large:
-    """A large scene and the same pixels of its far corner as a small one; both of depth about 1."""
-
-    whole: HardScene
-    corner: HardScene
-
-
-def make_large(size, contexts: int = 2) -> Large:
-    """Photos repeat a small texture; the depth repeats a small wavy map."""
+def make_large(size, contexts: int = 2) -> tuple[HardScene, HardScene]:
+    """A large scene of depth about 1, photos and depth repeating small ones, and its far corner's pixels as another."""
     width, height = size
     small, rng = base(7, (256, 256)), np.random.default_rng(9)
     times = height // 256 + 1, width // 256 + 1
@@ -40,7 +33,7 @@ def make_large(size, contexts: int = 2) -> Large:
     views += [View(camera(size, focal, place, turn(), name=f"context {k}"), tile(small.contexts[k % 2]))
               for k, place in enumerate(places)]
     cut = [_cut(view) for view in views]
-    return Large(HardScene(views[0], views[1:], depth), HardScene(cut[0], cut[1:], depth[-WINDOW:, -WINDOW:]))
+    return HardScene(views[0], views[1:], depth), HardScene(cut[0], cut[1:], depth[-WINDOW:, -WINDOW:])
 
 
 def _cut(view: View) -> View:
@@ -49,10 +42,10 @@ def _cut(view: View) -> View:
     return View(cut, view.image[-WINDOW:, -WINDOW:])
 
 
-def corner_gradient(large: Large, config, at, scene_scale) -> np.ndarray:
-    """What the twin gives for the window, with the pixel and window counts of the whole."""
-    share, (height, width) = config.loss.ssim, large.whole.depth.shape
-    colour, ssim = (twin_gradient(large.corner, config.with_settings(loss__ssim=only), at, at, scene_scale)[0]
+def corner_gradient(corner: HardScene, shape, config) -> np.ndarray:
+    """What the twin gives for the corner, with the pixel and window counts of the whole, of `shape`."""
+    share, (height, width) = config.loss.ssim, shape
+    colour, ssim = (twin_gradient(corner, config.with_settings(loss__ssim=only), corner.depth, corner.depth, 1.0)[0]
                     for only in (0.0, 1.0))
     windows = lambda w, h: (w - 10) * (h - 10) / (w * h)  # noqa: E731
     return (1 - share) * colour + share * ssim * windows(WINDOW, WINDOW) / windows(width, height)
@@ -60,12 +53,11 @@ def corner_gradient(large: Large, config, at, scene_scale) -> np.ndarray:
 
 def run_one(name: str, blend: str, device) -> Outcome:
     """One large case: finite, the same bits twice, and the far corner as the twin has it."""
-    large, case = make_large(SIZES[name]), Case(name, base, TOLERANCE, why=WHY)
+    (whole, corner), case = make_large(SIZES[name]), Case(name, base, TOLERANCE, why=WHY)
     config = BLENDS[blend].with_settings(splatting__depth_slices=1e-3)      # the range of depth differs in the window
-    at = large.whole.depth
-    got, length, faults = repeated_gradient(large.whole, config, device, at, at, 1.0)
+    got, length, faults = repeated_gradient(whole, config, device, whole.depth, whole.depth, 1.0)
     inside = (slice(-WINDOW + BORDER, -BORDER),) * 2
-    want = corner_gradient(large, config, large.corner.depth, 1.0)
+    want = corner_gradient(corner, whole.depth.shape, config)
     worst = difference(got[inside], want[inside], length[inside])
     if not worst <= case.tolerance:
         faults.append(f"gradient differs from the twin by {worst:.3g}")
@@ -75,6 +67,6 @@ def run_one(name: str, blend: str, device) -> Outcome:
     return Outcome(case, blend, worst, tuple(faults))
 
 
-def run_large(device, progress=None) -> list[Outcome]:
-    """Every large case with each blend."""
-    return collect((run_one(name, blend, device) for name in SIZES for blend in BLENDS), progress)
+def run_large(device) -> Iterator[Outcome]:
+    """Every large case with each blend, as they come."""
+    return (run_one(name, blend, device) for name in SIZES for blend in BLENDS)

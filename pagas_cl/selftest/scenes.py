@@ -112,11 +112,6 @@ def sprinkled(values) -> HardScene:
     return with_depth(base(), change)
 
 
-def facing() -> HardScene:
-    """A context camera behind the surface that looks back at the target."""
-    return base(centers=((0.05, 0.03, 2.2), (0.12, 0.0, 0.0)), turns=[turn(y=np.pi), turn(y=0.1)])
-
-
 def grazing() -> HardScene:
     """A plane, and context cameras that see it at about 3 degrees."""
     scene = base(centers=((0.97, 0.0, 0.93), (-0.85, 0.0, 0.95)), turns=[turn(y=1.48), turn(y=-1.5)])
@@ -133,16 +128,3 @@ def crowded(width: int = 80, height: int = 60) -> HardScene:
     """A context camera so far that all Gaussians of the target fall into a few of its pixels."""
     return base(size=(width, height), centers=((0.4, 0.0, -90.0), (0.15, 0.0, 0.0)), turns=[turn(), turn(y=0.1)],
                 context_size=(21, 17), context_focal=(100.0, 100.0))
-
-
-def checkerboard(depth, rng):
-    """Every second pixel 1.5 times as deep."""
-    v, u = np.indices(depth.shape)
-    return np.where((u + v) % 2 == 0, depth, 1.5 * depth)
-
-
-def single_bright(rng, shape):
-    """Black but for one white pixel."""
-    image = np.zeros(shape)
-    image[shape[0] // 2, shape[1] // 2] = 1
-    return image

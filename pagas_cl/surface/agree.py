@@ -46,25 +46,12 @@ class DepthMaps:
 
 def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: list[np.ndarray | None],
            pixels: float = 2.0, device=None, maps: DepthMaps | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """How many other views confirm each depth, and how many should see it.
+    """How many of the other views confirm each depth of `target`, and how many should see it.
 
-    Parameters
-    ----------
-    target : Camera
-    depth : ndarray of shape (H, W)
-        Its depth map, 0 = no surface.
-    cameras, depths : lists of the same length
-        The other views, without the target; None where a view has no depth map.
-    pixels : float
-        Tolerance, pixels of parallax.
-    device : Device, optional
-        Where to compare; in NumPy by default.
-    maps : DepthMaps, optional
-        Depth maps that are on the device already.
-
-    Returns
-    -------
-    Two arrays of shape (H, W), uint16; 0 where there is no surface; no view confirms where there is no parallax
+    `depth` (H, W) is the target's, 0 = no surface; `cameras` and `depths` are the other views', None where one has no
+    depth map. `pixels` is the tolerance, pixels of parallax. Compared on `device`, in NumPy without one; `maps` are
+    depth maps that are there already. Two uint16 arrays (H, W), 0 where there is no surface; nothing confirms without
+    parallax.
     """
     if len(cameras) != len(depths):
         raise InputError(f"there are {len(cameras)} cameras and {len(depths)} depth maps, expected one each")
@@ -109,16 +96,9 @@ def _on_device(target, depth, others, depths, pixels: float, device, maps) -> tu
 
 def confirmed(cameras: list[Camera], depths: Sequence[np.ndarray | Path | None], settings: Fusion,
               neighbours: list | None = None, device=None) -> list[np.ndarray | Path | None]:
-    """Copies of the depth maps without the depths that fewer than `settings.agree_views` others confirm.
-
-    Parameters
-    ----------
-    depths : list of ndarray of shape (H, W), or None; where nobody is asked also of paths, which stay what they are
-    neighbours : list of sequences of int, optional
-        For each view the others to ask (its context views); all others where it is left out.
-    device : Device, optional
-        As in `counts`.
-    """
+    """Copies of the depth maps (H, W) without the depths that fewer than `settings.agree_views` others confirm. A path
+    stays what it is where nobody is asked. `neighbours` holds for each view the others to ask (its context views), all
+    by default; `device` as in `counts`."""
     if settings.agree_views == 0:
         return list(depths)
     kept, maps = [], None if device is None else DepthMaps(device)
@@ -147,11 +127,8 @@ def comparison_device(name: Any) -> Any:
 
 
 def contradicted(cameras: list[Camera], depths, pixels: float, device=None) -> float:
-    """Share of the depths which a neighbouring view should confirm, and none does.
-
-    Some views are looked at, every fourth row and column, each against its nearest neighbours. A depth that is hidden
-    from the others, or outside them, is not counted. `depths` are arrays (H, W), or have a load() or a .depth.
-    """
+    """Share of the depths which a neighbouring view should confirm, and none does: of a sample of views and pixels.
+    `depths` are arrays (H, W), or have a load() or a .depth."""
     seen, refused = 0, 0
     for k in np.unique(np.linspace(0, len(cameras) - 1, _SAMPLED).astype(int)):
         depth, place = _array(depths[k]), np.s_[_EVERY // 2::_EVERY, _EVERY // 2::_EVERY]
@@ -171,17 +148,9 @@ def _array(depth) -> np.ndarray:
 
 
 def disagreement(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: list[np.ndarray]) -> np.ndarray:
-    """Mean difference between a depth map and the others where they see the same surface, as a share of depth.
+    """Mean difference between a depth map and those of other views that see the same surface, as a share of depth.
 
-    Parameters
-    ----------
-    target, depth : Camera, ndarray of shape (H, W)
-    cameras, depths : the other views
-
-    Returns
-    -------
-    ndarray of shape (H, W), float64
-        Averaged over a window of 9 x 9 pixels; NaN where no other view sees the surface.
+    float64 of shape (H, W), averaged over windows of 9 x 9 pixels; NaN where no other view sees the surface.
     """
     total, count = np.zeros(depth.shape), np.zeros(depth.shape)
     rows, columns = np.nonzero(depth > 0)

@@ -1,8 +1,8 @@
 """TSDF fusion in less memory than the whole grid takes: space is cut into boxes, one grid after another.
 
-Each box is fused with a margin of one block of the grid around it, where the same depths make the same voxels as in
-one grid, and keeps the triangles of its own cells. A cell belongs to exactly one box, so that the pieces fit without a
-seam: the same triangles, bit for bit, as from one grid, in another order.
+Each box has a margin of one block, where the same depths make the same voxels as in one grid, and keeps the triangles
+of its own cells. A cell is in exactly one box: the pieces fit without a seam, the same triangles, bit for bit, as from
+one grid, in another order; at the seams doubled vertices become one.
 """
 
 from __future__ import annotations
@@ -21,13 +21,24 @@ from pagas_cl.config import Fusion
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
-from pagas_cl.surface.fuse import FusionPlan, available_mb, fuse, grid_mb, integrate, mesh_mb, plan_with_blocks
+from pagas_cl.surface.fuse import (
+    FusionPlan,
+    available_mb,
+    empty_mesh,
+    fuse,
+    grid_mb,
+    in_world,
+    integrate,
+    mesh_mb,
+    plan_with_blocks,
+    tell_dropped,
+)
 from pagas_cl.surface.grid import block_resolution
-from pagas_cl.surface.pieces import in_order
-from pagas_cl.surface.seams import join, write_piece
+from pagas_cl.surface.pieces import in_order, pieces
 
 log = logging.getLogger("pagas_cl")
 
+_NEAR = 0.1           # voxels: a vertex that two boxes share lies on the side between them
 _PHOTO_BYTES = 40     # a pixel of the view at hand: depth, colours, and what Open3D copies of them (measured)
 
 
@@ -57,35 +68,13 @@ class Box:
     blocks: int
 
 
-@dataclass(frozen=True, eq=False)
-class Inputs:
-    """What all boxes share."""
-
-    views: list
-    depths: list
-    weights: list | None
-    plan: FusionPlan
-
-
 def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_mb: float | None = None, *, weights=None,
                 progress=None, executor=None, folder=None) -> Surface:
-    """Fuse depth maps to a mesh in no more than `memory_mb` of host memory (what is free by default).
+    """Fuse depth maps to a mesh in at most `memory_mb` of host memory (by default what is free), in boxes if need be.
 
-    One grid where it fits, else boxes.
-
-    Parameters
-    ----------
-    views, depths, settings, weights, progress
-        As in surface.fuse.fuse. Depths that are paths, and photos that are, are read when they are needed.
-    executor : concurrent.futures.Executor, optional
-        Fuses boxes elsewhere, `memory_mb` for each; photos and depths must then be on disk, and Open3D where it runs.
-    folder : path, optional
-        For what is put on disk meanwhile; with an executor on several machines one that all of them see.
-
-    Raises
-    ------
-    InputError
-        As fuse; and where the mesh alone would not fit.
+    As surface.fuse.fuse. An `executor` (concurrent.futures) fuses boxes elsewhere, `memory_mb` for each; photos and
+    depths must then be on disk, and Open3D where it runs. `folder` is for what is put on disk meanwhile; all machines
+    must see it. InputError also where the mesh alone would not fit.
     """
     allowed = available_mb() if memory_mb is None else memory_mb
     with tempfile.TemporaryDirectory(prefix=".fusion-", dir=folder) as scratch:
@@ -98,7 +87,7 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
         most = max(grid_mb(box.blocks, settings) for box in boxes)
         log.info("fusion: %d boxes, at most %.0f MB each, %.0f MB for the mesh, %.0f MB allowed", len(boxes), most,
                  mesh_mb(plan), allowed)
-        inputs, files = Inputs(views, depths, weights, plan), []
+        inputs, files = (views, depths, weights, plan), []
         if executor is not None:
             (scratch / "inputs.pickle").write_bytes(pickle.dumps(inputs))
             inputs = scratch / "inputs.pickle"
@@ -140,19 +129,18 @@ def cut(plan: FusionPlan, blocks: np.ndarray, allowed_mb: float, views) -> list[
     return boxes
 
 
-def fuse_box(inputs: Inputs | Path, task: tuple[Box, Path]) -> Path | None:
+def fuse_box(inputs: tuple | Path, task: tuple[Box, Path]) -> Path | None:
     """Fuse a box and write its piece of the mesh to a file; None where it holds no triangle.
 
-    `inputs` is the path of a pickle where the task is sent away.
+    `inputs` are what all boxes share (views, depths, weights, plan), or a pickle of it.
     """
-    inputs, (box, file) = inputs if isinstance(inputs, Inputs) else _unpickled(inputs), task
-    plan, grid = inputs.plan, inputs.plan.grid(box.blocks)
-    for index, view in enumerate(inputs.views):
+    views, depths, weights, plan = _unpickled(inputs) if isinstance(inputs, Path) else inputs
+    (box, file), grid = task, plan.grid(task[0].blocks)
+    for index, view in enumerate(views):
         blocks = plan.blocks[index]
         blocks = blocks[within(blocks, box.low, box.high, 1)]
         if len(blocks):
-            weight = None if inputs.weights is None else inputs.weights[index]
-            integrate(grid, plan, blocks, view, inputs.depths[index], weight)
+            integrate(grid, plan, blocks, view, depths[index], None if weights is None else weights[index])
     vertices, faces, normals, colours = grid.extract(plan.settings.min_views - 0.5)
     del grid
     edge = block_resolution(plan.settings.truncation) * plan.voxel / plan.grid_scale
@@ -164,12 +152,15 @@ def fuse_box(inputs: Inputs | Path, task: tuple[Box, Path]) -> Path | None:
     used, faces = np.unique(faces, return_inverse=True)
     first, faces = in_order(vertices[used], normals[used], faces.reshape(-1, 3))
     keep = used[first]
-    write_piece(file, vertices[keep], normals[keep], colours[keep], faces.astype(np.int32))
+    faces = faces.astype(np.int32)
+    root = pieces(faces, len(keep)).astype(np.int32)    # the connected part of each vertex: its least vertex index
+    with open(file, "wb") as opened:
+        np.savez(opened, vertices=vertices[keep], normals=normals[keep], colours=colours[keep], faces=faces, root=root)
     return file
 
 
 @lru_cache(maxsize=1)
-def _unpickled(path: Path) -> Inputs:
+def _unpickled(path: Path) -> tuple:
     """What this run itself has written."""
     return pickle.loads(path.read_bytes())
 
@@ -177,3 +168,105 @@ def _unpickled(path: Path) -> Inputs:
 def within(blocks: np.ndarray, low, high, margin: int) -> np.ndarray:
     """Which of `blocks` (N, 3) are in the box, or no more than `margin` blocks outside."""
     return ((blocks >= np.subtract(low, margin)) & (blocks < np.add(high, margin))).all(axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """What is remembered of a box's piece of the mesh."""
+
+    file: Path
+    border: np.ndarray        # (B,) int32: indices of the vertices on the box's sides
+    border_part: np.ndarray   # (B,) int32: their connected part, a place in `parts`
+    parts: np.ndarray         # (P,) int32: the least vertex index of each connected part
+    sizes: np.ndarray         # (P,) int64: triangles of each
+
+
+def join(files: list[Path], boxes, plan: FusionPlan) -> Surface:
+    """One mesh from the pieces; they are read one at a time."""
+    if not files:
+        raise empty_mesh(plan)
+    cell = plan.voxel / plan.grid_scale
+    edge = block_resolution(plan.settings.truncation) * cell
+    ends = [np.unique([(box.low[axis], box.high[axis]) for box in boxes]) for axis in range(3)]
+    sides = [values[np.abs(values) < (1 << 20)] * edge for values in ends]      # along each axis, in the grid's unit
+    remembered, places = zip(*(_remember(file, sides, _NEAR * cell) for file in files))
+    first = _first_rows(np.concatenate(places))
+    large = _large_parts(remembered, first, plan.settings)
+    return _assembled(remembered, first, large, plan)
+
+
+def _remember(file: Path, sides, near: float) -> tuple[_Piece, np.ndarray]:
+    """The piece, and where its border vertices are: float32 of shape (B, 3)."""
+    with np.load(file) as archive:
+        vertices, root, faces = archive["vertices"], archive["root"], archive["faces"]
+    on_side = np.zeros(len(vertices), bool)
+    for axis in range(3):
+        if len(sides[axis]):
+            at = np.searchsorted(sides[axis], vertices[:, axis])
+            for neighbour in (np.maximum(at - 1, 0), np.minimum(at, len(sides[axis]) - 1)):
+                on_side |= np.abs(vertices[:, axis] - sides[axis][neighbour]) < near
+    border = np.flatnonzero(on_side).astype(np.int32)
+    parts, sizes = np.unique(root[faces[:, 0]], return_counts=True)
+    return _Piece(file, border, np.searchsorted(parts, root[border]).astype(np.int32), parts, sizes), vertices[border]
+
+
+def _first_rows(places: np.ndarray) -> np.ndarray:
+    """For each border vertex of all pieces, in order, the first one at the same place: int64 of shape (N,)."""
+    whole = np.ascontiguousarray(places + np.float32(0))  # -0 is 0
+    _, first, same = np.unique(whole.view(np.dtype((np.void, whole.itemsize * 3))).reshape(-1), return_index=True,
+                               return_inverse=True)
+    return first[same.reshape(-1)]
+
+
+def _large_parts(remembered, first: np.ndarray, settings: Fusion) -> list[np.ndarray]:
+    """For each piece which of its parts stay: with what they touch not too small beside the largest one."""
+    offsets = np.cumsum([0] + [len(piece.parts) for piece in remembered])
+    part = np.concatenate([piece.border_part + offset for piece, offset in zip(remembered, offsets)])
+    links = np.unique(np.column_stack([part, part[first]]), axis=0)
+    links = links[links[:, 0] != links[:, 1]].reshape(-1, 2)
+    label = pieces(np.column_stack([links, links[:, :1]]), int(offsets[-1]))
+    size = np.zeros(offsets[-1], np.int64)
+    np.add.at(size, label, np.concatenate([piece.sizes for piece in remembered]))
+    large = size[label] >= settings.min_component * size.max()
+    tell_dropped(len(np.unique(label[~large])), settings)
+    return np.split(large, offsets[1:-1])
+
+
+def _assembled(remembered, first: np.ndarray, large, plan: FusionPlan) -> Surface:
+    """The mesh, its arrays made once at their full size."""
+    rows = np.cumsum([0] + [len(piece.border) for piece in remembered])
+    counted = [_own(piece, first[rows[k]:rows[k + 1]] < rows[k], large[k]) for k, piece in enumerate(remembered)]
+    starts = np.cumsum([0] + [count for count, _ in counted])
+    vertices, normals, colours = (np.empty((starts[-1], 3), kind) for kind in (np.float64, np.float32, np.float32))
+    faces, at = np.empty((sum(count for _, count in counted), 3), np.int32), 0
+    number_of_row = np.full(len(first), -1, np.int32)
+    for k, piece in enumerate(remembered):
+        here, shared = slice(rows[k], rows[k + 1]), first[rows[k]:rows[k + 1]] < rows[k]
+        with np.load(piece.file) as archive:
+            own, stays = _kept(archive["root"], piece, shared, large[k])
+            number = (np.cumsum(own) - 1 + starts[k]).astype(np.int32)
+            number[piece.border[shared]] = number_of_row[first[here][shared]]
+            number_of_row[here] = number[piece.border]
+            place = slice(starts[k], starts[k + 1])
+            vertices[place], normals[place], colours[place] = in_world(
+                plan, *(archive[name][own] for name in ("vertices", "normals", "colours")))
+            part = archive["faces"]
+        part = part[stays[part[:, 0]]]
+        faces[at:at + len(part)] = number[part]
+        at += len(part)
+    return Surface(vertices, faces, normals, colours)
+
+
+def _own(piece: _Piece, shared: np.ndarray, large: np.ndarray) -> tuple[int, int]:
+    """How many vertices and triangles this piece gives to the mesh."""
+    with np.load(piece.file) as archive:
+        own, _ = _kept(archive["root"], piece, shared, large)
+    return int(np.count_nonzero(own)), int(piece.sizes[large].sum())
+
+
+def _kept(root: np.ndarray, piece: _Piece, shared: np.ndarray, large: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which vertices are given by this piece and not by an earlier one, and which are in a part that stays."""
+    stays = large[np.searchsorted(piece.parts, root)]
+    own = stays.copy()
+    own[piece.border[shared]] = False
+    return own, stays

@@ -1,4 +1,4 @@
-"""Keep my mesh: move its vertices onto refined depths that several views agree on.
+"""Keep my mesh: move its vertices onto refined depths that several views agree on; what views say of vertices.
 
 Topology, and with it texture coordinates and whatever else sits on the mesh, stays. Each vertex moves along its normal
 by what the refined depth maps say against the initial ones, so that the mesh's own deviation from its depth maps
@@ -20,15 +20,14 @@ log = logging.getLogger("pagas_cl")
 
 _FACING = 0.2    # least cosine between ray and normal
 _NEAR = 3.0      # a vertex is seen where its depth is within this many footprints of the initial depth map
+_ON_MAP = 30.0   # footprints between a vertex and a depth map that it is said to lie on
 _STEPS = 3       # Newton steps along the normal; one is exact on a plane
 
 
 @dataclass(frozen=True, eq=False)
 class Displacement:
-    """Where the vertices go: vertices (V, 3), float64; which have moved (V,), the others having too few views that
-    agree, or a triangle that would turn over; views that agree (V,); quality (V,), the mean confidence (0 to 1) of
-    those, 0 where the vertex stayed.
-    """
+    """Where the vertices go, (V, 3) float64; which have moved (V,), the others having too few views that agree, or a
+    triangle that would turn over; views that agree (V,); mean confidence of those (V,), 0 where the vertex stayed."""
 
     vertices: np.ndarray = field(repr=False)
     moved: np.ndarray = field(repr=False)
@@ -49,15 +48,8 @@ class Observed:
 
 def displace(surface: Surface, views: list[Observed], *, agree_views: int = 1,
              agree_pixels: float = 2.0) -> Displacement:
-    """Move the vertices of `surface`.
-
-    Parameters
-    ----------
-    agree_views : int
-        A vertex moves only if the view that speaks for it is confirmed by at least this many others (at least 1).
-    agree_pixels : float
-        What "confirmed" means: the moves differ by no more than this many pixels of parallax.
-    """
+    """Move the vertices of `surface`, each only if at least `agree_views` (at least 1) others confirm the view that
+    speaks for it: their moves differ by no more than `agree_pixels` pixels of parallax."""
     points, welded = np.unique(surface.vertices, axis=0, return_inverse=True)
     welded, agree_views = welded.reshape(-1), max(1, agree_views)
     faces, middle = welded[surface.faces], points.mean(axis=0)
@@ -193,3 +185,34 @@ def _without_turning(points, normals, along, faces) -> np.ndarray:
             break
         along[np.unique(faces[turned])] = 0
     return along
+
+
+def footprints(vertices: np.ndarray, cameras: list[Camera], depths: list[np.ndarray]) -> np.ndarray:
+    """Size of a pixel at each vertex in the view that sees it finest, scene units; infinite where no view does."""
+    finest = np.full(len(vertices), np.inf)
+    for camera, depth in zip(cameras, depths):
+        index, _, size = _seen(vertices, camera, depth)
+        finest[index] = np.minimum(finest[index], size)
+    return finest
+
+
+def vertex_confidence(vertices: np.ndarray, results) -> np.ndarray:
+    """Mean confidence (0 to 1) of the DepthResults that see each vertex, float64 of shape (V,); 0 where none does."""
+    total, count = np.zeros(len(vertices)), np.zeros(len(vertices))
+    for result in results:
+        index, place, _ = _seen(vertices, result.camera, result.depth)
+        total[index] += result.confidence[place]
+        count[index] += 1
+    return total / np.maximum(count, 1)
+
+
+def _seen(vertices: np.ndarray, camera: Camera, depth: np.ndarray):
+    """Indices of the vertices that lie on the depth map; rows and columns there; the size of a pixel at each."""
+    uv, z = camera.project(vertices)
+    with np.errstate(invalid="ignore"):
+        inside = (z > 0) & (uv >= 0).all(axis=1) & (uv < (camera.width, camera.height)).all(axis=1)
+    index = np.flatnonzero(inside)
+    columns, rows = uv[index].astype(np.intp).T
+    size, found = z[index] / np.sqrt(camera.fx * camera.fy), depth[rows, columns]
+    near = (found > 0) & (np.abs(found - z[index]) < _ON_MAP * size)
+    return index[near], (rows[near], columns[near]), size[near]

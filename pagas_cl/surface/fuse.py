@@ -19,8 +19,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import clean_depth, load_depth
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
-from pagas_cl.surface.convention import grid_shift
-from pagas_cl.surface.grid import Grid, block_resolution
+from pagas_cl.surface.grid import Grid, block_resolution, grid_shift
 from pagas_cl.surface.pieces import in_order, without_small_pieces
 
 log = logging.getLogger("pagas_cl")
@@ -68,14 +67,7 @@ class FusionPlan:
 
 
 def fusion_plan(views, depths, settings: Fusion = Fusion()) -> FusionPlan:
-    """Voxel, range and memory of fusing `depths`.
-
-    Parameters
-    ----------
-    views : list of View or Camera
-    depths : list of (ndarray of shape (H, W), Path, or None)
-        z-depth, 0 = no surface; paths are read when they are needed.
-    """
+    """Voxel, range and memory of fusing `depths`; arguments as in `fuse`, cameras may stand for views."""
     return plan_with_blocks(views, depths, settings, [])[0]
 
 
@@ -120,10 +112,8 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
 
     Parameters
     ----------
-    views : list of View
     depths : list of (ndarray of shape (H, W), Path, or None)
         z-depth in scene units, 0 = no surface. NaN is taken as 0: Open3D would invent surface there.
-    settings : config.Fusion
     weights : list of (ndarray of shape (H, W) from 0 to 1, or None), optional
         How far each depth counts, rounded up to thirds; 0 leaves a pixel out. Open3D's own integration has no weights:
         a depth of weight 2/3 is integrated twice, so that `min_views` then counts thirds.
@@ -131,16 +121,15 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
     plan : FusionPlan, optional
         From `fusion_plan` with these settings, so that it is not made twice.
     memory_mb : float, optional
-        Most host memory; what the machine has free where it is left out.
-
-    Raises
-    ------
-    InputError
-        No valid depth, an empty mesh, or more memory than allowed (before the work starts).
+        Most host memory; what is free by default. InputError before the work where it is too little.
     """
     plan = plan or fusion_plan(views, depths, settings)
     log.info("%s", plan)
-    _check_memory(plan, available_mb() if memory_mb is None else memory_mb)
+    allowed = available_mb() if memory_mb is None else memory_mb
+    if plan.memory_mb > allowed:
+        fits = settings.voxel * np.sqrt(plan.memory_mb / allowed) * 1.05
+        raise InputError(f"fusion needs {plan.memory_mb:.0f} MB and {allowed:.0f} MB are free: set fusion.voxel to "
+                         f"{fits:.2g} (it is {settings.voxel:g}), or give the machine more memory")
     tell, grid = progress or (lambda stage, done, total: None), plan.grid(plan.block_count)
     for i, view in enumerate(views):
         integrate(grid, plan, plan.blocks[i], view, depths[i], None if weights is None else weights[i])
@@ -212,10 +201,8 @@ def weights_of(results, least: float) -> list[_Weight] | None:
 
 
 def available_mb() -> float:
-    """Host memory that can be taken without swapping, MB: the least of what the system and the container allow.
-
-    Infinite where neither says (neither /proc nor cgroup version 2).
-    """
+    """Host memory that can be taken without swapping, MB: the least of what /proc and cgroup 2 allow; infinite
+    without."""
     found = [float("inf")]
     try:
         for line in Path("/proc/meminfo").read_text().splitlines():
@@ -227,14 +214,6 @@ def available_mb() -> float:
     except (OSError, ValueError, IndexError):
         pass
     return max(min(found), 1.0)
-
-
-def _check_memory(plan: FusionPlan, allowed: float) -> None:
-    if plan.memory_mb > allowed:
-        voxel = plan.settings.voxel
-        fits = voxel * np.sqrt(plan.memory_mb / allowed) * 1.05
-        raise InputError(f"fusion needs {plan.memory_mb:.0f} MB and {allowed:.0f} MB are free: set fusion.voxel to "
-                         f"{fits:.2g} (it is {voxel:g}), or give the machine more memory")
 
 
 def _measured(cameras: list[Camera], depths) -> tuple[float, float, np.ndarray, float, float]:

@@ -1,10 +1,15 @@
-"""Open3D's VoxelBlockGrid with nothing left to its defaults."""
+"""Open3D's VoxelBlockGrid with nothing left to its defaults; its pixel-centre convention, measured (Open3D#7580)."""
 
 from __future__ import annotations
 
+import logging
+from functools import lru_cache
+
 import numpy as np
 
-from pagas_cl.errors import need
+from pagas_cl.errors import PagasError, need
+
+log = logging.getLogger("pagas_cl")
 
 _STRIDE = 4      # Open3D looks at every fourth pixel of every fourth row when it touches blocks (measured)
 # One look in each row and column of a 4 x 4 cell, so that a line one pixel wide is touched too.
@@ -12,6 +17,8 @@ _FEW = ((0, 1), (1, 3), (2, 0), (3, 2))
 _REACH = 10.0    # Open3D looks at 4 depths across the truncation band: blocks must not fit between two of them
 _ROOM = 10       # a tenth of the blocks is spare room, see Grid.integrate
 _ALL = tuple((r, c) for r in range(_STRIDE) for c in range(_STRIDE))
+_NORMAL = np.array([0.3, 0.2, -0.93]) / np.linalg.norm([0.3, 0.2, -0.93])
+_TILT = np.array([[0.96, 0.0, 0.28], [0.0, 1.0, 0.0], [-0.28, 0.0, 0.96]])  # a rotation: 0.28^2 + 0.96^2 = 1
 
 
 def block_resolution(truncation: float) -> int:
@@ -23,11 +30,8 @@ def block_resolution(truncation: float) -> int:
 
 
 class Grid:
-    """A sparse TSDF with room for so many blocks, with colours or without.
-
-    `voxel` is a voxel's edge and `depth_max` above every depth that will come, both in the grid's own unit;
-    `truncation` is in voxels.
-    """
+    """A sparse TSDF with room for so many blocks, with colours or without. `voxel` is a voxel's edge and `depth_max`
+    above every depth that will come, both in the grid's own unit; `truncation` is in voxels."""
 
     def __init__(self, voxel: float, truncation: float, blocks: int, depth_max: float, colour: bool):
         open3d = need("open3d", "mesh", "fusing depth maps to a mesh")
@@ -42,10 +46,8 @@ class Grid:
         self._range = (1.0, float(depth_max), float(truncation))
 
     def touched(self, depth: np.ndarray, K: np.ndarray, pose: np.ndarray, *, every: bool = False) -> np.ndarray:
-        """Blocks within the truncation distance of the depths: int32 of shape (N, 3), maybe none.
-
-        `every` looks at every pixel; needed where a pixel is wider than a voxel.
-        """
+        """Blocks within the truncation distance of the depths: int32 of shape (N, 3), maybe none. `every` looks at
+        every pixel; needed where a pixel is wider than a voxel."""
         found = []
         for row, column in _ALL if every else _FEW:
             part = depth[row:, column:]
@@ -60,11 +62,8 @@ class Grid:
 
     def integrate(self, blocks: np.ndarray, depth: np.ndarray, colour: np.ndarray | None, K: np.ndarray,
                   pose: np.ndarray) -> None:
-        """Add one depth map (H, W) float32, with colours (H, W, 3) float32 from 0 to 1.
-
-        Blocks go in by parts: Open3D doubles its table when the blocks it has and those that come, old or new, exceed
-        it together (measured).
-        """
+        """Add one depth map (H, W) float32, with colours (H, W, 3) float32 from 0 to 1: by parts, since Open3D doubles
+        its table when the blocks it has and those that come, old or new, exceed it together (measured)."""
         K, pose = self._o3c.Tensor(K), self._o3c.Tensor(np.array(pose))
         images = [self._image(image) for image in (depth[..., None], colour) if image is not None]
         for start in range(0, len(blocks), self._room):
@@ -93,3 +92,44 @@ class Grid:
 
     def _image(self, pixels: np.ndarray):
         return self._geometry.Image(self._o3c.Tensor(np.ascontiguousarray(pixels, np.float32)))
+
+
+@lru_cache(maxsize=1)
+def grid_shift() -> float:
+    """What must be added to cx and cy (of centres at +0.5) for VoxelBlockGrid: 0 where it agrees, -0.5 where it counts
+    centres at whole numbers.
+
+    A tilted plane is fused with either reading; half a pixel off leaves a signed error that the right one does not
+    have. Takes some 0.1 s, once a process.
+    """
+    error = {shift: _plane_error(shift) for shift in (0.0, -0.5)}
+    best = min(error, key=lambda shift: abs(error[shift]))
+    other = -0.5 - best
+    if not abs(error[best]) < 0.2 * abs(error[other]):
+        raise PagasError("this Open3D's VoxelBlockGrid puts a tilted plane neither at pixel centres +0.5 nor at whole "
+                         f"numbers (errors {error[0.0]:.2g} and {error[-0.5]:.2g}); install open3d 0.19 or 0.20")
+    if best:
+        log.warning("this Open3D's VoxelBlockGrid counts pixel centres at whole numbers; cx and cy are shifted by %g",
+                    best)
+    return best
+
+
+def _plane_error(shift: float) -> float:
+    """Signed mean distance, in units of the distance half a pixel makes, of a fused plane from the true one."""
+    import open3d as o3d
+
+    width, height, focal, cx, cy = 80, 60, 70.0, 43.3, 27.1
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = _TILT, (0.1, -0.05, 2.0)
+    x, y = np.meshgrid((np.arange(width) + 0.5 - cx) / focal, (np.arange(height) + 0.5 - cy) / focal)
+    center = -_TILT.T @ pose[:3, 3]
+    slope = np.stack([x, y, np.ones_like(x)], -1) @ (_TILT @ _NORMAL)
+    depth = (-np.dot(_NORMAL, center) / slope).astype(np.float32)
+    K = np.array([[focal, 0, cx + shift], [0, focal, cy + shift], [0, 0, 1]])
+    grid = Grid(voxel=0.04, truncation=4.0, blocks=200, depth_max=10.0, colour=False)
+    grid.integrate(grid.touched(depth, K, pose), depth, None, K, pose)
+    vertices = grid.extract(0.5)[0]
+    if len(vertices) < 50:
+        raise PagasError(f"this Open3D ({o3d.__version__}) fuses a plane to {len(vertices)} vertices; install open3d "
+                         "0.19 or 0.20")
+    return float((vertices @ _NORMAL).mean()) / (0.5 * 2.0 / focal)

@@ -10,8 +10,7 @@ _CELLS = 1 << 21  # per axis, so that three fit in an int64
 def pieces(faces: np.ndarray, count: int) -> np.ndarray:
     """Piece of each of `count` vertices: int64 of shape (count,), the least vertex index of its piece.
 
-    Edges hook the larger root under the smaller one and chains are shortened until nothing moves: a few passes over
-    the edges, whatever the mesh's shape.
+    Edges hook the larger root under the smaller one, chains are shortened: a few passes whatever the mesh's shape.
     """
     label = np.arange(count, dtype=np.int64)
     edges = np.concatenate([faces[:, (0, 1)], faces[:, (1, 2)]]).astype(np.int64)

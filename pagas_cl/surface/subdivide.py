@@ -18,12 +18,9 @@ _MOST_VERTICES = 40_000_000  # 3 GB of positions and faces
 
 @dataclass(frozen=True, eq=False)
 class Subdivision:
-    """How a mesh was subdivided.
-
-    faces (F', 3), int32; for each round the pairs (E, 2) of vertices between which new ones were put, in their order;
-    for each face its parent, the original face that it lies in (F',), and the barycentric coordinates of its corners
-    there, weights (F', 3, 3).
-    """
+    """How a mesh was subdivided: faces (F', 3), int32; for each round the pairs (E, 2) of vertices between which new
+    ones were put, in their order; for each face its parent, the original face that it lies in (F',), and the
+    barycentric coordinates of its corners there, weights (F', 3, 3)."""
 
     faces: np.ndarray = field(repr=False)
     rounds: list[np.ndarray] = field(repr=False)

@@ -19,66 +19,36 @@ _HELD_OUT = ((0.6, -0.75), (-1.35, 0.45), (0.4, 1.5), (-0.5, -1.4))
 _FOCAL = 2892 / 1554  # focal length over image width: 300 units fill most of the image at 650
 _OBJECT = 300.0
 _DISTANCE = 650.0
+PLANE, ELLIPSE = 0.75, 0.38   # half the plane that views may see, half axes of a foreground: shares of the photo
 
 
 @dataclass(frozen=True)
 class Relief:
-    """What a synthetic scene is; equal descriptions give equal scenes, byte for byte.
+    """What a synthetic scene is; equal descriptions give equal scenes, byte for byte."""
 
-    Attributes
-    ----------
-    width, height : int
-        Size of the target's photo, pixels.
-    contexts, held_out : int
-        Views that refine and views kept for prediction.
-    spacing : float
-        Angle between neighbouring views, degrees.
-    base, detail : float
-        Height of the coarse shape (root mean square, scene units; the object is 300 wide) and of the fine detail
-        (mean absolute depth in pixels of parallax at `spacing`); detail has wavelengths of `finest` to `coarsest`
-        pixels of the target, its amplitude grows with wavelength**power.
-    steps : int
-        Blocks with upright walls that stand on the relief: depth discontinuities.
-    bar : float
-        Diameter, pixels, of a thin round bar in front; 0 leaves it out.
-    foreground : bool
-        The relief is an ellipse in front of clutter that is different in every photo; views get masks.
-    texture, contrast : str, float
-        "photos", "noise" or "flat", and how strong its departures from mid grey are.
-    shading, shine, exposure, noise : float
-        Share of the light that varies with the slope, the same in every view (0 leaves only the texture); strength of a
-        moving highlight; spread of per-view gain (and a tenth of it of offset), context views only; sensor noise
-        (standard deviation, grey levels of 255).
-    sizes, zooms, distances : tuples of float
-        Image size, focal length and distance of the context views relative to the target's, in turn.
-    coarse_error : float
-        A further smooth error of the initial depth, root mean square, pixels of parallax at `spacing`.
-    seed : int
-    """
-
-    width: int = 388
+    width: int = 388            # of the target's photo, pixels
     height: int = 290
-    contexts: int = 10
-    held_out: int = 2
-    spacing: float = 11.0
-    base: float = 9.0
-    detail: float = 0.25
-    finest: float = 5.0
+    contexts: int = 10          # views that refine
+    held_out: int = 2           # views kept for prediction
+    spacing: float = 11.0       # angle between neighbouring views, degrees
+    base: float = 9.0           # height of the coarse shape: root mean square, scene units; the object is 300 wide
+    detail: float = 0.25        # height of the fine detail: mean absolute depth in pixels of parallax at `spacing`
+    finest: float = 5.0         # wavelengths of the detail: from `finest` to `coarsest` pixels of the target,
     coarsest: float = 40.0
-    power: float = 2.0
-    steps: int = 2
-    bar: float = 0.0
-    foreground: bool = False
-    texture: str = "photos"
-    contrast: float = 1.0
-    shading: float = 0.3
-    shine: float = 0.0
-    exposure: float = 0.0
-    noise: float = 0.0
-    sizes: tuple[float, ...] = (1.0,)
-    zooms: tuple[float, ...] = (1.0,)
-    distances: tuple[float, ...] = (1.0,)
-    coarse_error: float = 0.0
+    power: float = 2.0          # with amplitudes that grow as wavelength**power
+    steps: int = 2              # blocks with upright walls that stand on the relief: depth discontinuities
+    bar: float = 0.0            # diameter, pixels, of a thin round bar in front; 0 leaves it out
+    foreground: bool = False    # an ellipse in front of clutter that is different in every photo; views get masks
+    texture: str = "photos"     # or "noise", "flat"
+    contrast: float = 1.0       # how strong the texture's departures from mid grey are
+    shading: float = 0.3        # share of the light that varies with the slope, the same in every view
+    shine: float = 0.0          # strength of a moving highlight
+    exposure: float = 0.0       # spread of per-view gain (and a tenth of it of offset), context views only
+    noise: float = 0.0          # of the sensor: standard deviation, grey levels of 255
+    sizes: tuple[float, ...] = (1.0,)       # of the context views' images relative to the target's, in turn;
+    zooms: tuple[float, ...] = (1.0,)       # their focal lengths, likewise;
+    distances: tuple[float, ...] = (1.0,)   # and their distances
+    coarse_error: float = 0.0   # further smooth error of the initial depth: root mean square, pixels of parallax
     seed: int = 0
 
     def __post_init__(self):
@@ -134,10 +104,11 @@ def make_solids(relief: Relief, rng) -> tuple[Solid, Solid]:
     base = Waves.random(rng, 6, 0.4 * _OBJECT, 1.2 * _OBJECT, 1.5).scaled(relief.base)
     strength = Waves.random(rng, 4, 60 * pixel, 200 * pixel, 0).scaled(0.35)
     fine = Waves.random(rng, 28, relief.finest * pixel, relief.coarsest * pixel, relief.power, envelope=strength)
-    fine = fine.scaled(relief.detail * relief.parallax / _mean_absolute(fine, relief))
+    height = fine(*(side / 1.5 for side in _plane(relief, 401)), precise=False)[0]
+    fine = fine.scaled(relief.detail * relief.parallax / np.abs(height).mean())
     error = Waves.random(rng, 6, 100 * pixel, 300 * pixel, 1.0).scaled(relief.coarse_error * relief.parallax)
     blocks, bar = _blocks(relief), _bar(relief)
-    outline = half_axes(relief) if relief.foreground else None
+    outline = half_sizes(relief, ELLIPSE) if relief.foreground else None
     return (Solid((base, fine), _limits((base, fine), relief), blocks, bar, outline),
             Solid((base, error), _limits((base, error), relief), blocks, _nearer(bar, relief), outline))
 
@@ -148,26 +119,13 @@ def _limits(fields, relief):
     return 1.15 * float(np.abs(height).max()) + 1e-3, 1.15 * float(np.hypot(slope_x, slope_y).max())
 
 
-def _mean_absolute(waves, relief):
-    return np.abs(waves(*(side / 1.5 for side in _plane(relief, 401)), precise=False)[0]).mean()
-
-
 def _plane(relief, number):
     """x and y of a grid of points over the part of the plane that the views may see."""
     return np.meshgrid(*(np.linspace(-half, half, number) for half in half_sizes(relief)))
 
 
-def half_sizes(relief: Relief) -> tuple[float, float]:
-    """Half the part of the plane that the views may see, scene units."""
-    return _of_photo(relief, 0.75)
-
-
-def half_axes(relief: Relief) -> tuple[float, float]:
-    """Half axes of the ellipse that a foreground object fills, scene units."""
-    return _of_photo(relief, 0.38)
-
-
-def _of_photo(relief, share):
+def half_sizes(relief: Relief, share: float = PLANE) -> tuple[float, float]:
+    """Half the part of the plane that the views may see, scene units; with ELLIPSE a foreground object's half axes."""
     return share * relief.width * relief.footprint, share * relief.height * relief.footprint
 
 

@@ -12,8 +12,8 @@ _BAR_SIDES = 24
 def solid_mesh(solid: Solid, spacing: float, half: tuple[float, float]):
     """Triangles of a solid, facing the viewers (-z): vertices float64 (n, 3), faces int32 (m, 3).
 
-    `spacing` is the distance between neighbouring vertices on the relief, scene units; `half` half the part of the
-    plane that is meshed, or the half axes of the ellipse where the solid has an outline.
+    `spacing` of vertices on the relief, scene units; `half` the part of the plane that is meshed, or the outline's half
+    axes.
     """
     parts = [_relief(solid, spacing, half)]
     parts += [_block(solid, block, spacing) for block in solid.blocks]

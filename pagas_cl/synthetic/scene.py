@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.depthmap import save_depth
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_file import write_mesh
+from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import View
 from pagas_cl.synthetic import photo
-from pagas_cl.synthetic.layout import Relief, half_axes, half_sizes, make_cameras, make_solids
+from pagas_cl.synthetic.layout import ELLIPSE, PLANE, Relief, half_sizes, make_cameras, make_solids
+from pagas_cl.synthetic.mesh import solid_mesh
 from pagas_cl.synthetic.solid import Solid
 from pagas_cl.synthetic.texture import Texture, patchwork
 
 
 @dataclass(frozen=True, eq=False)
 class SyntheticScene:
-    """A synthetic scene. Views: `views[0]` is the target, the others its contexts; `held_out` took no part.
-
-    Depth maps are float32 z-depth, 0 = no surface; normals are unit, in the camera's frame, towards the camera.
-    """
+    """A synthetic scene: `views[0]` is the target, the others its contexts; `held_out` took no part. Depth maps are
+    float32 z-depth, 0 = no surface; normals are unit, in the camera's frame, towards the camera."""
 
     relief: Relief
     cameras: list[Camera]
@@ -33,7 +38,8 @@ class SyntheticScene:
     @cached_property
     def all_views(self) -> list:
         """Target, contexts, held-out views (photos are rendered when first asked for)."""
-        return [self.view(k) for k in range(len(self.cameras))]
+        masks = [self.true_depth(camera) > 0 if self.relief.foreground else None for camera in self.cameras]
+        return [View(camera, self.image(k), masks[k], camera.name) for k, camera in enumerate(self.cameras)]
 
     @property
     def views(self) -> list:
@@ -44,12 +50,6 @@ class SyntheticScene:
     def held_out(self) -> list:
         """Views kept out of refinement."""
         return self.all_views[1 + self.relief.contexts:]
-
-    def view(self, index: int) -> View:
-        """View `index`, rendered."""
-        camera = self.cameras[index]
-        mask = self.true_depth(camera) > 0 if self.relief.foreground else None
-        return View(camera=camera, image=self.image(index), mask=mask, name=camera.name)
 
     def image(self, index: int) -> np.ndarray:
         """Photo of view `index`, uint8 (height, width, 3); rendered once."""
@@ -79,17 +79,8 @@ class SyntheticScene:
 
     def initial_mesh(self, spacing: float = 4.0):
         """That surface as a mesh: vertices float64 (n, 3), faces int32 (m, 3); `spacing` in target pixels."""
-        from pagas_cl.synthetic.mesh import solid_mesh
-
         return solid_mesh(self.initial_solid, spacing * self.relief.footprint,
-                          half_axes(self.relief) if self.relief.foreground else half_sizes(self.relief))
-
-    @cached_property
-    def discontinuities(self) -> np.ndarray:
-        """Target pixels beside a depth discontinuity of the true surface, bool (height, width)."""
-        from pagas_cl.evaluate.depth import find_discontinuities
-
-        return find_discontinuities(self.true_depth(self.cameras[0]), self.cameras[0])
+                          half_sizes(self.relief, ELLIPSE if self.relief.foreground else PLANE))
 
     def _depth(self, solid, camera):
         key = id(solid), id(camera)
@@ -114,3 +105,23 @@ def relief_scene(width: int = 388, height: int = 290, contexts: int = 10, **sett
     skin = patchwork(*texels, relief.footprint, rng, kind=relief.texture, contrast=relief.contrast,
                      tile=int(np.clip(relief.width // 3, 48, 300)))
     return SyntheticScene(relief, make_cameras(relief), true, initial, skin)
+
+
+def write_scene(synthetic: SyntheticScene, folder) -> Path:
+    """Write SCENE/images, cameras.json, masks, mesh_coarse.ply, depth_initial and depth_true; returns SCENE. The
+    held-out views are there too, under names that start with "held_out"."""
+    folder = Path(folder)
+    for name in ("images", "depth_initial", "depth_true", *(["masks"] if synthetic.relief.foreground else [])):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    named = []
+    for view in synthetic.all_views:
+        file = f"{view.name}.png"
+        Image.fromarray(view.load_image()).save(folder / "images" / file)
+        if view.mask is not None:
+            Image.fromarray(view.load_mask().astype(np.uint8) * 255).save(folder / "masks" / file)
+        save_depth(folder / "depth_initial" / f"{view.name}.npz", synthetic.initial_depth(view.camera))
+        save_depth(folder / "depth_true" / f"{view.name}.npz", synthetic.true_depth(view.camera))
+        named.append(replace(view, mask=None, name=file))
+    camera_file.write(folder, named)
+    write_mesh(folder / "mesh_coarse.ply", Surface(*synthetic.initial_mesh()))
+    return folder

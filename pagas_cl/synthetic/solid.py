@@ -97,21 +97,10 @@ class Solid:
         return height_of(self.fields, x, y, precise=precise)
 
     def meet(self, origin, directions, *, precise=True):
-        """First surface that each ray meets.
+        """First surface that rays from `origin` (3,), on the -z side, meet; `precise` as in Waves.
 
-        Parameters
-        ----------
-        origin : ndarray of shape (3,)
-            World, on the -z side.
-        directions : ndarray of shape (n, 3)
-            World, camera z = 1, so that the ray parameter is the z-depth.
-        precise : bool
-            See Waves.
-
-        Returns
-        -------
-        depth : float64 of shape (n,), inf where nothing is met
-        part : int32 of shape (n,), MISS, RELIEF, BAR or BLOCK + ...
+        `directions` (n, 3) have camera z = 1, so that the ray parameter is the z-depth. Depth: float64 of shape (n,),
+        inf where nothing is met; part: int32 of shape (n,), MISS, RELIEF, BAR or BLOCK + ...
         """
         origin, directions = np.asarray(origin, np.float64), np.asarray(directions, np.float64)
         depth = self._meet_relief(origin, directions, 0.0, precise)
@@ -143,10 +132,8 @@ class Solid:
         return rise, smooth
 
     def normals(self, points, part, *, slopes=None, precise=True):
-        """Outward unit normals at points of shape (n, 3) on the parts of shape (n,); zero where part is MISS.
-
-        `slopes` (dz/dx, dz/dy of the relief at the points) saves their computation.
-        """
+        """Outward unit normals at points (n, 3) on the parts (n,); zero where part is MISS. `slopes` (dz/dx, dz/dy of
+        the relief at the points) saves their computation."""
         if slopes is None:
             slopes = self.height(points[:, 0], points[:, 1], precise=precise)[1:]
         normal = np.stack([*slopes, -np.ones_like(slopes[0])], axis=-1)

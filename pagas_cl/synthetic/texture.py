@@ -48,11 +48,9 @@ def _mirror(index, number):
 
 
 def patchwork(width, height, size, rng, *, kind="photos", contrast=1.0, tile=None) -> Texture:
-    """A texture of about `width` x `height` texels, its departures from mid grey multiplied by `contrast`.
-
-    `kind` is "photos" (tiles cut from photographs), "noise" (smooth, of many scales) or "flat" (one grey). `tile` is a
-    tile's edge, texels: a third of the width by default, at most 300.
-    """
+    """A texture of about `width` x `height` texels: `kind` "photos" (tiles cut from photographs), "noise" (smooth, of
+    many scales) or "flat" (one grey). Departures from mid grey are multiplied by `contrast`; `tile` is a tile's edge,
+    texels: a third of the width by default, at most 300."""
     if kind not in ("photos", "noise", "flat"):
         raise InputError(f"texture is {kind!r}, expected 'photos', 'noise' or 'flat'")
     tile = tile or int(np.clip(width // 3, 48, 300))

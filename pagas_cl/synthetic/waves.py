@@ -33,11 +33,9 @@ class Waves:
         return replace(self, amplitude=self.amplitude * factor)
 
     def __call__(self, x, y, *, precise=True) -> np.ndarray:
-        """Height and both slopes at points x, y of one shape: float64 of shape (3, *x.shape).
-
-        `precise` takes float64 sines (error 1e-13 of the amplitude); else float32 sines of exactly reduced phases
-        (3e-7 of it), forty times faster, for photos.
-        """
+        """Height and both slopes at points x, y of one shape: float64 of shape (3, *x.shape). `precise` takes float64
+        sines (error 1e-13 of the amplitude); else float32 sines of exactly reduced phases (3e-7 of it), forty times
+        faster."""
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
         out = np.empty((3, x.size))
         flat_x, flat_y = x.ravel(), y.ravel()

@@ -22,7 +22,7 @@ from pagas_cl.scene.depthmap import resize_depth, save_depth
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import View
 from pagas_cl.synthetic import relief_scene
-from pagas_cl.synthetic.disk import write_scene
+from pagas_cl.synthetic.scene import write_scene
 
 FOCAL, CENTER_X, CENTER_Y, OFFSET, BASELINE = 994.978, 311.193, 254.877, 31.086, 193.001  # px, px, px, px, mm
 

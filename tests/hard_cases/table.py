@@ -11,6 +11,7 @@ import json
 import re
 import sys
 import time
+from itertools import chain
 from pathlib import Path
 
 PAGE = Path(__file__).with_name("README.md")
@@ -22,7 +23,7 @@ NOT_RUN = "not run"
 def measure(path: Path, large: bool) -> int:
     """Run every case on this machine's device; figures to `path`. The number of failures."""
     from pagas_cl.runtime.device import open_device
-    from pagas_cl.selftest import run_all
+    from pagas_cl.selftest.check import run_all
     from pagas_cl.selftest.large import run_large
 
     device, rows, start = open_device(), [], time.perf_counter()
@@ -36,9 +37,8 @@ def measure(path: Path, large: bool) -> int:
         sys.stdout.write(f"{outcome.case.name:<48}{outcome.blend:<12}{outcome.worst:>10.1e}  "
                          f"{'; '.join(outcome.faults) or 'ok'}\n")
 
-    run_all(device, note)
-    if large:
-        run_large(device, note)
+    for outcome in chain(run_all(device), run_large(device) if large else ()):
+        note(outcome)
     failed = sum(bool(row["faults"]) for row in rows)
     path.write_text(json.dumps({"device": device.info.title, "kind": device.info.kind, "rows": rows}, indent=1))
     sys.stdout.write(f"{device.info}: {len(rows)} runs of {len({r['case'] for r in rows})} cases, {failed} failed\n")
