@@ -236,6 +236,7 @@ def test_every_command_says_before_the_work_that_it_cannot_write(scene, tmp_path
     assert [path.name for path in tmp_path.iterdir() if path != scene] == ["file"]
 
 
+@pytest.mark.slow
 def test_a_budget_too_small_for_any_setting(scene, fails):
     assert "--budget 1e-06 minutes are too few" in fails(2, "tradeoff", scene, "--depth-dir", scene / "depth_initial",
                                                          "--views", "target", "--budget", "1e-6")

@@ -15,6 +15,7 @@ pytestmark = pytest.mark.kernels
 SHORT = BALANCED.with_settings(pyramid__steps=(20,), splatting__radius=1.42)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blend", ["order_free", "alpha"])
 def test_the_second_half_has_the_final_radius(device, blend):
     made = relief_scene(80, 60, 3, held_out=0)

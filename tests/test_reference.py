@@ -33,7 +33,7 @@ def test_random_scenes_meet_every_branch():
     assert 0.1 < (sparse.total[sparse.covered.ravel()] < 1).mean() < 0.98
 
 
-@pytest.mark.parametrize("masks", [False, True], ids=["", "masks"])
+@pytest.mark.parametrize("masks", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["", "masks"])
 @pytest.mark.parametrize("name", CASES)
 def test_whole_gradient_against_central_differences(name, masks):
     got, want, skipped = measured_gradient(BASE.with_settings(**CASES[name]), seed=len(name), masks=masks,

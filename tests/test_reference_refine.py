@@ -21,6 +21,7 @@ from pagas_cl.scene.rig import viewing_distance
 
 
 def test_ssim_is_scikit_images():
+    pytest.importorskip("scipy")
     metrics = pytest.importorskip("skimage.metrics")
     rng = np.random.default_rng(0)
     x, y = random_image(rng, 30, 21), random_image(rng, 30, 21)

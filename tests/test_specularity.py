@@ -59,6 +59,7 @@ def test_the_photos_come_first(device, monkeypatch, raised, patience, first):
     assert [(a == b).all() for a, b in pairs] == [step < first for step in range(6)]
 
 
+@pytest.mark.slow
 def test_a_glossy_surface_gains_depth_and_loses_no_normals(device):
     made = relief_scene(120, 90, 4, held_out=0, steps=0, shine=0.5)
     target, *contexts = made.views

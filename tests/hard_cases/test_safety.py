@@ -70,6 +70,7 @@ def gradients(device, config, size=(97, 51)):
     return got.tobytes(), loss
 
 
+@pytest.mark.slow
 @pytest.mark.kernels
 @pytest.mark.parametrize("blend", BLENDS)
 def test_work_group_sizes_agree(device, blend, monkeypatch):
