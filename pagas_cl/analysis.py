@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from pagas_cl.config import Config
-from pagas_cl.effects import Decision, decide, decide_consistency
-from pagas_cl.measurements import RULES, Measurements, measure
+from pagas_cl.effects import EFFECTS, Decision, decide, decide_consistency
+from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import preset
+from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.inputs import asked_views, checked_depth, depth_array
-from pagas_cl.scene.partners import PartnerChooser
 
 _NOT_TOLD = ("gains", "local_specularity")  # of what is measured: arrays, no figures
 
@@ -68,10 +68,9 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
     config, device = config or preset("balanced"), open_device(device)
     asked, photos = asked_views(views, depths, names), PhotoStore(device)
     chooser = PartnerChooser([view.camera for view in views], depths, config.context)
-    found, timed, measured_costs = [], "", {}
+    found, timed, measured_costs, tell = [], "", {}, progress or _silent
     for done, index in enumerate(asked):
-        if progress:
-            progress("analyze", done, len(asked))
+        tell("analyze", done, len(asked))
         target, partners = views[index], chooser.choose(index)
         if not partners.contexts:
             found.append(ViewAnalysis(target.name, (), (), None, partners.reason))
@@ -82,15 +81,14 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
         found.append(ViewAnalysis(target.name, tuple(v.name for v in contexts), tuple(decisions), measured))
         if costs and not timed:
             timed, measured_costs = target.name, effect_costs(target, contexts, depth, config, measured, device, photos,
-                                                              progress)
-    if progress:
-        progress("analyze", len(asked), len(asked))
+                                                              tell)
+    tell("analyze", len(asked), len(asked))
     agreement = decide_consistency([view.camera for view in views], depths, config, device)[1]
     return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement)
 
 
 def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device, photos,
-                 progress=None) -> dict[str, EffectCost]:
+                 tell) -> dict[str, EffectCost]:
     """Steps of one view with each effect on and off, the others as decided."""
     from pagas_cl.splat.step_time import time_step
 
@@ -101,16 +99,15 @@ def effect_costs(target, contexts, depth, config: Config, measured: Measurements
             known[settled] = time_step(target, contexts, depth, settled, device, photos)
         return known[settled].view_seconds(settled), known[settled].device_bytes
 
-    names = [name for name in RULES if getattr(config.effects, name) != "set"]
+    names = [name for name in EFFECTS if getattr(config.effects, name) != "set"]
     for done, name in enumerate(names):
-        if progress:
-            progress("time the effects", done, len(names))
-        on, off = (cost(decide(_with(config, name, choice), measured)[0]) for choice in ("on", "off"))
+        tell("time the effects", done, len(names))
+        on, off = (cost(decide(config.with_settings(**{f"effects__{name}": choice}), measured)[0])
+                   for choice in ("on", "off"))
         costs[name] = EffectCost(on[0], off[0], on[1] - off[1])
-    if progress:
-        progress("time the effects", len(names), len(names))
+    tell("time the effects", len(names), len(names))
     return costs
 
 
-def _with(config: Config, name: str, choice: str) -> Config:
-    return replace(config, effects=replace(config.effects, **{name: choice}))
+def _silent(stage: str, done: int, total: int) -> None:
+    """The progress of who asks for none."""

@@ -106,7 +106,7 @@ def copy_bandwidth(device) -> float:
 
 def _step(device, target, contexts, depth, config, repeats, copy):
     """The Stages of one step, slowest first, and the context views in it."""
-    from pagas_cl.runtime.timing import stage_times
+    from pagas_cl.runtime.program import stage_times
     from pagas_cl.splat.view import full_level
 
     level = full_level(target, contexts, depth, config, device)
@@ -123,17 +123,14 @@ def _step(device, target, contexts, depth, config, repeats, copy):
 
 
 def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:
-    """Bytes that one launch of each stage must move, for a target of `n` and a context view of `m` pixels.
-
-    Photos 4 B a pixel; a rendered image and what is passed back to it 4 B a channel and 4 B coverage; SSIM partials
-    12 B a channel; the alpha blend a weight for each of the places around a bin.
-    """
+    """Bytes that one launch of each stage must move, for a target of `n` and a context view of `m` pixels."""
     from pagas_cl.splat.options import reach
 
     channels = 1 if config.loss.grey else 3
-    image, partials = 4 * (channels + 1), 12 * channels if config.loss.ssim else 0
+    image = 4 * (channels + 1)  # with coverage; the same of what is passed back to it
+    partials = 12 * channels if config.loss.ssim else 0
     first = 4 if config.splatting.occlusion else 0
-    places = 4 * (2 * reach(config.splatting.radius) + 1) ** 2
+    places = 4 * (2 * reach(config.splatting.radius) + 1) ** 2  # weights around a bin
     return {
         "nearest": 4 * n + 8 * m, "splat_order_free": 8 * n + (first + 2 * image) * m,
         "gather_gradient": 16 * n + (first + image) * m,

@@ -21,9 +21,8 @@ import numpy as np
 from pagas_cl.config import Config, Context
 from pagas_cl.errors import InputError
 from pagas_cl.presets import preset
-from pagas_cl.scene.choice import ContextChooser
+from pagas_cl.scene.choice import MOST_HELD_OUT, ContextChooser, shared_out
 from pagas_cl.scene.inputs import depth_array
-from pagas_cl.scene.partners import MOST_HELD_OUT, shared_out
 from pagas_cl.scene.sampling import sample_depth
 
 log = logging.getLogger("pagas_cl")
@@ -87,10 +86,7 @@ def rungs() -> list[tuple[str, Config]]:
 
 
 def probe(target, contexts, depth, config: Config, device, *, photo: float, held_out=()) -> Cost:
-    """Measure the cost of `config`'s kind of settings on one view: some short runs, a second or two on a GPU.
-
-    `photo` is what `photo_seconds` found; the other parameters are those of refine_depth.
-    """
+    """Measure the cost of `config`'s kind of settings on one view by short runs; `photo` as `photo_seconds` found."""
     from pagas_cl.refine import settle
     from pagas_cl.splat import PhotoStore, refine_levels
 
@@ -144,10 +140,7 @@ def photo_seconds(views, device) -> float:
 
 
 class Costs:
-    """Expected times of any settings for the views of a scene, each kind of settings probed once.
-
-    `names` are the views to be refined, by default all with a depth; parameters as in refine_views.
-    """
+    """Expected times of any settings for the views of a scene (as refine_views has them), each kind probed once."""
 
     def __init__(self, views, depths, device, names=None):
         samples = [None if depth is None else sample_depth(depth_array(depth)) for depth in depths]
@@ -202,10 +195,7 @@ class Costs:
         return decide(config, self._measured)[0]
 
     def choose(self, seconds: float, change=None) -> Choice:
-        """The last of `rungs` whose expected time per view is at most `seconds`.
-
-        `change(config)` is applied to every rung first (settings that the caller insists on).
-        """
+        """The last of `rungs`, each through `change(config)`, whose expected time per view is at most `seconds`."""
         if not seconds > 0:
             raise InputError(f"the time per view is {seconds!r}, expected seconds above 0")
         found = None

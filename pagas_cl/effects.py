@@ -3,12 +3,13 @@ whether refined views that contradict each other are cleaned before they are fus
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from pagas_cl.config import MOST_WEIGHT, Config, Effects
-from pagas_cl.measurements import RULES, Measurements
+from pagas_cl.config import MOST_WEIGHT, Config
+from pagas_cl.measurements import FAR_OFF, Measurements
 from pagas_cl.splat.constants import SPECULAR_VIEW
 
 CONTRADICTED = 0.04      # share of depths that others contradict, above which those are left out of a fusion
@@ -33,29 +34,6 @@ class Decision:
     def __str__(self) -> str:
         figures = f": {self.evidence:.3g}, threshold {self.threshold:g}" if self.evidence == self.evidence else ""
         return f"{self.effect} {'on' if self.on else 'off'} ({self.reason}{figures})"
-
-
-def decide(config: Config, measured: Measurements | None) -> tuple[Config, list[Decision]]:
-    """Settle every effect that is not "set": the settings that follow, and the decisions.
-
-    Without measurements every effect must be "off" or "set".
-    """
-    decisions = [_decision(config, name, measured) for name in RULES if getattr(config.effects, name) != "set"]
-    for decision in decisions:
-        config = _SETTERS[decision.effect](config, decision, measured)
-    keep = {f.name: "set" for f in fields(Effects) if f.name in RULES}
-    return replace(config, effects=replace(config.effects, **keep)), decisions
-
-
-def _decision(config: Config, name: str, measured: Measurements) -> Decision:
-    attribute, threshold, above, what = RULES[name]
-    evidence = float("nan") if measured is None else float(getattr(measured, attribute))
-    choice = getattr(config.effects, name)
-    called_for = evidence > threshold if above else evidence < threshold
-    if name == "unseen_mask" and config.splatting.blend == "order_free":
-        called_for, what = False, "the order-free blend compares only what is covered"
-    on = choice == "on" or (choice == "auto" and called_for)
-    return Decision(name, evidence, threshold, on, what if choice == "auto" else f"asked for: {choice}")
 
 
 def _sets(key: str, on=True, off=False):
@@ -100,22 +78,62 @@ def _noise(config, decision, measured):
                                 smoothness__specularity=MOST_RAISED if specular else 0.0)
 
 
-_SETTERS = {"occlusion": _sets("splatting__occlusion"), "unseen_mask": _sets("loss__unseen_mask"),
-            "exposure": _sets("loss__exposure"), "view_dependence": _view_dependence,
-            "antialiasing": _sets("splatting__low_pass", LOW_PASS, 0.0), "smoothness": _smoothness,
-            "pyramid": _pyramid, "noise": _noise}
+@dataclass(frozen=True)
+class Effect:
+    """When a view calls for an effect, and what follows: `evidence` is an attribute of Measurements, which `words` name
+    in the report; `above`: whether evidence above the threshold calls for the effect, or below it; `settle` gives the
+    settings with the effect on or off, as decided."""
+
+    evidence: str
+    threshold: float
+    above: bool
+    words: str
+    settle: Callable[[Config, Decision, Measurements | None], Config]
+
+
+EFFECTS = {
+    "occlusion": Effect("hidden", 0.002, True, "share of Gaussians hidden by a nearer surface",
+                        _sets("splatting__occlusion")),
+    "unseen_mask": Effect("unseen", 0.02, True, "share of a context photo that the target does not reach",
+                          _sets("loss__unseen_mask")),
+    "exposure": Effect("exposure_change", 0.012, True, "difference of colour between photos (0 to 1)",
+                       _sets("loss__exposure")),
+    "view_dependence": Effect("residual", 0.035, True, "residual left after exposure (0 to 1)", _view_dependence),
+    "antialiasing": Effect("smallest", 0.36, False, "smallest projected Gaussian, pixels",
+                           _sets("splatting__low_pass", LOW_PASS, 0.0)),
+    "smoothness": Effect("textureless", 0.01, True, "share of pixels with little texture", _smoothness),
+    "pyramid": Effect("far_off", FAR_OFF, True, "share of samples that match two or more pixels away", _pyramid),
+    "noise": Effect("unexplained", 1.4, True,
+                    "noise, residual, cameras that are off; of what the default weight allows for", _noise),
+}
+
+
+def decide(config: Config, measured: Measurements | None) -> tuple[Config, list[Decision]]:
+    """Settle every effect that is not "set": the settings that follow, and the decisions.
+
+    Without measurements every effect must be "off" or "set".
+    """
+    decisions = [_decision(config, name, measured) for name in EFFECTS if getattr(config.effects, name) != "set"]
+    for decision in decisions:
+        config = EFFECTS[decision.effect].settle(config, decision, measured)
+    return replace(config, effects=replace(config.effects, **dict.fromkeys(EFFECTS, "set"))), decisions
+
+
+def _decision(config: Config, name: str, measured: Measurements) -> Decision:
+    effect, choice = EFFECTS[name], getattr(config.effects, name)
+    evidence, what = float("nan") if measured is None else float(getattr(measured, effect.evidence)), effect.words
+    called_for = evidence > effect.threshold if effect.above else evidence < effect.threshold
+    if name == "unseen_mask" and config.splatting.blend == "order_free":
+        called_for, what = False, "the order-free blend compares only what is covered"
+    on = choice == "on" or (choice == "auto" and called_for)
+    return Decision(name, evidence, effect.threshold, on, what if choice == "auto" else f"asked for: {choice}")
 
 
 def decide_consistency(cameras, depths, config: Config, device=None) -> tuple[Config, Decision | None]:
     """Settle effects.consistency: fusion.agree_views as it follows, and the decision (None where it is "set").
 
-    Parameters
-    ----------
-    cameras : list of Camera
-    depths : list of (ndarray of shape (H, W), DepthResult, something with load(), or None)
-        The depth maps that are to be fused.
-    device : Device, optional
-        Where they are compared; in NumPy by default.
+    `depths` are those to be fused, one a camera: an ndarray of shape (H, W), a DepthResult, something with load(), or
+    None. They are compared on `device`, in NumPy by default.
     """
     from pagas_cl.surface.agree import contradicted
 

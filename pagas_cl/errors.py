@@ -26,17 +26,8 @@ class DeviceLostError(DeviceError):
 
 
 class KernelBuildError(DeviceError):
-    """The device's compiler refused a kernel.
-
-    Attributes
-    ----------
-    log : str
-        The compiler's own words.
-    options : str
-        The build options that were passed.
-    source : str
-        The source as the compiler saw it, includes pasted.
-    """
+    """The device's compiler refused a kernel: `log` has its own words, `options` the build options that were passed,
+    `source` the source as it saw it, includes pasted."""
 
     def __init__(self, message: str, log: str = "", options: str = "", source: str = ""):
         super().__init__(message)

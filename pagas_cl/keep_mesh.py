@@ -30,13 +30,9 @@ def check_subdivide(subdivide) -> None:
 def displaced_mesh(mesh, views: list[View], depths, results, config: Config, subdivide: float | None = None):
     """A mesh of the kind of `mesh` with the same topology (or split edges) and everything that sits on it.
 
-    Parameters
-    ----------
-    mesh : anything that refine_mesh takes; a path comes back as an Open3D legacy mesh
-    depths, results
-        What refine_views took and gave.
-    subdivide : float, optional
-        First split edges that are longer than this many pixel footprints (of the finest view that sees them).
+    `mesh` is anything that refine_mesh takes; a path comes back as an Open3D legacy mesh. `depths` and `results` are
+    what refine_views took and gave. First, edges are split that are longer than `subdivide` pixel footprints (of the
+    finest view that sees them).
     """
     from pagas_cl.surface.displace import displace, footprints
     from pagas_cl.surface.subdivide import subdivide as split_edges

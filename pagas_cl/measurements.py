@@ -1,4 +1,4 @@
-"""What is measured of one view before it is refined, and from where on it calls for an effect (method section 8)."""
+"""What is measured of one view before it is refined (method section 8); what calls for which effect: effects.py."""
 
 from __future__ import annotations
 
@@ -7,109 +7,74 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.splat.constants import (
-    CLEAR_NOISE,
-    MEAN,
-    MEAN_SQUARE,
-    MISALIGNED,
-    NUMBER,
-    QUANTILE,
-    SPECULAR_VIEW,
-    SURE_SPECULARITY,
-)
+from pagas_cl.splat import constants
+from pagas_cl.splat.constants import MEAN, MEAN_SQUARE, NUMBER, QUANTILE
 
+FAR_OFF = 0.15           # share of samples that match elsewhere, beyond which the depth as a whole is too far off
 _QUANTISATION = 0.0012   # noise that rounding to 8 bits alone leaves
 _MISALIGNED = 0.4        # pixels by which cameras may be off for colours to be compared through them
 _LEAST = 50              # samples from which a share or a median is taken
 
-# effect: (evidence, threshold, whether above it calls for the effect, what is measured)
-RULES = {
-    "occlusion": ("hidden", 0.002, True, "share of Gaussians hidden by a nearer surface"),
-    "unseen_mask": ("unseen", 0.02, True, "share of a context photo that the target does not reach"),
-    "exposure": ("exposure_change", 0.012, True, "difference of colour between photos (0 to 1)"),
-    "view_dependence": ("residual", 0.035, True, "residual left after exposure (0 to 1)"),
-    "antialiasing": ("smallest", 0.36, False, "smallest projected Gaussian, pixels"),
-    "smoothness": ("textureless", 0.01, True, "share of pixels with little texture"),
-    "pyramid": ("far_off", 0.15, True, "share of samples that match two or more pixels away"),
-    "noise": ("unexplained", 1.4, True, "noise, residual, cameras that are off; of what the default weight allows for"),
-}
-
 
 @dataclass(frozen=True)
 class Measurements:
-    """Evidence of one view, from samples of its context views under the initial depth.
-
-    Attributes
-    ----------
-    overlap : float
-        Share of the target's surface that at least one context view sees.
-    hidden : float
-        Share of the projected Gaussians that a nearer surface hides by more than the depth threshold.
-    unseen : float
-        Share of a context photo, at least, that the target's surface does not reach.
-    exposure_change : float
-        Largest median difference of colour between the target's photo and a context photo, 0 to 1.
-    specularity : float
-        95th percentile of the residual that stays after the exposure fit and after averaging over neighbouring
-        samples: what neither texture nor a depth error explains.
-    smallest : float
-        Smallest median standard deviation of the projected Gaussians over the context views, pixels (0.5 at the
-        target's own resolution).
-    textureless : float
-        Share of the target's pixels with little texture.
-    noise : float
-        Standard deviation of the target's noise, 0 to 1.
-    far_off : float
-        Share of the textured samples whose patches match clearly better two or more pixels of parallax away.
-    misaligned : float
-        How far the context photos are off across the direction that depth moves a point in, pixels: root mean square
-        over views and quadrants of the target. No depth explains it: cameras, or lenses, are off by about as much.
-    masked : bool
-        Whether masks were given.
-    gains : tuple of tuple
-        Gain and offset of each channel for each context view.
-    local_specularity : ndarray of shape (down, across), or None
-        Residual as in `specularity`, mean over the context views, on a grid of samples over the target; NaN = unknown.
-    """
+    """Evidence of one view, from samples of its context views under the initial depth; colours are 0 to 1."""
 
     overlap: float
+    """Share of the target's surface that at least one context view sees."""
     hidden: float
+    """Share of the projected Gaussians that a nearer surface hides by more than the depth threshold."""
     unseen: float
+    """Share of a context photo, at least, that the target's surface does not reach."""
     exposure_change: float
+    """Largest median difference of colour between the target's photo and a context photo."""
     specularity: float
+    """95th percentile of the residual that stays after the exposure fit and after averaging over neighbouring samples:
+    what neither texture nor a depth error explains."""
     smallest: float
+    """Smallest median standard deviation of the projected Gaussians over the context views, pixels (0.5 at the target's
+    own resolution)."""
     textureless: float
+    """Share of the target's pixels with little texture."""
     noise: float
+    """Standard deviation of the target's noise."""
     far_off: float
+    """Share of the textured samples whose patches match clearly better two or more pixels of parallax away."""
     misaligned: float
+    """How far the context photos are off across the direction that depth moves a point in, pixels: root mean square
+    over views and quadrants of the target. No depth explains it: cameras, or lenses, are off by about as much."""
     masked: bool
+    """Whether masks were given."""
     gains: tuple
+    """Gain and offset of each channel for each context view."""
     local_specularity: np.ndarray | None = field(default=None, compare=False, repr=False)
+    """Residual as in `specularity`, mean over the context views, float32 (down, across) on a grid of samples over the
+    target; NaN = unknown."""
 
     @property
     def unexplained(self) -> float:
         """What the photos show that no depth explains, against what the default smoothness is made for."""
-        return max(self.unexplained_everywhere, min(self.residual, 0.1) / SPECULAR_VIEW)
+        return max(self.unexplained_everywhere, min(self.residual, 0.1) / constants.SPECULAR_VIEW)
 
     @property
     def unexplained_everywhere(self) -> float:
         """The same without specularity, which is in some places more than in others."""
-        return max(self.relative_noise, self.misaligned / MISALIGNED)
+        return max(self.relative_noise, self.misaligned / constants.MISALIGNED)
 
     @property
     def relative_noise(self) -> float:
         """Noise of the photos, of what the default weight of the smoothness allows for."""
-        return self.noise / CLEAR_NOISE
+        return self.noise / constants.CLEAR_NOISE
 
     @property
     def error_factor(self) -> float:
         """By how much depth errors exceed what the sharpness of the match alone tells (tests/bench/calibration.py)."""
-        return max(1.0, self.relative_noise**0.5, self.residual / SURE_SPECULARITY)
+        return max(1.0, self.relative_noise**0.5, self.residual / constants.SURE_SPECULARITY)
 
     @property
     def residual(self) -> float:
         """specularity; 0 where depth or cameras are too far off for the photos to be compared through them."""
-        return 0.0 if self.far_off > RULES["pyramid"][1] or self.misaligned > _MISALIGNED else self.specularity
+        return 0.0 if self.far_off > FAR_OFF or self.misaligned > _MISALIGNED else self.specularity
 
     @property
     def exposure(self) -> np.ndarray:
@@ -127,9 +92,10 @@ def measure(target, contexts, depth, config: Config, device, photos=None, *, nor
 
     found = probe_view(target, contexts, depth, config, device, photos, normalized=normalized)
     samples = found.view_samples
+    changes = np.abs([samples[f"change {c}"][:, QUANTILE] for c in "rgb"])
     return Measurements(
         overlap=_number(found.seen[MEAN]), hidden=_share(samples["hidden"]), unseen=_unseen(found, contexts),
-        exposure_change=_largest([samples[f"change {c}"][:, QUANTILE] for c in "rgb"]),
+        exposure_change=float(np.nan_to_num(changes).max(initial=0.0)),
         specularity=float(np.median(np.nan_to_num(samples["specularity"][:, QUANTILE]))),
         smallest=_number(np.min(samples["size"][:, QUANTILE], initial=np.inf,
                                 where=samples["size"][:, NUMBER] > 0), 0.5),
@@ -147,10 +113,6 @@ def _number(value, otherwise: float = 0.0) -> float:
 def _share(rows) -> float:
     """Mean over all samples of all views."""
     return float((np.nan_to_num(rows[:, MEAN]) * rows[:, NUMBER]).sum() / max(1, rows[:, NUMBER].sum()))
-
-
-def _largest(values) -> float:
-    return float(np.nan_to_num(np.abs(values)).max(initial=0.0))
 
 
 def _unseen(found, contexts) -> float:

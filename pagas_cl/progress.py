@@ -13,14 +13,7 @@ _STEPS = 0.95       # of a view's time; what judges and writes its depth comes a
 class ViewProgress:
     """Calls `progress(stage, done, total)` with views done, a fraction within one; never with fewer than before.
 
-    A view that is tried again says nothing until it is further than it was.
-
-    Parameters
-    ----------
-    progress : callable of (stage, done, total), or None
-        None: nobody is told.
-    total : int
-        Views.
+    A view that is tried again says nothing until it is further than it was. `progress` None: nobody is told.
     """
 
     def __init__(self, progress: Progress | None, total: int):

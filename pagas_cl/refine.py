@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,10 +20,10 @@ from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
 from pagas_cl.result import DepthResult, OnDisk, joined
+from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth
 from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
-from pagas_cl.scene.partners import PartnerChooser, Partners
 from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:
@@ -34,14 +34,6 @@ if TYPE_CHECKING:
     from pagas_cl.splat.view import Refinement
 
 log = logging.getLogger("pagas_cl")
-
-
-@runtime_checkable
-class _Maps(Protocol):
-    """An executor, as opposed to the address of one."""
-
-    def map(self, work: Callable[..., Any], /, *arguments: Any) -> Any:
-        """The results of `work` on each of the arguments."""
 
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
@@ -135,7 +127,8 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     config, depth, device = settings_of(preset, config), checked_depth(depth, target), open_device(device)
     if not contexts:
         return DepthResult.unrefined(target.camera, depth, "no context views were given", name=target.name)
-    start, steps_done = time.perf_counter(), _steps_of(progress, target)
+    start = time.perf_counter()
+    steps_done = (lambda done, total: progress(f"refine {target.name}", done, total)) if progress else None
 
     def attempt(photos: PhotoStore) -> tuple[Refinement, list[Decision], Measurements | None]:
         normalized = NormalizedDepth(target, depth, device)
@@ -146,7 +139,10 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
 
     refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos or PhotoStore(device),
                                               held_out=held_out)
-    report = _report(refined, decisions, contexts, held_out, time.perf_counter() - start)
+    report = {"contexts": [view.name for view in contexts], "held_out": [view.name for view in held_out],
+              "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
+              "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
+              "planned_bytes": refined.planned_bytes, "seconds": time.perf_counter() - start}
     reason = rejection_reason(refined, depth, len(contexts), held_out, measured)
     if reason:
         log.warning("view %s is kept as it came: %s", target.name, reason)
@@ -288,19 +284,6 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     depths = [result.file if on_disk and isinstance(result, OnDisk) else result.depth for result in results]
     agreed = confirmed(cameras, depths, config.fusion, device=device)
     files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
-    elsewhere = executor if files and isinstance(executor, _Maps) else None
+    elsewhere = executor if files and hasattr(executor, "map") else None      # not where it is an address
     return fuse_within(used, agreed, config.fusion, memory_mb, weights=weights_of(results, config.fusion.least_weight),
                        progress=progress, executor=elsewhere, folder=folder)
-
-
-def _report(refined: Refinement, decisions: Sequence[Decision], contexts: Sequence[View], held_out: Sequence[View],
-            seconds: float) -> dict[str, Any]:
-    """What DepthResult.report tells of a refinement."""
-    return {"contexts": [view.name for view in contexts], "held_out": [view.name for view in held_out],
-            "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
-            "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
-            "planned_bytes": refined.planned_bytes, "seconds": seconds}
-
-
-def _steps_of(progress: Progress | None, target: View) -> Callable[[float, float], Any] | None:
-    return (lambda done, total: progress(f"refine {target.name}", done, total)) if progress else None

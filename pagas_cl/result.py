@@ -19,37 +19,25 @@ from pagas_cl.scene.view import View
 
 @dataclass(frozen=True, eq=False)
 class DepthResult:
-    """A refined depth map and how far to trust it. Arrays have the shape (H, W) of the target's photo.
-
-    Attributes
-    ----------
-    camera : Camera
-        Of the view that was refined.
-    depth : ndarray, float32
-        z-depth in scene units, 0 = no surface.
-    status : ndarray, uint8
-        NO_SURFACE (0), REFINED (1), KEPT (2: no other view sees it, or it is masked out), REJECTED (3: the photos speak
-        against the new depth); in the last two the depth is the input's, bit for bit.
-    deviation : ndarray, float32
-        Standard deviation of the depth in scene units; infinite where the photos say nothing, 0 without a surface.
-    parallax : ndarray, float32
-        Change of depth that moves a pixel by one pixel in the context views, scene units; 0 where none sees it.
-    reason : str
-        Why the whole view was kept as it came; empty where it was refined.
-    report : dict
-        Plain numbers of the run: contexts, steps, cost before and after, held-out views, device_bytes, seconds.
-    name : str
-        The view's name, by which results find their views; the camera's where it is left out.
-    """
+    """A refined depth map and how far to trust it. Arrays have the shape (H, W) of the target's photo."""
 
     camera: Camera
+    """Of the view that was refined."""
     depth: npt.NDArray[np.float32]
+    """z-depth in scene units, 0 = no surface."""
     status: npt.NDArray[np.uint8]
+    """NO_SURFACE (0), REFINED (1), KEPT (2: no other view sees it, or it is masked out), REJECTED (3: the photos speak
+    against the new depth); in the last two the depth is the input's, bit for bit."""
     deviation: npt.NDArray[np.float32]
+    """Standard deviation of the depth in scene units; infinite where the photos say nothing, 0 without a surface."""
     parallax: npt.NDArray[np.float32]
+    """Change of depth that moves a pixel by one pixel in the context views, scene units; 0 where none sees it."""
     reason: str = ""
+    """Why the whole view was kept as it came; empty where it was refined."""
     report: dict[str, Any] = field(default_factory=dict)
+    """Plain numbers of the run: contexts, steps, cost before and after, held-out views, device_bytes, seconds."""
     name: str = ""
+    """The view's name, by which results find their views; the camera's where it is left out."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", self.name or self.camera.name)

@@ -6,10 +6,10 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from support.scenes import relief_scene
 
 from pagas_cl.evaluate import compare_depth
 from pagas_cl.scene.camera import Camera
-from pagas_cl.synthetic import relief_scene
 
 SIZE = dict(width=120, height=90)
 

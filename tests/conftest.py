@@ -1,5 +1,8 @@
-"""Fixtures that several test files share."""
+"""Fixtures that several test files share, and what the choices of tests `make quick` and `make kernels` mean."""
 
+import os
+import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +11,28 @@ import pytest
 from pagas_cl.scene.camera import Camera
 
 ROOT = Path(__file__).resolve().parents[1]
+os.environ.setdefault("PAGAS_CL_TRIAL", "known")     # whoever edits a kernel hears from its test, not from the trial
+
+
+HEAVY = ("open3d", "pymeshlab", "pycolmap", "dask", "distributed", "scipy", "matplotlib")
+
+
+def pytest_configure(config):
+    config.addinivalue_line("markers", "slow: left out by `make quick`; a file, or a test in a fast file")
+    config.addinivalue_line("markers", "kernels: runs kernels; `make kernels` takes these, on any device")
+    if config.option.markexpr == "not slow":      # the fast tier is that of a minimal install: what needs these skips
+        sys.modules.update(dict.fromkeys(HEAVY))
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Leave out files of which the choice takes nothing: importing them takes time."""
+    chosen = config.option.markexpr
+    if collection_path.suffix != ".py" or chosen not in ("not slow", "kernels"):
+        return None
+    marks = re.findall(r"^(pytestmark = .*|@pytest\.mark\.kernels)", collection_path.read_text(), re.MULTILINE)
+    if chosen == "kernels":
+        return True if not any("kernels" in line for line in marks) else None
+    return True if any("mark.slow" in line for line in marks) else None
 
 
 @pytest.fixture(scope="session")

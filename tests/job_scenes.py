@@ -9,13 +9,13 @@ import time
 from pathlib import Path
 
 import numpy as np
+from support.scenes import relief_scene
 
 from pagas_cl.presets import preset
 from pagas_cl.refine import refine_one
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.depthmap import find_depth, load_depth
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.scene import write_scene
 
 TESTS = Path(__file__).resolve().parent

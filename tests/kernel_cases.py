@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pyopencl as cl
-from random_scenes import random_scene
+from random_scenes import exposed, gains, random_scene
 
 from pagas_cl.reference.level import Photo, depth_threshold, loss_and_gradient, prepare
 from pagas_cl.reference.project import median_depth
@@ -17,7 +17,6 @@ from pagas_cl.splat.level import Level, Phase
 from pagas_cl.splat.photos import PhotoStore
 from pagas_cl.splat.step import loss_of
 
-GAINS = np.array([[[0.8, 0.05], [0.9, 0.02], [1.1, -0.03]], [[1.3, -0.1], [1.0, 0.0], [0.7, 0.1]]])
 SEES_LOSS = dict(solver__patience=5)          # the loss is summed only where the schedule follows it
 
 
@@ -68,11 +67,6 @@ def start_level(device, config, scene: Scene, specularity=None, raised=True) -> 
     return level
 
 
-def gains(contexts: int) -> np.ndarray:
-    """Gain and offset of each channel for each context view, some of which clip: shape (contexts, 3, 2)."""
-    return np.array([GAINS[k % len(GAINS)] for k in range(contexts)])
-
-
 def device_gradient(device, config, scene: Scene) -> tuple[np.ndarray, float]:
     """N dL/dd of shape (H, W) and L of the moved depth, on the device."""
     level = start_level(device, config, scene)
@@ -88,7 +82,7 @@ def twin_gradient(config, scene: Scene) -> tuple[np.ndarray, float]:
     """The same by the float64 twin."""
     contexts, initial = scene.contexts, scene.initial.astype(np.float64)
     if config.loss.exposure:
-        contexts = [replace(photo, exposure=gain) for photo, gain in zip(contexts, gains(len(contexts)))]
+        contexts = exposed(contexts)
     state = prepare(initial, scene.target, contexts, config, scene.scene_scale, scene.delta(config))
     value, gradient = loss_and_gradient(scene.moved.astype(np.float64), scene.target, contexts, config, state)
     return gradient, value

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pagas_cl.reference.level import Photo
 from pagas_cl.scene.camera import Camera
+
+GAINS = np.array([[[0.8, 0.05], [0.9, 0.02], [1.1, -0.03]], [[1.3, -0.1], [1.0, 0.0], [0.7, 0.1]]])
 
 
 def rotation(axis_angle) -> np.ndarray:
@@ -41,6 +45,16 @@ def random_depth(rng, width: int, height: int, scale: float = 1.0) -> np.ndarray
     depth[height // 4:height // 2, width // 3:width // 2] *= 0.8
     depth[rng.random(depth.shape) < 0.02] = 0
     return depth * scale
+
+
+def gains(contexts: int) -> np.ndarray:
+    """Gain and offset of each channel for each context view, some of which clip: shape (contexts, 3, 2)."""
+    return np.array([GAINS[k % len(GAINS)] for k in range(contexts)])
+
+
+def exposed(contexts: list[Photo]) -> list[Photo]:
+    """The context photos with `gains`."""
+    return [replace(photo, exposure=gain) for photo, gain in zip(contexts, gains(len(contexts)))]
 
 
 def random_scene(seed: int, width: int = 20, height: int = 16, contexts: int = 3, masks: bool = False,

@@ -6,7 +6,8 @@ from contextlib import contextmanager
 from itertools import cycle, repeat
 
 import numpy as np
-from random_scenes import random_scene
+from random_scenes import exposed, random_scene
+from support.effects import GRADIENT_CASES
 
 from pagas_cl.config import Config, Loss, Pyramid, Smoothness, Solver, Splatting
 from pagas_cl.reference import composite, smooth
@@ -22,10 +23,9 @@ BASE = Config(splatting=Splatting(radius=1.0, depth_slices=20.0, depth_footprint
               solver=Solver(rate=0.02, damping=1e-8, final_rate=1.0, views_per_step=0), pyramid=Pyramid(steps=(60,)))
 CASES = {
     "order-free": dict(),
-    "order-free low-pass": dict(splatting__low_pass=0.3),
+    "order-free low-pass narrow": dict(splatting__low_pass=0.3),
     "order-free wide": dict(splatting__radius=2.0),
-    "order-free no occlusion": dict(splatting__occlusion=False, splatting__low_pass=0.3),
-    "order-free relative": dict(splatting__depth_relative=0.01),
+    "order-free no occlusion low-pass": dict(splatting__occlusion=False, splatting__low_pass=0.3),
     "alpha": dict(splatting__blend="alpha"),
     "alpha low-pass": dict(splatting__blend="alpha", splatting__low_pass=0.3, splatting__radius=1.42),
     "alpha no occlusion": dict(splatting__blend="alpha", splatting__occlusion=False),
@@ -39,20 +39,19 @@ CASES = {
     "no gradient weight": dict(loss__gradient_weight=False),
     "no coverage weight": dict(loss__coverage_weight=False),
     "no weights alpha": dict(splatting__blend="alpha", loss__gradient_weight=False, loss__coverage_weight=False),
-    "structure": dict(loss__structure=True, loss__ssim=1.0),
-    "unseen mask": dict(loss__unseen_mask=True),
     "grey": dict(loss__grey=True),
     "grey alpha": dict(loss__grey=True, splatting__blend="alpha"),
     # radius 1 would put the four neighbours of the target's own view exactly on the threshold
     "target view": dict(loss__target_view=True, splatting__radius=1.42),
-    "planar": dict(smoothness__kind="planar", smoothness__weight=0.1),
-    "normal": dict(smoothness__kind="normal", smoothness__weight=0.1),
+    **GRADIENT_CASES,
 }
 
 
 def prepared(seed, config, **scene):
     """Depth in units, target, contexts, State; the depth differs from the initial one, as after some steps."""
     depth, target, contexts = random_scene(seed, **scene)
+    if config.loss.exposure:
+        contexts = exposed(contexts)
     scene_scale = median_depth(depth)
     initial = depth / scene_scale
     state = prepare(initial, target, contexts, config, scene_scale, depth_threshold(initial,

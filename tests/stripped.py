@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import re
 
-# effect: macros that its code stands behind, kernel parameters that serve it alone, buffers that it needs
-EFFECTS = {
-    "occlusion": (("OCCLUSION", "DEPTH_RELATIVE"), ("z_first", "threshold", "relative"), ("z_first",)),
-    "unseen_mask": (("UNSEEN_MASK",), ("seen",), ("seen0", "seen1")),
-    "exposure": (("EXPOSURE",), ("exposure",), ("exposure", "matches")),
-    "view_dependence": (("STRUCTURE", "ROBUST"), (), ()),
-    "antialiasing": (("LOW_PASS",), ("low_pass",), ()),
-}
+from support.effects import EFFECTS
+
 STEP = ("composite.cl", "backward.cl", "ssim.cl", "loss.cl", "smooth.cl", "step.cl", "alpha.cl")   # of every step
 
 
@@ -51,7 +45,7 @@ def without_parameters(text: str, names) -> str:
 def never_had(effect: str, file: str, text: str) -> str:
     """The source `text` of the kernel file `file` (includes pasted) without `effect`."""
     text = re.sub(r"//.*", "", text)          # what a comment says of a parameter is no parameter
-    return without_parameters(without_blocks(text, EFFECTS[effect][0]), parameters_in(effect, file))
+    return without_parameters(without_blocks(text, EFFECTS[effect].macros), parameters_in(effect, file))
 
 
 def parameters_in(effect: str, file: str) -> tuple[str, ...]:
@@ -59,7 +53,7 @@ def parameters_in(effect: str, file: str) -> tuple[str, ...]:
     is launched for an effect alone (nearest surfaces) needs them."""
     if file not in STEP or (effect == "unseen_mask" and file != "loss.cl"):
         return ()
-    return EFFECTS[effect][1]
+    return EFFECTS[effect].parameters
 
 
 def parameters_of(text: str, kernel: str) -> list[str]:

@@ -11,6 +11,8 @@ from acceptance_scenes import figures, moving, textureless, turned, wrong_poses
 from pagas_cl.refine import refine_depth, refine_views
 from pagas_cl.result import KEPT, NO_SURFACE, REJECTED
 
+pytestmark = pytest.mark.slow
+
 MISLEADING = {"a plane without texture": textureless, "without texture or noise": lambda: textureless(0.0),
            "wrong poses": wrong_poses, "wrong poses of eight views": lambda: wrong_poses(contexts=8),
            "poses off by a pixel": lambda: wrong_poses(1.0),

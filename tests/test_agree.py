@@ -9,6 +9,8 @@ from pagas_cl.errors import InputError
 from pagas_cl.reference import agree as twin
 from pagas_cl.surface import agree
 
+pytestmark = pytest.mark.kernels
+
 NORMAL = np.array([0.3, 0.2, -0.93]) / np.linalg.norm([0.3, 0.2, -0.93])
 
 

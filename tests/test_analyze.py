@@ -6,17 +6,18 @@ import json
 
 import numpy as np
 import pytest
+from support.scenes import relief_scene
 
 from pagas_cl.__main__ import run
 from pagas_cl.commands._settings import build_config, effect_settings
 from pagas_cl.config import Effects
-from pagas_cl.effects import CONTRADICTED, decide_consistency
+from pagas_cl.effects import CONTRADICTED, EFFECTS, decide_consistency
 from pagas_cl.errors import InputError
-from pagas_cl.measurements import RULES
 from pagas_cl.presets import BALANCED
 from pagas_cl.surface.agree import contradicted
-from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.scene import write_scene
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +36,13 @@ def test_the_command_writes_table_json_and_page(made, scene, tmp_path, capsys):
     printed = capsys.readouterr().out
     told = json.loads((tmp_path / "all.json").read_text())
     view, = told["views"]
-    assert [effect["effect"] for effect in view["effects"]] == list(RULES)
+    assert [effect["effect"] for effect in view["effects"]] == list(EFFECTS)
     exposure = next(effect for effect in view["effects"] if effect["effect"] == "exposure")
-    assert exposure["on"] and exposure["evidence"] > exposure["threshold"] == RULES["exposure"][1]
-    assert all(name in printed and told["costs"][name]["seconds_on"] > 0 for name in RULES)
+    assert exposure["on"] and exposure["evidence"] > exposure["threshold"] == EFFECTS["exposure"].threshold
+    assert all(name in printed and told["costs"][name]["seconds_on"] > 0 for name in EFFECTS)
     assert told["costs"]["exposure"]["device_bytes"] > 0 and told["costs"]["noise"]["device_bytes"] == 0
     page = (tmp_path / "page" / "index.html").read_text()
-    assert all(name in page for name in RULES) and (tmp_path / "page" / "analysis.json").exists()
+    assert all(name in page for name in EFFECTS) and (tmp_path / "page" / "analysis.json").exists()
 
 
 def test_the_command_follows_what_is_asked_for(scene, capsys):

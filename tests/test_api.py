@@ -58,6 +58,7 @@ def test_an_editor_follows_what_comes_back():
     assert {"depth", "status", "confidence", "normals", "reason"} <= offered
 
 
+@pytest.mark.slow
 def test_a_type_checker_knows_the_names(tmp_path):
     """As a project of a user would be checked, in strict mode: every name has a type, and mistakes are found."""
     pytest.importorskip("mypy")

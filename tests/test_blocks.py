@@ -22,6 +22,8 @@ from pagas_cl.surface import blocks  # noqa: E402
 from pagas_cl.surface.blocks import BlockFiles, cut, fuse_within, within  # noqa: E402
 from pagas_cl.surface.fuse import fuse, fusion_plan, grid_mb, plan_with_blocks  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 NORMAL = np.array([0.3, 0.2, -0.93]) / np.linalg.norm([0.3, 0.2, -0.93])
 SETTINGS = Fusion(voxel=1.0, truncation=6.0, min_component=0.01)
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from conftest import look_at, plane_depth
+from support.scenes import relief_scene
 
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError
@@ -11,7 +12,6 @@ from pagas_cl.scene.check import check_seen, sample_points
 from pagas_cl.scene.choice import ContextChooser, choose_contexts
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.sampling import sample_depth, sample_pixels
-from pagas_cl.synthetic import relief_scene
 
 FRONT = (0.0, 0.0, -1.0)  # normal of the plane z = 0
 

@@ -15,6 +15,8 @@ import pagas_cl.__main__ as command_line
 from pagas_cl.jobs import refine_all
 from pagas_cl.refine import refine_one, refine_views
 
+pytestmark = pytest.mark.slow
+
 distributed = pytest.importorskip("distributed")
 
 VIEWS = 16

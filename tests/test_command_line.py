@@ -19,7 +19,8 @@ QUICK = ["--quiet", "--set", "pyramid.steps=3"]
 
 @pytest.fixture(scope="module")
 def made_scene(tmp_path_factory):
-    from pagas_cl.synthetic import relief_scene
+    from support.scenes import relief_scene
+
     from pagas_cl.synthetic.scene import write_scene
 
     return write_scene(relief_scene(64, 48, 2, held_out=0), tmp_path_factory.mktemp("synthetic") / "scene")
@@ -196,6 +197,7 @@ def test_bad_usage(arguments, words, fails):
 
 
 def test_requests_that_cannot_end_well(scene, tmp_path, fails):
+    pytest.importorskip("open3d")
     depth = ["--depth-dir", scene / "depth_initial"]
     (tmp_path / "file").write_text("")
     for more, words in [

@@ -3,6 +3,7 @@
 import time
 
 import pytest
+from support.scenes import relief_scene
 
 from pagas_cl import costs
 from pagas_cl.__main__ import run as run_command
@@ -11,8 +12,9 @@ from pagas_cl.presets import preset
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device
 from pagas_cl.splat.exposure import fitted_before
-from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.scene import write_scene
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(autouse=True)

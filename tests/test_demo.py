@@ -6,12 +6,14 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
-from scenes import tiny
+from support.scenes import tiny
 
 from pagas_cl.__main__ import run
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.synthetic.scene import write_scene
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture

@@ -20,6 +20,8 @@ from pagas_cl.refine import refine_depth, refine_views
 from pagas_cl.runtime import claim, faults, program
 from pagas_cl.runtime import device as devices
 
+pytestmark = pytest.mark.slow
+
 CODES = {"OUT_OF_RESOURCES": -5, "DEVICE_NOT_AVAILABLE": -2, "INVALID_COMMAND_QUEUE": -36, "NVIDIA": -9999}
 
 

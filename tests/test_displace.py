@@ -4,13 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.scenes import relief_scene
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_attributes import load_whole, with_vertices
 from pagas_cl.surface.displace import Observed, displace, footprints
 from pagas_cl.surface.subdivide import subdivide
-from pagas_cl.synthetic import relief_scene
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

@@ -6,53 +6,57 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.effects import COMPILED
+from support.effects import EFFECTS as CASES
 from twins import exposure
 
 from pagas_cl.config import Effects
-from pagas_cl.effects import LOW_PASS, decide
+from pagas_cl.effects import EFFECTS, LOW_PASS, decide
 from pagas_cl.errors import InputError
-from pagas_cl.measurements import RULES, Measurements, measure
+from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import BALANCED, PAPER
 
-CALM = Measurements(overlap=1.0, hidden=0.0, unseen=0.0, exposure_change=0.0, specularity=0.0, smallest=0.5,
-                    textureless=0.0, noise=0.002, far_off=0.0, misaligned=0.0, masked=False,
-                    gains=(((1.0, 0.0),) * 3,))
-ABOVE = {"occlusion": {"hidden": 0.1}, "unseen_mask": {"unseen": 0.3}, "exposure": {"exposure_change": 0.1},
-         "view_dependence": {"specularity": 0.2}, "antialiasing": {"smallest": 0.2}, "smoothness": {"textureless": 0.5},
-         "noise": {"noise": 0.02}, "pyramid": {"far_off": 0.5}}
+CALM = Measurements(overlap=1.0, misaligned=0.0, masked=False, gains=(((1.0, 0.0),) * 3,),
+                    **{name: value for effect in CASES.values() for name, value in effect.below.items()})
 ALPHA = BALANCED.with_settings(splatting__blend="alpha")      # the blend that has every effect
 
 
 def switched_on(config) -> dict[str, bool]:
     """Which effects the settings simulate."""
-    return {"occlusion": config.splatting.occlusion, "unseen_mask": config.loss.unseen_mask,
-            "exposure": config.loss.exposure, "view_dependence": config.loss.structure,
-            "antialiasing": config.splatting.low_pass > 0, "smoothness": config.smoothness.kind != "none",
-            "noise": config.smoothness.weight > BALANCED.smoothness.weight, "pyramid": config.pyramid.scales[0] < 0.5}
+    return {name: effect.is_on(config) for name, effect in CASES.items()}
 
 
-@pytest.mark.parametrize("effect", RULES)
+def calling_for(effect: str) -> Measurements:
+    """Of a scene that calls for one effect, and for smoothness, without which noise has nothing to weigh."""
+    return replace(CALM, **{"textureless": 0.5, **CASES[effect].above})
+
+
+def test_every_effect_has_an_entry():
+    assert set(CASES) == set(EFFECTS) and all(effect.on and effect.off for effect in COMPILED.values())
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
 def test_auto_follows_the_evidence(effect):
     assert not switched_on(decide(ALPHA, CALM)[0])[effect]
-    measured = replace(CALM, textureless=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "textureless"})
+    measured = calling_for(effect)
     config, decisions = decide(ALPHA, measured)
     assert switched_on(config)[effect]
     decision = next(d for d in decisions if d.effect == effect)
-    assert decision.on and decision.threshold == RULES[effect][1]
-    assert decision.evidence == pytest.approx(getattr(measured, RULES[effect][0]))
+    assert decision.on and decision.threshold == EFFECTS[effect].threshold
+    assert decision.evidence == pytest.approx(getattr(measured, EFFECTS[effect].evidence))
 
 
-@pytest.mark.parametrize("effect", RULES)
+@pytest.mark.parametrize("effect", EFFECTS)
 def test_one_effect_alone_is_switched_on(effect):
     """Beside smoothness, without which noise has nothing to weigh; noise also follows the measured specularity."""
-    measured = replace(CALM, textureless=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "textureless"})
+    measured = calling_for(effect)
     on = {name for name, value in switched_on(decide(ALPHA, measured)[0]).items() if value}
     assert on - ({"noise"} if effect == "view_dependence" else set()) == {effect, "smoothness"}
 
 
-@pytest.mark.parametrize("effect", RULES)
+@pytest.mark.parametrize("effect", EFFECTS)
 def test_off_and_on_hold_against_the_evidence(effect):
-    called_for = replace(CALM, textureless=0.5, **{k: v for k, v in ABOVE[effect].items() if k != "textureless"})
+    called_for = calling_for(effect)
     off, told = decide(ALPHA.with_settings(**{f"effects__{effect}": "off"}), called_for)
     assert not switched_on(off)[effect]
     assert "asked for: off" in {d.reason for d in told}
@@ -61,10 +65,11 @@ def test_off_and_on_hold_against_the_evidence(effect):
         assert switched_on(on)[effect]
 
 
-@pytest.mark.parametrize("effect", RULES)
+@pytest.mark.parametrize("effect", EFFECTS)
 def test_set_leaves_the_settings_alone(effect):
     for base in (ALPHA, PAPER):
-        config, decisions = decide(base.with_settings(**{f"effects__{effect}": "set"}), replace(CALM, **ABOVE[effect]))
+        given = base.with_settings(**{f"effects__{effect}": "set"})
+        config, decisions = decide(given, replace(CALM, **CASES[effect].above))
         assert switched_on(config)[effect] == switched_on(base)[effect]
         assert effect not in {d.effect for d in decisions}
 
@@ -77,7 +82,7 @@ def test_all_set_needs_no_measurements_and_changes_nothing():
 def test_decisions_are_settled():
     """What comes out says "set", so that nothing is decided twice."""
     config, decisions = decide(BALANCED, CALM)
-    assert all(getattr(config.effects, name) == "set" for name in RULES)
+    assert all(getattr(config.effects, name) == "set" for name in EFFECTS)
     assert decide(config, None) == (config, [])
     assert all(set(d.as_dict()) == {"effect", "evidence", "threshold", "on", "reason"} for d in decisions)
 
@@ -125,30 +130,32 @@ def test_exposure_fit_of_one_colour_is_the_ratio():
 
 
 def measured_of(device, **settings) -> Measurements:
-    from pagas_cl.synthetic import relief_scene
+    from support.scenes import relief_scene
 
     made = relief_scene(120, 90, 3, held_out=0, **settings)
     target, *contexts = made.views
     return measure(target, contexts, made.initial_depth(made.cameras[0]), BALANCED, device)
 
 
+@pytest.mark.kernels
+@pytest.mark.slow
 def test_measurements_tell_made_scenes_apart(device):
     clean = measured_of(device, steps=0)
-    assert clean.overlap > 0.9 and clean.hidden <= RULES["occlusion"][1] and clean.far_off < 0.05
+    assert clean.overlap > 0.9 and clean.hidden <= EFFECTS["occlusion"].threshold and clean.far_off < 0.05
     assert clean.exposure_change < 0.012 and not clean.masked
     assert clean.smallest == pytest.approx(0.5, abs=0.1)
     assert np.shape(clean.gains) == (3, 3, 2)
     jitter = measured_of(device, steps=0, exposure=0.3)
     assert jitter.exposure_change > 0.012
-    assert measured_of(device, bar=10.0).hidden > clean.hidden + RULES["occlusion"][1]
-    assert measured_of(device, steps=0, coarse_error=4.0).far_off > RULES["pyramid"][1]
+    assert measured_of(device, bar=10.0).hidden > clean.hidden + EFFECTS["occlusion"].threshold
+    assert measured_of(device, steps=0, coarse_error=4.0).far_off > EFFECTS["pyramid"].threshold
     assert measured_of(device, steps=0, distances=(2.5,)).smallest < 0.36
     noisy = measured_of(device, steps=0, contrast=0.2, noise=6.0)
     assert noisy.noise > 0.01 and noisy.unexplained > 1.4
 
 
 def test_without_surface_nothing_is_measured(device):
-    from pagas_cl.synthetic import relief_scene
+    from support.scenes import relief_scene
 
     made = relief_scene(64, 48, 2, held_out=0)
     measured = measure(made.views[0], made.views[1:], np.zeros((48, 64), np.float32), BALANCED, device)
@@ -162,9 +169,9 @@ def test_an_effect_that_is_off_is_in_no_program():
 
     from pagas_cl.splat.options import defines
 
-    config = decide(ALPHA.with_settings(**{f"effects__{name}": "off" for name in RULES}), CALM)[0]
+    config = decide(ALPHA.with_settings(**{f"effects__{name}": "off" for name in EFFECTS}), CALM)[0]
     words = set(defines(config, SimpleNamespace(has=lambda extension: True), 200))
-    assert not words & {"OCCLUSION", "UNSEEN_MASK", "EXPOSURE", "STRUCTURE", "LOW_PASS"}
-    on = decide(ALPHA.with_settings(**{f"effects__{name}": "on" for name in RULES}), CALM)[0]
-    assert {"OCCLUSION", "UNSEEN_MASK", "EXPOSURE", "STRUCTURE", "LOW_PASS"} <= set(
-        defines(on, SimpleNamespace(has=lambda extension: True), 200))
+    switches = {effect.macros[0] for effect in COMPILED.values()}
+    assert not words & switches
+    on = decide(ALPHA.with_settings(**{f"effects__{name}": "on" for name in EFFECTS}), CALM)[0]
+    assert switches <= set(defines(on, SimpleNamespace(has=lambda extension: True), 200))

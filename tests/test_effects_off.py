@@ -9,24 +9,12 @@ import subprocess
 from types import SimpleNamespace
 
 import pytest
-from stripped import EFFECTS, STEP, never_had, parameters_in, parameters_of, without_blocks
+from stripped import STEP, never_had, parameters_in, parameters_of, without_blocks
+from support.effects import ALL_ON, COMPILED, all_but
 
 from pagas_cl.presets import BALANCED
 
 pytest.importorskip("pyopencl")
-ON = {"occlusion": dict(splatting__occlusion=True, splatting__depth_relative=0.5),
-      "unseen_mask": dict(loss__unseen_mask=True),
-      "exposure": dict(loss__exposure=True), "view_dependence": dict(loss__structure=True, loss__robust=0.5),
-      "antialiasing": dict(splatting__low_pass=0.06)}
-OFF = {"occlusion": dict(splatting__occlusion=False), "unseen_mask": dict(loss__unseen_mask=False),
-       "exposure": dict(loss__exposure=False), "view_dependence": dict(loss__structure=False, loss__robust=0.0),
-       "antialiasing": dict(splatting__low_pass=0.0)}
-ALL_ON = {name: value for settings in ON.values() for name, value in settings.items()}
-
-
-def all_but(effect):
-    """The settings with every effect but one: the hardest ones to be without it in."""
-    return BALANCED.with_settings(**{**ALL_ON, **OFF[effect]})
 
 
 def tokens(source: str, config) -> list[str]:
@@ -42,7 +30,7 @@ def tokens(source: str, config) -> list[str]:
 
 
 @pytest.mark.parametrize("file", STEP)
-@pytest.mark.parametrize("effect", EFFECTS)
+@pytest.mark.parametrize("effect", COMPILED)
 def test_the_program_is_that_of_a_source_without_the_effect(effect, file):
     """Token for token, but for parameters that nothing reads."""
     from pagas_cl.runtime.program import source
@@ -50,7 +38,7 @@ def test_the_program_is_that_of_a_source_without_the_effect(effect, file):
     if not shutil.which("cpp"):
         pytest.skip("there is no C preprocessor")
     text, config = source(file), all_but(effect)
-    macros, parameters = EFFECTS[effect][0], parameters_in(effect, file)
+    macros, parameters = COMPILED[effect].macros, parameters_in(effect, file)
     bare = without_blocks(text, macros)
     assert not [line for line in bare.splitlines()
                 if re.match(rf"\s*#.*\b({'|'.join(macros)})\b", line.partition("//")[0])]
@@ -62,7 +50,7 @@ def test_the_program_is_that_of_a_source_without_the_effect(effect, file):
     assert have == lack
 
 
-@pytest.mark.parametrize("effect", EFFECTS)
+@pytest.mark.parametrize("effect", COMPILED)
 def test_switched_on_it_is_another_program(effect):
     """Else the test above would say nothing."""
     from pagas_cl.runtime.program import source
@@ -80,9 +68,9 @@ def names_of_buffers(config) -> set[str]:
     return {spec.name for spec in LevelBuffers.plan(dimensions(config, sizes[0], sizes[1:], 2))}
 
 
-@pytest.mark.parametrize("effect", EFFECTS)
+@pytest.mark.parametrize("effect", COMPILED)
 def test_no_buffer_is_made_for_it(effect):
-    buffers = set(EFFECTS[effect][2])
+    buffers = set(COMPILED[effect].buffers)
     with_it, without = names_of_buffers(BALANCED.with_settings(**ALL_ON)), names_of_buffers(all_but(effect))
     assert with_it - without == buffers
 

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from scenes import small, tiny
+from support.scenes import small, tiny
 
 from pagas_cl.errors import InputError
 from pagas_cl.evaluate import (
@@ -34,6 +34,7 @@ def all_distances(a, b):
 
 @pytest.fixture
 def clouds():
+    pytest.importorskip("scipy")
     rng = np.random.default_rng(5)
     return rng.uniform(0, 1, (300, 3)), rng.uniform(0, 1.1, (400, 3))
 
@@ -174,6 +175,7 @@ def test_correlation_against_numpy():
     assert correlate(a, 0.5 * a + 20, valid, 7)[7, 9] == pytest.approx(1, abs=1e-6)  # blind to gain and offset
 
 
+@pytest.mark.slow
 def test_prediction_prefers_the_true_depth_and_one_set_of_pixels():
     made = small()
     target, other = made.views[0], made.held_out[0]

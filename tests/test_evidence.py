@@ -11,12 +11,14 @@ from twins import evidence as twin
 from pagas_cl.presets import BALANCED
 from pagas_cl.reference.pairs import candidates, nearest_surface
 from pagas_cl.reference.project import project
+from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import bind, build, run_once
-from pagas_cl.runtime.transfer import download
 from pagas_cl.scene.rig import footprint
 from pagas_cl.splat.constants import COST_GROUP
 from pagas_cl.splat.evidence import _SUM_GROUPS, Evidence, EvidencePrior, _median
 from pagas_cl.splat.options import defines
+
+pytestmark = pytest.mark.kernels
 
 PRIOR = EvidencePrior(1.5, 0.2, 0.05)
 CONFIG = BALANCED.with_settings(solver__views_per_step=0)
@@ -256,8 +258,9 @@ def _near(band):
 
 
 def test_a_worse_depth_is_sent_back_bit_for_bit(device):
+    from support.scenes import relief_scene
+
     from pagas_cl.splat import refine_levels
-    from pagas_cl.synthetic import relief_scene
 
     made = relief_scene(96, 72, 2)
     view, *others = made.views

@@ -5,12 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from support.scenes import relief_scene
 
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_file import write_mesh
 from pagas_cl.scene.view import View
-from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.scene import write_scene
+
+pytestmark = pytest.mark.slow
 
 EXAMPLES = sorted((Path(__file__).parent / "examples").glob("*.py"))
 NEEDS = {"pymeshlab_method": ["pymeshlab", "open3d"], "filter_script": ["pymeshlab", "open3d"], "depth_maps": [],

@@ -8,12 +8,15 @@ from PIL import Image
 
 pymeshlab = pytest.importorskip("pymeshlab")
 
+from support.scenes import relief_scene  # noqa: E402
+
 from pagas_cl.errors import InputError  # noqa: E402
 from pagas_cl.filters import filter_script, native, parameters  # noqa: E402
 from pagas_cl.filters.filter_script import check_script, run_script  # noqa: E402
 from pagas_cl.scene.readers.meshlab import MeshLayer, write_project  # noqa: E402
 from pagas_cl.scene.view import View  # noqa: E402
-from pagas_cl.synthetic import relief_scene  # noqa: E402
+
+pytestmark = pytest.mark.slow
 
 OURS = ('<filter name="PAGaS Depth Refinement"><Param type="RichString" name="settings" value="pyramid.steps=8"/>'
         '<Param type="RichFloat" name="voxel" value="2"/></filter>')

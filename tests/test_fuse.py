@@ -18,6 +18,8 @@ from pagas_cl.surface.fuse import fuse, fusion_plan  # noqa: E402
 from pagas_cl.surface.grid import Grid, block_resolution  # noqa: E402
 from pagas_cl.surface.pieces import pieces, without_small_pieces  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 NORMAL = np.array([0.3, 0.2, -0.93]) / np.linalg.norm([0.3, 0.2, -0.93])
 
 

@@ -9,6 +9,8 @@ from pagas_cl.presets import preset
 from pagas_cl.reference.level import parts_of_loss, prepare
 from pagas_cl.runtime.device import open_device
 
+pytestmark = pytest.mark.kernels
+
 
 def test_a_tent_by_hand():
     gradient = np.zeros((5, 6))

@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from support.scenes import relief_scene
 
 from pagas_cl.__main__ import run
 from pagas_cl.scene.depthmap import find_depth, load_depth, resize_depth
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_file import write_mesh
-from pagas_cl.synthetic import relief_scene
+
+pytestmark = pytest.mark.slow
 
 pytest.importorskip("open3d")
 pytest.importorskip("pycolmap")

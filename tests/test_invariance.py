@@ -9,13 +9,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.scenes import relief_scene
 
 from pagas_cl.refine import initial_depths, refine_depth
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
-from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.layout import half_sizes
 from pagas_cl.synthetic.mesh import solid_mesh
+
+pytestmark = [pytest.mark.kernels, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")

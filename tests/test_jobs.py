@@ -22,8 +22,10 @@ from pagas_cl.jobs.task import Batch
 from pagas_cl.jobs.worker import PhotoMemory
 from pagas_cl.refine import refine_one, refine_views
 from pagas_cl.scene import files
-from pagas_cl.scene.partners import PartnerChooser
+from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.view import View
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(autouse=True)

@@ -9,14 +9,15 @@ import pyopencl as cl
 import pytest
 from close import assert_kernel_close
 from kernel_cases import SEES_LOSS, Scene, device_gradient, start_level, twin_gradient, view_of
+from support.effects import GRADIENT_CASES
 from twins.level import run_level
 
 from pagas_cl.presets import BALANCED, PAPER
 from pagas_cl.reference.level import prepare
 from pagas_cl.reference.pairs import candidates, nearest_surface
 from pagas_cl.reference.project import project as twin_project
+from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import run_once
-from pagas_cl.runtime.transfer import download, upload
 from pagas_cl.splat import project
 from pagas_cl.splat.buffers import LevelBuffers
 from pagas_cl.splat.inputs import LevelInput
@@ -24,21 +25,17 @@ from pagas_cl.splat.options import Programs
 from pagas_cl.splat.photos import PhotoStore
 from pagas_cl.splat.tile import SCALAR, Tile
 
+pytestmark = pytest.mark.kernels
+
 PLAIN = BALANCED.with_settings(smoothness__kind="none", smoothness__weight=0.0, splatting__radius=1.0,
                                solver__views_per_step=0, **SEES_LOSS)
 PAPER = PAPER.with_settings(**SEES_LOSS)
 CASES = {
     "order-free": (PLAIN, {}),
-    "order-free low-pass": (PLAIN, dict(splatting__low_pass=0.3, splatting__radius=1.42)),
     "order-free narrow": (PLAIN, dict(splatting__radius=0.5)),
     "order-free wide": (PLAIN, dict(splatting__radius=3.0)),
-    "order-free relative": (PLAIN, dict(splatting__depth_relative=0.01)),
-    "order-free no occlusion": (PLAIN, dict(splatting__occlusion=False)),
     "order-free grey": (PLAIN, dict(loss__grey=True)),
-    "order-free unseen": (PLAIN, dict(loss__unseen_mask=True, loss__coverage_weight=False)),
-    "exposure": (PLAIN, dict(loss__exposure=True)),
-    "exposure grey": (PLAIN, dict(loss__exposure=True, loss__grey=True)),
-    "structure": (PLAIN, dict(loss__structure=True)),
+    "structure, L1": (PLAIN, dict(loss__structure=True)),
     "narrow huber": (PLAIN, dict(loss__huber=2e-4)),      # plain L1: the alpha blend's
     "wide huber": (PLAIN, dict(loss__huber=0.1)),
     "robust": (PLAIN, dict(loss__robust=0.6)),
@@ -49,8 +46,6 @@ CASES = {
     "SSIM only": (PLAIN, dict(loss__ssim=1.0)),
     "no weights": (PLAIN, dict(loss__gradient_weight=False, loss__coverage_weight=False)),
     "target view": (PLAIN, dict(loss__target_view=True, splatting__radius=1.42)),
-    "planar": (PLAIN, dict(smoothness__kind="planar", smoothness__weight=0.1)),
-    "normal": (PLAIN, dict(smoothness__kind="normal", smoothness__weight=0.1)),
     "alpha": (PAPER, {}),
     "alpha no low-pass": (PAPER, dict(splatting__low_pass=0.0)),
     "alpha normalised": (PAPER, dict(splatting__normalize=True)),
@@ -61,6 +56,7 @@ CASES = {
     "alpha crowded": (PAPER, dict(splatting__radius=5.0, splatting__occlusion=False)),
     "alpha huber": (PAPER, dict(loss__huber=0.02)),
     "alpha L1 only": (PAPER, dict(loss__ssim=0.0)),
+    **{name: (PLAIN, settings) for name, settings in GRADIENT_CASES.items()},
 }
 
 

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kernel_cases import Scene, view_of
+from support.scenes import relief_scene
 from twins import exposure as exposure_twin
 from twins import measure as twin
 
@@ -19,7 +20,8 @@ from pagas_cl.splat.buffers import MOST_SAMPLES, SampleGrid, Size
 from pagas_cl.splat.inputs import LevelInput
 from pagas_cl.splat.measure import _ROWS, ImageNoise, Probe, Rows
 from pagas_cl.splat.photos import PhotoStore
-from pagas_cl.synthetic import relief_scene
+
+pytestmark = pytest.mark.kernels
 
 MOVES = [(float(shift), 0.0) for shift in twin.SHIFTS] + [(0.0, offset) for offset in (-2.0, -1.0, 1.0, 2.0)]
 

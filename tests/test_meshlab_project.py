@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 import rigs
 from PIL import Image
+from support.scenes import relief_scene
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.readers import meshlab, read_scene
-from pagas_cl.scene.readers.meshlab import MeshLayer, read_project, write_project
-from pagas_cl.scene.readers.mlp_flavour import settle_flavour
+from pagas_cl.scene.readers.meshlab import MeshLayer, read_project, settle_flavour, write_project
 from pagas_cl.scene.view import View
-from pagas_cl.synthetic import relief_scene
+
+pytestmark = pytest.mark.slow
 
 pymeshlab = pytest.importorskip("pymeshlab")
 

@@ -6,10 +6,13 @@ from conftest import look_at, plane_depth
 
 o3d = pytest.importorskip("open3d")
 
+from support.scenes import relief_scene  # noqa: E402
+
 from pagas_cl.errors import InputError  # noqa: E402
 from pagas_cl.filters.open3d_pipeline import grid_intrinsic, refine_and_integrate, refine_rgbd  # noqa: E402
 from pagas_cl.presets import BALANCED  # noqa: E402
-from pagas_cl.synthetic import relief_scene  # noqa: E402
+
+pytestmark = pytest.mark.slow
 
 FEW = BALANCED.with_settings(pyramid__scales=(1.0,), pyramid__steps=(10,), fusion__voxel=2.0)
 o3c = o3d.core

@@ -95,6 +95,7 @@ def wheel(tmp_path_factory):
     return next(out.glob("*.whl"))
 
 
+@pytest.mark.slow
 def test_wheel_holds_every_source_kernel_and_filter_and_nothing_else(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     code = {name for name in names if ".dist-info/" not in name}
@@ -103,6 +104,7 @@ def test_wheel_holds_every_source_kernel_and_filter_and_nothing_else(wheel):
     assert any(name.endswith("LICENSE") for name in names - code)
 
 
+@pytest.mark.slow
 def test_kernels_are_read_from_a_zipped_wheel(wheel, tmp_path):
     program = """
 import sys

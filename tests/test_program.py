@@ -8,6 +8,8 @@ from pagas_cl.errors import DeviceError
 from pagas_cl.runtime.program import bind, build, run_once, signatures
 from pagas_cl.splat.constants import SHARED
 
+pytestmark = pytest.mark.kernels
+
 
 def rate_falls(device, patience):
     """Whether the schedule of step.cl lowers the rate after one step without a better loss."""

@@ -10,6 +10,8 @@ from pagas_cl.progress import ViewProgress
 from pagas_cl.refine import refine_depth, refine_one, refine_views
 from pagas_cl.splat.step import AHEAD, StepProgress
 
+pytestmark = pytest.mark.slow
+
 VIEWS = 8
 
 
@@ -68,7 +70,7 @@ def test_steps_of_all_levels(device, made):
 
 @pytest.fixture(scope="module")
 def made():
-    from pagas_cl.synthetic import relief_scene
+    from support.scenes import relief_scene
 
     return relief_scene(48, 36, 2, held_out=0)
 

@@ -7,10 +7,13 @@ import pytest
 
 pymeshlab = pytest.importorskip("pymeshlab")
 
+from support.scenes import relief_scene  # noqa: E402
+
 from pagas_cl.errors import InputError  # noqa: E402
 from pagas_cl.filters.filter_script import saved_history  # noqa: E402
 from pagas_cl.filters.pymeshlab_step import METHOD, register, scene_views  # noqa: E402
-from pagas_cl.synthetic import relief_scene  # noqa: E402
+
+pytestmark = pytest.mark.slow
 
 FAST = "pyramid.steps=8"
 MATRIX = np.array([[0, -0.5, 0, 7.0], [0.5, 0, 0, -3], [0, 0, 0.5, 1 / 3], [0, 0, 0, 1]])

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.scenes import relief_scene
 
 from pagas_cl.errors import InputError
 from pagas_cl.presets import BALANCED
 from pagas_cl.splat import refine_levels
-from pagas_cl.synthetic import relief_scene
+
+pytestmark = pytest.mark.kernels
 
 SHORT = BALANCED.with_settings(pyramid__steps=(20,), splatting__radius=1.42)
 

@@ -10,6 +10,8 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.mesh import Surface, to_surface
 from pagas_cl.surface import raster
 
+pytestmark = pytest.mark.slow
+
 NORMAL = np.array([0.3, 0.2, -0.93]) / np.linalg.norm([0.3, 0.2, -0.93])
 
 

@@ -85,7 +85,7 @@ def test_two_results_of_one_view_are_refused():
 
 def test_fused_meshes_of_pickled_results_are_the_same():
     pytest.importorskip("open3d")
-    from scenes import tiny
+    from support.scenes import tiny
 
     from pagas_cl.refine import fuse_results
 

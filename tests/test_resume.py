@@ -2,10 +2,12 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +18,8 @@ import pagas_cl.__main__ as command_line
 from pagas_cl.errors import OutputError
 from pagas_cl.refine import refine_views
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
@@ -23,12 +27,23 @@ def scene(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def wanted(scene, tmp_path_factory):
-    """Bytes of an undisturbed run."""
-    views, depths = load_small_scene(scene)
+def undisturbed(scene, tmp_path_factory):
+    """Folder of an undisturbed run."""
     folder = tmp_path_factory.mktemp("undisturbed")
-    refine_views(views, depths, config=QUICK, folder=folder)
-    return bytes_of(folder)
+    refine(scene, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def wanted(undisturbed):
+    """Bytes of an undisturbed run."""
+    return bytes_of(undisturbed)
+
+
+@pytest.fixture
+def finished(undisturbed, tmp_path):
+    """A copy of that folder, to be damaged."""
+    return Path(shutil.copytree(undisturbed, tmp_path / "finished"))
 
 
 def command(scene, out, *more):
@@ -57,30 +72,27 @@ def test_a_second_run_does_nothing_and_gives_the_same(scene, wanted, tmp_path):
     assert all(np.array_equal(a.confidence, b.confidence) and a.counts == b.counts for a, b in zip(first, again))
 
 
-def test_only_what_changed_is_done_again(scene, wanted, tmp_path):
-    refine(scene, tmp_path)
-    refine(scene, tmp_path)
-    (tmp_path / "context_02.npz").unlink()
-    refine(scene, tmp_path)
-    assert said(tmp_path, "began") == ["context_02.png"] and bytes_of(tmp_path) == wanted
+def test_only_what_changed_is_done_again(scene, wanted, finished):
+    refine(scene, finished)
+    (finished / "context_02.npz").unlink()
+    refine(scene, finished)
+    assert said(finished, "began") == ["context_02.png"] and bytes_of(finished) == wanted
 
 
 @pytest.mark.parametrize("file", ["target.npz", ".work/target.npz", ".work/target.json"])
-def test_a_file_cut_short_is_made_again(scene, wanted, tmp_path, file, caplog):
-    refine(scene, tmp_path)
-    path = tmp_path / file
+def test_a_file_cut_short_is_made_again(scene, wanted, finished, file, caplog):
+    path = finished / file
     path.write_bytes(path.read_bytes()[:-40])
-    refine(scene, tmp_path)
-    assert said(tmp_path, "began") == ["target.png"] and bytes_of(tmp_path) == wanted
+    refine(scene, finished)
+    assert said(finished, "began") == ["target.png"] and bytes_of(finished) == wanted
     assert "is refined again" in caplog.text
 
 
 @pytest.mark.parametrize("content", [b"", b"[]", b"{}", b'{"name": 3}', b"\xff\xfe"])
-def test_a_damaged_record_is_not_believed(scene, wanted, tmp_path, content):
-    refine(scene, tmp_path)
-    (tmp_path / ".work" / "target.json").write_bytes(content)
-    refine(scene, tmp_path)
-    assert said(tmp_path, "began") == ["target.png"] and bytes_of(tmp_path) == wanted
+def test_a_damaged_record_is_not_believed(scene, wanted, finished, content):
+    (finished / ".work" / "target.json").write_bytes(content)
+    refine(scene, finished)
+    assert said(finished, "began") == ["target.png"] and bytes_of(finished) == wanted
 
 
 def test_extras_that_are_missing_are_made(scene, tmp_path):

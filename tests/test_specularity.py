@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from acceptance_scenes import figures
 from kernel_cases import Scene, start_level
+from support.scenes import relief_scene
 
 from pagas_cl.presets import BALANCED
 from pagas_cl.reference.smooth import raised
 from pagas_cl.refine import refine_depth
-from pagas_cl.synthetic import relief_scene
+
+pytestmark = pytest.mark.kernels
 
 
 def weights(device, specularity, **settings):

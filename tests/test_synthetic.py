@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import plane, small, tiny
+from support.scenes import plane, small, tiny
 
 from pagas_cl.errors import InputError
 from pagas_cl.evaluate import compare_depth, depth_normals, depth_per_parallax, dilate
@@ -12,6 +12,8 @@ from pagas_cl.synthetic.photo import depth_and_part
 from pagas_cl.synthetic.solid import BAR, BLOCK, MISS, RELIEF, Bar, Block, Solid
 from pagas_cl.synthetic.texture import Texture, noise
 from pagas_cl.synthetic.waves import Waves
+
+pytestmark = pytest.mark.slow
 
 
 def discontinuities(made):

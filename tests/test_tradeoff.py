@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from support.scenes import relief_scene
 
 import pagas_cl
 from pagas_cl.__main__ import run as run_command
@@ -12,7 +13,6 @@ from pagas_cl.errors import InputError
 from pagas_cl.presets import preset
 from pagas_cl.runtime.device import open_device
 from pagas_cl.splat import PhotoStore
-from pagas_cl.synthetic import relief_scene
 from pagas_cl.synthetic.scene import write_scene
 from pagas_cl.tradeoffs import plan
 from pagas_cl.tradeoffs.case import make_cases, score
@@ -21,6 +21,8 @@ from pagas_cl.tradeoffs.page import ablation_table
 from pagas_cl.tradeoffs.plan import ablation_plan
 from pagas_cl.tradeoffs.run import initial_depth, run
 from pagas_cl.tradeoffs.study import measure
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from pagas_cl.reference import units as twin
-from pagas_cl.runtime.transfer import download, upload
+from pagas_cl.runtime.memory import download, upload
 from pagas_cl.scene.sampling import FAR, MEDIAN_SAMPLES, NEAR, scene_scale_of
 from pagas_cl.splat.units import NormalizedDepth
+
+pytestmark = pytest.mark.kernels
 
 SPECIAL = np.array([0, -0.0, 1, -1, np.nan, np.inf, -np.inf, 1e-45, 1e-38, 3e38], np.float32)
 

@@ -117,8 +117,7 @@ def _depth(folder, view, scale):
 
 def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, ground):
     from pagas_cl.evaluate import chamfer, f_score
-    from pagas_cl.evaluate.clouds import load_ground, load_visible
-    from pagas_cl.evaluate.sample import extent, load_points, read_shape
+    from pagas_cl.evaluate.clouds import extent, load_ground, load_points, load_visible, read_shape
 
     if truth is None:
         raise InputError("nothing to compare with: give the true mesh or point cloud as the second argument")

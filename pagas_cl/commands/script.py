@@ -76,8 +76,7 @@ def _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside):
     if mesh is not None:
         load_layer(pymeshlab, meshes, mesh)
         return meshes, None if scene is None else load_scene(scene, format, outside)
-    from pagas_cl.scene.readers.meshlab import read_project
-    from pagas_cl.scene.readers.mlp_flavour import settle_flavour
+    from pagas_cl.scene.readers.meshlab import read_project, settle_flavour
 
     read = read_project(project, outside=outside)
     layers = [entry for entry in read.meshes if entry.path is not None]

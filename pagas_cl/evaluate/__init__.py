@@ -1,9 +1,9 @@
 """Figures that users know: depth and normal errors, prediction of held-out photos, Chamfer distance, F-score.
 
-One module a figure: depth, predict, clouds (with DTU's masks; sample takes points from meshes and files).
+One module a figure: depth, predict, clouds (with DTU's masks, and points of meshes and files).
 """
 
-from pagas_cl.evaluate.clouds import Chamfer, FScore, VisibleSpace, chamfer, f_score
+from pagas_cl.evaluate.clouds import Chamfer, FScore, VisibleSpace, chamfer, f_score, load_points, sample_surface
 from pagas_cl.evaluate.depth import (
            DepthErrors,
            DepthReport,
@@ -14,7 +14,6 @@ from pagas_cl.evaluate.depth import (
            find_discontinuities,
 )
 from pagas_cl.evaluate.predict import Prediction, compare_predictions, predict_photo
-from pagas_cl.evaluate.sample import load_points, sample_surface
 
 __all__ = ["Chamfer", "DepthErrors", "DepthReport", "FScore", "Prediction", "VisibleSpace", "chamfer",
            "compare_depth", "compare_predictions", "depth_normals", "dilate", "f_score", "find_discontinuities",

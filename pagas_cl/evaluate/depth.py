@@ -47,21 +47,14 @@ class DepthReport(Figures):
 
 def compare_depth(depth, truth, camera, *, parallax=None, true_normals=None, discontinuities=None, within=3,
                   mask=None) -> DepthReport:
-    """Compare a depth map with the truth.
+    """Compare a depth map (H, W), z-depth, 0 = no surface, with the truth; both are of the camera's size.
 
-    Parameters
-    ----------
-    depth, truth : ndarray of shape (H, W)
-        z-depth, 0 = no surface, sizes equal to the camera's.
-    camera : Camera
     parallax : float, ndarray of shape (H, W) or None
         Depth of one pixel of parallax, scene units: see `depth_per_parallax`.
     true_normals : ndarray of shape (H, W, 3) or None
         Unit, camera frame, towards the camera; None takes them from the true depth.
     discontinuities : ndarray of bool, (H, W), or None
-        Pixels beside a discontinuity; None finds them in the true depth.
-    within : int
-        Pixels around a discontinuity that are counted apart.
+        Pixels beside a discontinuity, those `within` so many pixels counted apart; None finds them in the true depth.
     mask : ndarray of bool, (H, W), or None
         Only these pixels count.
     """
@@ -91,10 +84,9 @@ def _mean_and_median(values):
 
 
 def depth_normals(depth, camera) -> np.ndarray:
-    """Normals by central differences of the depth map's points.
+    """Normals by central differences of the depth map's points: float64 (H, W, 3), camera frame, towards the camera.
 
-    Unit, in the camera's frame, towards the camera: float64 (H, W, 3); nan where a pixel or one of its four
-    neighbours has no depth.
+    Nan where a pixel or one of its four neighbours has no depth.
     """
     depth = np.asarray(depth, np.float64)
     points = np.where(depth > 0, depth, np.nan)[..., None] * camera.rays()

@@ -8,6 +8,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.evaluate.depth import project_depth
+from pagas_cl.scene.images import bilinear
 from pagas_cl.scene.patches import grey_of
 
 
@@ -34,20 +35,11 @@ class Prediction:
 
 
 def predict_photo(target, depth, other, other_depth=None, *, patch=7, tolerance=0.01, mask=None) -> Prediction:
-    """Warp the photo of `other` into `target` through `depth` and correlate.
+    """Warp the photo of the View `other` into `target` through its z-depth (H, W), 0 = no surface, and correlate.
 
-    Parameters
-    ----------
-    target, other : View
-    depth : ndarray of shape (H, W)
-        The target's z-depth, 0 = no surface.
-    other_depth : ndarray or None
-        The other view's depth, its photo's size: pixels that lie behind it by more than `tolerance` (share of the
-        depth) are not seen there and left out; None lets the target's own points occlude one another.
-    patch : int
-        Pixels along a side, odd.
-    mask : ndarray of bool, (H, W), or None
-        Only these pixels are reported.
+    Patches are `patch` pixels wide, an odd number; only pixels of `mask`, bool (H, W), are reported. Pixels that lie
+    behind `other_depth`, of the other photo's size, by more than `tolerance` (share of the depth) are not seen there
+    and left out; without it the target's own points occlude one another.
     """
     if patch < 3 or patch % 2 == 0:
         raise InputError(f"prediction: the patch is {patch!r} pixels wide, expected an odd number of at least 3")
@@ -68,8 +60,7 @@ def predict_photo(target, depth, other, other_depth=None, *, patch=7, tolerance=
 
 
 def compare_predictions(target, depths, other, other_depth=None, **settings) -> list[Prediction]:
-    """`predict_photo` for several depth maps over the pixels that all of them predict, so that none gains by leaving
-    out what is hard."""
+    """`predict_photo` for several depth maps over the pixels that all predict: none gains by leaving some out."""
     maps = [predict_photo(target, depth, other, other_depth, **settings).correlation for depth in depths]
     common = np.logical_and.reduce([np.isfinite(m) for m in maps])
     return [Prediction.of(np.where(common, m, np.nan).astype(np.float32)) for m in maps]
@@ -78,7 +69,7 @@ def compare_predictions(target, depths, other, other_depth=None, **settings) -> 
 def correlate(a, b, valid, patch) -> np.ndarray:
     """Zero-mean normalised cross-correlation of two grey images (0..255) in windows, float32 (H, W).
 
-    nan where the window leaves the image, holds an invalid pixel, or has a standard deviation below half a grey level.
+    Nan where the window leaves the image, holds an invalid pixel, or deviates by less than half a grey level.
     """
     a, b = np.asarray(a, np.float64), np.where(valid, b, 0.0)
     number = patch * patch
@@ -110,16 +101,10 @@ def box_sum(image, size) -> np.ndarray:
 def sample_bilinear(image, position):
     """Values at pixel positions (..., 2), pixel centres at +0.5, and whether each lies between four centres."""
     h, w = image.shape
-    x, y = position[..., 0] - 0.5, position[..., 1] - 0.5
+    x, y = np.moveaxis(position, -1, 0)
     with np.errstate(invalid="ignore"):
-        inside = (x >= 0) & (y >= 0) & (x <= w - 1) & (y <= h - 1)
-    x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
-    left, top = np.minimum(x.astype(np.int64), max(w - 2, 0)), np.minimum(y.astype(np.int64), max(h - 2, 0))
-    right, bottom = np.minimum(left + 1, w - 1), np.minimum(top + 1, h - 1)
-    px, py = x - left, y - top
-    value = ((image[top, left] * (1 - px) + image[top, right] * px) * (1 - py)
-             + (image[bottom, left] * (1 - px) + image[bottom, right] * px) * py)
-    return np.where(inside, value, 0.0), inside
+        inside = (x >= 0.5) & (y >= 0.5) & (x <= w - 0.5) & (y <= h - 0.5)
+    return np.where(inside, bilinear(image, x, y), 0.0), inside
 
 
 def _visible(position, z, seen, other, other_depth, tolerance):

@@ -10,7 +10,7 @@ from pagas_cl.config import Config
 from pagas_cl.jobs.finished import stems
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch, ViewTask, task_key, view_digest
-from pagas_cl.scene.partners import PartnerChooser
+from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.view import View
 
 _BATCH = 16      # most views in a batch
@@ -24,7 +24,7 @@ def on_disk(views: list[View], store: Store) -> list[View]:
 
 class Planner:
     """Makes one view's task after another, so that workers have begun long before the last one is planned. Photos and
-    masks of `views` are on disk; `depths` have load() and digest, `samples` are for scene.partners."""
+    masks of `views` are on disk; `depths` have load() and digest, `samples` are for scene.choice."""
 
     def __init__(self, views: list[View], depths: list, samples: list, config: Config, work):
         self.views, self._depths, self._config, self._work = views, depths, config, work

@@ -18,7 +18,7 @@ from pagas_cl.jobs.task import Batch, Record, code_version
 from pagas_cl.jobs.worker import STOP, close_worker_contexts
 from pagas_cl.progress import ViewProgress
 from pagas_cl.result import DepthResult
-from pagas_cl.scene.partners import for_planning
+from pagas_cl.scene.choice import for_planning
 
 log = logging.getLogger("pagas_cl")
 

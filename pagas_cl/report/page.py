@@ -40,10 +40,10 @@ def figure(picture, link: str) -> str:
 
 def html_page(title: str, notes: list[str], header: list[str], rows: list[list[str]], sections: list[tuple] = (),
               legend: list[str] = (), picture: str = "", marked=()) -> str:
-    """The whole page: `notes` below the title, a table, below it its `legend`, then the sections.
+    """The whole page: `notes` below the title, an image `picture`, a table, below it its `legend`, then the sections.
 
-    A section is (name, pictures as HTML, lines of text); a row whose first cell names one leads there. `picture` is the
-    address of an image above the table, `marked` (a sequence of bool) says which rows stand out.
+    A section is (name, pictures as HTML, lines of text); a row whose first cell names one leads there. Rows that are
+    `marked` stand out.
     """
     parts = [f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
              f"<style>{_STYLE}</style><h1>{escape(title)}</h1>", _paragraphs(notes)]
@@ -51,8 +51,7 @@ def html_page(title: str, notes: list[str], header: list[str], rows: list[list[s
         parts.append(f'<img src="{escape(picture)}" alt="{escape(title)}">')
     linked = {name for name, *_ in sections}
     parts.append("<table>" + _row("th", header))
-    for number, row in enumerate(rows):
-        parts.append(_row("td", row, row[0] in linked, number < len(marked) and marked[number]))
+    parts += [_row("td", row, row[0] in linked, k < len(marked) and marked[k]) for k, row in enumerate(rows)]
     parts += ["</table>", _paragraphs(legend, ' class="legend"')]
     for name, figures, remarks in sections:
         parts += [f'<h2 id="{escape(name)}">{escape(name)}</h2>', _paragraphs(remarks),

@@ -1,7 +1,7 @@
 """The pictures of one refined view, as arrays: the photo, depth and normals before and after, what changed by how much.
 
-Colour maps are a few anchors with straight lines between them, so that nothing but NumPy is needed; each rises evenly
-in lightness, the signed one from both ends to white at zero.
+Colour maps are a few anchors with straight lines between them; each rises evenly in lightness, the signed one from both
+ends to white at zero.
 """
 
 from __future__ import annotations
@@ -26,10 +26,9 @@ _MAPS = {
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """One picture, uint8 (H, W, 3), and its `legend`: what the colours mean, in words and numbers.
+    """One picture, uint8 (H, W, 3): `key` is part of the file's name, `title` the heading on the page.
 
-    `key` becomes part of the file's name, `title` the heading on the page; `map_name` is the colour map of the legend's
-    strip, empty where there is none.
+    `legend`: what the colours mean, in words and numbers; `map_name`: the colour map of its strip, if there is one.
     """
 
     key: str
@@ -40,18 +39,10 @@ class Picture:
 
 
 def view_pictures(photo, camera: Camera, before, after, *, change=None, confidence=None) -> list[Picture]:
-    """Every picture of one view.
+    """Every picture of one view: of its photo, uint8 (H, W, 3), and its z-depths (H, W), 0 = no surface.
 
-    Parameters
-    ----------
-    photo : ndarray of shape (H, W, 3), uint8
-    camera : Camera
-    before, after : ndarray of shape (H, W)
-        z-depth, 0 = no surface.
-    change : ndarray of shape (H, W), optional
-        Signed move in pixels of parallax (`parallax_change`), NaN = unknown.
-    confidence : ndarray of shape (H, W), optional
-        0 to 1.
+    `change` (H, W) is the signed move in pixels of parallax (`parallax_change`), NaN = unknown; `confidence` (H, W) is
+    from 0 to 1.
     """
     low, high = depth_range(before, after)
     depths = {"before": np.asarray(before), "after": np.asarray(after)}
@@ -84,10 +75,9 @@ def depth_range(*depths) -> tuple[float, float]:
 
 
 def parallax_change(target: Camera, contexts: list[Camera], before, after) -> np.ndarray:
-    """How far each pixel's point moved, seen from the context views: pixels, float64 (H, W).
+    """How far each pixel's point moved, seen from the context views: pixels, below 0 where nearer, float64 (H, W).
 
-    Root mean square over the context views that have the old point inside their image; negative where the surface came
-    nearer. NaN where there is no depth before or after, or no context view sees the point.
+    Root mean square over the views that have the old point in their image; NaN where there is none, or no depth.
     """
     before, after = np.asarray(before, np.float64), np.asarray(after, np.float64)
     total, count = np.zeros(before.shape), np.zeros(before.shape)
@@ -108,10 +98,7 @@ def change_in_units(before, after, parallax) -> np.ndarray:
 
 
 def colored(values, low: float, high: float, valid, map_name: str = "sequential") -> np.ndarray:
-    """Colours, uint8 (H, W, 3), of `values` (H, W) clipped to `low` .. `high`; NOTHING where not `valid`, bool (H, W).
-
-    `map_name` is "sequential" or "signed".
-    """
+    """Colours, uint8 (H, W, 3), of `values` (H, W) clipped to `low` .. `high`; NOTHING where not `valid`, (H, W)."""
     anchors = np.array(_MAPS[map_name], np.float64)
     places = np.linspace(0, 1, len(anchors))
     share = np.clip((np.where(valid, values, low) - low) / max(high - low, 1e-30), 0, 1)
@@ -120,10 +107,7 @@ def colored(values, low: float, high: float, valid, map_name: str = "sequential"
 
 
 def normal_colors(normals, valid) -> np.ndarray:
-    """Colours, uint8 (H, W, 3), of unit normals (H, W, 3): red to the right, green up, blue towards the camera.
-
-    Convention: camera axes x right, y down, z forward; a normal may point to or from the camera, it is turned to it.
-    """
+    """Colours, uint8 (H, W, 3), of unit normals (H, W, 3) in camera axes, turned to the camera."""
     facing = np.where(normals[..., 2:] > 0, -normals, normals) * (1, -1, -1)
     return np.where(valid[..., None], np.rint((facing + 1) * 127.5), NOTHING).astype(np.uint8)
 

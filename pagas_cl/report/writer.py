@@ -24,15 +24,8 @@ LEGEND = ["Pixels: refined = moved by the photos; kept = the input stays, since 
 class Report:
     """A folder with `index.html`, `report.json` and, for every view, `<view>_<picture>.png` (the photo as .jpg).
 
-    Used as a context manager, so that an interrupted run has a page of what was done.
-
-    Parameters
-    ----------
-    folder : path
-        Made where it does not exist; files of the same names are replaced.
-    title : str
-    notes : list of str
-        Lines below the title: what was refined, with which settings, on which device.
+    Used as a context manager, so that an interrupted run has a page of what was done. The folder is made, files of the
+    same names are replaced; `notes` are lines below the title.
     """
 
     def __init__(self, folder, title: str = "pagas_cl", notes=()):
@@ -49,22 +42,11 @@ class Report:
         self.write()
 
     def add(self, view, before, after, *, contexts=(), parallax=None, confidence=None, counts=None, remarks=()) -> None:
-        """Write the pictures of one view and remember its row of the table.
+        """Write the pictures of one View (maps as in `view_pictures`) and remember its row of the table.
 
-        Parameters
-        ----------
-        view : pagas_cl.View
-        before, after, confidence : ndarray of shape (H, W)
-            As in `view_pictures`.
-        contexts : list of Camera
-            Cameras of the context views, to measure the change by (`parallax_change`).
-        parallax : ndarray of shape (H, W), optional
-            Instead of `contexts`: change of depth that is one pixel of parallax, 0 = unknown. Without either of them
-            there is no picture of the change.
-        counts : dict of str to number, optional
-            Columns of the table.
-        remarks : list of str
-            Lines above the pictures.
+        The change is measured by the Cameras `contexts` (`parallax_change`), or by `parallax` (H, W), the change of
+        depth that is one pixel of parallax, 0 = unknown; without either of them there is no picture of it. `counts` are
+        columns of the table, `remarks` lines above the pictures.
         """
         photo, camera = view.load_image(), view.camera
         change = parallax_change(camera, list(contexts), before, after) if contexts else None
@@ -80,19 +62,17 @@ class Report:
         self._sections.append((view.name, figures, list(remarks)))
 
     def note(self, text: str) -> None:
-        """Add a line below the title."""
         self.notes.append(text)
 
     def write(self) -> Path:
         """Write the page and the numbers; returns the page's path."""
         columns = list(dict.fromkeys(key for row in self._views for key in row)) or ["view"]
         rows = [[_cell(row.get(key)) for key in columns] for row in self._views]
-        page = self.folder / "index.html"
         content = {"notes": self.notes, "views": self._views}
         write_text(self.folder / "report.json", json.dumps(content, indent=1) + "\n")
         legend = LEGEND if self._views else []
-        write_text(page, html_page(self.title, self.notes, columns, rows, self._sections, legend))
-        return page
+        return write_text(self.folder / "index.html",
+                          html_page(self.title, self.notes, columns, rows, self._sections, legend))
 
 
 def file_stem(name: str) -> str:
@@ -102,7 +82,6 @@ def file_stem(name: str) -> str:
 
 
 def _change_figures(change, confidence, after) -> dict:
-    """Columns that the pictures give: how far pixels moved, and the mean confidence."""
     figures = {}
     if change is not None and np.isfinite(change).any():
         moved = np.abs(change[np.isfinite(change)])

@@ -41,12 +41,8 @@ def total_bytes(specs: Iterable[BufferSpec]) -> int:
 def allocate(device: Device, specs: list[BufferSpec]) -> dict[str, cl.Buffer]:
     """Buffers for `specs`, by name.
 
-    Raises
-    ------
-    DeviceError
-        Before anything is allocated, where a buffer is larger than the device or the kernels can handle.
-    DeviceMemoryError
-        They are more than may be held, or the device refuses one; none is kept then.
+    DeviceError before anything is allocated, where one is larger than the device or the kernels can handle;
+    DeviceMemoryError where they are more than may be held, or the device refuses one: none is kept then.
     """
     largest = max(specs, key=lambda spec: spec.nbytes)
     limit = device.info.max_alloc
@@ -75,12 +71,8 @@ def declared(shape: tuple[int | str, ...], dtype: type, unit: str, purpose: str,
     ----------
     shape : tuple of int and str
         A str names one of the dimensions that a plan is made for.
-    dtype : type
-        Of an element.
     unit : str
         Of what an element says; "" for none.
-    purpose : str
-        What the buffer is for.
     needed : str, optional
         Names a dimension; the field is None where that is zero or False.
     start : NumPy scalar of 32 bits, optional

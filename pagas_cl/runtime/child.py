@@ -14,22 +14,14 @@ from typing import IO, Any
 
 @dataclass(frozen=True)
 class Answer:
-    """What a child process came to.
-
-    Attributes
-    ----------
-    value : dict or None
-        What it answered; None where it ended without an answer.
-    fault : str
-        How it ended then: "aborted (SIGABRT: ...)", "gave no answer within 60 s", ...
-    hung, crashed : bool
-        It gave no answer in time; a signal has ended it.
-    """
+    """What a child process came to; `value` is None where it ended without an answer."""
 
     value: dict[str, Any] | None
     fault: str = ""
+    """How it ended then: "aborted (SIGABRT: ...)", "gave no answer within 60 s", ..."""
     hung: bool = False
     crashed: bool = False
+    """A signal has ended it; `hung`: it gave no answer in time."""
 
 
 def ask(module: str, question: dict[str, Any], timeout: float, environment: dict[str, str] | None = None) -> Answer:

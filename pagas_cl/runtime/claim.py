@@ -52,14 +52,8 @@ def known_devices(names: str | Sequence[str] | None = None) -> list[tuple[Device
 
 
 def claim_device(names: str | Sequence[str] | Device | None = None) -> Device:
-    """Open the first of `names` that no other process works on; wait a little for one to become free.
-
-    Raises
-    ------
-    DeviceError
-        All of them are taken, or cannot be opened. PAGAS_CL_SHARE=3 in the environment lets three
-        processes work on one device.
-    """
+    """Open the first of `names` that no other process works on; wait a little for one to become free. DeviceError where
+    all are taken, or cannot be opened. PAGAS_CL_SHARE=3 in the environment lets three processes share one."""
     if isinstance(names, Device):
         return devices.working(names)
     cl, fault = import_pyopencl(), ""

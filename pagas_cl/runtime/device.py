@@ -31,30 +31,20 @@ _PREFERENCE = ("GPU", "accelerator", "CPU", "other")
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """An open device: what it is, its context, and one in-order queue.
-
-    Attributes
-    ----------
-    info : DeviceInfo
-    cl_device : pyopencl.Device
-    context : pyopencl.Context
-    queue : pyopencl.CommandQueue
-    lanes : int
-        Pixels of a row that a work-item handles side by side: the most that have been seen to work here.
-    profiling : bool
-        Whether events of `queue` carry times.
-    """
+    """An open device: what it is, its context, and one in-order queue."""
 
     info: DeviceInfo
     cl_device: Any
     context: Any
     queue: Any
     lanes: int = 1
+    """Pixels of a row that a work-item handles side by side: the most that have been seen to work here."""
     profiling: bool = False
+    """Whether events of `queue` carry times."""
 
     @cached_property
     def memory(self) -> Memory:
-        """The buffers that this process holds on the device, counted: a runtime.memory.Memory."""
+        """The buffers that this process holds on the device, counted."""
         from pagas_cl.runtime.memory import Memory, limit_of
 
         return Memory(self.info.title, limit_of(self.info.memory, shares()))
@@ -137,13 +127,7 @@ def give_up(device: Device) -> None:
 
 
 def working(device: Device) -> Device:
-    """`device`, or the same one opened anew where its context was given up.
-
-    Raises
-    ------
-    DeviceError
-        It cannot be opened again.
-    """
+    """`device`, or the same one opened anew where its context was given up; DeviceError where it cannot be."""
     if device not in _given_up:
         return device
     try:
@@ -159,8 +143,7 @@ def opened(info: DeviceInfo, cl_device: Any, lanes: int, profiling: bool = False
     cannot be opened."""
     cl = import_pyopencl()
     context = cl.Context([cl_device])
-    properties = cl.command_queue_properties.PROFILING_ENABLE if profiling else 0
-    queue = cl.CommandQueue(context, cl_device, properties=properties)
+    queue = cl.CommandQueue(context, cl_device, cl.command_queue_properties.PROFILING_ENABLE if profiling else 0)
     return Device(info, cl_device, context, queue, lanes, profiling)
 
 
@@ -173,13 +156,7 @@ def shares() -> int:
 
 
 def find_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:
-    """Every device as listing.enumerate_devices has it, of the drivers that survive being asked.
-
-    Raises
-    ------
-    NoDeviceError
-        There is none.
-    """
+    """As listing.enumerate_devices, of the drivers that survive being asked."""
     listing.check_drivers()
     return listing.enumerate_devices(cl)
 
@@ -201,7 +178,8 @@ def candidates(found: Iterable[tuple[DeviceInfo, Any]], name: object) -> list[tu
     """The (DeviceInfo, device) pairs of `found` that `name` means, best first; see open_device."""
     asked, source = _asked(name)
     wanted = asked.strip().lower()
-    matching = [pair for pair in found if wanted == "auto" or _matches(pair[0], wanted)]
+    matching = [pair for pair in found if wanted in ("auto", pair[0].kind.lower())
+                or wanted in pair[0].title.lower()]
     if not matching:
         names = "; ".join(info.title for info, _ in found)
         raise NoDeviceError(f"no OpenCL device matches {source}={asked!r}; found: {names}")
@@ -231,7 +209,3 @@ def _tell(device: Device, name: object, trial: Trial) -> None:
     if _asked(name)[0].strip().lower() == "auto" and info.kind != "GPU":
         log.warning("no usable OpenCL GPU found: running on %s, which is many times slower; "
                     "'pagas-cl devices' tells what is missing", info)
-
-
-def _matches(info: DeviceInfo, wanted: str) -> bool:
-    return wanted in info.title.lower() or wanted == info.kind.lower()

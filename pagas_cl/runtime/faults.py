@@ -21,12 +21,8 @@ _OF_DRIVERS = -9999       # NVIDIA's code for an access that its hardware refuse
 def translate_cl_errors(device: Device, doing: str) -> Iterator[None]:
     """Context: errors of the driver while `doing` (a noun phrase) on `device`, as ours; others as they are.
 
-    Raises
-    ------
-    DeviceMemoryError
-        The device has no memory left: fewer buffers may do.
-    DeviceLostError
-        It answers no more, or has ended what it was at; its context is given up.
+    DeviceMemoryError: it has no memory left, fewer buffers may do. DeviceLostError: it answers no more, or has ended
+    what it was at; its context is given up.
     """
     title = device.info.title
     try:

@@ -14,7 +14,7 @@ import sys
 from ctypes.util import find_library
 from pathlib import Path
 
-INTEL = ('pip install "pagas-cl[cpu]" (Intel\'s runtime for any x86-64 processor, under Intel\'s licence)')
+INTEL = 'pip install "pagas-cl[cpu]" (Intel\'s runtime for any x86-64 processor, under Intel\'s licence)'
 
 
 def cpu_advice() -> str:
@@ -54,7 +54,7 @@ def no_platform(reason: str = "") -> str:
     if os.path.exists(search_folders()[0]):
         parts += [f"the loader says: {line}" for line in loader_complaints()[:1]]
     nvidia = _nvidia_library()
-    if nvidia and not _names_nvidia():
+    if nvidia and not any("nvidia" in Path(name).read_text(errors="replace").lower() for name in icd_files()):
         parts.append(f"{nvidia} is here but no nvidia.icd: run 'mkdir -p /etc/OpenCL/vendors && "
                      "echo libnvidia-opencl.so.1 > /etc/OpenCL/vendors/nvidia.icd'")
     return "; ".join(parts) + ". " + cpu_advice()
@@ -101,14 +101,7 @@ def _content(folder: str) -> str:
 
 def _nvidia_library() -> str:
     """Path of NVIDIA's OpenCL library where it is installed, else an empty string."""
-    for pattern in ("/usr/lib/*/libnvidia-opencl.so.1", "/usr/lib*/libnvidia-opencl.so.1"):
-        for name in glob.glob(pattern):
-            return name
-    return ""
-
-
-def _names_nvidia() -> bool:
-    return any("nvidia" in Path(name).read_text(errors="replace").lower() for name in icd_files())
+    return next(iter(glob.glob("/usr/lib/*/libnvidia-opencl.so.1") + glob.glob("/usr/lib*/libnvidia-opencl.so.1")), "")
 
 
 def loader_complaints() -> list[str]:

@@ -13,42 +13,31 @@ WORK_GROUP = 64            # work-items in a group that the kernels may ask for 
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """What one OpenCL device says of itself. Sizes are in bytes.
-
-    Attributes
-    ----------
-    platform, name, vendor, version, c_version, driver : str
-        As the platform reports them; `version` is the device's OpenCL version, `c_version` that of its compiler.
-    kind : str
-        "GPU", "CPU", "accelerator" or "other".
-    memory, max_alloc, local_memory : int
-        Global memory, the largest single buffer, local memory of a work-group.
-    work_group, compute_units, vector_width : int
-        `vector_width`: floats that its processor handles in one instruction, as the driver has it; 1 on a GPU.
-    extensions : tuple of str
-    available, compiler, little_endian : bool
-    fault : str
-        Why the device does not do what it says, where a trial (runtime.trial) has shown it.
-    """
+    """What one OpenCL device says of itself. Sizes are in bytes."""
 
     platform: str
     name: str
     kind: str
+    """One of "GPU", "CPU", "accelerator" and "other"."""
     vendor: str = ""
     version: str = ""
     c_version: str = ""
     driver: str = ""
+    """As the platform reports them: `version` is the device's OpenCL version, `c_version` that of its compiler."""
     memory: int = 0
     max_alloc: int = 0
     local_memory: int = 0
+    """Global memory, the largest single buffer, local memory of a work-group."""
     work_group: int = 1
     compute_units: int = 1
     vector_width: int = 1
+    """Floats that its processor handles in one instruction, as the driver has it; 1 on a GPU."""
     extensions: tuple[str, ...] = ()
     available: bool = True
     compiler: bool = True
     little_endian: bool = True
     fault: str = ""
+    """Why the device does not do what it says, where a trial (runtime.trial) has shown it."""
 
     @property
     def title(self) -> str:
@@ -81,7 +70,7 @@ class DeviceInfo:
 
 
 def describe(cl: Any, platform: Any, device: Any) -> DeviceInfo:
-    """Ask a pyopencl device for everything that DeviceInfo holds."""
+    """Ask a pyopencl device."""
     kinds = ((cl.device_type.GPU, "GPU"), (cl.device_type.CPU, "CPU"), (cl.device_type.ACCELERATOR, "accelerator"))
     without = {word.strip() for word in os.environ.get(WITHOUT, "").split(",")}
     return DeviceInfo(

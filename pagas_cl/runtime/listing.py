@@ -21,13 +21,8 @@ LIMIT = 60.0              # seconds for the drivers to say what they have
 
 
 def list_devices() -> list[DeviceInfo]:
-    """Every OpenCL device of this machine, in the platforms' order.
-
-    Raises
-    ------
-    DeviceError
-        None is found, or the drivers crash or hang while they are asked.
-    """
+    """Every OpenCL device of this machine, in the platforms' order; DeviceError where none is found, or the drivers
+    crash or hang while they are asked."""
     vendors.register()
     check_drivers()
     answer = ask(__name__, {}, LIMIT)
@@ -40,15 +35,8 @@ def list_devices() -> list[DeviceInfo]:
 
 
 def check_drivers() -> None:
-    """Before this process loads any driver: leave out those that crash or hang when they are asked.
-
-    A child process asks them, once for each set of drivers.
-
-    Raises
-    ------
-    NoDeviceError
-        Those that are left crash, too.
-    """
+    """Before this process loads any driver: leave out those that crash or hang when they are asked by a child process,
+    once for each set of drivers. NoDeviceError where those that are left crash, too."""
     key = cache.digest(os.environ.get(vendors.VARIABLE, ""), [_state(name) for name in icd.icd_files()])
     known = cache.read("drivers", key)
     if known is None:
@@ -90,13 +78,8 @@ def _state(name: str) -> list[Any]:
 
 
 def enumerate_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:
-    """Every device of every platform, in the platforms' order, as (DeviceInfo, pyopencl.Device), asked in this process.
-
-    Raises
-    ------
-    NoDeviceError
-        The loader finds no platform, or the platforms have no device.
-    """
+    """Every device of every platform, in the platforms' order, as (DeviceInfo, pyopencl.Device), asked in this process;
+    NoDeviceError where the loader finds no platform, or the platforms have no device."""
     try:
         platforms = cl.get_platforms()
     except cl.Error as error:

@@ -8,10 +8,16 @@ from __future__ import annotations
 
 import os
 from collections import defaultdict, deque
+from typing import TYPE_CHECKING
 
+import numpy as np
+import numpy.typing as npt
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceMemoryError, InputError
+
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
 
 ENVIRONMENT = "PAGAS_CL_MEMORY"      # most MB of device memory that a process may take
 
@@ -19,30 +25,20 @@ ENVIRONMENT = "PAGAS_CL_MEMORY"      # most MB of device memory that a process m
 class Memory:
     """Buffers of one device.
 
-    Attributes
-    ----------
-    title : str
-        The device's name, for messages.
-    limit, held, peak : int
-        Bytes allowed, held now, and held at most since `begin`.
-    waiting : int
-        Bytes of buffers that were given back and are kept.
+    `title` is the device's name, for messages. Bytes: `limit` allowed, `held` now, `peak` at most since `begin`, and
+    `waiting` in buffers that were given back and are kept.
     """
 
     def __init__(self, title: str, limit: int):
-        self.title, self.limit, self.held, self.peak, self.waiting = title, limit, 0, 0, 0
-        self._planned = 0
+        self.title, self.limit = title, limit
+        self.held = self.peak = self.waiting = self._planned = 0
         self._kept: defaultdict[tuple[str, int], deque[_Counted]] = defaultdict(deque)      # never an empty one
 
     def buffer(self, context: cl.Context, nbytes: int, role: str = "") -> _Counted:
         """A buffer for reading and writing; what is in it is left over from whatever it served before.
 
-        One that has served in the `role` is taken again, so that kernels find it where it was.
-
-        Raises
-        ------
-        DeviceMemoryError
-            It would exceed the limit, or the driver refuses it.
+        One that has served in the `role` is taken again, so that kernels find it where it was. DeviceMemoryError where
+        it would exceed the limit, or the driver refuses it.
         """
         if self.held + nbytes > self.limit:
             raise DeviceMemoryError(f"{self.title} may hold {_mb(self.limit)} MB, {_mb(self.held)} MB are taken and "
@@ -118,6 +114,21 @@ class _Counted(cl.Buffer):
     def _forget(self) -> None:
         self._memory.count(-self._counted)
         self._counted = 0
+
+
+def upload(device: Device, array: np.ndarray) -> cl.Buffer:
+    """A buffer that holds `array`, by rows, as the kernels read it."""
+    buffer = device.memory.buffer(device.context, array.nbytes)
+    cl.enqueue_copy(device.queue, buffer, np.ascontiguousarray(array))
+    return buffer
+
+
+def download(device: Device, buffer: cl.Buffer, shape: int | tuple[int, ...],
+             dtype: npt.DTypeLike = np.float32) -> np.ndarray:
+    """A copy of `buffer` as an array of `shape`; waits for what is enqueued before it."""
+    out = np.empty(shape, dtype)
+    cl.enqueue_copy(device.queue, out, buffer)
+    return out
 
 
 def limit_of(total: int, processes: int = 1) -> int:

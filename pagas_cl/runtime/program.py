@@ -1,4 +1,4 @@
-"""Kernels from package data: includes pasted, compiled once per device and defines, launched with bound arguments."""
+"""Kernels from package data: includes pasted, compiled once a device and defines, launched with bound arguments."""
 
 from __future__ import annotations
 
@@ -52,16 +52,11 @@ _COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A compiled kernel file.
-
-    Attributes
-    ----------
-    signatures : dict of str to dict of str to str
-        Of each kernel: the names of its arguments, in order, and "int", "float", or "" for a buffer.
-    """
+    """A compiled kernel file."""
 
     built: cl.Program
     signatures: dict[str, dict[str, str]]
+    """Of each kernel: the names of its arguments, in order, and "int", "float", or "" for a buffer."""
 
 
 def signatures(text: str) -> dict[str, dict[str, str]]:
@@ -79,11 +74,8 @@ _programs: dict[tuple[int, str, tuple[str, ...]], Program] = {}
 
 
 def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
-    """Compile the kernel file `name` for `device` with `defines` ("NAME" or "NAME=value").
-
-    Programs are kept for the life of the process; pyopencl keeps the binaries on disk, keyed by source, options,
-    device and driver.
-    """
+    """Compile the kernel file `name` for `device` with `defines` ("NAME" or "NAME=value"); once a process. pyopencl
+    keeps the binaries on disk, by source, options, device and driver."""
     key = (device.context.int_ptr, name, tuple(defines))
     if key not in _programs:
         options = [*OPTIONS, *(f"-D{define}" for define in defines)]
@@ -142,17 +134,14 @@ def _remembered(value: Any) -> Any:
 
 
 class Work(Protocol):
-    """What a queue is given: a launch, a fill or an upload."""
+    """What a queue is given, any number of times until it is released; `stage` is what its time is counted as."""
 
     @property
-    def stage(self) -> str:
-        """What its time is counted as."""
+    def stage(self) -> str: ...
 
-    def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
-        """Put it into the queue, any number of times."""
+    def enqueue(self, queue: cl.CommandQueue) -> cl.Event: ...
 
-    def release(self) -> None:
-        """It will not be enqueued again."""
+    def release(self) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -220,6 +209,23 @@ def run_once(queue: cl.CommandQueue, launches: Iterable[Work]) -> None:
         launch.release()
 
 
+def stage_times(queue: cl.CommandQueue, launches: Sequence[Work], repeats: int = 5) -> dict[str, tuple[float, int]]:
+    """Run `launches` in order `repeats` times on a profiling `queue`.
+
+    (milliseconds, launches) per repeat, by stage, from the device's own clock; one more repeat comes first and is not
+    counted, since a first launch may still compile.
+    """
+    total: dict[str, float] = defaultdict(float)
+    count: dict[str, int] = defaultdict(int)
+    for repeat in range(repeats + 1):
+        events = [(launch.stage, launch.enqueue(queue)) for launch in launches]
+        queue.finish()
+        for stage, event in events if repeat else ():
+            total[stage] += (event.profile.end - event.profile.start) * 1e-6 / repeats
+            count[stage] += 1
+    return {stage: (total[stage], count[stage] // repeats) for stage in total}
+
+
 # Kernels that wait for arguments, by (program, name): making one takes ten times as long as setting its arguments. The
 # one that has waited longest goes first, so that each comes back to the view that it served.
 _idle: dict[tuple[int, str], deque[_Kernel]] = defaultdict(deque)
@@ -239,24 +245,11 @@ def bind(program: Program, name: str, global_size: Sequence[int], local_size: Se
          known: Mapping[str, Any] = MappingProxyType({}), /, **arguments: Any) -> Launch:
     """A Launch of `name` with its own argument set, each argument by the name that the kernel has for it.
 
-    Parameters
-    ----------
-    program : Program
-    name : str
-        Of the kernel, one of `program`.
-    global_size, local_size : tuple of int
-        Work-items, and those of a group (usual_group by default, to which `global_size` is rounded up).
-    known : mapping of str to value, optional
-        Where arguments are looked up that are not given.
-    arguments : Buffer, None (a null buffer), int or float
-        Numbers are converted to the kernel's own type.
+    Work-items are rounded up to whole groups of `local_size` (usual_group by default). Arguments that are not given are
+    looked up in `known`; each is a Buffer, None (a null buffer), or a number, which is converted to the kernel's type.
 
-    Raises
-    ------
-    DeviceError
-        A whole number does not fit into 32 bits.
-    TypeError
-        An argument is missing, or the kernel has none of that name.
+    DeviceError where a whole number does not fit into 32 bits; TypeError where an argument is missing, or the kernel
+    has none of that name.
     """
     signature = program.signatures[name]
     unknown, missing = arguments.keys() - signature, signature.keys() - arguments.keys() - known.keys()

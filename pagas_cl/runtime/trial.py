@@ -29,36 +29,19 @@ MODULE = "pagas_cl.selftest.trial"    # what the child runs: one step of each bl
 
 @dataclass(frozen=True)
 class Trial:
-    """What trying a device has shown.
-
-    Attributes
-    ----------
-    lanes : int
-        Most pixels side by side with which it passed; 0 where it did not pass at all.
-    fault : str
-        Why it did not pass, or not with more lanes; empty where nothing was wrong.
-    seconds : float
-        What the trial took.
-    """
+    """What trying a device has shown, in `seconds`."""
 
     lanes: int
+    """Most pixels side by side with which it passed; 0 where it did not pass at all."""
     fault: str = ""
+    """Why it did not pass, or not with more lanes; empty where nothing was wrong."""
     seconds: float = 0.0
 
 
 def try_device(info: DeviceInfo, again: bool = False) -> Trial:
-    """What a trial of the device has shown: kept from before, or made now.
+    """What a trial of the device has shown: kept from before, or made now, as it is with `again` whatever was kept.
 
-    Parameters
-    ----------
-    info : DeviceInfo
-    again : bool
-        Make it anew, whatever was kept.
-
-    Raises
-    ------
-    InputError
-        PAGAS_CL_LANES or PAGAS_CL_TRIAL_SECONDS does not hold what it may.
+    InputError where PAGAS_CL_LANES or PAGAS_CL_TRIAL_SECONDS does not hold what it may.
     """
     widths, limit = _widths(info), _limit()
     key = cache.digest(identity(info), widths)
@@ -93,8 +76,9 @@ def kernels() -> str:
 
 
 def _trial(kept: dict[str, Any] | None) -> Trial | None:
-    """The trial that a file holds, if it is one of these kernels; with PAGAS_CL_TRIAL=known, of any."""
-    if not kept or (kept.get("kernels") != kernels() and os.environ.get(KNOWN) != "known"):
+    """The trial that a file holds, if it is one of these kernels; with PAGAS_CL_TRIAL=known, of any that passed."""
+    known = os.environ.get(KNOWN) == "known"
+    if not kept or (kept.get("kernels") != kernels() and not (known and kept.get("lanes"))):
         return None
     try:
         return Trial(int(kept["lanes"]), str(kept["fault"]), float(kept["seconds"]))

@@ -16,21 +16,11 @@ _ROTATION_TOLERANCE = 1e-3  # text formats keep 4 to 6 digits
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Pinhole camera.
+    """Pinhole camera: size, focal lengths and principal point in pixels, and a rigid pose (4, 4) in scene units.
 
     Convention: looks along +z, x right, y down (OpenCV, COLMAP). The image origin is the top-left corner, so that
-    pixel (row v, column u) has its centre at (u + 0.5, v + 0.5). All numbers are float64.
-
-    Parameters
-    ----------
-    width, height : int
-        Image size in pixels.
-    fx, fy, cx, cy : float
-        Focal lengths and principal point in pixels.
-    world_to_camera : ndarray of shape (4, 4)
-        Rigid transform from world to camera coordinates, in scene units.
-    name : str
-        What messages and files call this view.
+    pixel (row v, column u) has its centre at (u + 0.5, v + 0.5). All numbers are float64. Messages and files call the
+    view `name`.
     """
 
     width: int
@@ -57,21 +47,13 @@ class Camera:
             object.__setattr__(self, number, value)
         object.__setattr__(self, "world_to_camera", _checked_pose(self.world_to_camera, who))
 
-    # -- constructors: each says which convention comes in -------------------------------------------------------
-
     @classmethod
     def from_opencv_w2c(cls, K: npt.ArrayLike, world_to_camera: npt.ArrayLike, width: int, height: int, *,
                         pixel_center: float = 0.5, name: str = "") -> Camera:
-        """From OpenCV axes (x right, y down, z forward) and a world-to-camera pose.
+        """From OpenCV axes (x right, y down, z forward), K (3, 3) in pixels and a pose (3, 4) or (4, 4).
 
-        Parameters
-        ----------
-        K : array_like of shape (3, 3)
-            Intrinsics in pixels.
-        world_to_camera : array_like of shape (3, 4) or (4, 4)
-        pixel_center : float
-            Where K puts the centre of the top-left pixel: 0.5 (COLMAP; rays of Open3D) or 0 (OpenCV's calibration,
-            OpenMVS, Open3D's legacy cameras).
+        `pixel_center` is where K puts the centre of the top-left pixel: 0.5 (COLMAP; rays of Open3D) or 0 (OpenCV's
+        calibration, OpenMVS, Open3D's legacy cameras).
         """
         K = np.asarray(K, np.float64)
         if K.shape != (3, 3):
@@ -110,15 +92,10 @@ class Camera:
 
     @classmethod
     def from_open3d(cls, parameters: Any, *, pixel_center: float = 0.0, name: str = "") -> Camera:
-        """From Open3D's PinholeCameraParameters (extrinsic is world-to-camera).
-
-        Open3D's legacy cameras count pixel centres at whole numbers, which is the default here.
-        """
+        """From Open3D's legacy PinholeCameraParameters, which count pixel centres at whole numbers."""
         intrinsic = parameters.intrinsic
         return cls.from_opencv_w2c(intrinsic.intrinsic_matrix, parameters.extrinsic, intrinsic.width,
                                    intrinsic.height, pixel_center=pixel_center, name=name)
-
-    # -- what one asks of a camera -------------------------------------------------------------------------------
 
     @property
     def K(self) -> npt.NDArray[np.float64]:
@@ -157,11 +134,9 @@ class Camera:
                        cy=self.cy * sy)
 
     def relative_to(self, target: Camera) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Rotation R (3, 3) and translation tau (3,) from `target`'s camera frame to this one (method section 3).
-
-        tau comes from the difference of the centres, so that it keeps its digits when both are far from the origin.
-        """
+        """Rotation R (3, 3) and translation tau (3,) from `target`'s camera frame to this one (method section 3)."""
         rotation = self.world_to_camera[:3, :3] @ target.world_to_camera[:3, :3].T
+        # the centres' difference keeps its digits when both are far from the origin
         return rotation, self.world_to_camera[:3, :3] @ (target.center - self.center)
 
 

@@ -1,9 +1,8 @@
 """Are these the right cameras for this mesh and these photos? And if not, which reading of their numbers is?
 
-Every reading that people mix up is tried: the matrices as given, inverted, with y and z flipped (OpenGL), the principal
-point counted from the bottom, pixel centres half a pixel off. How much of the mesh each sees, and how well photos agree
-over the mesh, decides; what the photos cannot decide is said to be undecided. `check_seen` is the part of it that needs
-no photos and goes before every refinement.
+Every reading that people mix up is tried. How much of the mesh each sees, and how well photos agree over the mesh,
+decides; what the photos cannot decide is said to be undecided. `check_seen` is the part of it that needs no photos and
+goes before every refinement.
 """
 
 from __future__ import annotations
@@ -70,16 +69,8 @@ _DETAILS = (
 def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDArray[np.float64]:
     """Raise InputError when the poses are such that hardly a camera sees the mesh, saying which reading would mend it.
 
-    Parameters
-    ----------
-    surface : Surface, or ndarray of shape (V, 3)
-        The mesh, or its vertices, world coordinates.
-    cameras : list of Camera
-
-    Returns
-    -------
-    ndarray of shape (N,), float64
-        Share of the mesh's points in front of and inside each camera's image.
+    `surface` is the mesh, or its vertices (V, 3) in world coordinates. Returns the share of its points in front of and
+    inside each camera's image, float64 (cameras,).
     """
     if not cameras:
         raise InputError("there are no cameras: nothing can be refined")
@@ -105,10 +96,7 @@ def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDAr
 
 
 def sample_points(surface: Surface | np.ndarray, count: int) -> npt.NDArray[np.float64]:
-    """Up to `count` vertices, evenly taken, and as many points on the faces, by area: float64 of shape (N, 3).
-
-    The same points each time. Faces matter where triangles are larger than a photo's view.
-    """
+    """Up to `count` vertices, evenly taken, and as many points on the faces, by area: float64 (N, 3)."""
     vertices = surface.vertices if isinstance(surface, Surface) else np.asarray(surface, np.float64)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) == 0:
         raise InputError(f"vertices have shape {vertices.shape}, expected (V, 3) with at least one")
@@ -126,7 +114,7 @@ def _box(places: np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class ViewCheck:
-    """Shares (0 to 1) of the mesh's area in front of a view and inside its image."""
+    """Shares of the mesh's area in front of a view and inside its image."""
 
     name: str
     front: float
@@ -177,14 +165,9 @@ class CameraReport:
 
 
 def check_cameras(mesh: Mesh, cams: Cameras, images: Images | None = None) -> CameraReport:
-    """Check cameras against a mesh and, where given, photos.
+    """Check cameras against a mesh and photos, all as `refine_mesh` takes them.
 
-    Parameters
-    ----------
-    mesh : anything that `refine_mesh` takes
-    cams : list of Camera, Open3D PinholeCameraTrajectory, or pycolmap Reconstruction
-    images : list of arrays or paths, dict by camera name, or a folder; optional
-        Without photos only what each view sees of the mesh is compared.
+    Without photos only what each view sees of the mesh is compared.
     """
     if images is None:
         return check_views(mesh, as_cameras(cams), None)
@@ -256,10 +239,10 @@ def _best(readings: Sequence[Reading]) -> Reading:
 def _sentence(given: Reading, best: Reading, count: int) -> str:
     behind = "; the mesh lies behind them" if given.front < 0.05 else ""
     sees = f"{given.seeing} of {count} cameras see the mesh{behind}"
+    if best is not given and best.seeing and not given.seeing:
+        agree = "" if best.agreement is None else f", and the photos agree ({best})"
+        return f"{sees}; {best.name}, {best.seeing} of {count} do{agree}: use {best.mend}"
     if best is not given:
-        if best.seeing and not given.seeing:
-            agree = "" if best.agreement is None else f", and the photos agree ({best})"
-            return f"{sees}; {best.name}, {best.seeing} of {count} do{agree}: use {best.mend}"
         return (f"photos agree better over the mesh with the cameras {best.name} ({best} instead of {given}): use "
                 f"{best.mend}")
     if given.seeing == 0:

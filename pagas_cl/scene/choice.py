@@ -1,4 +1,4 @@
-"""Context choice: which other views constrain a target, from what its initial depth says is seen by both.
+"""Context choice: which other views constrain a target, and which only judge, from what its depth says both see.
 
 No photo and no sparse point is needed. Up to 2000 of the target's depths are carried to the candidates; what counts is
 the share that lands in front and inside, is not hidden behind that view's own initial depth, and is seen at an angle
@@ -8,15 +8,18 @@ useful for depth. With many cameras the candidates are first cut by cheap geomet
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pagas_cl.config import Context
+from pagas_cl.config import MOST_CONTEXTS, Context
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.sampling import SAMPLES, DepthSample, sample_pixels
+from pagas_cl.scene.sampling import SAMPLES, DepthSample, sample_depth, sample_pixels
 
+MOST_HELD_OUT = 3       # most views that only judge
+SPARE_ONE = 6           # with so many usable views, one is spared for that even where all could be used
+_SAMPLED = 64           # with more views than this, planning looks at samples of their depth maps
 _MANY = 64              # with more cameras than this the candidates are cut first
 _HIDDEN = 1.02          # a point this much deeper than the other view's own surface is hidden there
 _RISE, _FALL = 8.0, 25.0  # degrees: the angle score is 1 between them and falls towards the limits of the setting
@@ -24,18 +27,10 @@ _RISE, _FALL = 8.0, 25.0  # degrees: the angle score is 1 between them and falls
 
 @dataclass(frozen=True)
 class ContextChoice:
-    """Context views of a target, most useful first.
+    """Context views of a target, most useful first, as `indices` into the list of cameras.
 
-    Attributes
-    ----------
-    indices : tuple of int
-        Into the list of cameras.
-    overlaps : tuple of float
-        Share of the target's valid depths that the view sees at an angle within the settings' limits.
-    angles : tuple of float
-        Median angle between the rays of target and view, degrees.
-    reason : str
-        Empty, or why there are fewer views than wanted.
+    `overlaps`: share of the target's valid depths that the view sees at an angle within the settings' limits; `angles`:
+    median between the rays of target and view, degrees; `reason`: empty, or why there are fewer views than wanted.
     """
 
     indices: tuple[int, ...]
@@ -53,12 +48,8 @@ def choose_contexts(target: int, cameras: Sequence[Camera], depths: Sequence[np.
 class ContextChooser:
     """Chooses for one target after another; what all targets share is worked out once.
 
-    Parameters
-    ----------
-    cameras : list of Camera
-    depths : list of (ndarray of shape (H, W), DepthSample, or None)
-        Initial depth of each camera. A target needs one; another view without one is taken to hide nothing.
-    settings : config.Context
+    `depths` are the cameras' initial ones, (H, W) in scene units. A target needs one; another view without one is taken
+    to hide nothing.
     """
 
     def __init__(self, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None],
@@ -77,7 +68,6 @@ class ContextChooser:
                 np.array([((c.fx, c.fy), (c.cx, c.cy), (c.width, c.height)) for c in cameras], np.float64), 1, 0)
 
     def choose(self, target: int) -> ContextChoice:
-        """Context views of the camera `target`."""
         points, z = self._points(target)
         if len(z) == 0:
             return ContextChoice((), (), (), "its initial depth has no valid pixel (finite and above 0)")
@@ -92,11 +82,10 @@ class ContextChooser:
         score = useful * _angle_score(angle, self.settings) / np.maximum(coarser, 1)
         usable = (overlap >= self.settings.min_overlap) & (overlap > 0)
         order = _greedy(score, np.flatnonzero(usable), self.settings.number)
-        angles = [float(np.median(angle[k][useful[k]])) for k in order]
         wanted = min(self.settings.number, len(self.cameras) - 1)
         reason = "" if len(order) == wanted > 0 else self._reason(len(order), inside, seen, useful, angle)
         return ContextChoice(tuple(int(candidates[k]) for k in order), tuple(float(overlap[k]) for k in order),
-                             tuple(angles), reason)
+                             tuple(float(np.median(angle[k][useful[k]])) for k in order), reason)
 
     def _points(self, target: int) -> tuple[np.ndarray, np.ndarray]:
         """Sampled surface points of the target, (N, 3) relative to the first camera's centre, and their depth (N,)."""
@@ -162,12 +151,11 @@ class ContextChooser:
         hidden = np.zeros(inside.shape, bool)
         for k, j in enumerate(which):
             own = self.depths[j]
-            if own is None:
-                continue
-            sampled = isinstance(own, DepthSample)
-            at = uv[k][inside[k]].astype(np.intp) // (own.cell if sampled else 1)
-            surface = (own.farthest if sampled else own)[at[:, 1], at[:, 0]]
-            hidden[k, inside[k]] = (surface > 0) & (depth[k][inside[k]] > _HIDDEN * surface)
+            if own is not None:
+                farthest, cell = (own.farthest, own.cell) if isinstance(own, DepthSample) else (own, 1)
+                at = uv[k][inside[k]].astype(np.intp) // cell
+                surface = farthest[at[:, 1], at[:, 0]]
+                hidden[k, inside[k]] = (surface > 0) & (depth[k][inside[k]] > _HIDDEN * surface)
         return hidden
 
     def _reason(self, found: int, inside: np.ndarray, seen: np.ndarray, useful: np.ndarray, angle: np.ndarray) -> str:
@@ -198,11 +186,8 @@ def _angle_score(angle: np.ndarray, settings: Context) -> np.ndarray:
 
 
 def _greedy(score: np.ndarray, usable: np.ndarray, number: int) -> list[int]:
-    """Up to `number` of `usable`, each the one that adds most to the sum over samples of sqrt(score so far).
-
-    The root makes the second view of a region worth less than the first, so that no part of the target is left to
-    chance by ten views of the other part.
-    """
+    """Up to `number` of `usable`, each the one that adds most to the sum over samples of sqrt(score so far)."""
+    # the root makes a region's second view worth less than its first: every part of the target is to be seen
     total, left = np.zeros(score.shape[1]), list(usable)
     order: list[int] = []
     while left and len(order) < number:
@@ -211,3 +196,47 @@ def _greedy(score: np.ndarray, usable: np.ndarray, number: int) -> list[int]:
         total += score[best]
         order.append(int(best))
     return order
+
+
+@dataclass(frozen=True)
+class Partners:
+    """Places in the list of views: contexts, most useful first, and usable views that are held out.
+
+    `reason`: why there are fewer context views than wanted.
+    """
+
+    target: int
+    contexts: tuple[int, ...]
+    held_out: tuple[int, ...] = ()
+    reason: str = ""
+
+    @property
+    def all(self) -> tuple[int, ...]:
+        return (self.target, *self.contexts, *self.held_out)
+
+
+def for_planning(depth: np.ndarray | DepthSample | None, views: int) -> np.ndarray | DepthSample | None:
+    """What is needed of a depth map (or None) to choose partners among so many views: all of it, or a sample."""
+    return depth if depth is None or views <= _SAMPLED or isinstance(depth, DepthSample) else sample_depth(depth)
+
+
+def shared_out(usable: tuple[int, ...], number: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Of usable views, most useful first: the context views, at most `number`, and the held-out views."""
+    used = min(number, len(usable) - 1 if len(usable) >= SPARE_ONE else len(usable))
+    return usable[:used], usable[used:number + MOST_HELD_OUT]
+
+
+class PartnerChooser:
+    """Chooses for one target after another; parameters as in ContextChooser."""
+
+    def __init__(self, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None],
+                 settings: Context):
+        self._number = settings.number
+        depths = [for_planning(depth, len(cameras)) for depth in depths]
+        more = min(settings.number + MOST_HELD_OUT, MOST_CONTEXTS)
+        self._chooser = ContextChooser(cameras, depths, replace(settings, number=more))
+
+    def choose(self, target: int) -> Partners:
+        choice = self._chooser.choose(target)
+        contexts, held_out = shared_out(choice.indices, self._number)
+        return Partners(target, contexts, held_out, choice.reason)

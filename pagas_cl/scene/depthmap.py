@@ -23,17 +23,14 @@ SUFFIXES = (".npz", ".npy", ".pfm", ".png", ".geometric.bin", ".photometric.bin"
 def find_depth(folder: str | Path, image_name: str) -> Path | None:
     """The depth map of a photo in `folder`: `<stem>` or the whole `<image name>` (as COLMAP does) plus a suffix."""
     folder = Path(folder)
-    for suffix in SUFFIXES:
-        for name in (str(Path(image_name).with_suffix("")), Path(image_name).stem, image_name, Path(image_name).name):
-            path = folder / (name + suffix)
-            if path.is_file():
-                return path
-    return None
+    names = str(Path(image_name).with_suffix("")), Path(image_name).stem, image_name, Path(image_name).name
+    places = (folder / (name + suffix) for suffix in SUFFIXES for name in names)
+    return next((path for path in places if path.is_file()), None)
 
 
 def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
                scale: float | None = None) -> npt.NDArray[np.float32]:
-    """Read a depth map.
+    """Read a depth map: (H, W) float32, 0 where it is not finite or below 0.
 
     Parameters
     ----------
@@ -43,11 +40,6 @@ def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
         Size wanted; another size is resampled by `resize_depth`.
     scale : float, optional
         The file's number for one scene unit (1000 for millimetres in a scene of metres); a PNG needs it, else 1.
-
-    Returns
-    -------
-    ndarray of shape (H, W), float32
-        What is not finite, or below 0, is 0.
     """
     path = Path(path)
     if not path.is_file():
@@ -102,11 +94,9 @@ def save_depth(path: str | Path, depth: npt.ArrayLike) -> None:
 
 
 def resize_depth(depth: npt.ArrayLike, width: int, height: int) -> npt.NDArray[np.float32]:
-    """Depth map at another size, float32 of shape (height, width).
+    """Depth map at another size: linear where it grows and the area's mean where it shrinks, over valid depths only.
 
-    Linear at pixel centres where it grows and the area's mean where it shrinks, over valid depths only. Validity is
-    kept: a pixel is valid iff the input pixel that its centre lies in is (where it shrinks: iff half of the covered
-    area is).
+    A pixel is valid iff the input pixel that its centre lies in is (where it shrinks: iff half of the covered area is).
     """
     depth = np.asarray(depth, np.float32)
     if depth.shape == (height, width):

@@ -43,18 +43,10 @@ def read_mask(path: str | Path) -> npt.NDArray[np.bool_]:
 
 
 def as_photo(pixels: npt.ArrayLike, who: str = "image") -> npt.NDArray[np.uint8]:
-    """Make 8-bit RGB of an array.
+    """8-bit RGB, uint8 (H, W, 3), C-contiguous, of an array that a message calls `who`.
 
-    Parameters
-    ----------
-    pixels : ndarray of shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4)
-        uint8; uint16 (0..65535); or floating point in [0, 1], rounded to 8 bit.
-    who : str
-        What a message calls it.
-
-    Returns
-    -------
-    ndarray of shape (H, W, 3), uint8, C-contiguous
+    `pixels` are (H, W), (H, W, 1), (H, W, 3) or (H, W, 4): uint8; uint16 (0..65535); or floating point in [0, 1],
+    rounded to 8 bit.
     """
     photo: np.ndarray = np.asarray(pixels)
     if photo.ndim == 2:
@@ -80,10 +72,10 @@ def as_photo(pixels: npt.ArrayLike, who: str = "image") -> npt.NDArray[np.uint8]
 
 
 def as_mask(values: npt.ArrayLike, who: str = "mask") -> npt.NDArray[np.bool_]:
-    """Make a boolean array of shape (H, W) of a mask: true = keep.
+    """A mask as bool (H, W): true = keep.
 
-    Boolean arrays stay; of integers, those above half of the dtype's range are true (above 0 where nothing exceeds
-    1); of floating point numbers, those above 0.5. Anti-aliased borders are thereby cut in the middle.
+    Of integers those above half of the dtype's range are true (above 0 where nothing exceeds 1), of floating point
+    numbers those above 0.5: anti-aliased borders are cut in the middle.
     """
     values = np.asarray(values)
     if values.ndim == 3 and values.shape[2] in (1, 3, 4):
@@ -101,9 +93,9 @@ def as_mask(values: npt.ArrayLike, who: str = "mask") -> npt.NDArray[np.bool_]:
 
 
 def bilinear(pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Values of an image (H, W) or (H, W, C) at positions x, y of any shape, pixel centres at +0.5, border repeated.
+    """Values of an image (H, W) or (H, W, C) at positions x, y, pixel centres at +0.5, border repeated.
 
-    Shares are of the positions' dtype. A position that is not finite gets some value or other.
+    A position that is not finite gets some value or other.
     """
     height, width = pixels.shape[:2]
     x, y = (np.nan_to_num(np.clip(at - 0.5, 0, side - 1)) for at, side in ((x, width), (y, height)))

@@ -24,11 +24,7 @@ Depth: TypeAlias = np.ndarray | Loads
 
 
 def as_cameras(cams: Cameras) -> list[Camera]:
-    """Cameras from a list of Camera, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction.
-
-    A reconstruction's cameras come in the order of their image names. Open3D's pixel centres are whole numbers (see
-    Camera.from_open3d).
-    """
+    """The list of Camera; of a reconstruction in the order of the image names."""
     if hasattr(cams, "parameters"):
         return [Camera.from_open3d(p, name=f"{k:05d}") for k, p in enumerate(cams.parameters)]
     if hasattr(cams, "images") and hasattr(cams, "cameras"):
@@ -44,15 +40,7 @@ def as_cameras(cams: Cameras) -> list[Camera]:
 
 
 def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list[View]:
-    """One View a camera.
-
-    Parameters
-    ----------
-    cams : see as_cameras
-    images : list of arrays or paths in the order of the cameras, dict by camera name, or a folder
-        A folder holds files called as the cameras are.
-    masks : the same, or None
-    """
+    """One View a camera; a folder of images or masks holds files called as the cameras are."""
     cameras = as_cameras(cams)
     if not cameras:
         raise InputError("no cameras were given, expected at least two")

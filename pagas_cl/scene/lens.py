@@ -20,17 +20,10 @@ _ROWS = 256  # rows of the map made at a time
 
 @dataclass(frozen=True)
 class Lens:
-    """A calibrated lens and the pinhole that its photos are resampled to.
+    """A calibrated lens (COLMAP's `model` and its `params`) and the pinhole that its photos are resampled to.
 
-    Parameters
-    ----------
-    model : str
-        COLMAP's name of the camera model.
-    params : tuple of float
-    size : (width, height)
-        Of the photos as taken, pixels.
-    pinhole : (width, height, fx, fy, cx, cy)
-        Pixels, centres at +0.5.
+    `size`: width and height of the photos as taken, pixels; `pinhole`: width, height, fx, fy, cx, cy, pixels, centres
+    at +0.5.
     """
 
     model: str
@@ -72,7 +65,6 @@ class ThroughLens:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height that the file must have."""
         return self.lens.size
 
     def load(self) -> np.ndarray:

@@ -18,16 +18,10 @@ Mesh: TypeAlias = Any
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Triangle mesh, world coordinates.
+    """Triangle mesh, world coordinates, scene units.
 
-    Parameters
-    ----------
-    vertices : ndarray of shape (V, 3), float64, scene units
-    faces : ndarray of shape (F, 3), int32, 0-based
-    normals : ndarray of shape (V, 3), float64, or None
-    colors : ndarray of shape (V, 3), float64 from 0 to 1, or None
-    quality : ndarray of shape (V,), float64, or None
-        MeshLab's vertex quality; our confidence goes there.
+    Vertices and normals are (V, 3), colors (V, 3) from 0 to 1, faces (F, 3) 0-based; quality (V,) is MeshLab's vertex
+    quality, where our confidence goes.
     """
 
     vertices: npt.NDArray[np.float64] = field(repr=False)
@@ -54,13 +48,10 @@ class Surface:
 
 
 def to_surface(mesh: Mesh) -> Surface:
-    """Surface of an Open3D TriangleMesh (legacy or tensor), a pymeshlab Mesh or MeshSet (its current mesh, layer
-    matrix applied), a pair (vertices, faces), a Surface, or the path of a mesh file.
+    """Surface of any Mesh; of a MeshSet the current mesh, layer matrix applied.
 
-    Raises
-    ------
-    InputError
-        Empty mesh, vertices that are not finite, face indices out of range, unknown kind or unreadable file.
+    InputError for an empty mesh, vertices that are not finite, face indices out of range, an unknown kind or an
+    unreadable file.
     """
     if isinstance(mesh, Surface):
         return mesh
@@ -75,18 +66,16 @@ def to_surface(mesh: Mesh) -> Surface:
 
 
 def from_surface(surface: Surface, like: Mesh) -> Mesh:
-    """`surface` as the kind of mesh that `like` is (a path gives the Surface itself).
+    """`surface` as a new mesh of the kind that `like` is (a path gives the Surface itself).
 
-    Open3D's and pymeshlab's own classes come back new, `like` is left alone. pymeshlab keeps colours in 8 bits and
-    makes its own normals.
+    pymeshlab keeps colours in 8 bits and makes its own normals.
     """
     if isinstance(like, (str, Path, Surface)):
         return surface
     kind = mesh_kind(like)
     if kind == "pair":
         return surface.vertices.copy(), surface.faces.copy()
-    make = {"open3d": to_legacy, "open3d.t": _to_tensor, "pymeshlab": _to_pymeshlab}[kind]
-    return make(surface, like)
+    return {"open3d": to_legacy, "open3d.t": _to_tensor, "pymeshlab": _to_pymeshlab}[kind](surface, like)
 
 
 def mesh_kind(mesh: Mesh) -> str:
@@ -136,7 +125,7 @@ def from_legacy(mesh: Any) -> Surface:
 
 
 def to_legacy(surface: Surface, like: Mesh = None) -> Mesh:
-    """A new Open3D legacy TriangleMesh; `like` is what the other ways need."""
+    """A new Open3D legacy TriangleMesh."""
     o3d = need("open3d", "mesh", "making an Open3D mesh")
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(surface.vertices),
                                      o3d.utility.Vector3iVector(surface.faces))
@@ -155,9 +144,8 @@ def _from_tensor(mesh: Any) -> Surface:
     colors = take.get("colors")
     if colors is not None and colors.dtype.kind in "iu":
         colors = colors / float(np.iinfo(colors.dtype).max)
-    quality = take.get("quality")
-    return Surface(take["positions"], mesh.triangle["indices"].cpu().numpy(), take.get("normals"), colors,
-                   None if quality is None else quality.reshape(len(quality)))
+    quality = take["quality"].reshape(len(take["quality"])) if "quality" in take else None
+    return Surface(take["positions"], mesh.triangle["indices"].cpu().numpy(), take.get("normals"), colors, quality)
 
 
 def _to_tensor(surface: Surface, like: Mesh) -> Mesh:
@@ -165,19 +153,15 @@ def _to_tensor(surface: Surface, like: Mesh) -> Mesh:
     mesh = o3d.t.geometry.TriangleMesh()
     mesh.vertex["positions"] = positions(surface.vertices, like)
     mesh.triangle["indices"] = o3d.core.Tensor(surface.faces.astype(np.int64))
-    for name, value in (("normals", surface.normals), ("colors", surface.colors)):
+    quality = None if surface.quality is None else surface.quality[:, None]
+    for name, value in (("normals", surface.normals), ("colors", surface.colors), ("quality", quality)):
         if value is not None:
             mesh.vertex[name] = o3d.core.Tensor(value.astype(np.float32))
-    if surface.quality is not None:
-        mesh.vertex["quality"] = o3d.core.Tensor(surface.quality[:, None].astype(np.float32))
     return mesh
 
 
 def positions(vertices: np.ndarray, like: Mesh) -> Any:
-    """Vertices (V, 3) as an Open3D Tensor for a mesh like `like`.
-
-    A float32 mesh stays one unless its coordinates are so large that a millionth of its size would be lost.
-    """
+    """Vertices (V, 3) as an Open3D Tensor: float32 where `like` is and no millionth of the mesh's size is lost."""
     core = need("open3d", "mesh", "making an Open3D mesh").core
     single = "positions" in like.vertex and like.vertex["positions"].dtype == core.float32
     fits = np.abs(vertices).max() * 2.0**-24 < 1e-6 * np.ptp(vertices, axis=0).max()

@@ -28,13 +28,8 @@ def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None,
                   quality: np.ndarray | None = None) -> Mesh:
     """A new mesh of `mesh`'s kind with `vertices`, its faces split as `subdivision` says, all else carried along.
 
-    Parameters
-    ----------
-    mesh : Open3D TriangleMesh (legacy or tensor), pymeshlab.Mesh, (vertices, faces), or Surface
-    vertices : ndarray of shape (V', 3), float64, world coordinates
-    subdivision : surface.subdivide.Subdivision, optional
-    quality : ndarray of shape (V',), optional
-        Vertex quality, for the kinds that have one.
+    `vertices` are (V', 3) float64, world coordinates; `subdivision` is a surface.subdivide.Subdivision; `quality` (V',)
+    is for the kinds that have one.
     """
     carry: Any = subdivision or _Same
     if isinstance(mesh, Surface):

@@ -47,10 +47,7 @@ def read_open3d(path: str | Path, textures: bool = False) -> Any:
 
 
 def _check_claims(path: Path) -> None:
-    """InputError where a .ply or .off file claims more elements than it has bytes, or a binary .ply is cut off.
-
-    Memory is asked for by the claim, before anything is read.
-    """
+    """InputError where a .ply or .off file claims more elements than it has bytes, or a binary .ply is cut off."""
     size = path.stat().st_size
     with open(path, "rb") as file:
         head = file.read(_HEADER)
@@ -97,8 +94,7 @@ def check_mesh_path(path: str | Path) -> None:
 def write_mesh(path: str | Path, surface: Surface) -> None:
     """Write `surface`; folders are made, and the final name never holds half of it.
 
-    .ply: binary, vertices as double, normals and quality (MeshLab's vertex quality) as float, colours as 8 bit. The
-    other kinds keep what Open3D writes.
+    .ply: binary, vertices as double, normals and quality as float, colours as 8 bit; of other kinds what Open3D writes.
     """
     path = Path(path)
     check_mesh_path(path)

@@ -26,10 +26,9 @@ _PER_CELL = 6        # surface samples in a cell of the depth buffer, on average
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Points spread evenly over a surface.
+    """Points spread evenly over a surface, and unit normals, float64 (N, 3).
 
-    `points` and `normals` are float64 of shape (N, 3), normals unit; the first `few` of them are the middles of
-    patches, all of them fill the depth buffer.
+    The first `few` of them are the middles of patches, all of them fill the depth buffer.
     """
 
     points: np.ndarray = field(repr=False)
@@ -43,10 +42,7 @@ def evenly(count: int, most: int) -> npt.NDArray[np.intp]:
 
 
 def on_faces(surface: Surface, along: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3) where shares `along` (N,) of the area end, at `u`, `v` (N,) in their triangles; unit normals.
-
-    None where the mesh has no area; faces without area have no points.
-    """
+    """Points (N, 3) where shares `along` (N,) of the area end, at `u`, `v` (N,) in their triangles; unit normals."""
     a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     twice_area = np.linalg.norm(across, axis=1)
@@ -123,17 +119,10 @@ def overlaps(cameras: list[Camera], samples: Samples, most: int = 12) -> tuple[n
 
 def patch_correlation(cameras: list[Camera], greys: list[np.ndarray], pairs: list[tuple[int, int]], seen: np.ndarray,
                       samples: Samples) -> np.ndarray:
-    """Zero-mean normalised correlation of each patch between the two views of each pair.
+    """Zero-mean normalised correlation of each patch between the reference view and the other view of each pair.
 
-    Parameters
-    ----------
-    greys : list of ndarray (H, W), float32, grey levels of 255 (None where no pair needs it)
-    pairs : list of (reference view, other view)
-    seen : bool (views, few)
-
-    Returns
-    -------
-    ndarray of shape (pairs, few), NaN where the patch is unseen or has no texture
+    `greys` are (H, W) float32, grey levels of 255; `seen` is bool (views, few). Gives (pairs, few), NaN where the patch
+    is unseen or has no texture.
     """
     points, normals = samples.points[:samples.few], samples.normals[:samples.few]
     result = np.full((len(pairs), samples.few), np.nan)
@@ -173,10 +162,8 @@ def grey_of(image: np.ndarray) -> np.ndarray:
 
 
 def prefers(other: np.ndarray, given: np.ndarray) -> bool:
-    """Whether patches correlate significantly better under another reading.
-
-    Patches are compared one by one; neighbours are related, so that only a quarter of them is counted as independent.
-    """
+    """Whether patches correlate significantly better under another reading."""
+    # neighbours are related: only a quarter of them is counted as independent
     gain = (other - given)[np.isfinite(other) & np.isfinite(given)]
     return bool(len(gain) >= LEAST and (gain > 0).mean() > 0.5 + 1.5 / np.sqrt(len(gain) / 4)
                 and np.median(gain) > 2e-3)

@@ -30,17 +30,13 @@ def view_at(view: View, scale: float) -> View:
 
 def photo_to(photo: np.ndarray, width: int, height: int) -> np.ndarray:
     """Area average of a photo (H, W, 3) uint8, rounded to 8 bit; where a side grows, that side is interpolated."""
-    if photo.shape[:2] == (height, width):
-        return photo
-    rounded: np.ndarray = np.rint(_resampled(photo, width, height))
-    return rounded.astype(np.uint8)
+    same = photo.shape[:2] == (height, width)
+    return photo if same else np.rint(_resampled(photo, width, height)).astype(np.uint8)
 
 
 def mask_to(mask: np.ndarray, width: int, height: int) -> np.ndarray:
     """Mask (H, W) bool at another size: true where everything that the pixel covers is true."""
-    if mask.shape == (height, width):
-        return mask
-    return _resampled(mask, width, height) > _WHOLE
+    return mask if mask.shape == (height, width) else _resampled(mask, width, height) > _WHOLE
 
 
 def depth_down(depth: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -57,8 +53,7 @@ def depth_down(depth: np.ndarray, width: int, height: int) -> np.ndarray:
 def depth_up(depth: np.ndarray, width: int, height: int) -> np.ndarray:
     """Depth (H, W) at a finer size: bilinear at pixel centres over the valid (> 0) neighbours, 0 where there is none.
 
-    A pixel gets a depth as soon as one of its neighbours that count has one, so that validity grows by up to a pixel
-    of the coarse level; restore the validity that is wanted afterwards.
+    Validity grows by up to a pixel of the coarse level: one valid neighbour is enough.
     """
     if depth.shape == (height, width):
         return depth

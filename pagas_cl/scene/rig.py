@@ -8,10 +8,9 @@ from pagas_cl.scene.camera import Camera
 
 
 def viewing_distance(cameras: list[Camera]) -> float:
-    """Median distance of the cameras from the point they look at, scene units (the paper's unit of the rate).
+    """Median distance of the cameras from the point nearest to all viewing axes (the paper's unit of the rate).
 
-    The point is the one nearest to all viewing axes. NaN where the axes are parallel or the point lies behind most
-    cameras: then there is none.
+    NaN where there is none: the axes are parallel, or it lies behind most cameras.
     """
     centers = np.array([camera.center for camera in cameras])
     axes = np.array([camera.direction for camera in cameras])
@@ -28,18 +27,14 @@ def viewing_distance(cameras: list[Camera]) -> float:
 
 
 def footprint(target: Camera, context: Camera, scene_scale: float) -> float:
-    """Size of a pixel of `context` where it sees the middle of the target at the depth `scene_scale`, in units;
-    0 behind it."""
+    """Size of `context`'s pixel at the middle of the target at depth `scene_scale`, in units; 0 behind it."""
     rotation, tau = context.relative_to(target)
     z = rotation[2, 2] + tau[2] / scene_scale
     return max(0.0, float(z)) / float(np.sqrt(context.fx * context.fy))
 
 
 def camera_table(target: Camera, contexts: list[Camera], scene_scale: float) -> np.ndarray:
-    """The cameras as camera.clh reads them, target first: float32 of shape (1 + contexts, 20).
-
-    Relative poses are formed in float64 (method section 2); lengths are divided by `scene_scale`.
-    """
+    """The cameras as camera.clh reads them, target first, lengths in `scene_scale`: float32 (1 + contexts, 20)."""
     rows = []
     for camera in (target, *contexts):
         rotation, tau = camera.relative_to(target)

@@ -15,15 +15,8 @@ MEDIAN_SAMPLES = 65536
 class DepthSample:
     """Some depths of a view, and a coarse grid of its farthest ones (some 30 kB a view).
 
-    Attributes
-    ----------
-    rows, columns : ndarray of shape (N,), int32
-    depth : ndarray of shape (N,), float32
-        Up to `SAMPLES` valid pixels, evenly spread.
-    farthest : ndarray of shape (h, w), float32
-        Largest depth in each cell of a coarse grid over the image, 0 where none is valid.
-    shape : (int, int)
-        Height and width of the depth map.
+    `rows`, `columns` (int32) and `depth` (float32) are (N,): up to `SAMPLES` valid pixels, evenly spread. `farthest`
+    (h, w) is the largest depth in each cell, 0 where none is valid; `shape` is height and width of the depth map.
     """
 
     rows: np.ndarray = field(repr=False)
@@ -34,7 +27,6 @@ class DepthSample:
 
     @property
     def cell(self) -> int:
-        """Edge of a cell, pixels."""
         return _cell(self.shape)
 
 
@@ -69,10 +61,7 @@ def _cell(shape: tuple[int, ...]) -> int:
 
 
 def scene_scale_of(depth: np.ndarray, mask: np.ndarray | None) -> float:
-    """A view's unit of length while it is refined: the median of the valid depths (of a regular sample of a large map).
-
-    1 without any.
-    """
+    """A view's unit of length while it is refined: the median of (a regular sample of) its valid depths; 1 without."""
     every = max(1, depth.size // MEDIAN_SAMPLES)
     sample = _valid_of(depth, mask, every)
     if every > 1 and sample.size < MEDIAN_SAMPLES // 16:        # a small object in a large photo

@@ -17,18 +17,11 @@ from pagas_cl.scene.images import Loads, as_mask, as_photo, image_size, read_mas
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One photo and its camera.
+    """One photo and its camera, which is of the photo's size.
 
-    Parameters
-    ----------
-    camera : Camera
-        Of the photo's size.
-    image : ndarray of shape (H, W, 3), Path, or an object with `load()`
-        uint8 RGB (floating point from 0 to 1 is rounded to 8 bit); a path is read each time it is asked for.
-    mask : ndarray of shape (H, W), Path, object with `load()`, or None
-        True = keep.
-    name : str
-        What messages and files call the view; the camera's name where it is empty.
+    `image`: (H, W, 3) uint8 RGB (floating point from 0 to 1 is rounded to 8 bit); `mask`: (H, W), true = keep. Each may
+    be a path or an object with `load()`, read each time it is asked for. Messages and files call the view `name`; where
+    that is empty, by the camera's name.
     """
 
     camera: Camera
@@ -78,8 +71,7 @@ class View:
         return self._fitting(read(source) if isinstance(source, (str, Path)) else source.load(), what)
 
     def _fitting(self, pixels: np.ndarray, what: str) -> np.ndarray:
-        size = (pixels.shape[1], pixels.shape[0])
-        self._check_size(size, (self.camera.width, self.camera.height), what)
+        self._check_size(pixels.shape[1::-1], (self.camera.width, self.camera.height), what)
         return pixels
 
     def _check_size(self, size: Sequence[int], wanted: Sequence[int], what: str) -> None:
@@ -99,15 +91,9 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Views and where they came from.
+    """Views, and the folder or file that they were read from, with its format.
 
-    Parameters
-    ----------
-    views : list of View
-    source : str
-        Folder or file that it was read from, with the format.
-    points : ndarray of shape (N, 3), float64, or None
-        Sparse points where the format has them; nothing needs them.
+    `points`: sparse points (N, 3) float64 where the format has them; nothing needs them.
     """
 
     views: list[View]
@@ -121,7 +107,6 @@ class Scene:
 
     @property
     def cameras(self) -> list[Camera]:
-        """The cameras of the views, in their order."""
         return [view.camera for view in self.views]
 
     def index(self, name: str) -> int:

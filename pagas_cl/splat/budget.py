@@ -65,19 +65,15 @@ def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, stre
     full, sizes = [level_size(camera, 1.0) for camera in cameras], [level_size(camera, scale) for camera in cameras]
     lengths = dimensions(config, sizes[0], sizes[1:], contexts)
     depths = 8 * full[0].pixels          # the initial one, as it came and in units; that of the level before, enlarged
-    if scale > config.pyramid.scales[0]:
-        depths += 4 * (sizes[0].pixels + _before(scale, cameras[0], config).pixels)
+    number = config.pyramid.scales.index(scale)
+    if number > 0:
+        depths += 4 * (sizes[0].pixels + level_size(cameras[0], config.pyramid.scales[number - 1]).pixels)
     during = after = total_bytes(LevelBuffers.plan(lengths)) + depths
     if scale == 1:           # evidence before and after: of the context views, and of one held-out view at a time
         judges = 2 if len(cameras) > 1 + contexts else 1
         after = total_bytes(EvidenceBuffers.plan(lengths)) + depths
         after += (24 * judges + 5) * full[0].pixels + HISTOGRAM * (judges - 1)
     return Plan(_photos(full, sizes, streamed), max(during, after))
-
-
-def _before(scale: float, camera, config: Config) -> Size:
-    """Size of the target at the level before the one at `scale`."""
-    return level_size(camera, config.pyramid.scales[config.pyramid.scales.index(scale) - 1])
 
 
 def _photos(full: list[Size], sizes: list[Size], streamed: bool) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, sqrt
+from typing import TypeAlias
 
 import numpy as np
 import pyopencl as cl
@@ -19,6 +20,7 @@ NO_HEAD = np.int32(-1)    # of an empty bin (alpha.cl)
 SUM_GROUPS = 64           # groups that share the pixels of a smoothness loss
 MOST_SAMPLES = 4096       # of an image, about; rows and columns are whole
 _ZERO = np.uint32(0)
+MaybeBuffer: TypeAlias = "cl.Buffer | None"      # None where no setting needs it
 
 
 @dataclass(frozen=True)
@@ -97,11 +99,11 @@ def dimensions(config: Config, target: Size, others: list[Size], contexts: int) 
 class SurfaceBuffers(Buffers):
     """Where the target's depth lands in the context views; lengths in device units."""
 
-    depth: cl.Buffer | None = declared(("pixels",), np.float32, "units", "depth of each target pixel; 0: no surface")
-    depth_per_parallax: cl.Buffer | None = declared(
+    depth: MaybeBuffer = declared(("pixels",), np.float32, "units", "depth of each target pixel; 0: no surface")
+    depth_per_parallax: MaybeBuffer = declared(
         ("pixels",), np.float32, "units", "depth that moves a pixel by one in the context views; 0: none sees it")
-    cameras: cl.Buffer | None = declared(("cameras", 20), np.float32, "", "as scene.rig.camera_table, the target first")
-    z_first: cl.Buffer | None = declared(
+    cameras: MaybeBuffer = declared(("cameras", 20), np.float32, "", "as scene.rig.camera_table, the target first")
+    z_first: MaybeBuffer = declared(
         ("most_pixels",), np.uint32, "units", "bits of the nearest depth in each pixel of the view at hand",
         needed="occlusion")
 
@@ -110,19 +112,19 @@ class SurfaceBuffers(Buffers):
 class EvidenceBuffers(SurfaceBuffers):
     """What serves the steps, and the evidence after them."""
 
-    rendered: cl.Buffer | None = declared(
+    rendered: MaybeBuffer = declared(
         ("most_pixels", "layers"), np.float32, "", "the view at hand: colour and coverage, or whole sums of them")
-    v_rendered: cl.Buffer | None = declared(("most_pixels", "layers"), np.float32, "1", "N dL/d rendered")
+    v_rendered: MaybeBuffer = declared(("most_pixels", "layers"), np.float32, "1", "N dL/d rendered")
 
 
 @dataclass(eq=False)
 class ExposureBuffers(Buffers):
     """Gains and offsets of photos."""
 
-    exposure: cl.Buffer | None = declared(
+    exposure: MaybeBuffer = declared(
         ("photos", 2, 3), np.float32, "", "gain and offset by channel, of the target and each context view",
         needed="exposure")
-    matches: cl.Buffer | None = declared(
+    matches: MaybeBuffer = declared(
         ("contexts", "samples", 8), np.float32, "0 to 1", "colours of both photos at each sample (exposure.cl)",
         needed="exposure")
 
@@ -131,39 +133,34 @@ class ExposureBuffers(Buffers):
 class LevelBuffers(EvidenceBuffers, ExposureBuffers):
     """What the steps of a level work on."""
 
-    gradient: cl.Buffer | None = declared(("pixels",), np.float32, "1 / units", "N dL/d depth", start=_ZERO)
-    first: cl.Buffer | None = declared(("pixels",), np.float32, "1", "Adam's mean of the gradient", start=_ZERO)
-    second: cl.Buffer | None = declared(("pixels",), np.float32, "1", "Adam's mean of its square", start=_ZERO)
-    state: cl.Buffer | None = declared((8,), np.float32, "", "of the schedule, as in step.cl", start=_ZERO)
-    partials: cl.Buffer | None = declared(
-        ("partials",), np.float32, "1", "derivatives of SSIM by the means of its windows",
-        needed="ssim")
-    sums: cl.Buffer | None = declared(
-        ("pixels",), np.float32, "1", "the gradient averaged across, per pixel of parallax",
-        needed="filter")
-    heads: cl.Buffer | None = declared(
+    gradient: MaybeBuffer = declared(("pixels",), np.float32, "1 / units", "N dL/d depth", start=_ZERO)
+    first: MaybeBuffer = declared(("pixels",), np.float32, "1", "Adam's mean of the gradient", start=_ZERO)
+    second: MaybeBuffer = declared(("pixels",), np.float32, "1", "Adam's mean of its square", start=_ZERO)
+    state: MaybeBuffer = declared((8,), np.float32, "", "of the schedule, as in step.cl", start=_ZERO)
+    partials: MaybeBuffer = declared(
+        ("partials",), np.float32, "1", "derivatives of SSIM by the means of its windows", needed="ssim")
+    sums: MaybeBuffer = declared(
+        ("pixels",), np.float32, "1", "the gradient averaged across, per pixel of parallax", needed="filter")
+    heads: MaybeBuffer = declared(
         ("bins",), np.int32, "", "first link of each bin; NO_HEAD: empty", needed="alpha", start=NO_HEAD)
-    links: cl.Buffer | None = declared(
+    links: MaybeBuffer = declared(
         ("pixels", 2), np.int32, "", "next Gaussian of the bin, and the key of the depth", needed="alpha")
-    alphas: cl.Buffer | None = declared(
+    alphas: MaybeBuffer = declared(
         ("places", "pixels"), np.float32, "0 to 1", "weight of a Gaussian in each pixel around, then N dL/d of it",
         needed="alpha")
-    kappa: cl.Buffer | None = declared(
+    kappa: MaybeBuffer = declared(
         ("pixels",), np.float32, "pixels * units", "pixels of parallax per inverse depth", needed="smooth")
-    weights: cl.Buffer | None = declared(("pixels",), np.float32, "1", "of smoothness, by texture", needed="smooth")
-    raised: cl.Buffer | None = declared(
+    weights: MaybeBuffer = declared(("pixels",), np.float32, "1", "of smoothness, by texture", needed="smooth")
+    raised: MaybeBuffer = declared(
         (2 * MOST_SAMPLES,), np.float32, "1", "factors of the weights by specularity, on a grid over the target",
         needed="specularity")
-    normals: cl.Buffer | None = declared(("pixels", 4), np.float32, "1", "unit normals", needed="normal")
-    slopes: cl.Buffer | None = declared(("pixels", 4), np.float32, "1", "N dL_s/d normals", needed="normal")
+    normals: MaybeBuffer = declared(("pixels", 4), np.float32, "1", "unit normals", needed="normal")
+    slopes: MaybeBuffer = declared(("pixels", 4), np.float32, "1", "N dL_s/d normals", needed="normal")
     seen: tuple[cl.Buffer, ...] = declared(
         (), np.uint32, "", "of each context view: bits of the pixels that the initial depth covers", each="words",
         needed="unseen_mask")
-    loss: cl.Buffer | None = declared(
-        (1,), np.int64, "2^-40", "of the photos, summed over the views of a step", start=_ZERO,
-        needed="follows_loss")
-    smooth_losses: cl.Buffer | None = declared(
-        (SUM_GROUPS,), np.float32, "1", "parts of the loss of smoothness",
-        needed="follows_smooth")
-    history: cl.Buffer | None = declared(
-        ("losses",), np.float32, "1", "loss of each step", needed="follows_loss")
+    loss: MaybeBuffer = declared(
+        (1,), np.int64, "2^-40", "of the photos, summed over the views of a step", start=_ZERO, needed="follows_loss")
+    smooth_losses: MaybeBuffer = declared(
+        (SUM_GROUPS,), np.float32, "1", "parts of the loss of smoothness", needed="follows_smooth")
+    history: MaybeBuffer = declared(("losses",), np.float32, "1", "loss of each step", needed="follows_loss")

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
+from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import Fill, run_once
-from pagas_cl.runtime.transfer import download
 from pagas_cl.splat import project
 from pagas_cl.splat.buffers import EvidenceBuffers
 from pagas_cl.splat.constants import CLEAR_NOISE, COST_BINS, COST_GROUP, COST_ONE
@@ -153,8 +153,7 @@ class Evidence:
                    self._bind("decide", grid=(n,), initial=self._initial, around=around, max_move=solver.max_move,
                               tolerance=solver.tolerance * self.prior.slack, mismatch=solver.mismatch, status=status,
                               **self._both)])
-        for evidence in held_out:       # each by itself: in a mean, one that errs as the context views do
-                                        # hides another
+        for evidence in held_out:       # each by itself: in a mean, one that errs as the context views do hides another
             self._refuse(evidence, status)
         extent = self.size.extent
         self._run([self._bind("feather", initial=self._initial, status=status, **extent),

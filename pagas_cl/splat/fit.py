@@ -21,15 +21,8 @@ LEANER = ({"loss__grey": True}, {"splatting__blend": "order_free"},
 
 def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoStore, *, held_out=()):
     """`attempt(photos)` with a PhotoStore, or, where the device cannot hold that, with photos that wait on the host:
-    the kernels read the same bytes and give the same.
-
-    Raises
-    ------
-    DeviceMemoryError
-        It does not fit even so; the message names a setting, or a size of photos, that does.
-    DeviceLostError
-        The device failed meanwhile.
-    """
+    the kernels read the same bytes and give the same. DeviceMemoryError where it does not fit even so; the message
+    names a setting, or a size of photos, that does. DeviceLostError where the device failed meanwhile."""
     cameras = [view.camera for view in (target, *contexts, *held_out)]
     doing, given = f"the refinement of view {target.name!r}", (cameras, len(contexts), config)
     try:

@@ -17,29 +17,20 @@ from pagas_cl.splat.buffers import Size, dimensions
 
 @dataclass(frozen=True, eq=False)
 class LevelView:
-    """One photo beside the target's.
-
-    Attributes
-    ----------
-    number : int
-        Of the view, from 1; 0 is the target itself.
-    size, target_size : Size
-        Of the photo and of the target's.
-    photo, target_photo : pyopencl.Buffer
-        uchar4 per pixel.
-    threshold : float
-        Depth threshold delta, device units.
-    pixels : ndarray of shape (H, W, 4), uint8, optional
-        What `photo` is to be filled with before it is read, where several photos share the buffer.
-    """
+    """One photo beside the target's."""
 
     number: int
+    """Of the view, from 1; 0 is the target itself."""
     size: Size
     photo: cl.Buffer
     threshold: float
+    """Depth threshold delta, device units."""
     target_size: Size
     target_photo: cl.Buffer
+    """uchar4 per pixel, as `photo`."""
     pixels: np.ndarray | None = None
+    """uint8 of shape (H, W, 4): what `photo` is to be filled with before it is read, where several photos share the
+    buffer."""
 
     @property
     def arguments(self) -> dict:
@@ -54,37 +45,24 @@ class LevelView:
 
 @dataclass(frozen=True)
 class LevelInput:
-    """The target first, then `contexts` context views, then views that only judge.
-
-    Attributes
-    ----------
-    cameras : list of Camera
-        At the level's size.
-    photos : list of pyopencl.Buffer
-        uchar4 per pixel, at the level's size.
-    scene_scale : float
-        Scene units per device unit.
-    threshold : float
-        Depth threshold, device units.
-    viewing_distance : float
-        Median distance of the cameras from the point they look at, device units.
-    contexts : int
-        Number of context views.
-    host : tuple of ndarray of shape (H, W, 4), uint8
-        Photos of all views but the target's, where the device holds one of them at a time: every photos[1:] is then
-        the same buffer.
-    specularity : ndarray, optional
-        Specularity measured on a grid over the target (Measurements.local_specularity).
-    """
+    """The target first, then `contexts` context views, then views that only judge."""
 
     cameras: list[Camera]
+    """At the level's size."""
     photos: list[cl.Buffer]
+    """uchar4 per pixel, at the level's size."""
     scene_scale: float
+    """Scene units per device unit."""
     threshold: float
+    """Depth threshold, device units."""
     viewing_distance: float
+    """Median distance of the cameras from the point they look at, device units."""
     contexts: int
     host: tuple = ()
+    """uint8 of shape (H, W, 4) of all views but the target's, where the device holds one photo at a time: every
+    photos[1:] is then the same buffer."""
     specularity: np.ndarray | None = None
+    """Measurements.local_specularity."""
 
     @cached_property
     def sizes(self) -> list[Size]:

@@ -8,8 +8,8 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
+from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import run_once
-from pagas_cl.runtime.transfer import download
 from pagas_cl.splat import composite, exposure, gradient_filter, loss, project, smooth, step
 from pagas_cl.splat.buffers import EvidenceBuffers, LevelBuffers
 from pagas_cl.splat.inputs import LevelInput
@@ -18,15 +18,8 @@ from pagas_cl.splat.options import Programs
 
 @dataclass(frozen=True)
 class Phase:
-    """How the steps of a level go, from one of them on.
-
-    Attributes
-    ----------
-    config : Config
-        What the programs of the views are made for.
-    raised : bool
-        Whether smoothness weighs what few context views and specularity call for.
-    """
+    """How the steps of a level go, from one of them on: the `config` that the programs of the views are made for, and
+    whether smoothness is `raised` to what few context views and specularity call for."""
 
     config: Config
     raised: bool

@@ -11,10 +11,10 @@ import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.runtime.arena import declared, total_bytes
+from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, build, run_once
-from pagas_cl.runtime.transfer import download, upload
 from pagas_cl.splat import exposure, project
-from pagas_cl.splat.buffers import ExposureBuffers, SampleGrid, SurfaceBuffers, dimensions
+from pagas_cl.splat.buffers import ExposureBuffers, MaybeBuffer, SampleGrid, SurfaceBuffers, dimensions
 from pagas_cl.splat.constants import MEAN, NUMBER, OFFSETS, QUANTILE, SHARED, SHIFTS, SUMMARY_GROUP, define
 from pagas_cl.splat.options import Programs
 
@@ -32,13 +32,8 @@ _RULES = [(-0.5, 2047.5, 0.25), (-0.5, 2047.5, 0.5), (-0.5, 2047.5, 0.5)]     # 
 
 
 class Rows:
-    """Rows of `count` float32 on the device, NaN = no value, and what they come to.
-
-    Parameters
-    ----------
-    rules : list of (lowest, highest, share)
-        Of each row: the values that its quantile lies between, and the share of the values below it.
-    """
+    """Rows of `count` float32 on the device, NaN = no value, and what they come to. `rules` has (lowest, highest,
+    share) of each: the values that its quantile lies between and the share of the values below it."""
 
     def __init__(self, device, rules, count: int):
         self.device, self.rows, self.count = device, len(rules), count
@@ -103,40 +98,31 @@ class ImageNoise:
 
 @dataclass(frozen=True, eq=False)
 class ProbeResult:
-    """What was measured.
-
-    Attributes
-    ----------
-    view_samples : dict of str to ndarray of shape (contexts, 4)
-        By row of measure.cl: number, mean, quantile and mean square over the samples; NaN without samples.
-    seen, far : ndarray of shape (4,)
-        The same of samples that some view sees (0 or 1), and of those that match better two or more pixels away.
-    gains : ndarray of shape (contexts, 3, 2)
-        Gain and offset of each channel from the target's photo to each context photo.
-    noise, textureless : float
-        Of the target's photo; see ImageNoise.
-    stride : int
-        Pixels of the target between samples.
-    local_specularity : ndarray of shape (down, across), float32
-        Mean specularity over the context views at each sample, NaN = unknown.
-    """
+    """What was measured."""
 
     view_samples: dict[str, np.ndarray]
+    """By row of measure.cl: number, mean, quantile and mean square over the samples; NaN without samples."""
     seen: np.ndarray
+    """The same, of shape (4,), of samples that some view sees (0 or 1)."""
     far: np.ndarray
+    """The same of those that match better two or more pixels away."""
     gains: np.ndarray
+    """Of shape (contexts, 3, 2): gain and offset of each channel from the target's photo to each context photo."""
     noise: float
     textureless: float
+    """This and `noise` of the target's photo, as ImageNoise reads them."""
     stride: int
+    """Pixels of the target between samples."""
     local_specularity: np.ndarray
+    """float32 of shape (down, across): mean specularity over the context views at each sample, NaN = unknown."""
 
 
 @dataclass(eq=False)
 class ProbeBuffers(SurfaceBuffers, ExposureBuffers):
     """What measuring works on."""
 
-    costs: cl.Buffer | None = declared((_MOVES, "samples"), np.float32, "1", "1 - correlation at each sample, by move")
-    totals: cl.Buffer | None = declared((SHIFTS + 2, "samples"), np.float32, "1", "of the views, as in measure.cl")
+    costs: MaybeBuffer = declared((_MOVES, "samples"), np.float32, "1", "1 - correlation at each sample, by move")
+    totals: MaybeBuffer = declared((SHIFTS + 2, "samples"), np.float32, "1", "of the views, as in measure.cl")
 
 
 def probe_config(config: Config) -> Config:

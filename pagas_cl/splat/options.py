@@ -3,6 +3,7 @@ and the programs that are compiled with them."""
 
 from __future__ import annotations
 
+from dataclasses import fields
 from math import ceil, floor, log2
 
 from pagas_cl.config import Config
@@ -47,12 +48,7 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
         "DEPTH_RELATIVE": splatting.occlusion and splatting.depth_relative > 0,
         "LOW_PASS": splatting.low_pass > 0,
         "SSIM": loss.ssim > 0,
-        "GREY": loss.grey,
-        "EXPOSURE": loss.exposure,
-        "STRUCTURE": loss.structure,
-        "GRADIENT_WEIGHT": loss.gradient_weight,
-        "COVERAGE_WEIGHT": loss.coverage_weight,
-        "UNSEEN_MASK": loss.unseen_mask,
+        **{own.metadata["define"]: getattr(loss, own.name) for own in fields(loss) if own.metadata["define"]},
         "TRACK_LOSS": config.solver.patience > 0,
         "INT64_ATOMICS": device.has("cl_khr_int64_base_atomics"),
     }
@@ -71,17 +67,8 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
 
 
 class Programs:
-    """The kernels as `config` wants them on `device`, for images of `cameras`, the target first.
-
-    Attributes
-    ----------
-    defines : tuple of str
-        Of every kernel file.
-    more : dict of str to tuple of str
-        Further ones, by kernel file.
-    tiles : dict of str to Tile
-        How ssim.cl and loss.cl share an image.
-    """
+    """The kernels as `config` wants them on `device`, for images of `cameras`, the target first: `defines` of every
+    kernel file, `more` by file, and `tiles`, how ssim.cl and loss.cl share an image."""
 
     def __init__(self, device, config: Config, cameras: list[Camera], more: dict | None = None):
         self.device, self.config = device, config

@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.runtime.transfer import download
+from pagas_cl.runtime.memory import download
 from pagas_cl.splat.constants import BEST, DONE, LOSS, LOSS_ONE, RATE
 
 _LOOK_EVERY = 10          # steps between two looks of the host at the schedule
@@ -21,10 +21,7 @@ def loss_of(device, buffers) -> float:
 
 
 class Solver:
-    """Adam over buffers.depth, of `size`; the rate lives on the device, where the schedule changes it.
-
-    `viewing_distance`: as LevelInput has it.
-    """
+    """Adam over buffers.depth, of `size`; the rate lives on the device, where the schedule changes it."""
 
     def __init__(self, programs, buffers, size, viewing_distance: float):
         self.device, self.buffers, self.settings = programs.device, buffers, programs.config.solver
@@ -70,13 +67,7 @@ class Solver:
 
 
 class StepProgress:
-    """Calls `progress(done, total)` after each step; does nothing where that is None.
-
-    Parameters
-    ----------
-    progress : callable of (done, total), or None
-    total : int
-    """
+    """Calls `progress(done, total)` after each step; does nothing where that is None."""
 
     def __init__(self, progress, total: int):
         self.progress, self.total, self._under_way = progress, total, deque()

@@ -11,27 +11,18 @@ BOX_GROUP = (32, 8)       # work-items that collect in local memory what falls i
 
 @dataclass(frozen=True)
 class Tile:
-    """Size of a tile in pixels, work-items that share it, and pixels that one of them handles side by side.
-
-    Attributes
-    ----------
-    width, height : int
-    group : int
-        Work-items in a work-group.
-    columns : int
-        Pixels that a work-item handles side by side where all are handled alike.
-    lanes : int
-        The same in a horizontal blur.
-    run : int
-        Rows that it handles in a vertical blur; `height` is a multiple.
-    """
+    """Size of a tile in pixels, work-items that share it, and pixels that one of them handles side by side."""
 
     width: int
     height: int
     group: int
+    """Work-items in a work-group."""
     columns: int
+    """Pixels that a work-item handles side by side where all are handled alike."""
     lanes: int
+    """The same in a horizontal blur."""
     run: int = 4
+    """Rows that it handles in a vertical blur; `height` is a multiple."""
 
     @property
     def defines(self) -> tuple[str, ...]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, build, run_once
-from pagas_cl.runtime.transfer import download, upload
 from pagas_cl.scene.sampling import scene_scale_of
 from pagas_cl.splat.constants import SHARED
 
@@ -15,18 +15,9 @@ _NONE_YET = np.array([np.inf, 0], np.float32)
 class NormalizedDepth:
     """The initial depth of a view on the device, in units of its median: made once for measuring and for refining.
 
-    Depths outside NEAR to FAR units, masked out or not finite have no Gaussian.
-
-    Attributes
-    ----------
-    scene_scale : float
-        Scene units per device unit.
-    depth_range : float
-        Range of the valid depths, units.
-    given : pyopencl.Buffer
-        float32 of shape (H, W), scene units, as it came.
-    buffer : pyopencl.Buffer
-        float32 of shape (H, W), units, 0 = no surface.
+    Depths outside NEAR to FAR units, masked out or not finite have no Gaussian. `scene_scale`: scene units per device
+    unit; `depth_range`: of the valid depths, units; `given` and `buffer`: float32 of shape (H, W), in scene units as it
+    came, and in units, 0 = no surface.
     """
 
     def __init__(self, target, depth: np.ndarray, device):

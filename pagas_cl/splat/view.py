@@ -22,43 +22,29 @@ from pagas_cl.splat.units import NormalizedDepth
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """What the levels leave, arrays of the target's full size, lengths in scene units.
-
-    Attributes
-    ----------
-    depth : ndarray of shape (H, W), float32
-        Refined depth, 0 = no surface.
-    status : ndarray of shape (H, W), uint8
-        0 no surface, 1 refined, 2 kept (no other view sees it, or it is masked out), 3 rejected (the photos speak
-        against it).
-    deviation : ndarray of shape (H, W), float32
-        Standard deviation of the depth; infinite where nothing is known, 0 where there is no surface.
-    parallax : ndarray of shape (H, W), float32
-        Depth change that moves a pixel by one pixel in the context views; 0 where none sees it.
-    cost : tuple of two floats
-        Mean 1 - correlation of patches with the context photos, before and after.
-    held_out : tuple of (float, float)
-        Median 1 - correlation with each photo that took no part, before and after, over the pixels that it sees; NaN
-        where there are none.
-    steps : tuple of int
-        Steps done at each level.
-    losses : list of float
-        Loss of each step, where the schedule follows it.
-    device_bytes, planned_bytes : int
-        Most memory that this process held on the device meanwhile, photos of other views included; and what was
-        planned before it began, without those.
-    """
+    """What the levels leave: arrays of the target's full size (H, W), lengths in scene units."""
 
     depth: np.ndarray
+    """Refined, float32; 0 = no surface."""
     status: np.ndarray
+    """uint8, as in scene/depthmap.py."""
     deviation: np.ndarray
+    """Standard deviation of the depth, float32; infinite where nothing is known, 0 where there is no surface."""
     parallax: np.ndarray
+    """Depth change that moves a pixel by one pixel in the context views, float32; 0 where none sees it."""
     cost: tuple[float, float]
+    """Mean 1 - correlation of patches with the context photos, before and after."""
     held_out: tuple[tuple[float, float], ...]
+    """Median 1 - correlation with each photo that took no part, before and after, over the pixels that it sees; NaN
+    where there are none."""
     steps: tuple[int, ...]
+    """Those done at each level."""
     losses: list[float]
+    """Loss of each step, where the schedule follows it."""
     device_bytes: int
     planned_bytes: int
+    """device_bytes, planned_bytes: most memory that this process held on the device meanwhile, photos of other views
+    included; and what was planned before it began, without those."""
 
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
@@ -67,7 +53,6 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
 
     Parameters
     ----------
-    target : View
     contexts : list of View
         At least one.
     depth : ndarray of shape (H, W)
@@ -79,14 +64,11 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     held_out : sequence of View
         Views that take no part and judge the result.
     measured : Measurements, optional
-        What was measured of the view: its evidence and deviations depend on it.
+        Evidence and deviations depend on it.
     normalized : NormalizedDepth, optional
         `depth`, where it is on the device already; used up.
 
-    Raises
-    ------
-    DeviceMemoryError
-        Before the first step, where the device may not hold what is planned.
+    DeviceMemoryError comes before the first step, where the device may not hold what is planned.
     """
     photos = photos or PhotoStore(device)
     cameras = [view.camera for view in (target, *contexts, *held_out)]

@@ -32,7 +32,7 @@ class DepthMaps:
 
     def map(self, depth: np.ndarray):
         """Buffer of float32 of `depth`."""
-        from pagas_cl.runtime.transfer import upload
+        from pagas_cl.runtime.memory import upload
 
         held = self._held.pop(id(depth), None)
         if held is None:
@@ -75,8 +75,8 @@ def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: lis
 def _on_device(target, depth, others, depths, pixels: float, device, maps) -> tuple[np.ndarray, np.ndarray]:
     import pyopencl as cl
 
+    from pagas_cl.runtime.memory import download, upload
     from pagas_cl.runtime.program import bind, build, run_once
-    from pagas_cl.runtime.transfer import download, upload
 
     sample = depth[::8, ::8]
     scene_scale = float(np.median(sample[sample > 0]) if (sample > 0).any() else np.max(depth, initial=0.0)) or 1.0

@@ -11,13 +11,8 @@ import numpy as np
 
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError
-from pagas_cl.evaluate import (
-    compare_depth,
-    compare_predictions,
-    depth_normals,
-    depth_per_parallax,
-    find_discontinuities,
-)
+from pagas_cl.evaluate.depth import compare_depth, depth_normals, depth_per_parallax, find_discontinuities
+from pagas_cl.evaluate.predict import compare_predictions
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.view import View
 
@@ -63,11 +58,9 @@ def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int
                most_contexts: int = 10, scene_name: str = "") -> list[BenchmarkCase]:
     """Cases from the views of a scene; `depths` and `truth` as in `tradeoff`.
 
-    names : list of str, optional
-        Views to measure on; by default `sample` of those with a depth (and truth), evenly spread.
-    held_out : list of str, optional
-        Views that no setting may see; by default two well-placed ones of each target, where it has six context views or
-        more to choose from.
+    `names`: views to measure on, by default `sample` of those with a depth (and truth), evenly spread; `held_out`:
+    names of views that no setting may see, by default two well-placed ones of each target with six context views or
+    more.
     """
     truth = truth or [None] * len(views)
     banned = {_index(views, name) for name in held_out or ()}
@@ -111,21 +104,19 @@ def _targets(depths, truth, sample: int) -> list[int]:
 
 def loaded(case: BenchmarkCase) -> BenchmarkCase:
     """The case with its photos in memory, so that no file is read while something is timed."""
-    def load(view):
-        return replace(view, image=view.load_image(), mask=view.load_mask())
-
-    return replace(case, target=load(case.target), contexts=[load(v) for v in case.contexts],
-                   held_out=[load(v) for v in case.held_out])
+    target, *others = (replace(view, image=view.load_image(), mask=view.load_mask())
+                       for view in (case.target, *case.contexts, *case.held_out))
+    number = len(case.contexts)
+    return replace(case, target=target, contexts=others[:number], held_out=others[number:])
 
 
 def score(case: BenchmarkCase, depth: np.ndarray) -> dict[str, float]:
     """Errors of `depth` against the truth where there is one, and how well it predicts the held-out photos.
 
-    With truth: "depth", "depth_median" (scene units), "parallax" (mean, pixels of parallax), "normal" (mean, degrees),
-    away from discontinuities; "edges": mean depth error within 3 pixels of them; "missing": share of the true pixels
-    without a depth. With held-out photos: "unpredicted", "unpredicted_mean": 1 - median and 1 - mean correlation of 7x7
-    patches, mean over the photos, and "unpredicted_before", "unpredicted_mean_before": the same of the initial depth
-    over the same pixels.
+    With truth: "depth", "depth_median" (scene units), "parallax" (pixels), "normal" (degrees), away from
+    discontinuities; "edges": mean depth error within 3 pixels of them; "missing": share of the true pixels. With
+    held-out photos: "unpredicted" and "unpredicted_mean": 1 - median and 1 - mean correlation of 7x7 patches, mean over
+    the photos, and "..._before": the same of the initial depth over the same pixels.
     """
     scores = {}
     if case.truth is not None:

@@ -12,6 +12,7 @@ import numpy as np
 from pagas_cl.errors import MissingExtraError
 from pagas_cl.report.page import html_page
 from pagas_cl.scene.files import write_text
+from pagas_cl.tradeoffs.front import plot_front
 
 log = logging.getLogger("pagas_cl")
 
@@ -46,8 +47,7 @@ def markdown(points) -> str:
 def ablation_table(points) -> str:
     """The rows of an ablation in Markdown, beside what the paper says; `points` hold the base: its name has no colon.
 
-    Errors are shares of the initial depth's: of depth and normals, or, without truth, of what held-out photos say.
-    "here" compares the first of them with the base's.
+    "here" compares the first of the errors with the base's.
     """
     base = next((p for p in points if ":" not in p.name), None)
     figures = _figures(points, without="edges")
@@ -64,7 +64,7 @@ def _markdown(header: list[str], rows: list[list[str]]) -> str:
 
 
 def _front_table(points) -> tuple[list[str], list[list[str]]]:
-    """Header and cells of the table, one row a point; errors are shares of the initial depth's."""
+    """Header and cells of the table, one row a point."""
     figures = _figures(points)
     header = ["setting", "s per view", "device MB", "view-steps", *(name for _, name in figures)]
     return header, [[p.name, f"{p.seconds:.3g}", f"{p.device_bytes / 1e6:.0f}", f"{p.view_steps:.0f}",
@@ -92,30 +92,23 @@ def _compared(point, base, key) -> str:
 
 
 def write_report(folder: Path, study, device: str) -> Path:
-    """Write index.html, tradeoff.json and, where matplotlib is there, tradeoff.png; returns the page's path.
-
-    `device` is the one that the records are of.
-    """
+    """Write index.html, tradeoff.json (records of `device`) and, with matplotlib, tradeoff.png; gives the page."""
     write_json(folder / FILE, {
         "device": device, "figure": study.figure, "proxy_rank_correlation": study.proxy, "initial": study.initial,
         "left_out": study.left_out, "points": [asdict(point) for point in study.points], "records": study.records})
     picture = ""
     if any(point.on_front for point in study.points):
         try:
-            from pagas_cl.tradeoffs.plot import plot_front
-
             picture = plot_front(folder / "tradeoff.png", study.points, study.figure, "error against time").name
         except MissingExtraError as error:
             log.warning("no plot: %s", error)
-    page = folder / "index.html"
-    write_text(page, html_page("Error against time", notes(study), *_front_table(study.points), picture=picture,
-                               marked=[point.on_front for point in study.points]))
-    return page
+    marked = [point.on_front for point in study.points]
+    return write_text(folder / "index.html", html_page("Error against time", notes(study), *_front_table(study.points),
+                                                       picture=picture, marked=marked))
 
 
 def write_json(path: Path, content) -> None:
-    """Write `content` beside its name and rename it, null for numbers that JSON does not have; its folder is made."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write `content`, null for numbers that JSON does not have; its folder is made."""
     write_text(path, json.dumps(_json_ready(content), indent=1) + "\n")
 
 

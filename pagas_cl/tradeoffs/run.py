@@ -18,8 +18,8 @@ from pagas_cl.tradeoffs.plan import OWN_ERROR, RANDOM, Setting
 class Outcome:
     """What one run gives.
 
-    `seconds` are from photos on the device to the depth on the host, the measuring of effects included; median of the
-    repeats. The device's compiler and the upload of the photos are not counted.
+    `seconds`, the median of the repeats, are from photos on the device to the depth on the host, the measuring of
+    effects included, compiling not.
     """
 
     depth: np.ndarray    # (H, W), float32
@@ -116,5 +116,4 @@ class Guess:
         return total * self.repeats * (1 + 2 * setting.agree) + judging + 0.5
 
     def learn(self, setting: Setting, case: BenchmarkCase, seconds: float) -> None:
-        """Told that the run took `seconds`."""
         self.factor = 0.8 * self.factor + 0.2 * min(10.0, max(0.1, seconds / self._seconds(setting, case)))

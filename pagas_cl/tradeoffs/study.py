@@ -47,17 +47,13 @@ def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: in
 
     Parameters
     ----------
-    views : list of View
-    depths : list of (ndarray of shape (H, W) or None)
-        Initial depth of each view, z-depth in scene units, 0 = no surface.
-    truth : list of (ndarray or None), optional
-        True depth of each view; without it held-out photos are the judge.
+    depths, truth : list of (ndarray of shape (H, W) or None)
+        Initial and true depth of each view, z-depth in scene units, 0 = no surface; without truth held-out photos are
+        the judge.
     names, held_out, sample
         Views to measure on, views kept out of everything, or how many views to take: see `make_cases`.
     budget : float, optional
-        Minutes; settings that do not fit any more are left out.
-    settings : list of Setting, optional
-        `front_plan()` by default.
+        Minutes; settings (by default `front_plan()`) that do not fit any more are left out.
     report : path, optional
         Folder for tradeoff.json, the plot and the page. A study that finds its own earlier records there goes on
         where that one ended.
@@ -104,15 +100,13 @@ def collect(records, settings, initial: dict, device: str, left_out=()) -> Study
 
 
 class Book:
-    """Records of runs, in a file that is whole at any time: an interrupted study goes on where it ended.
+    """Records of runs on `device`, in `folder`'s tradeoff.json (None: in memory), which is whole at any time.
 
-    `folder` is where tradeoff.json is or will be; None keeps the records in memory. Records of another `device` than
-    this one are not taken up.
+    An interrupted study goes on where it ended; records of another device are not taken up.
     """
 
     def __init__(self, folder: Path | None, device: str):
-        self.path = None if folder is None else folder / FILE
-        self.device, self.records = device, []
+        self.path, self.device, self.records = folder and folder / FILE, device, []
         if self.path is not None and self.path.is_file():
             try:
                 kept = json.loads(self.path.read_text())
@@ -157,8 +151,8 @@ def _fill(book, cases, settings, device, budget, repeats, executor, progress) ->
     _write_judged(book, waiting, wait=True)
     if progress:
         progress("measure", len(todo), len(todo))
-    left_out = list(dict.fromkeys(left_out))
     if left_out:
+        left_out = list(dict.fromkeys(left_out))
         log.warning("left out, since the budget of %g minutes would not do: %s", budget, "; ".join(left_out))
     return left_out
 

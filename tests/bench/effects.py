@@ -16,9 +16,9 @@ from dataclasses import replace
 import numpy as np
 
 from pagas_cl.config import Effects
-from pagas_cl.effects import decide
+from pagas_cl.effects import EFFECTS, decide
 from pagas_cl.evaluate import compare_depth
-from pagas_cl.measurements import RULES, measure
+from pagas_cl.measurements import measure
 from pagas_cl.presets import BALANCED
 from pagas_cl.runtime.device import open_device
 from pagas_cl.splat import PhotoStore, refine_levels
@@ -80,7 +80,7 @@ def row(name, width, contexts, device, config):
     off = run(made, without_mask(made.views) if effect == "masks" else made.views, forced, device)
     every = run(made, made.views, replace(config, effects=Effects.every("on")), device)
     cells = [errors(made, made.initial_depth(made.cameras[0]))] + [errors(made, r[0]) for r in (off, auto, every)]
-    picked = [e for e in RULES if e in auto[2] and auto[2][e].on]
+    picked = [e for e in EFFECTS if e in auto[2] and auto[2][e].on]
     return name, effect or "none", ", ".join(picked), cells, [r[1] for r in (off, auto, every)], auto[2]
 
 

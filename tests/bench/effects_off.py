@@ -16,21 +16,19 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from stripped import EFFECTS, never_had
+from stripped import never_had
+from support.effects import COMPILED
 
 from pagas_cl.config import Effects
 from pagas_cl.presets import BALANCED
 from pagas_cl.runtime import program
 from pagas_cl.runtime.device import open_device
-from pagas_cl.runtime.timing import stage_times
+from pagas_cl.runtime.program import stage_times
 from pagas_cl.scene.view import View
 from pagas_cl.splat import options
 from pagas_cl.splat import view as refinement
 from pagas_cl.synthetic.layout import Relief, make_cameras
 
-OFF = {"occlusion": dict(splatting__occlusion=False), "unseen_mask": dict(loss__unseen_mask=False),
-       "exposure": dict(loss__exposure=False), "view_dependence": dict(loss__structure=False),
-       "antialiasing": dict(splatting__low_pass=0.0)}
 ROUNDS, REPEATS = 7, 20
 
 
@@ -69,8 +67,9 @@ def main():
     depth = np.full((cameras[0].height, cameras[0].width), 650, np.float32)
     depth += 5 * np.sin(np.arange(depth.shape[1], dtype=np.float32) / 40)
     lines = ["| effect, off | step, ms | the same, never written, ms | ratio |", "|---|---|---|---|"]
-    for effect in EFFECTS:
-        config = BALANCED.with_settings(**OFF[effect], **{f"effects__{name}": "set" for name in vars(Effects())})
+    for effect in COMPILED:
+        as_set = {f"effects__{name}": "set" for name in vars(Effects())}
+        config = BALANCED.with_settings(**COMPILED[effect].off, **as_set)
         level = level_of(device, config, views, depth)
         with as_if_never_written(effect):
             bare = level_of(device, config, views, depth)

@@ -10,6 +10,8 @@ from pagas_cl.errors import DeviceError
 from pagas_cl.presets import PRESETS
 from pagas_cl.runtime.device import open_device
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):

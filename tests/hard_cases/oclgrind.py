@@ -36,13 +36,16 @@ def command() -> list[str] | None:
 def inside() -> None:
     """Run every kernel once or more, two steps of each setting; print the names of the kernels."""
     from pagas_cl.refine import refine_depth
-    from pagas_cl.runtime import program
+    from pagas_cl.runtime import claim, program
+    from pagas_cl.runtime import device as devices
     from pagas_cl.runtime.device import open_device
+    from pagas_cl.runtime.trial import Trial
     from pagas_cl.selftest import BLENDS
     from pagas_cl.selftest import scenes as make
     from pagas_cl.splat import composite, options, refine_levels
     from pagas_cl.surface.agree import counts
 
+    devices.try_device = claim.try_device = lambda *_: Trial(lanes=1)     # it would take minutes here
     device, launched, enqueue = open_device("oclgrind"), set(), program.Launch.enqueue
 
     def noted(launch, queue):

@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.scenes import relief_scene
 from twins.level import refine
 
 from pagas_cl.presets import BALANCED, PAPER
 from pagas_cl.reference.level import Photo
 from pagas_cl.splat.view import full_level
-from pagas_cl.synthetic import relief_scene
+
+pytestmark = pytest.mark.slow
 
 ORDER_FREE = BALANCED.with_settings(solver__max_move=1e9, solver__tolerance=2.0)
 ALPHA = PAPER.with_settings(pyramid__scales=(1.0,), pyramid__steps=(40,), solver__rate=1e-4, solver__damping=1e-3)

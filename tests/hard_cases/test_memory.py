@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pyopencl as cl
 import pytest
+from support.scenes import relief_scene
 
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError
 from pagas_cl.presets import BALANCED, FAST, PAPER
@@ -22,7 +23,8 @@ from pagas_cl.runtime.memory import Memory, limit_of
 from pagas_cl.scene.view import View
 from pagas_cl.splat import budget, fit
 from pagas_cl.surface.agree import counts
-from pagas_cl.synthetic import relief_scene
+
+pytestmark = pytest.mark.slow
 
 INFO = dict(title="a device", max_alloc=2**30, memory=2**32)
 CONFIGS = {
@@ -118,7 +120,7 @@ def limited(device):
 def test_peak_is_as_planned(device, name, held_out):
     gc.collect()
     before = device.memory.held             # of other tests
-    report = refined(device, CONFIGS[name], (301, 203), held_out).report
+    report = refined(device, CONFIGS[name], (151, 103), held_out).report
     assert 0.9 < (report["device_bytes"] - before) / report["planned_bytes"] < 1.001
     gc.collect()
     assert device.memory.held == before

@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.scenes import relief_scene
 
 from pagas_cl.errors import InputError
 from pagas_cl.presets import BALANCED
 from pagas_cl.refine import refine_views
 from pagas_cl.scene.choice import choose_contexts
-from pagas_cl.synthetic import relief_scene
+
+pytestmark = pytest.mark.slow
 
 CONTEXT = {
     "context.number = 1": dict(number=1),

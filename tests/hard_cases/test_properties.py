@@ -21,6 +21,8 @@ from pagas_cl.selftest import BLENDS, device_gradient, difference, given_surface
 from pagas_cl.selftest import scenes as make
 from pagas_cl.splat import refine_levels
 
+pytestmark = pytest.mark.slow
+
 MANY = settings(max_examples=int(os.environ.get("PAGAS_CL_EXAMPLES", 5)), deadline=None,
                 derandomize="PAGAS_CL_EXAMPLES" not in os.environ, print_blob=True,
                 suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])

@@ -17,7 +17,7 @@ from oclgrind import command
 from pagas_cl.runtime import arena, program
 from pagas_cl.selftest import BLENDS, device_gradient, normalized
 from pagas_cl.selftest import scenes as make
-from pagas_cl.splat import options, tile
+from pagas_cl.splat import measure, options, tile
 
 KERNELS = Path(program.files("pagas_cl.cl_kernels").joinpath("loss.cl")).parent
 FILES = sorted(path.name for path in KERNELS.glob("*.cl"))
@@ -26,6 +26,7 @@ VARIANTS = {
     "grey": dict(loss__grey=True, loss__robust=0.5, loss__structure=True, loss__exposure=True),
 }
 TILE_OF = {"ssim.cl": tile.SCALAR[0], "loss.cl": tile.SCALAR[1]}
+MORE = {"measure.cl": measure._ROW_NUMBERS}        # of a file alone
 NEWER = r"\bdouble|\bhalf\b|atomic_fetch|work_group_(?:all|any|reduce|scan|broadcast|barrier)|generic\b"
 NO_DOUBLE = "#pragma OPENCL EXTENSION cl_khr_fp64 : disable\n"
 
@@ -37,11 +38,12 @@ def variant(name: str):
 ORDER_FREE_ONLY = ("composite.cl",)       # never built with the alpha blend
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("file, name", [(file, name) for file, name in itertools.product(FILES, VARIANTS)
                                         if not (file in ORDER_FREE_ONLY and name.startswith("alpha"))])
 def test_kernels_fit_any_device_of_opencl_1_2(device, file, name):
     """Without double precision, within 32 kB of local memory and 256 work-items."""
-    given = options.defines(variant(name).with_settings(solver__gradient_filter=2), device, 64)
+    given = options.defines(variant(name).with_settings(solver__gradient_filter=2), device, 64) + MORE.get(file, ())
     for part in tile.SCALAR:
         built = cl.Program(device.context, NO_DOUBLE + program.source(file)).build(
             [*program.OPTIONS, *(f"-D{define}" for define in (*given, *part.defines))])
@@ -53,6 +55,7 @@ def test_kernels_fit_any_device_of_opencl_1_2(device, file, name):
             assert np.prod(group) <= 256, f"{kernel.function_name}: a work-group of {group}"
 
 
+@pytest.mark.kernels
 def test_no_double_and_no_newer_language():
     assert "-cl-std=CL1.2" in program.OPTIONS
     for path in KERNELS.glob("*.cl*"):
@@ -67,6 +70,7 @@ def gradients(device, config, size=(97, 51)):
     return got.tobytes(), loss
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("blend", BLENDS)
 def test_work_group_sizes_agree(device, blend, monkeypatch):
     """Tiles of 1, 32, 64 and 256 work-items, bit for bit."""
@@ -78,6 +82,7 @@ def test_work_group_sizes_agree(device, blend, monkeypatch):
     assert len(found) == 1
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("name", VARIANTS)
 def test_nothing_is_read_before_it_is_written(device, name, monkeypatch):
     """Buffers that start as NaN, as ones, and as zeros give the same bits."""
@@ -95,6 +100,7 @@ def test_nothing_is_read_before_it_is_written(device, name, monkeypatch):
     assert len(found) == 1
 
 
+@pytest.mark.slow
 def test_under_oclgrind():
     """No invalid access and no data race in any kernel."""
     run = command()

@@ -14,6 +14,8 @@ from pagas_cl.selftest.large import SIZES, run_one
 from pagas_cl.selftest.table import CAMERAS, DEPTHS, IMAGES, SETTINGS
 from pagas_cl.splat import refine_levels
 
+pytestmark = pytest.mark.slow
+
 CASES = [*CAMERAS, *DEPTHS, *IMAGES, *SETTINGS]
 RUNS = [pytest.param(case, blend, id=f"{case.name}-{blend}") for case in CASES for blend in case.blends]
 

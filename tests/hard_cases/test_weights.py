@@ -19,6 +19,8 @@ from pagas_cl.selftest import BLENDS, device_gradient, difference, normalized, t
 from pagas_cl.selftest import scenes as make
 from pagas_cl.splat.options import fixed_bits, heaviest_pixel
 
+pytestmark = pytest.mark.kernels
+
 OPEN = BLENDS["order-free"].with_settings(splatting__depth_slices=1e-6)     # nothing is hidden: all take part
 
 

@@ -18,33 +18,15 @@ from pagas_cl.scene.readers.photos import tell_links
 from pagas_cl.scene.view import Scene
 
 # In the order of looking: what names its convention and its photos itself comes first.
-FORMATS = {
-    "cameras": "camera_file",
-    "colmap": "colmap",
-    "nerfstudio": "nerfstudio",
-    "mvsnet": "mvsnet",
-    "neus": "neus",
-    "open3d": "open3d_trajectory",
-    "bundler": "bundler",
-    "meshlab": "meshlab",
-}
+FORMATS = {"cameras": "camera_file", "colmap": "colmap", "nerfstudio": "nerfstudio", "mvsnet": "mvsnet",
+           "neus": "neus", "open3d": "open3d_trajectory", "bundler": "bundler", "meshlab": "meshlab"}
 
 
 def read_scene(folder: str | Path, format: str | None = None, **options: Any) -> Scene:
     """Read the scene in `folder`.
 
-    Parameters
-    ----------
-    folder : path
-    format : str, optional
-        One of FORMATS; found by looking at the folder where it is left out.
-    options
-        Passed on to the format's `read`.
-
-    Raises
-    ------
-    InputError
-        The folder does not exist, holds no known format, or its content cannot be used.
+    `format` is one of FORMATS, found by looking at the folder where it is left out; `options` go to its `read`.
+    InputError where the folder does not exist, holds no known format, or its content cannot be used.
     """
     folder = Path(folder)
     if not folder.exists():

@@ -29,18 +29,13 @@ def detect(folder: Path) -> bool:
 
 
 def read(folder: Path, *, outside: bool = False) -> Scene:
-    """Read the scene; cameras with focal length 0, which Bundler did not place, are left out (and counted).
-
-    `outside`: whether photos outside `folder` may be read.
-    """
+    """Read the scene without the cameras that Bundler did not place; `outside`: also photos outside `folder`."""
     folder = Path(folder)
     path = photos.first_file(folder, FILES) or folder / FILES[0]
     cameras, points = read_bundle(path)
     images = _images(folder, path, len(cameras), outside)
     views = []
-    for (f, R, t), photo in zip(cameras, images):
-        if f == 0:
-            continue
+    for (f, R, t), photo in [(camera, photo) for camera, photo in zip(cameras, images) if camera[0] != 0]:
         width, height = photos.photo_size(photo)
         camera = untrusted.pinhole(intrinsics(f, f, width / 2, height / 2), np.column_stack([_FLIP @ R, _FLIP @ t]),
                                    width, height, photo.name)

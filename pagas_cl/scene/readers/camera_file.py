@@ -27,7 +27,7 @@ _KNOWN = ("image", "mask", "width", "height", "fx", "fy", "cx", "cy", "world_to_
 
 
 def detect(folder: str | Path) -> bool:
-    """Whether `folder` holds a cameras.json of ours (it names its convention)."""
+    """Whether `folder` holds a cameras.json of ours."""
     path = Path(folder) / NAME
     return path.is_file() and '"world_to_camera"' in untrusted.read_text(path)
 

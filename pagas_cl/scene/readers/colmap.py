@@ -27,21 +27,15 @@ def detect(folder: str | Path) -> bool:
 
 
 def model_folder(folder: Path) -> Path | None:
-    """The folder of the model: the first of sparse/0, sparse, colmap/sparse/0 and the folder itself that has one."""
-    for place in _PLACES:
-        for suffix in (".bin", ".txt"):
-            if all((folder / place / (part + suffix)).is_file() for part in ("cameras", "images")):
-                return folder / place
-    return None
+    """The first of the usual places that holds a model, or None."""
+    return next((folder / place for place in _PLACES for suffix in (".bin", ".txt")
+                 if all((folder / place / (part + suffix)).is_file() for part in ("cameras", "images"))), None)
 
 
 def read(folder: str | Path, *, outside: bool = False) -> Scene:
     """Read the scene; every registered image becomes a view, in the order of their names.
 
-    Raises
-    ------
-    InputError
-        No model, a model that cannot be read, no registered image, photos that are missing or of another size.
+    InputError for no model, one that cannot be read, no registered image, photos that are missing or of another size.
     """
     folder = Path(folder)
     place = model_folder(folder)
@@ -61,7 +55,7 @@ def _views_of(model: Model, photos: Path, folder: Path, outside: bool) -> list[V
     paths = {image.name: inside(photos, image.name, f"image name in the COLMAP model of {str(photos.parent)!r}",
                                 outside=outside) for image in images}
     _check_photos(paths, photos)
-    lenses: dict[int, Lens] = {}
+    lenses = dict[int, Lens]()
     views = [_view(model, image, paths[image.name], folder, lenses) for image in images]
     for view in views:
         view.check_files()
@@ -71,7 +65,8 @@ def _views_of(model: Model, photos: Path, folder: Path, outside: bool) -> list[V
 
 
 def _view(model: Model, image: ModelImage, path: Path, folder: Path, lenses: dict[int, Lens]) -> View:
-    camera, mask = model.cameras[image.camera_id], _mask(folder, image.name, path)
+    camera, nested = model.cameras[image.camera_id], (f"{image.name}.png", Path(image.name).with_suffix(".png"))
+    mask = first_file(folder / "masks", nested) or find_mask(folder, path, ("masks",))
     if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
         pinhole = untrusted.pinhole(camera.K, image.world_to_camera, camera.width, camera.height, image.name)
         return View(pinhole, path, mask, image.name)
@@ -84,20 +79,14 @@ def _view(model: Model, image: ModelImage, path: Path, folder: Path, lenses: dic
                 None if mask is None else ThroughLens(mask, lens, "mask"), image.name)
 
 
-def _mask(folder: Path, name: str, path: Path) -> Path | None:
-    named = first_file(folder / "masks", (f"{name}.png", Path(name).with_suffix(".png")))
-    return named or find_mask(folder, path, ("masks",))
-
-
 def _check_photos(paths: dict[str, Path], photos: Path) -> None:
     missing = [name for name, path in paths.items() if not path.is_file()]
-    if not missing:
-        return
-    if not photos.is_dir():
+    if missing and not photos.is_dir():
         raise InputError(f"the folder {str(photos)!r} does not exist; the photos of the COLMAP model must be there")
-    more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
-    raise InputError(f"{len(missing)} of {len(paths)} photos of the COLMAP model are missing in {str(photos)!r}: "
-                     f"{', '.join(missing[:3])}{more}; copy them there, or remove them from the model")
+    if missing:
+        more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
+        raise InputError(f"{len(missing)} of {len(paths)} photos of the COLMAP model are missing in {str(photos)!r}: "
+                         f"{', '.join(missing[:3])}{more}; copy them there, or remove them from the model")
 
 
 def _tell_masks(views: list[View], masks: Path) -> None:

@@ -131,10 +131,7 @@ def _image(numbers: npt.ArrayLike, camera: int, name: str, where: str) -> ModelI
 
 
 def _records(data: bytes, least: int, read: Callable[[int, int], tuple[_Part, int]]) -> list[_Part]:
-    """What `read(row, place)` makes of each record of a binary file; it returns the next one's place too.
-
-    The count at the file's start is refused where not even the smallest records would fit.
-    """
+    """What `read(row, place)`, which returns the next one's place too, makes of each record of a binary file."""
     (count,), place, found = struct.unpack_from("<Q", data, 0), 8, []
     if count * least > len(data) - place:
         raise ValueError(f"it says {count} records and has {len(data)} bytes")

@@ -17,13 +17,18 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, MissingExtraError
+from pagas_cl.scene import patches
 from pagas_cl.scene.camera import Camera, intrinsics
 from pagas_cl.scene.files import write_text
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_file import read_mesh
 from pagas_cl.scene.readers import photos, untrusted
-from pagas_cl.scene.readers.mlp_flavour import FLAVOURS, settle_flavour
 from pagas_cl.scene.view import Scene, View
 
+FLAVOURS = ("meshlab", "openmvs")
+_SAME = 1.0   # pixels: readings nearer than this need no settling
+_VIEWS = 8    # that settle it
 _FLIP = np.diag([1.0, -1.0, -1.0])
 # of a VCGCamera: attribute, how many numbers, what it is where it is left out
 _NUMBERS = (("FocalMm", 1, None), ("PixelSizeMm", 2, None), ("CenterPx", 2, None), ("ViewportPx", 2, None),
@@ -33,7 +38,7 @@ log = logging.getLogger("pagas_cl")
 
 @dataclass(frozen=True, eq=False)
 class MeshLayer:
-    """A mesh layer: `matrix` (4, 4) float64 takes the file's vertices to the project's world."""
+    """A mesh layer: `matrix` (4, 4) takes the file's vertices to the project's world."""
 
     label: str
     path: Path | None
@@ -91,8 +96,7 @@ def detect(folder: Path) -> bool:
 def read(folder: Path, *, flavour: str | None = None, outside: bool = False) -> Scene:
     """Read the views of the only .mlp file in `folder` (or of the file `folder`).
 
-    Without `flavour` the reading of CenterPx is settled by the photos, where the project has a mesh to compare them
-    over, and told in the log; else MeshLab's own reading is taken.
+    Without `flavour` the reading of CenterPx is settled by the photos (`settle_flavour`), and told in the log.
     """
     folder = Path(folder)
     files = [folder] if folder.is_file() else sorted(folder.glob("*.mlp"))
@@ -106,14 +110,7 @@ def read(folder: Path, *, flavour: str | None = None, outside: bool = False) -> 
 
 
 def read_project(path: Path, *, outside: bool = False) -> Project:
-    """Read a .mlp file.
-
-    Parameters
-    ----------
-    path : path
-    outside : bool
-        Whether its meshes and photos may lie outside its folder; relative paths start there.
-    """
+    """Read a .mlp file; `outside`: whether meshes and photos may lie outside its folder, where relative paths start."""
     path = Path(path)
     root = untrusted.read_xml(path, "MeshLabProject")
     meshes = [_mesh(e, path, i, outside) for i, e in enumerate(root.findall("MeshGroup/MLMesh"))]
@@ -176,6 +173,55 @@ def _pose(rotation: np.ndarray, translation: np.ndarray, where: str) -> np.ndarr
         raise InputError(f"{where}: RotationMatrix or TranslationVector is not of the form that MeshLab writes")
     R = _FLIP @ rotation[:3, :3]
     return np.column_stack([R, R @ translation[:3]])
+
+
+def settle_flavour(project: Project) -> tuple[str, str]:
+    """Which way CenterPx.y is counted, one of FLAVOURS, and one sentence that says why.
+
+    Patches of the project's mesh are correlated between pairs of its photos; MeshLab's own reading is taken unless they
+    prefer the other one.
+    """
+    apart = max((abs(raster.size[1] - 2 * raster.center[1] - 0.5) for raster in project.rasters), default=0.0)
+    what = f"{project.path}: CenterPx.y"
+    if apart < _SAME:
+        return "meshlab", f"{what} reads the same from the top and from the bottom (within {_SAME:g} pixel)"
+    unsettled = f"{what} was read from the bottom, as MeshLab writes it, {apart:.4g} pixels from the other reading"
+    try:
+        scores = _scores(project)
+    except (InputError, MissingExtraError) as error:
+        return "meshlab", f"{unsettled}; photos could not settle it ({error})"
+    if not scores:
+        return "meshlab", f"{unsettled}; photos could not settle it (too few textured patches are seen by two views)"
+    medians = [float(np.nanmedian(scores[f])) for f in FLAVOURS]
+    agreement = f"(correlation {medians[0]:.2f} from the bottom, {medians[1]:.2f} from the top)"
+    if patches.prefers(scores["openmvs"], scores["meshlab"]):
+        return "openmvs", (f"{what} was read from the TOP, as OpenMVS writes it: the photos prefer it {agreement}; "
+                           "pass flavour='meshlab' if that is wrong")
+    if patches.prefers(scores["meshlab"], scores["openmvs"]):
+        return "meshlab", f"{what} was read from the bottom, as MeshLab writes it; the photos agree {agreement}"
+    return "meshlab", (f"{unsettled}; the photos prefer neither {agreement}: pass flavour='openmvs' if OpenMVS wrote "
+                       "the file")
+
+
+def _surface(project: Project) -> Surface:
+    """The first visible mesh layer in the project's world."""
+    for layer in project.meshes:
+        if layer.visible and layer.path is not None:
+            surface = read_mesh(layer.path)
+            return Surface(surface.vertices @ layer.matrix[:3, :3].T + layer.matrix[:3, 3], surface.faces)
+    raise InputError("the project has no mesh layer with a file")
+
+
+def _scores(project: Project) -> dict[str, np.ndarray]:
+    """Of each flavour correlations of patches between the same pairs of views; empty where too few can be compared."""
+    samples = patches.sample_surface(_surface(project))
+    keep = patches.evenly(len(project.rasters), _VIEWS)
+    cameras = {flavour: [project.rasters[k].camera(flavour) for k in keep] for flavour in FLAVOURS}
+    views = project.scene().views
+    greys = [patches.grey_of(views[k].load_image()) for k in keep]
+    seen, pairs = patches.overlaps(cameras["meshlab"], samples)
+    scores = {f: patches.patch_correlation(cameras[f], greys, pairs, seen, samples) for f in FLAVOURS}
+    return scores if min(np.isfinite(score).sum() for score in scores.values()) >= patches.LEAST else {}
 
 
 def write_project(path: Path, views: list[View], meshes: Sequence[MeshLayer] = ()) -> Path:

@@ -27,24 +27,15 @@ def detect(folder: Path) -> bool:
 
 
 def _camera_folder(folder: Path) -> Path | None:
-    for name in CAMERA_FOLDERS:
-        place = folder / name
-        if place.is_dir() and any(_FILE.fullmatch(p.name) for p in place.iterdir()):
-            return place
-    return None
+    places = (folder / name for name in CAMERA_FOLDERS if (folder / name).is_dir())
+    return next((place for place in places if any(_FILE.fullmatch(p.name) for p in place.iterdir())), None)
 
 
 def read(folder: Path, *, pixel_center: float = 0.5, intrinsics_scale: float | None = None) -> Scene:
-    """Read the scene.
+    """Read the scene; `pixel_center`: where the intrinsics put the centre of the top-left pixel.
 
-    Parameters
-    ----------
-    folder : path
-    pixel_center : float
-        Where the intrinsics put the centre of the top-left pixel.
-    intrinsics_scale : float, optional
-        Multiplies K, for camera files made for photos of another size (MVSNet's DTU training set: 4). Without it
-        intrinsics that plainly belong to another size are refused.
+    `intrinsics_scale` multiplies K, for camera files made for photos of another size (MVSNet's DTU training set: 4).
+    Without it intrinsics that plainly belong to another size are refused.
     """
     folder = Path(folder)
     place = _camera_folder(folder)
@@ -69,12 +60,11 @@ def _photos_by_number(folder: Path) -> dict[int, Path]:
     """Photos by the number that is their name; BlendedMVS's "_masked" copies are left out."""
     found: dict[int, Path] = {}
     for path in photos.scene_photos(folder):
-        if not re.fullmatch(r"\d+", path.stem, re.ASCII):
-            continue
-        if int(path.stem) in found:
-            raise InputError(f"{path.parent} has two photos with the number {int(path.stem)}: "
-                             f"{found[int(path.stem)].name} and {path.name}; keep one")
-        found[int(path.stem)] = path
+        if re.fullmatch(r"\d+", path.stem, re.ASCII):
+            other = found.setdefault(int(path.stem), path)
+            if other is not path:
+                raise InputError(f"{path.parent} has two photos with the number {int(path.stem)}: "
+                                 f"{other.name} and {path.name}; keep one")
     return found
 
 

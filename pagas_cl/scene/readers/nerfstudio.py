@@ -50,7 +50,10 @@ def _view(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str,
     photo = _photo(folder, frame.get("file_path"), f"{where}: file_path", outside)
     values = {**data, **frame}
     _refuse_distortion(values, where)
-    width, height = _size(values, photo, where)
+    if ("w" in values) != ("h" in values):
+        raise InputError(f"{where}: only one of w and h is given; give both or neither")
+    given = "w" in values
+    width, height = untrusted.size(values["w"], values["h"], where) if given else photos.photo_size(photo)
     c2w = untrusted.matrix(frame.get("transform_matrix"), 4, 4, f"{where}: transform_matrix")
     if np.abs(c2w[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise InputError(f"{where}: the last row of transform_matrix is {c2w[3].tolist()}, expected [0, 0, 0, 1]")
@@ -78,14 +81,6 @@ def _refuse_distortion(values: dict[str, Any], where: str) -> None:
         if key in values and untrusted.number(values[key], f"{where}: {key}") != 0:
             raise InputError(f"{where}: {key} is {values[key]:g}, expected 0: photos must be undistorted first "
                              "(colmap image_undistorter)")
-
-
-def _size(values: dict[str, Any], photo: Path, where: str) -> tuple[int, int]:
-    if ("w" in values) != ("h" in values):
-        raise InputError(f"{where}: only one of w and h is given; give both or neither")
-    if "w" not in values:
-        return photos.photo_size(photo)
-    return untrusted.size(values["w"], values["h"], where)
 
 
 def _intrinsics(values: dict[str, Any], width: int, height: int, where: str) -> np.ndarray:

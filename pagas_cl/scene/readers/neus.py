@@ -42,19 +42,10 @@ def detect(folder: Path) -> bool:
 def read(folder: Path, *, frame: str = "world", pixel_center: float = 0.5) -> Scene:
     """Read the views of the photos in `image/` or `images/`.
 
-    Parameters
-    ----------
-    folder : path
-    frame : str
-        "world": the world of world_mat; "sphere": the unit sphere of NeuS, in which its own meshes are before they
-        are scaled back.
-    pixel_center : float
-        Where the intrinsics put the centre of the top-left pixel.
-
-    Notes
-    -----
-    A photo belongs to the matrices of its number where the names are such numbers (000023.png: world_mat_23), else
-    photos and matrices are matched in order and must be equally many.
+    `frame`: "world", that of world_mat, or "sphere", the unit sphere of NeuS, in which its own meshes are before they
+    are scaled back; `pixel_center`: where the intrinsics put the centre of the top-left pixel. A photo belongs to the
+    matrices of its number where the names are such numbers (000023.png: world_mat_23), else photos and matrices are
+    matched in order and must be equally many.
     """
     if frame not in ("world", "sphere"):
         raise InputError(f"frame is {frame!r}, expected 'world' or 'sphere'")
@@ -78,7 +69,6 @@ def read(folder: Path, *, frame: str = "world", pixel_center: float = 0.5) -> Sc
 
 def _matched(images: list[Path], matrices: dict[int, dict[str, np.ndarray]],
              path: Path) -> Iterable[tuple[int, Path]]:
-    """Pairs (number, photo)."""
     keys = sorted(n for n in matrices if "world_mat" in matrices[n])
     numbered = {int(p.stem): p for p in images if re.fullmatch(r"\d{1,9}", p.stem, re.ASCII)}
     if len(images) == len(keys):
@@ -90,10 +80,7 @@ def _matched(images: list[Path], matrices: dict[int, dict[str, np.ndarray]],
 
 
 def read_matrices(path: Path) -> dict[int, dict[str, np.ndarray]]:
-    """{number: {"world_mat": (4, 4), "scale_mat": (4, 4)}}, float64; other arrays of the file are left alone.
-
-    Sizes and headers are checked before anything is unpacked, and nothing is unpickled.
-    """
+    """{number: {"world_mat": (4, 4), "scale_mat": (4, 4)}}, float64; other arrays of the file are left alone."""
     found: dict[int, dict[str, np.ndarray]] = {}
     with translated(f"{path} cannot be read (", "): is the file damaged?"), zipfile.ZipFile(path) as archive:
         if len(archive.infolist()) > _ENTRIES:
@@ -111,7 +98,6 @@ def read_matrices(path: Path) -> dict[int, dict[str, np.ndarray]]:
 
 
 def _matrix(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, what: str) -> np.ndarray:
-    """One 4x4 array of the archive."""
     if entry.file_size > 4096:
         raise InputError(f"{what} has {entry.file_size} bytes, expected a 4 x 4 matrix")
     stored = read_member(archive, entry)
@@ -130,8 +116,7 @@ def _matrix(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, what: str) -> np.n
 
 def camera_from_projection(P: np.ndarray, width: int, height: int, name: str = "", *,
                            pixel_center: float = 0.5) -> Camera:
-    """Camera of a projection matrix P = s K [R | t] of shape (3, 4), s any number but 0 (a similarity's scale goes
-    into s, so that the pose stays rigid)."""
+    """Camera of a projection matrix P = s K [R | t] of shape (3, 4), s any number but 0."""
     P = np.asarray(P, np.float64)
     what = f"camera {name!r}"
     if P.shape != (3, 4) or not np.isfinite(P).all():

@@ -53,7 +53,10 @@ def read(folder: Path, *, pixel_center: float = PIXEL_CENTER) -> Scene:
     if path.suffix == ".json":
         cameras = read_json(path, pixel_center=pixel_center)
     else:
-        intrinsic = _intrinsic_file(folder, path)
+        intrinsic = photos.first_file(path.parent, _INTRINSICS) or photos.first_file(folder, _INTRINSICS)
+        if intrinsic is None:
+            raise InputError(f"{path} has poses but no intrinsics (Open3D's .log drops them): put {_INTRINSICS[0]} "
+                             "beside it (o3d.io.write_pinhole_camera_intrinsic), or write the trajectory as .json")
         size, K = _intrinsic(untrusted.read_json(intrinsic), str(intrinsic))
         cameras = [untrusted.pinhole(K, pose, *size, f"camera {i}", pixel_center=pixel_center)
                    for i, pose in enumerate(read_log(path))]
@@ -61,14 +64,6 @@ def read(folder: Path, *, pixel_center: float = PIXEL_CENTER) -> Scene:
     return Scene(views=[photos.view_of(folder, replace(camera, name=photo.name), photo)
                         for camera, photo in zip(cameras, images)],
                  source=f"{path} (Open3D)")
-
-
-def _intrinsic_file(folder: Path, log: Path) -> Path:
-    path = photos.first_file(log.parent, _INTRINSICS) or photos.first_file(folder, _INTRINSICS)
-    if path:
-        return path
-    raise InputError(f"{log} has poses but no intrinsics (Open3D's .log drops them): put {_INTRINSICS[0]} beside it "
-                     "(o3d.io.write_pinhole_camera_intrinsic), or write the trajectory as .json")
 
 
 def read_json(path: Path, *, pixel_center: float = PIXEL_CENTER) -> list[Camera]:

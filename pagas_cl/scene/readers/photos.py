@@ -23,15 +23,14 @@ FOLDERS = ("images", "image", "color", "rgb", "blended_images")
 def inside(root: Path, name: Any, what: str, *, outside: bool = False) -> Path:
     """The path `name` out of a file, relative to `root`.
 
-    InputError where it leads out of `root` (absolute, or through "..") and `outside` is false: a scene from a stranger
-    must not choose what is read on this machine.
+    InputError where it leads out of `root` (absolute, or through "..") and `outside` is false: strangers must not
+    choose what is read on this machine.
     """
     if not isinstance(name, str) or not name.strip() or "\0" in name:
         raise InputError(f"{what} is {short(name)}, expected the path of a file")
     path = Path(os.path.normpath(Path(root) / name.replace("\\", "/")))
     if not outside:
-        top = Path(os.path.abspath(root))
-        absolute = Path(os.path.abspath(path))
+        top, absolute = Path(os.path.abspath(root)), Path(os.path.abspath(path))
         if top != absolute and top not in absolute.parents or re.match(r"[A-Za-z]:|[\\/]", name):
             raise InputError(f"{what} is {short(name)}, which leads out of {root}; move the file into the folder, or "
                              "pass outside=True (--outside) if you trust this scene")
@@ -82,9 +81,9 @@ def photo_size(path: Path) -> tuple[int, int]:
 def find_mask(folder: Path, photo: Path, places: tuple[str, ...] = ("masks", "mask")) -> Path | None:
     """The mask of `photo`: <place>/<name>.png or <place>/<stem>.png; with plain numbers also 000007 -> 007."""
     for place in places:
-        for name in (photo.name + ".png", photo.stem + ".png"):
-            if (folder / place / name).is_file():
-                return folder / place / name
+        named = first_file(folder / place, (photo.name + ".png", photo.stem + ".png"))
+        if named:
+            return named
         if photo.stem.isdecimal():
             for path in list_photos(folder / place):
                 if path.stem.isdecimal() and int(path.stem) == int(photo.stem):
@@ -117,12 +116,11 @@ def view_of(folder: Path, camera: Camera, photo: Path, mask: Path | None = None,
 def tell_links(views: Iterable[View], folder: str | Path) -> list[Path]:
     """Log which files of `views` a symbolic link takes out of the scene's `folder` (or file); returns them.
 
-    A link is made by whoever owns the disk or by whoever packed the scene, and cannot be told apart: a scene with its
-    photos linked in is common, so they are read, and the caller is told where from.
+    Whoever owns the disk makes links, or whoever packed the scene: they are read, and the caller is told where from.
     """
     folder = Path(folder)
-    root = os.path.realpath(folder if folder.is_dir() else folder.parent)
-    lexical, found = os.path.abspath(folder if folder.is_dir() else folder.parent), []
+    top = folder if folder.is_dir() else folder.parent
+    root, lexical, found = os.path.realpath(top), os.path.abspath(top), []
     for view in views:
         for source in (view.image, view.mask):
             path = getattr(source, "path", source)

@@ -1,7 +1,6 @@
 """Reading files that strangers wrote: every limit and every check on raw values in one place.
 
-Each reader builds on these, so that a damaged or hostile file ends in one InputError sentence: never in a crash, a
-hang, much memory, or a file opened outside the scene's folder.
+A damaged or hostile file ends in one InputError sentence: never in a crash, a hang, or much memory.
 """
 
 from __future__ import annotations
@@ -67,8 +66,7 @@ def read_json(path: Path) -> dict[str, Any]:
 def read_xml(path: Path, root: str) -> ElementTree.Element:
     """The root element of an XML file, which must be called `root`.
 
-    InputError for anything that is not plain, well-formed XML: entity declarations (which can expand without bound, or
-    read other files) are refused before anything is expanded.
+    Entity declarations, which can expand without bound or read other files, are refused before anything is expanded.
     """
     data = read_bytes(Path(path), _XML_BYTES)
     with translated(f"{path} is not valid XML (", "): is the file damaged?"):
