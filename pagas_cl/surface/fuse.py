@@ -121,7 +121,8 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
     plan : FusionPlan, optional
         From `fusion_plan` with these settings, so that it is not made twice.
     memory_mb : float, optional
-        Most host memory; what is free by default. InputError before the work where it is too little.
+        Most host memory; what is free by default. InputError where it is too little (before the work), where no
+        depth is valid, and where the mesh is empty.
     """
     plan = plan or fusion_plan(views, depths, settings)
     log.info("%s", plan)
