@@ -107,6 +107,7 @@ class Scene:
 
     @property
     def cameras(self) -> list[Camera]:
+        """Of `views`, in their order."""
         return [view.camera for view in self.views]
 
     def index(self, name: str) -> int:
