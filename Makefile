@@ -9,6 +9,8 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
+# Most of a first run is compiling kernels, which takes one core.
+SIDE_BY_SIDE := -n 2 --dist loadfile
 
 .PHONY: demo test quick kernels check docs setup clean FORCE
 
@@ -16,13 +18,13 @@ demo: setup
 	$(BIN)/pagas-cl demo --output demo_out
 
 test: setup
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE)
 
 quick: setup
-	$(BIN)/python -m pytest -q -m "not slow"
+	$(BIN)/python -m pytest -q $(SIDE_BY_SIDE) -m "not slow"
 
 kernels: setup
-	$(BIN)/python -m pytest -q -m kernels
+	$(BIN)/python -m pytest -q $(SIDE_BY_SIDE) -m kernels
 
 check: $(BIN)/ruff
 	$(BIN)/ruff check .

@@ -3,6 +3,7 @@
 import os
 import re
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ from pagas_cl.scene.camera import Camera
 
 ROOT = Path(__file__).resolve().parents[1]
 os.environ.setdefault("PAGAS_CL_TRIAL", "known")     # whoever edits a kernel hears from its test, not from the trial
-
+if "PYTEST_XDIST_WORKER" in os.environ:      # `make test` runs two at a time: each its own locks of devices
+    os.environ["TMPDIR"] = tempfile.tempdir = tempfile.mkdtemp(prefix="pagas_cl-tests-")
 
 HEAVY = ("open3d", "pymeshlab", "pycolmap", "dask", "distributed", "scipy", "matplotlib")
 
