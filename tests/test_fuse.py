@@ -288,7 +288,7 @@ def test_real_scene_comes_back_as_it_went_in(data_dir):
     cameras = [view.camera for view in views]
     depths = list(each_depth(to_surface(folder / "derived" / "mesh_coarse.ply"), cameras))
     mesh = fuse(views, depths)
-    again = each_depth(mesh, cameras)
+    again = list(each_depth(mesh, cameras))
     error = np.concatenate([(a - b)[(a > 0) & (b > 0)] for a, b in zip(again, depths)])
     footprint = 650 / (2890 / 4)
     assert np.median(np.abs(error)) < 0.15 * footprint and abs(np.median(error)) < 0.03 * footprint
