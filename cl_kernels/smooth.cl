@@ -74,8 +74,8 @@ float bend(__global const float *depth, __global const float *kappa, int i, int 
     return kappa[i] * second_difference(before, d, after);
 }
 
-// Slope of its penalty by w of its ends, 0 where `along` is at or beyond an end of the line; twice that, negated, is the
-// slope by w_i.
+// Slope of its penalty by w of its ends, 0 where `along` is at or beyond an end of the line; twice that, negated, is
+// the slope by w_i.
 float v_bend(__global const float *depth, __global const float *kappa, __global const float *weights, int i, int stride,
              int along, int length, float h, float discontinuity)
 {
