@@ -5,12 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
 from platformdirs import user_cache_dir
+
+from pagas_cl.scene.files import replaced
 
 log = logging.getLogger("pagas_cl")
 
@@ -55,13 +55,7 @@ def write(kind: str, key: str, value: dict[str, Any]) -> None:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """A text file that is there as a whole or not at all; OSError where it cannot be."""
+    """A text file in a folder of the user alone, there as a whole or not at all; OSError where it cannot be."""
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem[:40]}-")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.replace(beside, path)
-    except OSError:
-        Path(beside).unlink(missing_ok=True)
-        raise
+    with replaced(path) as beside:
+        beside.write_text(text, encoding="utf-8")
