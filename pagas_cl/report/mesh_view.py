@@ -18,7 +18,7 @@ from pagas_cl.report.pictures import MAPS, css_gradient
 from pagas_cl.report.simplify import simplify
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.files import write_text
-from pagas_cl.scene.mesh import Surface, to_surface
+from pagas_cl.scene.mesh import to_surface
 
 MOST_TRIANGLES = 150_000   # of each mesh in a page: 1 to 2 MB
 SCRIPTS = ["viewer.js"]
@@ -113,7 +113,8 @@ def _fragment(told: dict, values) -> str:
                       "</button>" for k, title in enumerate(["shaded", *(v.title for v, *_ in values)], -1))
     scales = "".join(
         f'<div class="scale" hidden><span>{low:.3g}</span><div class="strip" style="background:'
-        f'{css_gradient(value.map_name)}"></div><span>{high:.3g} {escape(value.unit)}{", grey: unknown" * unknown}</span></div>'
+        f'{css_gradient(value.map_name)}"></div><span>{high:.3g} {escape(value.unit)}'
+        f'{"; grey: unknown" * unknown}</span></div>'
         for value, (low, high), unknown in values)
     both = slider("share of the picture that shows the mesh before") if len(told["meshes"]) == 2 else ""
     sizes = "; ".join(f"{mesh['name']}: {mesh['of']:,} triangles"

@@ -25,8 +25,9 @@ def write_picture(path: Path, pixels) -> None:
 
 def figure(picture, link: str, large: bool = False) -> str:
     """HTML of one picture with its legend: a small copy in the page, a link to the full size."""
-    return (f'<figure{" class=large" if large else ""}><a href="{_address(link)}">{_image(picture, link)}</a>{_strip(picture)}<figcaption>'
-            f"<b>{escape(picture.title)}</b> {escape(picture.legend)}</figcaption></figure>")
+    return (f'<figure{" class=large" * large}><a href="{_address(link)}">{_image(picture, link)}</a>'
+            f"{_strip(picture)}<figcaption><b>{escape(picture.title)}</b> {escape(picture.legend)}"
+            "</figcaption></figure>")
 
 
 def compared(before, after, links: tuple[str, str]) -> str:
@@ -50,8 +51,9 @@ def html_page(title: str, notes: list[str], header: list[str], rows: list[list[s
     """The whole page, all text escaped but for `lead`, `body` and the pictures of sections, which are HTML.
 
     From the top: `headline`, one sentence; `lead`; `facts`, pairs of a word and a text; `notes`; `body`; an image
-    `picture`; a table, `legend` below it; the sections; `closing` lines. A section is (name, pictures as HTML, lines of text); a row
-    whose first cell names one leads there. Rows that are `marked` stand out. `scripts` of this package run at the end.
+    `picture`; a table, `legend` below it; the sections; `closing` lines. A section is (name, pictures as HTML, lines of
+    text); a row whose first cell names one leads there. Rows that are `marked` stand out. `scripts` of this package run
+    at the end.
     """
     parts = ['<!doctype html><html lang="en"><meta charset="utf-8">'
              '<meta name="viewport" content="width=device-width, initial-scale=1">'
