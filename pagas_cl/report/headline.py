@@ -41,7 +41,7 @@ def sentence(rows: list[dict], reasons: list[str], stopped: str = "") -> str:
              if any(name in row and row.get("refined") for row in rows)]
     told = f"The photos refined {share['refined']:.1%} of the surface in {done}"
     if len(moves) == 2:
-        told += f", and moved it by {moves[0]:.2g} pixels of parallax (median), 95% of it by less than {moves[1]:.2g}"
+        told += f", and moved it by {moves[0]:.2g} pixels of parallax (median), 95% of it by at most {moves[1]:.2g}"
     if returned:
         told += (f"; {len(returned)} of the views came back as {'it' if len(returned) == 1 else 'they'} came "
                  f"({Counter(returned).most_common(1)[0][0]})")

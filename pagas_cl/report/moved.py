@@ -34,12 +34,14 @@ def moved_by(points, vertices, faces) -> np.ndarray:
         each, wide = 16**k, 3 * spacing * 4**k
         near, distance = _nearest(points[left], samples[::each], wide)
         found = distance <= wide
-        index, near = left[found], near[found] * each
-        offset = points[index] - samples[near]
-        along = (offset * normals[near]).sum(axis=1)
-        aside = np.sqrt(np.maximum((offset**2).sum(axis=1) - along**2, 0))
-        # beside a sample its triangle goes on, but not beyond the surface's border
-        away[index] = np.where(aside < wide, along, np.copysign(distance[found], along))
+        index, near, distance = left[found], near[found] * each, distance[found]
+        along = ((points[index] - samples[near]) * normals[near]).sum(axis=1)
+        if k:  # samples are far apart: is the surface where the point's foot is, or does it end before?
+            below, gap = _nearest(points[index] - along[:, None] * normals[near], samples, 3 * spacing)
+            there = gap <= 3 * spacing
+            under = ((points[index] - samples[below]) * normals[below]).sum(axis=1)
+            along = np.where(there, under, np.copysign(distance, along))
+        away[index] = along
         left = left[~found]
         if not len(left):
             break

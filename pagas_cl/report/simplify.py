@@ -7,7 +7,7 @@ import numpy as np
 
 _ROUNDS = 8                 # of finding the cell's size
 _MOST_CELLS = 1 << 20      # along an axis, so that a cell's number fits into 64 bits
-_STAY = 0.05                # weight of staying at the mean of a cell's vertices, as a share of that of the planes
+_STAY = 0.02                # weight of staying at the mean of a cell's vertices, as a share of that of the planes
 
 
 def simplify(vertices, faces, most: int):
