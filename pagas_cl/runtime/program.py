@@ -46,6 +46,11 @@ def _pasted(name: str, seen: set[str]) -> list[str]:
     return lines
 
 
+@cache
+def _words(name: str) -> frozenset[str]:
+    return frozenset(re.findall(r"\w+", _COMMENT.sub("", source(name))))
+
+
 _KERNEL = re.compile(r"__kernel\b[^;{]*?\bvoid\s+(\w+)\s*\(([^)]*)\)")
 _COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 
@@ -74,9 +79,11 @@ _programs: dict[tuple[int, str, tuple[str, ...]], Program] = {}
 
 
 def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
-    """Compile the kernel file `name` for `device` with `defines` ("NAME" or "NAME=value"); once a process. pyopencl
-    keeps the binaries on disk, by source, options, device and driver."""
-    key = (device.context.int_ptr, name, tuple(defines))
+    """Compile the kernel file `name` for `device` with those of `defines` ("NAME" or "NAME=value") that it mentions;
+    once a process. pyopencl keeps the binaries on disk, by source, options, device and driver: what a file does not
+    mention must not make another program of it."""
+    defines = tuple(define for define in defines if define.partition("=")[0] in _words(name))
+    key = (device.context.int_ptr, name, defines)
     if key not in _programs:
         options = [*OPTIONS, *(f"-D{define}" for define in defines)]
         try:
