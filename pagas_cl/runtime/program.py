@@ -110,6 +110,7 @@ class _Kernel:
     def __init__(self, program: Program, name: str):
         self.cl_kernel, self.name = cl.Kernel(program.built, name), name
         self._values: list[Any] = []            # as _remembered tells them; none before the first time
+        self._numbers: dict[str, Any] = {}      # those of them that are numbers, as they were given
         self._places = {argument: (index, kind) for index, (argument, kind) in
                         enumerate(program.signatures[name].items())}
 
@@ -120,13 +121,17 @@ class _Kernel:
             self.cl_kernel.set_args(*values)
             self._values = [_remembered(value) for value in values]
             return
-        for name, value in arguments.items():
+        for name, given in arguments.items():
             index, kind = self._places[name]
-            value = _argument(value, kind, self.name)
+            if kind and given and self._numbers.get(name) == given:      # not 0, which has two signs
+                continue
+            value = _argument(given, kind, self.name)
             known, remembered = self._values[index], _remembered(value)
             if known is not remembered and known != remembered:      # the same object needs no comparison
                 self.cl_kernel.set_arg(index, value)
                 self._values[index] = remembered                     # not if it was refused
+            if kind:
+                self._numbers[name] = given
 
 
 def _remembered(value: Any) -> Any:
