@@ -16,6 +16,7 @@ from pagas_cl.report.page import compared, figure, html_page, write_picture
 from pagas_cl.report.pictures import change_in_units, parallax_change, shaded_pictures, view_pictures
 from pagas_cl.scene.files import write_text
 
+_LONGEST = 120  # bytes of a view's name in the names of its pictures
 LEGEND = ["Shares are of the pixels with a surface to start from: refined = moved by the photos; kept = the input "
           "stays, since no other photo sees the pixel, it is masked out, or the whole view came back as it came; "
           "rejected = the input stays, since the photos speak against the new depth. No surface: share of all pixels. "
@@ -40,6 +41,7 @@ class Report:
         self._views: list[dict] = []
         self._reasons: list[str] = []
         self._sections: list[tuple] = []
+        self._stems = {"mesh"}
         self._mesh, self._stopped, self._began = "", "", time.monotonic()
 
     def __enter__(self) -> Report:
@@ -63,7 +65,7 @@ class Report:
         if parallax is not None:
             change = change_in_units(before, after, parallax)
         pictures = view_pictures(photo, camera, before, after, change=change, confidence=confidence)
-        figures = self._figures(file_stem(view.name), pictures)
+        figures = self._figures(self._own_stem(view.name), pictures)
         self._views.append({"view": view.name, **(counts or {}), **_change_figures(change, confidence, after)})
         self._reasons.append(reason)
         lines = [f"kept as it came: {reason}"] if reason else []
@@ -96,6 +98,16 @@ class Report:
                          headline=headline, facts=facts, lead=bar(self._views), body=self._mesh,
                          scripts=["page.js", *(SCRIPTS if self._mesh else [])])
         return write_text(self.folder / "index.html", page)
+
+    def _own_stem(self, name: str) -> str:
+        """A part of file names that no other view's pictures have, also where case does not count."""
+        stem = first = file_stem(name).encode()[:_LONGEST].decode(errors="ignore")
+        number = 1
+        while stem.lower() in self._stems:
+            number += 1
+            stem = f"{first}_{number}"
+        self._stems.add(stem.lower())
+        return stem
 
     def _figures(self, stem: str, pictures) -> list[str]:
         """Write the pictures; HTML of those before and after each other's, then of the single ones."""
