@@ -22,7 +22,7 @@ out vec4 shown;
 void main() {
   vec3 n = normalize(facets ? cross(dFdx(at), dFdy(at)) : normal);
   if (dot(n, at) > 0.) n = -n;                           // seen from behind
-  float light = .1 + .8 * max(dot(n, normalize(vec3(-.62, -.62, -.48))), 0.) + .22 * max(-n.z, 0.);
+  float light = .1 + .84 * max(dot(n, normalize(vec3(-.62, -.62, -.48))), 0.) + .08 * max(-n.z, 0.);
   shown = vec4(pow(pow(paint, vec3(2.2)) * light, vec3(1. / 2.2)), 1.);
 }`;
 const LENS = 2.75;   // focal length in units of half the shorter side
