@@ -5,8 +5,6 @@ Each question is [MeshLab name, pymeshlab name or null]. Each answer is a line: 
 {"name", "known", "written"}: `written` is the filter as pymeshlab itself writes it, with all parameters and types.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -4,8 +4,6 @@ Exit status: 0 done; 2 bad input, bad usage, or an optional package or an OpenCL
 else; 130 interrupted.
 """
 
-from __future__ import annotations
-
 import pkgutil
 import sys
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Whether a refined view is to be trusted as a whole, or returned as it came."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.result import REFINED, REJECTED

@@ -1,7 +1,5 @@
 """What a scene calls for, view by view, before anything is refined, and what each effect costs on this device."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from pagas_cl.config import Config

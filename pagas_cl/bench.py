@@ -1,7 +1,5 @@
 """What a step costs, stage by stage, against what the device's memory allows: `pagas-cl bench`."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import asdict, dataclass
 from statistics import median

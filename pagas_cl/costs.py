@@ -9,8 +9,6 @@ seconds: work is linear in pixels, in steps and in the context views of a step; 
 1 where many views share theirs.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from dataclasses import dataclass

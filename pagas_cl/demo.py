@@ -1,7 +1,5 @@
 """A synthetic scene refined and judged against its exact truth: what `pagas-cl demo` runs."""
 
-from __future__ import annotations
-
 import logging
 import time
 from dataclasses import dataclass

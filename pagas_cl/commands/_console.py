@@ -1,7 +1,5 @@
 """What the commands write to standard error: messages, and progress with the time left."""
 
-from __future__ import annotations
-
 import logging
 import sys
 import time

@@ -1,7 +1,5 @@
 """What commands do before the work: try the places they write to, read the scene and the initial depth of its views."""
 
-from __future__ import annotations
-
 import logging
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`pagas-cl evaluate`: errors of a mesh, a point cloud or depth maps, in the figures that benchmarks use."""
 
-from __future__ import annotations
-
 import json
 import logging
 import sys

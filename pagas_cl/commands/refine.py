@@ -1,7 +1,5 @@
 """`pagas-cl refine`: the whole way from a folder of photos to refined depth maps and a mesh."""
 
-from __future__ import annotations
-
 import logging
 from collections import Counter
 from contextlib import nullcontext

@@ -1,7 +1,5 @@
 """`pagas-cl script`: a MeshLab filter script (.mlx) with our step in it, without MeshLab's window or OpenGL."""
 
-from __future__ import annotations
-
 import logging
 import os
 import sys

@@ -3,8 +3,6 @@
 A mesh becomes a cloud of points that are spread evenly over its area, the same ones every time.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Errors of a depth map and of its normals against the truth, near discontinuities apart from the rest."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 
 import numpy as np

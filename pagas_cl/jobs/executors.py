@@ -1,7 +1,5 @@
 """Where tasks run: in this process, in one process a device, or on somebody's cluster."""
 
-from __future__ import annotations
-
 import multiprocessing
 import signal
 from concurrent.futures import Executor, Future, ProcessPoolExecutor

@@ -7,8 +7,6 @@
     FOLDER/.work/inputs/            arrays that came from memory; removed when all views are done
 """
 
-from __future__ import annotations
-
 import json
 import logging
 from collections import Counter

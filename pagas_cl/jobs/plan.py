@@ -1,7 +1,5 @@
 """Which views go together, and in what order: neighbours share photos."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Batches to an executor, records back; a view that fails is asked for again, three times at most."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

@@ -1,7 +1,5 @@
 """Files whose final name never holds half of them; arrays under the hash of their content, found from any process."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """What happens in a worker: a batch in, records out; device, kernels and photos stay for the next batch."""
 
-from __future__ import annotations
-
 import logging
 import os
 import socket

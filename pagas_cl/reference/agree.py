@@ -6,8 +6,6 @@ d that moves m by one pixel (root mean square over the views that see the point)
 surface at m that does not hide it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.scene.camera import Camera

@@ -3,8 +3,6 @@
 Method section 4, both blends. All sums run over the list of pairs sorted by (pixel, z, Gaussian); pairs.py makes it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

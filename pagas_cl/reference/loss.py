@@ -1,7 +1,5 @@
 """Twin of splat/loss: how a rendered view is compared with its photo (method section 5)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.config import Loss

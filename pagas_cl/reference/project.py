@@ -3,8 +3,6 @@
 Method section 3, paper eq. 3 and 4.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 Each function returns the value and its gradient by depth, both WITHOUT the factor N of the step.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.config import Smoothness

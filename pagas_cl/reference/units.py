@@ -1,7 +1,5 @@
 """Twin of splat/units: depths from scene units to the device's units and back."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, surface_depth

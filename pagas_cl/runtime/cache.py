@@ -1,7 +1,5 @@
 """Small facts about this machine that are worth keeping from one run to the next: JSON files in the user's cache."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging

@@ -1,7 +1,5 @@
 """Asking an OpenCL driver in a process of its own, so that one that crashes or hangs does not take us along."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

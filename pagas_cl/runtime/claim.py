@@ -4,8 +4,6 @@ Each process locks a file named after the device (its place on the bus where the
 the process, however that ends, so that a new worker can take a lost one's place.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import tempfile

@@ -3,8 +3,6 @@
 An OpenCL loader (libOpenCL) finds drivers by small text files `*.icd`, each of which names a library.
 """
 
-from __future__ import annotations
-
 import glob
 import os
 import re

@@ -1,7 +1,5 @@
 """What an OpenCL device says of itself, and what it lacks."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from typing import Any

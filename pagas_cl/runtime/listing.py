@@ -1,7 +1,5 @@
 """Which devices OpenCL offers, asked first by a child process: a driver that crashes then is left out, not we."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

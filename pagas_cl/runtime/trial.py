@@ -4,8 +4,6 @@ A driver may list a processor that its compiler does not know, abort while it co
 number. What a trial has shown is kept on disk (device, driver, kernels, lanes), so that it is made once.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import os

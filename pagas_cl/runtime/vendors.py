@@ -6,8 +6,6 @@ with a path that does not exist; so a folder of our own takes the system's files
 is. A user who sets OCL_ICD_VENDORS has chosen, and nothing is done.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

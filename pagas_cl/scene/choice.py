@@ -5,8 +5,6 @@ the share that lands in front and inside, is not hidden behind that view's own i
 useful for depth. With many cameras the candidates are first cut by cheap geometry.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Depth maps on disk: (H, W) float32, z-depth in scene units, 0 = no surface."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 from typing import BinaryIO

@@ -4,8 +4,6 @@ NumPy parses a header with `ast.literal_eval`, which in CPython 3.11 fails now a
 ("AST constructor recursion depth mismatch"): only one is let in. Unpacking, which takes longer, goes on beside it.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import os

@@ -1,7 +1,5 @@
 """The caller's cameras, photos and masks, as views."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias

@@ -1,7 +1,5 @@
 """A triangle mesh in float64, and its ways to and from Open3D, pymeshlab, arrays and files."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias

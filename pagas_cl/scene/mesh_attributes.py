@@ -3,8 +3,6 @@
 Beside `scene.mesh`, whose `Surface` carries no texture coordinates. Normals are the only thing made anew.
 """
 
-from __future__ import annotations
-
 import copy
 import logging
 from pathlib import Path

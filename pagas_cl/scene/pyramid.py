@@ -4,8 +4,6 @@ Convention: an image is resampled such that its corners stay in place (`Camera.r
 input from j n_in / n_out to (j + 1) n_in / n_out. Any ratio is allowed, not only 2.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.scene.view import View

@@ -1,7 +1,5 @@
 """What the cameras as a whole look at, and how kernels read them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.scene.camera import Camera

@@ -1,7 +1,5 @@
 """A photo with its camera, and a scene: what every reader returns and every stage takes."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

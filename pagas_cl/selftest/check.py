@@ -4,8 +4,6 @@ For each case and blend: the gradient of one step against the float64 twin in pa
 same bits twice; then a few steps: finite, inputs without a surface stay so, fixed pixels keep their bits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@
 answers with one line of JSON: {"fault": "", "lasting": true}. `lasting` is false for what another try may mend.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 

@@ -1,7 +1,5 @@
 """A view's refinement in the memory that the device has: with all photos there, or with one at a time."""
 
-from __future__ import annotations
-
 import gc
 import logging
 

@@ -1,7 +1,5 @@
 """What a level works on: photos and cameras at its size, and each of them as the launchers take it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -1,8 +1,6 @@
 """Launches of measure.cl, every context view sampled under the initial depth; of image_noise.cl, noise and texture of
 one photo; and of summary.cl, what rows of numbers come to, so that few leave the device (method section 8)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import sqrt
 

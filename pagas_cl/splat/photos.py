@@ -1,7 +1,5 @@
 """Photos on the device: all of them, each uploaded once, or one at a time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyopencl as cl
 

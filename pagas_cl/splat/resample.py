@@ -1,7 +1,5 @@
 """Launches of resample.cl: photos and depth maps at the size of a pyramid level (method section 6)."""
 
-from __future__ import annotations
-
 import pyopencl as cl
 
 from pagas_cl.runtime.program import bind, build, run_once

@@ -1,8 +1,6 @@
 """Launches of step.cl, Adam and its schedule (method section 6); and progress that tells of steps when the device has
 done them, not when they are enqueued."""
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How long a step takes on this device, and what it needs: what an effect costs is the difference of two of these."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """How ssim.cl and loss.cl share an image between work-items: in vectors on a CPU, in tiles on a GPU."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from pagas_cl.splat.constants import HALO

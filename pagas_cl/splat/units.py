@@ -1,7 +1,5 @@
 """Launches of units.cl: depths from scene units to the device's units, and back."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.runtime.memory import download, upload

@@ -1,7 +1,5 @@
 """Refine the depth map of one view: a pure function of target, contexts, depth and settings (method section 7)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

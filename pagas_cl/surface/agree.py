@@ -1,8 +1,6 @@
 """Which depths other views confirm (method section 7), on a device, or in NumPy where there is none; how much and how
 far depth maps contradict each other."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from pathlib import Path

@@ -5,8 +5,6 @@ made here, in float64, relative to the middle of the mesh and in units of its si
 convention nor an origin 5e6 away enters.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Synthetic scenes with exact ground truth: a relief under photographs, seen from a grid of views around it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pictures to wrap around synthetic scenes: photographs that come with scikit-image's wheel, or noise without it."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 from importlib.util import find_spec

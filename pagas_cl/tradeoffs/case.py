@@ -1,8 +1,6 @@
 """A case: one view to measure settings on, with its context views, photos kept out of it, the truth if known; and how
 good a depth map of it is."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass, field, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """One setting on one case: the refined depth, its time and its memory; and how long that will take."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from zlib import crc32

@@ -1,7 +1,5 @@
 """Settings on cases, one record after the other in tradeoff.json: resumable, within a budget."""
 
-from __future__ import annotations
-
 import json
 import logging
 import time

@@ -7,8 +7,6 @@ numbers, texts and cameras go through `untrusted`, paths through `photos.inside`
 damaged, distorted or unclear ends in one InputError sentence. A new format is a new module and a line in FORMATS.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 from typing import Any

@@ -7,8 +7,6 @@
 Image paths are relative to SCENE/images, those of masks ("mask" may be left out) to SCENE/masks.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

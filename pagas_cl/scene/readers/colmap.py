@@ -4,8 +4,6 @@ Convention: world-to-camera, OpenCV axes, pixel centres at +0.5. PINHOLE and SIM
 photos of other models are undistorted as they are loaded, by pycolmap's lens models.
 """
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

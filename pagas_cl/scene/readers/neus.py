@@ -4,8 +4,6 @@ Convention: x ~ world_mat_i[:3] (X, 1), OpenCV axes, world-to-camera, in the sce
 scale_mat_i takes the unit sphere, in which NeuS works, to that world. Where the pixel centres are is not said.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 import zipfile

@@ -6,8 +6,6 @@ one the reader refuses (Open3D itself would silently take a PrimeSense camera). 
 centres at whole numbers. Neither file names photos: the i-th camera is that of the i-th photo.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

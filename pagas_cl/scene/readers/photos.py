@@ -1,7 +1,5 @@
 """Finding the photos that a camera file speaks of, inside the scene's folder only unless told otherwise."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re

@@ -3,8 +3,6 @@
 A damaged or hostile file ends in one InputError sentence: never in a crash, a hang, or much memory.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import xml.etree.ElementTree as ElementTree
