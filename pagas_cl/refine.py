@@ -122,7 +122,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     """
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import NormalizedDepth, PhotoStore, refine_levels
-    from pagas_cl.splat.fit import fit_memory
+    from pagas_cl.splat.budget import fit_memory
 
     config, depth, device = settings_of(preset, config), checked_depth(depth, target), open_device(device)
     if not contexts:

@@ -37,12 +37,6 @@ class ContextChoice:
     reason: str = ""
 
 
-def choose_contexts(target: int, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None],
-                    settings: Context = Context()) -> ContextChoice:
-    """Context views of camera `target`; for one target after another make a ContextChooser."""
-    return ContextChooser(cameras, depths, settings).choose(target)
-
-
 class ContextChooser:
     """Chooses for one target after another; what all targets share is worked out once.
 

@@ -1,4 +1,8 @@
-"""Depth maps on disk: (H, W) float32, z-depth in scene units, 0 = no surface."""
+"""Depth maps on disk and at other sizes: (H, W) float32, z-depth in scene units, 0 = no surface.
+
+Convention: an image is resampled such that its corners stay in place (`Camera.resized`), so that output pixel j covers
+input from j n_in / n_out to (j + 1) n_in / n_out. Any ratio is allowed, not only 2.
+"""
 
 import logging
 from pathlib import Path
@@ -9,7 +13,6 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.files import read_first, read_npy, replaced, translated
-from pagas_cl.scene.pyramid import depth_down, depth_up
 
 log = logging.getLogger("pagas_cl")
 
@@ -106,6 +109,68 @@ def resize_depth(depth: npt.ArrayLike, width: int, height: int) -> npt.NDArray[n
     columns = ((np.arange(width) + 0.5) * depth.shape[1] / width).astype(np.intp)
     valid = (depth > 0)[rows[:, None], columns[None, :]]
     return np.ascontiguousarray(np.where(valid, depth_up(depth, width, height), np.float32(0)))
+
+
+def depth_down(depth: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Depth (H, W) at a coarser size: mean of the valid (> 0) among the covered pixels, 0 where there is none."""
+    if depth.shape == (height, width):
+        return depth
+    valid = depth > 0
+    weight = _shrunk(valid, width, height)
+    total = _shrunk(np.where(valid, depth, 0), width, height)
+    some = weight > 1e-9
+    return np.where(some, total / np.where(some, weight, 1), 0).astype(np.float32)
+
+
+def depth_up(depth: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Depth (H, W) at a finer size: bilinear at pixel centres over the valid (> 0) neighbours, 0 where there is none.
+
+    Validity grows by up to a pixel of the coarse level: one valid neighbour is enough.
+    """
+    if depth.shape == (height, width):
+        return depth
+    (top, bottom, fy), (left, right, fx) = _taps(depth.shape[0], height), _taps(depth.shape[1], width)
+    total, weight = np.zeros((height, width)), np.zeros((height, width))
+    for rows, wy in ((top, 1 - fy), (bottom, fy)):
+        for columns, wx in ((left, 1 - fx), (right, fx)):
+            corner = depth[rows[:, None], columns[None, :]]
+            share = np.where(corner > 0, wy[:, None] * wx[None, :], 0)
+            total += share * np.where(corner > 0, corner, 0)
+            weight += share
+    some = weight > 1e-9
+    return np.where(some, total / np.where(some, weight, 1), 0).astype(np.float32)
+
+
+def _taps(n_in: int, n_out: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lower and upper neighbour of every output pixel centre, and the share of the upper one."""
+    x = np.clip((np.arange(n_out) + 0.5) * n_in / n_out - 0.5, 0, n_in - 1)
+    low = np.minimum(np.floor(x).astype(np.intp), max(n_in - 2, 0))
+    return low, np.minimum(low + 1, n_in - 1), x - low
+
+
+def _shrunk(values: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Area average over both axes, float64."""
+    return _along(_along(values, height, 0), width, 1)
+
+
+def _along(values: np.ndarray, n_out: int, axis: int) -> np.ndarray:
+    n_in = values.shape[axis]
+    if n_out == n_in:
+        return values.astype(np.float64)
+    values = np.moveaxis(values, axis, 0)
+    if n_in % n_out == 0:
+        step = n_in // n_out
+        result = sum(values[k::step].astype(np.float64) for k in range(step)) / step
+    else:
+        # the integral of the piecewise constant signal at the cells' borders; its differences are the cells' sums
+        integral = np.zeros((n_in + 1, *values.shape[1:]))
+        np.cumsum(values, axis=0, dtype=np.float64, out=integral[1:])
+        border = np.arange(n_out + 1) * (n_in / n_out)
+        low = np.minimum(border.astype(np.intp), n_in - 1)
+        share = (border - low).reshape(-1, *[1] * (values.ndim - 1))
+        at = integral[low] * (1 - share) + integral[low + 1] * share
+        result = np.diff(at, axis=0) * (n_out / n_in)
+    return np.moveaxis(result, 0, axis)
 
 
 def _read_pfm(path: Path) -> np.ndarray:
