@@ -9,7 +9,6 @@ seconds: work is linear in pixels, in steps and in the context views of a step; 
 1 where many views share theirs.
 """
 
-import logging
 import time
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,8 +21,6 @@ from pagas_cl.presets import preset
 from pagas_cl.scene.choice import MOST_HELD_OUT, ContextChooser, shared_out
 from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.sampling import sample_depth
-
-log = logging.getLogger("pagas_cl")
 
 _SHORT, _MOST = 8, 4000   # steps of the short run, enough that colours are fitted as often; and most of the long one
 _FEW = 64                 # views that are looked at one by one

@@ -1,16 +1,14 @@
 """A synthetic scene refined and judged against its exact truth: what `pagas-cl demo` runs."""
 
-import logging
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from pagas_cl.errors import log
 from pagas_cl.evaluate import DepthReport, compare_depth, compare_predictions
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import ViewProgress
 from pagas_cl.synthetic.scene import SyntheticScene, relief_scene, write_scene
-
-_log = logging.getLogger("pagas_cl")
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +96,7 @@ def _mesh(synthetic, depths, folder, progress):
     try:
         import open3d  # noqa: F401
     except ImportError as error:  # absent, or one of the system libraries that it needs is
-        _log.warning('no mesh is made, since Open3D cannot be loaded (%s): pip install "pagas-cl[mesh]"', error)
+        log.warning('no mesh is made, since Open3D cannot be loaded (%s): pip install "pagas-cl[mesh]"', error)
         return None
 
     from pagas_cl.scene.mesh_file import write_mesh
@@ -107,5 +105,5 @@ def _mesh(synthetic, depths, folder, progress):
     surface = fuse(synthetic.views, depths, progress=progress)
     path = folder / "mesh_refined.ply"
     write_mesh(path, surface)
-    _log.info("%s: %d vertices, %d triangles", path, len(surface.vertices), len(surface.faces))
+    log.info("%s: %d vertices, %d triangles", path, len(surface.vertices), len(surface.faces))
     return path

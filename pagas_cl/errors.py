@@ -1,4 +1,9 @@
-"""What can go wrong, one small family: every message says what, where, got, expected, and what to do."""
+"""What can go wrong, one small family: every message says what, where, got, expected, and what to do; and the log that
+every part writes to."""
+
+import logging
+
+log = logging.getLogger("pagas_cl")
 
 
 class PagasError(Exception):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy.typing as npt
 from pagas_cl.acceptance import rejection_reason
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide, decide_consistency
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
 from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import settings_of
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
     from pagas_cl.splat import NormalizedDepth, PhotoStore
     from pagas_cl.splat.view import Refinement
-
-log = logging.getLogger("pagas_cl")
 
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,

@@ -1,7 +1,5 @@
 """What the refinement of one view gives back."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -62,14 +60,14 @@ class DepthResult:
         return normals_of(self.depth, self.camera)
 
     @classmethod
-    def missing(cls, camera: Camera, reason: str, name: str = "") -> DepthResult:
+    def missing(cls, camera: Camera, reason: str, name: str = "") -> "DepthResult":
         """No surface anywhere, of a view that could not be refined."""
         nothing = np.zeros((camera.height, camera.width), np.float32)
         return cls(camera, nothing, nothing.astype(np.uint8), nothing, nothing, reason, {"failed": reason}, name)
 
     @classmethod
     def unrefined(cls, camera: Camera, depth: npt.ArrayLike, reason: str, report: dict[str, Any] | None = None,
-                  name: str = "") -> DepthResult:
+                  name: str = "") -> "DepthResult":
         """The input as it came, with the reason."""
         depth = surface_depth(np.asarray(depth))
         status = np.where(depth > 0, KEPT, NO_SURFACE).astype(np.uint8)

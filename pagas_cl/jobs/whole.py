@@ -1,7 +1,5 @@
 """From views and depth maps to refined depth maps in a folder, by any executor."""
 
-from __future__ import annotations
-
 import logging
 import shutil
 import tempfile
@@ -72,7 +70,7 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
     return collect.results()
 
 
-def _unfinished(planner: Planner, parts, template: Batch, collect: _Collect):
+def _unfinished(planner: Planner, parts, template: Batch, collect: "_Collect"):
     """Batches of what no earlier run has finished, each planned when it is asked for."""
     kept = 0
     for part in parts:

@@ -6,8 +6,6 @@ so that rounding, which moves a Gaussian by a millionth of a pixel, changes its 
 surface is the first one in a pixel stays a step.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,11 +35,11 @@ class Pairs:
     alpha_d: np.ndarray     # (P,): d alpha / dd of the pair's own Gaussian, the share held fixed; 0 where it is clamped
     share: np.ndarray       # (P,): how much of the weight the depth threshold leaves, 0 to 1
 
-    def where(self, keep: np.ndarray) -> Pairs:
+    def where(self, keep: np.ndarray) -> "Pairs":
         """The pairs where `keep` holds, order kept."""
         return Pairs(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
-    def shared(self, share: np.ndarray) -> Pairs:
+    def shared(self, share: np.ndarray) -> "Pairs":
         """The pairs with a share of their weight above 0, order kept."""
         kept = replace(self, alpha=share * self.alpha, alpha_d=share * self.alpha_d, share=share)
         return kept.where(share > 0)

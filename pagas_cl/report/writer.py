@@ -1,7 +1,5 @@
 """Collects the views of a run as they are done, and writes the pictures and the page."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -35,7 +33,7 @@ class Report:
         self._views: list[dict] = []
         self._sections: list[tuple] = []
 
-    def __enter__(self) -> Report:
+    def __enter__(self) -> "Report":
         return self
 
     def __exit__(self, *_):

@@ -1,7 +1,5 @@
 """Device buffers declared as data: planned, compared with the device and allocated from one declaration."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import Field, dataclass, field, fields
 from math import prod
@@ -38,7 +36,7 @@ def total_bytes(specs: Iterable[BufferSpec]) -> int:
     return sum(spec.nbytes for spec in specs)
 
 
-def allocate(device: Device, specs: list[BufferSpec]) -> dict[str, cl.Buffer]:
+def allocate(device: "Device", specs: list[BufferSpec]) -> dict[str, cl.Buffer]:
     """Buffers for `specs`, by name.
 
     DeviceError before anything is allocated, where one is larger than the device or the kernels can handle;
@@ -107,7 +105,7 @@ class Buffers:
         return [spec for own in fields(cls) for spec in _specs(own, dimensions)]
 
     @classmethod
-    def allocated(cls: type[Handed], device: Device, dimensions: dict[str, Any]) -> Handed:
+    def allocated(cls: type[Handed], device: "Device", dimensions: dict[str, Any]) -> Handed:
         """All that is planned, on `device`; errors as of `allocate`."""
         made, found = allocate(device, cls.plan(dimensions)), {}
         for own in fields(cls):

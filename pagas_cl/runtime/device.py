@@ -1,8 +1,5 @@
 """Choosing an OpenCL device and opening it: one context, one in-order queue."""
 
-from __future__ import annotations
-
-import logging
 import os
 import re
 import threading
@@ -12,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from pagas_cl.errors import DeviceError, InputError, NoDeviceError
+from pagas_cl.errors import DeviceError, InputError, NoDeviceError, log
 from pagas_cl.runtime import icd, listing
 from pagas_cl.runtime.info import DeviceInfo
 from pagas_cl.runtime.trial import Trial, try_device
@@ -20,8 +17,6 @@ from pagas_cl.runtime.vendors import import_pyopencl
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.memory import Memory
-
-log = logging.getLogger("pagas_cl")
 
 ENVIRONMENT = "PAGAS_CL_DEVICE"
 SHARE = "PAGAS_CL_SHARE"  # how many processes may work on one device
@@ -43,7 +38,7 @@ class Device:
     """Whether events of `queue` carry times."""
 
     @cached_property
-    def memory(self) -> Memory:
+    def memory(self) -> "Memory":
         """The buffers that this process holds on the device, counted."""
         from pagas_cl.runtime.memory import Memory, limit_of
 

@@ -1,19 +1,16 @@
 """Which devices OpenCL offers, asked first by a child process: a driver that crashes then is left out, not we."""
 
 import json
-import logging
 import os
 import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pagas_cl.errors import DeviceError, NoDeviceError
+from pagas_cl.errors import DeviceError, NoDeviceError, log
 from pagas_cl.runtime import cache, icd, vendors
 from pagas_cl.runtime.child import ask
 from pagas_cl.runtime.info import DeviceInfo, describe
-
-log = logging.getLogger("pagas_cl")
 
 LIMIT = 60.0              # seconds for the drivers to say what they have
 

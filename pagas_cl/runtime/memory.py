@@ -4,8 +4,6 @@ Buffers that are given back wait for the next of their size and role: a driver t
 that it frees, and views of one size need the same ones again.
 """
 
-from __future__ import annotations
-
 import os
 from collections import defaultdict, deque
 from typing import TYPE_CHECKING
@@ -32,9 +30,9 @@ class Memory:
     def __init__(self, title: str, limit: int):
         self.title, self.limit = title, limit
         self.held = self.peak = self.waiting = self._planned = 0
-        self._kept: defaultdict[tuple[str, int], deque[_Counted]] = defaultdict(deque)      # never an empty one
+        self._kept: "defaultdict[tuple[str, int], deque[_Counted]]" = defaultdict(deque)      # never an empty one
 
-    def buffer(self, context: cl.Context, nbytes: int, role: str = "") -> _Counted:
+    def buffer(self, context: cl.Context, nbytes: int, role: str = "") -> "_Counted":
         """A buffer for reading and writing; what is in it is left over from whatever it served before.
 
         One that has served in the `role` is taken again, so that kernels find it where it was. DeviceMemoryError where
@@ -67,7 +65,7 @@ class Memory:
         self.held += nbytes
         self.peak = max(self.peak, self.held)
 
-    def keep(self, buffer: _Counted) -> None:
+    def keep(self, buffer: "_Counted") -> None:
         """Take back a buffer that nothing enqueued later will use."""
         self._kept[buffer.role, buffer.size].append(buffer)
         self.waiting += buffer.size
@@ -76,7 +74,7 @@ class Memory:
         """Let the driver have every buffer that waits."""
         self._free(0)
 
-    def _pop(self, role: str, nbytes: int) -> _Counted:
+    def _pop(self, role: str, nbytes: int) -> "_Counted":
         kept = self._kept[role, nbytes]
         buffer = kept.popleft()
         if not kept:
@@ -116,14 +114,14 @@ class _Counted(cl.Buffer):
         self._counted = 0
 
 
-def upload(device: Device, array: np.ndarray) -> cl.Buffer:
+def upload(device: "Device", array: np.ndarray) -> cl.Buffer:
     """A buffer that holds `array`, by rows, as the kernels read it."""
     buffer = device.memory.buffer(device.context, array.nbytes)
     cl.enqueue_copy(device.queue, buffer, np.ascontiguousarray(array))
     return buffer
 
 
-def download(device: Device, buffer: cl.Buffer, shape: int | tuple[int, ...],
+def download(device: "Device", buffer: cl.Buffer, shape: int | tuple[int, ...],
              dtype: npt.DTypeLike = np.float32) -> np.ndarray:
     """A copy of `buffer` as an array of `shape`; waits for what is enqueued before it."""
     out = np.empty(shape, dtype)

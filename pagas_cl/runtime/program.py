@@ -1,7 +1,5 @@
 """Kernels from package data: includes pasted, compiled once a device and defines, launched with bound arguments."""
 
-from __future__ import annotations
-
 import re
 import warnings
 import weakref
@@ -73,7 +71,7 @@ def _parameter(declaration: str) -> tuple[str, str]:
 _programs: dict[tuple[int, str, tuple[str, ...]], Program] = {}
 
 
-def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
+def build(device: "Device", name: str, defines: tuple[str, ...] = ()) -> Program:
     """Compile the kernel file `name` for `device` with `defines` ("NAME" or "NAME=value"); once a process. pyopencl
     keeps the binaries on disk, by source, options, device and driver."""
     key = (device.context.int_ptr, name, tuple(defines))

@@ -5,7 +5,6 @@ number. What a trial has shown is kept on disk (device, driver, kernels, lanes),
 """
 
 import hashlib
-import logging
 import os
 import time
 from collections.abc import Iterator
@@ -14,11 +13,9 @@ from functools import cache as cached
 from importlib.resources import files
 from typing import Any
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.runtime import cache, child
 from pagas_cl.runtime.info import DeviceInfo
-
-log = logging.getLogger("pagas_cl")
 
 LANES, LIMIT, KNOWN = "PAGAS_CL_LANES", "PAGAS_CL_TRIAL_SECONDS", "PAGAS_CL_TRIAL"
 WIDTHS = (16, 8, 4, 1)    # pixels of a row that a work-item may handle side by side (lanes.clh)

@@ -5,8 +5,6 @@ decides; what the photos cannot decide is said to be undecided. `check_seen` is 
 goes before every refinement.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
@@ -200,7 +198,7 @@ class _Trial:
     """One reading, measured. Detail readings use the pairs and patches of the cameras as given."""
 
     def __init__(self, way: _Change, cams: list[Camera], keep: np.ndarray, greys: list[np.ndarray] | None,
-                 samples: patches.Samples, given: _Trial | None = None):
+                 samples: patches.Samples, given: "_Trial | None" = None):
         self.way, self.scores = way, np.zeros(0)
         self.seen, self.pairs = np.zeros(0, bool), list[tuple[int, int]]()
         cameras = [way.of(camera) for camera in cams]
@@ -212,7 +210,7 @@ class _Trial:
         if self.pairs:
             self.scores = patches.patch_correlation(chosen, greys, self.pairs, self.seen, samples)
 
-    def reading(self, given: _Trial) -> Reading:
+    def reading(self, given: "_Trial") -> Reading:
         compared = int(np.isfinite(self.scores).sum())
         agreement = float(np.nanmedian(self.scores)) if compared >= patches.LEAST else None
         paired = self is not given and self.pairs is given.pairs and agreement is not None

@@ -4,17 +4,14 @@ Convention: an image is resampled such that its corners stay in place (`Camera.r
 input from j n_in / n_out to (j + 1) n_in / n_out. Any ratio is allowed, not only 2.
 """
 
-import logging
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.files import read_first, read_npy, replaced, translated
-
-log = logging.getLogger("pagas_cl")
 
 # What became of each pixel's depth; DepthResult.status says what each means.
 NO_SURFACE, REFINED, KEPT, REJECTED = range(4)

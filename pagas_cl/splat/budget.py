@@ -1,14 +1,11 @@
 """How much device memory the refinement of a view will take, known before anything of it is allocated; and the same in
 what the device has: with all photos there, or with one at a time."""
 
-from __future__ import annotations
-
 import gc
-import logging
 from dataclasses import dataclass
 
 from pagas_cl.config import Config
-from pagas_cl.errors import DeviceMemoryError
+from pagas_cl.errors import DeviceMemoryError, log
 from pagas_cl.runtime.arena import total_bytes
 from pagas_cl.runtime.faults import translate_cl_errors
 from pagas_cl.scene.camera import Camera
@@ -17,8 +14,7 @@ from pagas_cl.splat.evidence import HISTOGRAM
 from pagas_cl.splat.measure import probe_bytes
 from pagas_cl.splat.photos import PhotoStore, StreamedPhotos, photo_bytes
 
-log = logging.getLogger("pagas_cl")
-_told: set[Plan] = set()
+_told: "set[Plan]" = set()
 
 # Settings that need less memory, tried in this order where a view does not fit; all of them change the result.
 LEANER = ({"loss__grey": True}, {"splatting__blend": "order_free"},

@@ -1,7 +1,5 @@
 """What the device holds for one level beside photos: one declaration that is planned, allocated and read from."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import ceil, sqrt
 from typing import TypeAlias
@@ -58,7 +56,7 @@ class SampleGrid:
     down: int
 
     @classmethod
-    def over(cls, size: Size) -> SampleGrid:
+    def over(cls, size: Size) -> "SampleGrid":
         """At most about MOST_SAMPLES, never more than twice as many, however narrow the image."""
         stride = max(ceil(sqrt(size.pixels / MOST_SAMPLES)), ceil(max(size.width, size.height) / (2 * MOST_SAMPLES)), 1)
         return cls(stride, -(-size.width // stride), -(-size.height // stride))

@@ -1,20 +1,17 @@
 """A case: one view to measure settings on, with its context views, photos kept out of it, the truth if known; and how
 good a depth map of it is."""
 
-import logging
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from pagas_cl.config import Context
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.evaluate.depth import compare_depth, depth_normals, depth_per_parallax, find_discontinuities
 from pagas_cl.evaluate.predict import compare_predictions
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.view import View
-
-log = logging.getLogger("pagas_cl")
 
 _HELD_OUT_PLACES = (1, 4)  # of the choice of contexts: well-placed photos, but not the best one
 
