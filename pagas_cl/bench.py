@@ -48,11 +48,9 @@ class BenchResult:
     device_mb: float
 
     def as_dict(self) -> dict:
-        """Plain, ready for JSON."""
         return asdict(self)
 
     def table(self) -> str:
-        """The figures as text."""
         stages = "".join(
             f"{s.name:<22}{s.launches:>9}{s.ms:>11.3f}"
             + (f"{s.megabytes:>9.1f}{100 * s.share:>18.0f}%" if s.megabytes else "") + "\n" for s in self.stages)

@@ -23,7 +23,6 @@ class DemoResult:
     seconds: float                      # spent on refining, the device's compiler included
 
     def table(self) -> str:
-        """The errors as text."""
         head = (f"{'':<12}{'mean depth error':>24}{'median':>20}{'normals':>20}{'near edges':>20}\n"
                 f"{'view':<12}{'(pixels of parallax)':>24}{'':>20}{'(degrees)':>20}{'(px of parallax)':>20}\n")
         rows = []

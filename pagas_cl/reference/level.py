@@ -27,7 +27,6 @@ class Photo:
 
     @classmethod
     def from_view(cls, view) -> Photo:
-        """From a pagas_cl.scene.view.View."""
         return cls(view.camera, view.load_image() / 255.0, view.load_mask())
 
     def exposed_as(self, context: Photo) -> np.ndarray:
@@ -91,7 +90,7 @@ def view_loss(depth, target: Photo, context: Photo, config: Config, state: State
 
 
 def loss_and_gradient(depth, target: Photo, contexts: list[Photo], config: Config, state: State, views=None):
-    """L = mean_v L_v + L_s, a float, and N dL/dd (H, W) with N the number of target pixels; 0 where there is no surface.
+    """L = mean_v L_v + L_s, a float, and N dL/dd (H, W), N the number of target pixels; 0 where there is no surface.
 
     `depth` (H, W) is in units, 0 = no surface; `views` are the indices of the context views of this step, all by
     default. With `config.loss.target_view` the target's own view, which has no gradient, is one more of the mean.

@@ -15,11 +15,9 @@ class Answer:
     """What a child process came to; `value` is None where it ended without an answer."""
 
     value: dict[str, Any] | None
-    fault: str = ""
-    """How it ended then: "aborted (SIGABRT: ...)", "gave no answer within 60 s", ..."""
-    hung: bool = False
-    crashed: bool = False
-    """A signal has ended it; `hung`: it gave no answer in time."""
+    fault: str = ""         # how it ended then: "crashed (SIGABRT: ...)", "gave no answer within 60 s", ...
+    hung: bool = False      # it gave no answer in time
+    crashed: bool = False   # a signal has ended it
 
 
 def ask(module: str, question: dict[str, Any], timeout: float, environment: dict[str, str] | None = None) -> Answer:

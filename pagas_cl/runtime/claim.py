@@ -26,11 +26,8 @@ _held: dict[str, IO[str]] = {}
 def known_devices(names: str | Sequence[str] | None = None) -> list[tuple[DeviceInfo, Any, int]]:
     """(DeviceInfo, pyopencl.Device, lanes) of every device that `names` means and that works, best first.
 
-    Parameters
-    ----------
-    names : str, tuple of str, or None
-        Parts of device names. "all" and None mean every device of the best kind there is: all GPUs, or else the CPU
-        (one, since several drivers may offer the same one); None heeds the environment variable PAGAS_CL_DEVICE first.
+    `names` are parts of device names. "all" and None mean every device of the best kind there is: all GPUs, or else the
+    CPU (one, since several drivers may offer the same one); None heeds the environment variable PAGAS_CL_DEVICE first.
     """
     chosen: list[tuple[DeviceInfo, Any, int]] = []
     found = devices.find_devices(import_pyopencl())

@@ -52,20 +52,12 @@ class Device:
 def open_device(name: str | Device | None = None, *, profiling: bool = False) -> Device:
     """Open the OpenCL device called `name`, if a trial has shown that it works (runtime.trial; made once a driver).
 
-    Parameters
-    ----------
-    name : str, Device or None
-        Part of "platform / device", upper or lower case; "gpu" or "cpu" for the kind; "auto" for the best one (a GPU
-        before a CPU). None takes the environment variable PAGAS_CL_DEVICE, and "auto" where it is not set. A Device is
-        returned as it is.
-    profiling : bool
-        Record a start and an end time with every event of the queue.
+    `name` is part of "platform / device", upper or lower case; "gpu" or "cpu" for the kind; "auto" for the best one (a
+    GPU before a CPU). None takes the environment variable PAGAS_CL_DEVICE, and "auto" where it is not set. A Device is
+    returned as it is. `profiling`: record a start and an end time with every event of the queue.
 
-    Raises
-    ------
-    DeviceError
-        There is no platform, no device matches, the one that matches lacks something, has failed its trial, or cannot
-        be opened. The message says what was found and what to install.
+    DeviceError: there is no platform, no device matches, the one that matches lacks something, has failed its trial, or
+    cannot be opened. The message says what was found and what to install.
     """
     if isinstance(name, Device):
         return name

@@ -30,7 +30,7 @@ class Memory:
     def __init__(self, title: str, limit: int):
         self.title, self.limit = title, limit
         self.held = self.peak = self.waiting = self._planned = 0
-        self._kept: "defaultdict[tuple[str, int], deque[_Counted]]" = defaultdict(deque)      # never an empty one
+        self._kept: defaultdict[tuple[str, int], deque[_Counted]] = defaultdict(deque)      # never an empty one
 
     def buffer(self, context: cl.Context, nbytes: int, role: str = "") -> "_Counted":
         """A buffer for reading and writing; what is in it is left over from whatever it served before.

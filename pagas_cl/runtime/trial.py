@@ -26,10 +26,8 @@ MODULE = "pagas_cl.selftest.trial"    # what the child runs: one step of each bl
 class Trial:
     """What trying a device has shown, in `seconds`."""
 
-    lanes: int
-    """Most pixels side by side with which it passed; 0 where it did not pass at all."""
-    fault: str = ""
-    """Why it did not pass, or not with more lanes; empty where nothing was wrong."""
+    lanes: int              # most pixels side by side with which it passed; 0 where it did not pass at all
+    fault: str = ""         # why it did not pass, or not with more lanes; empty where nothing was wrong
     seconds: float = 0.0
 
 

@@ -158,7 +158,6 @@ class CameraReport:
     views: tuple[ViewCheck, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain nested dictionary, ready for JSON."""
         return asdict(self)
 
 

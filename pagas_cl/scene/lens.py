@@ -44,7 +44,6 @@ class Lens:
                    (int(camera.width), int(camera.height)), found)
 
     def camera(self, world_to_camera: npt.NDArray[np.float64], name: str) -> Camera:
-        """The pinhole at a pose."""
         return Camera(*self.pinhole, world_to_camera, name)
 
     def undistorted(self, pixels: np.ndarray) -> np.ndarray:

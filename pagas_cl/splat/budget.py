@@ -51,15 +51,10 @@ def plan_for(cameras: list[Camera], contexts: int, config: Config, streamed: boo
     """The plan of a refinement for the cameras of the target, of `contexts` context views, and of the held-out views;
     `streamed`: photos wait on the host (StreamedPhotos)."""
     plans = [_at(scale, cameras, contexts, config, streamed) for scale in config.pyramid.scales]
-    if config.effects.measured:
-        plans.append(_measuring(cameras[:1 + contexts], config, streamed))
+    if config.effects.measured:         # beforehand, beside the initial depth
+        sizes = [level_size(camera, 1.0) for camera in cameras[:1 + contexts]]
+        plans.append(Plan(_photos(sizes, sizes, streamed), probe_bytes(config, sizes, contexts) + 8 * sizes[0].pixels))
     return max(plans, key=lambda plan: plan.nbytes)
-
-
-def _measuring(cameras: list[Camera], config: Config, streamed: bool) -> Plan:
-    """The plan of measuring a view beforehand, beside its initial depth."""
-    sizes = [level_size(camera, 1.0) for camera in cameras]
-    return Plan(_photos(sizes, sizes, streamed), probe_bytes(config, sizes, len(cameras) - 1) + 8 * sizes[0].pixels)
 
 
 def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, streamed: bool) -> Plan:

@@ -28,7 +28,6 @@ class EvidenceDecision:
     held_out: tuple[tuple[float, float], ...]
 
     def release(self):
-        """Give the buffers back."""
         self.status.release()
         self.deviation.release()
 
@@ -105,7 +104,6 @@ class Evidence:
                            **self.size.extent)]
 
     def release(self):
-        """Give back what was weighed."""
         for buffer in filter(None, (self._before, self._after)):
             buffer.release()
         self._before = self._after = None

@@ -14,7 +14,6 @@ class Resampler:
         self.device, self.program = device, build(device, "resample.cl", defines(config, device, 1.0))
 
     def shrink_photo(self, source: cl.Buffer, size: Size, out: cl.Buffer, to: Size):
-        """By area averaging."""
         self._run("shrink_photo", source, size, to, photo=out)
 
     def shrink_depth(self, source: cl.Buffer, size: Size, out: cl.Buffer, to: Size):

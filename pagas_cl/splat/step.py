@@ -78,7 +78,6 @@ class StepProgress:
             self._wait()
 
     def finish(self):
-        """Wait for the last ones."""
         while self._under_way:
             self._wait()
 

@@ -56,7 +56,6 @@ class NormalizedDepth:
             (refined, np.float32), (parallax, np.float32), (deviation, np.float32), (status, np.uint8)))
 
     def release(self):
-        """Give the buffers back; this is of no more use."""
         self.given.release()
         self.buffer.release()
 

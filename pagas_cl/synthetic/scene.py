@@ -41,12 +41,10 @@ class SyntheticScene:
 
     @property
     def views(self) -> list:
-        """Target and context views."""
         return self.all_views[:1 + self.relief.contexts]
 
     @property
     def held_out(self) -> list:
-        """Views kept out of refinement."""
         return self.all_views[1 + self.relief.contexts:]
 
     def image(self, index: int) -> np.ndarray:

@@ -32,7 +32,6 @@ class Setting:
 
     @property
     def contexts(self) -> int:
-        """Context views that it asks for."""
         return max(stage.context.number for stage in self.stages)
 
     @property
