@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from pagas_cl.bench import time_step
 from pagas_cl.config import Config
 from pagas_cl.effects import EFFECTS, Decision, decide, decide_consistency
 from pagas_cl.measurements import Measurements, measure
@@ -87,8 +88,6 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
 def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device, photos,
                  tell) -> dict[str, EffectCost]:
     """Steps of one view with each effect on and off, the others as decided."""
-    from pagas_cl.splat.step_time import time_step
-
     known, costs = {}, {}
 
     def cost(settled):

@@ -18,8 +18,7 @@ from pagas_cl.reference import loss as losses
 from pagas_cl.reference import smooth
 from pagas_cl.reference.level import Photo, loss_and_gradient, prepare
 from pagas_cl.reference.project import NEAR, project
-from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.rig import viewing_distance
+from pagas_cl.scene.camera import Camera, viewing_distance
 
 
 def test_ssim_is_scikit_images():

@@ -11,8 +11,7 @@ from pagas_cl.reference import loss as losses
 from pagas_cl.reference.composite import Rendered, composite, composite_vjp
 from pagas_cl.reference.project import depth_per_parallax, is_valid, project
 from pagas_cl.reference.smooth import smoothness
-from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.rig import footprint, viewing_distance
+from pagas_cl.scene.camera import Camera, footprint, viewing_distance
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError, log
+from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.files import read_first, read_npy, replaced, translated
 
 # What became of each pixel's depth; DepthResult.status says what each means.
@@ -136,6 +137,20 @@ def depth_up(depth: np.ndarray, width: int, height: int) -> np.ndarray:
             weight += share
     some = weight > 1e-9
     return np.where(some, total / np.where(some, weight, 1), 0).astype(np.float32)
+
+
+def central_normals(depth: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.float64]:
+    """Unit normals (H, W, 3) by central differences of the depth map's points, in camera coordinates, towards the
+    camera; NaN where a pixel or one of its four neighbours has no depth, or the points are on a line."""
+    depth = np.asarray(depth, np.float64)
+    points = np.where(depth > 0, depth, np.nan)[..., None] * camera.rays()
+    normals = np.full(points.shape, np.nan)
+    # image axes down and right: this order points towards the camera
+    cross = np.cross(points[2:, 1:-1] - points[:-2, 1:-1], points[1:-1, 2:] - points[1:-1, :-2])
+    cross[np.isnan(points[1:-1, 1:-1, 0])] = np.nan
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normals[1:-1, 1:-1] = cross / np.linalg.norm(cross, axis=-1, keepdims=True)
+    return normals
 
 
 def _taps(n_in: int, n_out: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

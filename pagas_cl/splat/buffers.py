@@ -100,7 +100,7 @@ class SurfaceBuffers(Buffers):
     depth: MaybeBuffer = declared(("pixels",), np.float32, "units", "depth of each target pixel; 0: no surface")
     depth_per_parallax: MaybeBuffer = declared(
         ("pixels",), np.float32, "units", "depth that moves a pixel by one in the context views; 0: none sees it")
-    cameras: MaybeBuffer = declared(("cameras", 20), np.float32, "", "as scene.rig.camera_table, the target first")
+    cameras: MaybeBuffer = declared(("cameras", 20), np.float32, "", "as scene.camera.camera_table, the target first")
     z_first: MaybeBuffer = declared(
         ("most_pixels",), np.uint32, "units", "bits of the nearest depth in each pixel of the view at hand",
         needed="occlusion")

@@ -8,8 +8,7 @@ import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.runtime.program import Upload
-from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.rig import camera_table, footprint
+from pagas_cl.scene.camera import Camera, camera_table, footprint
 from pagas_cl.splat.buffers import Size, dimensions
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
-from pagas_cl.scene.rig import viewing_distance
+from pagas_cl.scene.camera import viewing_distance
 from pagas_cl.splat.budget import plan_for
 from pagas_cl.splat.buffers import Size, level_size
 from pagas_cl.splat.evidence import Evidence, EvidencePrior

@@ -11,8 +11,7 @@ import numpy as np
 from pagas_cl.config import Fusion
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError
 from pagas_cl.reference import agree as twin
-from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.rig import camera_table
+from pagas_cl.scene.camera import Camera, camera_table
 from pagas_cl.scene.sampling import NEAR
 
 log = logging.getLogger("pagas_cl")

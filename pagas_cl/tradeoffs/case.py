@@ -8,9 +8,10 @@ import numpy as np
 
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError, log
-from pagas_cl.evaluate.depth import compare_depth, depth_normals, depth_per_parallax, find_discontinuities
+from pagas_cl.evaluate.depth import compare_depth, depth_per_parallax, find_discontinuities
 from pagas_cl.evaluate.predict import compare_predictions
 from pagas_cl.scene.choice import ContextChooser
+from pagas_cl.scene.depthmap import central_normals
 from pagas_cl.scene.view import View
 
 _HELD_OUT_PLACES = (1, 4)  # of the choice of contexts: well-placed photos, but not the best one
@@ -40,7 +41,7 @@ class BenchmarkCase:
 
     @cached_property
     def true_normals(self) -> np.ndarray:
-        return depth_normals(self.truth, self.target.camera)
+        return central_normals(self.truth, self.target.camera)
 
     @cached_property
     def parallax(self) -> np.ndarray:
