@@ -1,6 +1,4 @@
 // How sure each depth is (method section 7).
-//   bends        second differences of the depth, in pixels of parallax
-//   deviate      the standard deviation of each depth
 #include "splat.clh"
 
 #define AROUND 2                     // half the width of the surroundings of a pixel
