@@ -3,15 +3,13 @@
 from collections.abc import Iterable
 from dataclasses import Field, dataclass, field, fields
 from math import prod
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceError, DeviceMemoryError
-
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.device import Device
 
 Handed = TypeVar("Handed", bound="Buffers")
 
@@ -35,7 +33,7 @@ def total_bytes(specs: Iterable[BufferSpec]) -> int:
     return sum(spec.nbytes for spec in specs)
 
 
-def allocate(device: "Device", specs: list[BufferSpec]) -> dict[str, cl.Buffer]:
+def allocate(device: Device, specs: list[BufferSpec]) -> dict[str, cl.Buffer]:
     """Buffers for `specs`, by name.
 
     DeviceError before anything is allocated, where one is larger than the device or the kernels can handle;
@@ -94,7 +92,7 @@ class Buffers:
         return [spec for own in fields(cls) for spec in _specs(own, dimensions)]
 
     @classmethod
-    def allocated(cls: type[Handed], device: "Device", dimensions: dict[str, Any]) -> Handed:
+    def allocated(cls: type[Handed], device: Device, dimensions: dict[str, Any]) -> Handed:
         """All that is planned, on `device`; errors as of `allocate`."""
         made, found = allocate(device, cls.plan(dimensions)), {}
         for own in fields(cls):

@@ -6,16 +6,13 @@ that it frees, and views of one size need the same ones again.
 
 import os
 from collections import defaultdict, deque
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceMemoryError, InputError
-
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.device import Device
 
 ENVIRONMENT = "PAGAS_CL_MEMORY"      # most MB of device memory that a process may take
 
@@ -114,14 +111,14 @@ class _Counted(cl.Buffer):
         self._counted = 0
 
 
-def upload(device: "Device", array: np.ndarray) -> cl.Buffer:
+def upload(device: Device, array: np.ndarray) -> cl.Buffer:
     """A buffer that holds `array`, by rows, as the kernels read it."""
     buffer = device.memory.buffer(device.context, array.nbytes)
     cl.enqueue_copy(device.queue, buffer, np.ascontiguousarray(array))
     return buffer
 
 
-def download(device: "Device", buffer: cl.Buffer, shape: int | tuple[int, ...],
+def download(device: Device, buffer: cl.Buffer, shape: int | tuple[int, ...],
              dtype: npt.DTypeLike = np.float32) -> np.ndarray:
     """A copy of `buffer` as an array of `shape`; waits for what is enqueued before it."""
     out = np.empty(shape, dtype)

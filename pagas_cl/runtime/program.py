@@ -9,15 +9,13 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceError, KernelBuildError
-
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.device import Device
 
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$')
 GROUP_1D, GROUP_2D = (128,), (32, 4)
@@ -71,7 +69,7 @@ def _parameter(declaration: str) -> tuple[str, str]:
 _programs: dict[tuple[int, str, tuple[str, ...]], Program] = {}
 
 
-def build(device: "Device", name: str, defines: tuple[str, ...] = ()) -> Program:
+def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
     """Compile the kernel file `name` for `device` with `defines` ("NAME" or "NAME=value"); once a process. pyopencl
     keeps the binaries on disk, by source, options, device and driver."""
     key = (device.context.int_ptr, name, tuple(defines))
