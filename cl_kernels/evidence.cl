@@ -6,7 +6,8 @@
 //   sum_window   1 - correlation and views of one line of pixels around each pixel, by rows and then by columns
 //   decide       which refined depths are kept
 //   feather      no seams between those and the others
-#include "splat.clh"
+#include "camera.clh"
+#include "photo.clh"
 
 #define PATCH 2                      // half the width of a patch
 #define LEAST_PIXELS 6               // of a patch must be visible

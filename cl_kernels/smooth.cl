@@ -3,7 +3,8 @@
 //   normal_map, normal_slope, normal_vjp   the paper's angle between neighbouring normals
 //   raise_weights                          more where a surface is specular
 //   planar_loss, normal_loss               their penalties, summed for the schedule
-#include "splat.clh"
+#include "camera.clh"
+#include "photo.clh"
 #include "sums.clh"
 
 // w_grad of one pixel.

@@ -12,7 +12,7 @@ import numpy as np
 from support.scenes import relief_scene
 
 from pagas_cl.presets import preset
-from pagas_cl.refine import refine_one
+from pagas_cl.refine import refine_one, refine_views
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.depthmap import find_depth, load_depth
 from pagas_cl.scene.readers import read_scene
@@ -31,6 +31,12 @@ def load_small_scene(folder):
     """Views (photos on disk) and initial depth maps."""
     scene = read_scene(folder)
     return scene.views, [load_depth(find_depth(folder / "depth_initial", view.name)) for view in scene.views]
+
+
+def compile_once(folder, config=QUICK) -> None:
+    """Refine a view here, so that several processes find its kernels compiled and do not each compile them."""
+    views, depths = load_small_scene(folder)
+    refine_views(views, depths, names=[views[0].name], config=config)
 
 
 def bytes_of(folder) -> dict:

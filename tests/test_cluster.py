@@ -9,7 +9,7 @@ from contextlib import ExitStack
 
 import job_scenes as work
 import pytest
-from job_scenes import QUICK, TESTS, bytes_of, load_small_scene, said, write_small_scene
+from job_scenes import QUICK, TESTS, bytes_of, compile_once, load_small_scene, said, write_small_scene
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.jobs import refine_all
@@ -24,7 +24,9 @@ VIEWS = 16
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    return write_small_scene(tmp_path_factory.mktemp("cluster") / "scene", VIEWS)
+    folder = write_small_scene(tmp_path_factory.mktemp("cluster") / "scene", VIEWS)
+    compile_once(folder)
+    return folder
 
 
 class Cluster:
