@@ -242,3 +242,9 @@ __kernel void carry_depth(__global const float *coarse, __global const float *co
         }
     depth[i] *= sum.y > 1e-6f ? sum.x / sum.y : 1.0f;
 }
+
+__kernel void rescale_depth(float scale, float shift, int width, int height, __global float *depth)
+{
+    EACH_PIXEL(x, y, i, width, height)
+    depth[i] = depth[i] > 0.0f ? fmax(scale * depth[i] + shift, 0.0f) : 0.0f;
+}

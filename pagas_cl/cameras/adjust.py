@@ -10,7 +10,7 @@ import pyopencl as cl
 
 from pagas_cl.cameras.normalize import Normalizer
 from pagas_cl.runtime.memory import download, upload
-from pagas_cl.runtime.program import Program, bind, build, run_once
+from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.rig import camera_table
 from pagas_cl.scene.sampling import NEAR
@@ -58,7 +58,7 @@ class Adjuster:
         self.device, self.scene_scale, self.intrinsics = device, scene_scale, intrinsics
         self.columns, self._row = (14, 16) if intrinsics else (6, 8)
         self.normalizer = Normalizer(device)
-        self.program: Program = build(device, "adjust.cl", (*define(
+        self.program = build(device, "adjust.cl", (*define(
             NEAR=NEAR, HUBER=HUBER, CUT=CUT, BORDER=BORDER, CHUNK=CHUNK, COST_CHUNK=COST_CHUNK),
             *(["INTRINSICS"] if intrinsics else [])))
 
@@ -70,14 +70,7 @@ class Adjuster:
         other view's own depth may differ where it sees the same point.
         """
         size, views = target.size, len(others)
-        rows = self._buffer(4 * self._row * views * size.pixels, "rows")
-        steps, cameras = self._buffer(8 * size.pixels, "pair"), self._table(target, others)
-        given = {"normal": target.normal, "depth": target.depth, "cameras": cameras, "rows": rows, **size.extent}
-        run_once(self.device.queue, [
-            *(bind(self.program, "linearize", size.grid, view=view, other_normal=other.normal,
-                   other_depth=other.depth, tolerance=tolerance, **given) for view, other in enumerate(others, 1)),
-            bind(self.program, "eliminate", size.grid, rows=rows, depth=target.depth, views=views, prior=prior,
-                 steps=steps, **size.extent)])
+        rows, steps = self._linearized(target, others, prior, tolerance)
         chunks, entries = -(-size.pixels // CHUNK), views * (views + 1) // 2 * self.columns
         partial, sums = (self._buffer(4 * self._row * entries * n, "partial") for n in (chunks, 2))
         run_once(self.device.queue, [
@@ -88,25 +81,17 @@ class Adjuster:
         if limit > 0:
             self._move(target, steps, limit)
         found = download(self.device, sums, (entries, self._row, 2)).astype(np.float64).sum(axis=-1)
-        for buffer in (rows, steps, cameras, partial, sums):
+        for buffer in (rows, steps, partial, sums):
             buffer.release()
         return self._block(found, views)
 
     def settle_depth(self, target: Frame, others: Sequence[Frame], prior: float, tolerance: float,
                      limit: float) -> None:
         """The step of the depths alone."""
-        size, views = target.size, len(others)
-        rows = self._buffer(4 * self._row * views * size.pixels, "rows")
-        steps, cameras = self._buffer(8 * size.pixels, "pair"), self._table(target, others)
-        given = {"normal": target.normal, "depth": target.depth, "cameras": cameras, "rows": rows, **size.extent}
-        run_once(self.device.queue, [
-            *(bind(self.program, "linearize", size.grid, view=view, other_normal=other.normal,
-                   other_depth=other.depth, tolerance=tolerance, **given) for view, other in enumerate(others, 1)),
-            bind(self.program, "eliminate", size.grid, rows=rows, depth=target.depth, views=views, prior=prior,
-                 steps=steps, **size.extent)])
+        rows, steps = self._linearized(target, others, prior, tolerance)
         self._move(target, steps, limit)
-        for buffer in (rows, steps, cameras):
-            buffer.release()
+        rows.release()
+        steps.release()
 
     def costs(self, target: Frame, others: Sequence[Frame], tolerance: float) -> np.ndarray:
         """Robust cost of the residuals and number of pixels seen, summed over the target, float64 (K, 2)."""
@@ -128,6 +113,26 @@ class Adjuster:
         run_once(self.device.queue, [bind(
             self.program, "carry_depth", fine.size.grid, coarse=coarse.depth, coarse_initial=coarse_initial,
             source_width=coarse.size.width, source_height=coarse.size.height, depth=fine.depth, **fine.size.extent)])
+
+    def _linearized(self, target: Frame, others: Sequence[Frame], prior: float,
+                    tolerance: float) -> tuple[cl.Buffer, cl.Buffer]:
+        """Rows of all context views, and the step of each depth."""
+        size, views = target.size, len(others)
+        rows = self._buffer(4 * self._row * views * size.pixels, "rows")
+        steps, cameras = self._buffer(8 * size.pixels, "steps"), self._table(target, others)
+        given = {"normal": target.normal, "depth": target.depth, "cameras": cameras, "rows": rows, **size.extent}
+        run_once(self.device.queue, [
+            *(bind(self.program, "linearize", size.grid, view=view, other_normal=other.normal,
+                   other_depth=other.depth, tolerance=tolerance, **given) for view, other in enumerate(others, 1)),
+            bind(self.program, "eliminate", size.grid, rows=rows, depth=target.depth, views=views, prior=prior,
+                 steps=steps, **size.extent)])
+        cameras.release()
+        return rows, steps
+
+    def rescale(self, frame: Frame, scale: float, shift: float) -> None:
+        """Depths times `scale` plus `shift` (units)."""
+        run_once(self.device.queue, [bind(self.program, "rescale_depth", frame.size.grid, scale=scale, shift=shift,
+                                          depth=frame.depth, **frame.size.extent)])
 
     def _move(self, target: Frame, steps: cl.Buffer, limit: float) -> None:
         self.normalizer.smooth(steps, target.size, SMOOTHED)
