@@ -31,11 +31,18 @@ class Pairs:
                      tuple(pair for pair in self.held if not views & set(pair)))
 
 
-def choose_pairs(cameras: Sequence[Camera], depths: Sequence[np.ndarray], context: Context) -> Pairs:
-    """Up to MOST context views of each view; a pair of most views is held back."""
+def choose_pairs(cameras: Sequence[Camera], depths: Sequence[np.ndarray], context: Context,
+                 hide: bool = True) -> Pairs:
+    """Up to MOST context views of each view; a pair of most views is held back. `hide`: depth maps are of one scale, so
+    that one tells what another view's surface hides."""
     settings = replace(context, number=min(context.number, MOST) + 1, min_angle=min(context.min_angle, 0.5))
-    chooser = ContextChooser(cameras, [for_planning(depth, len(cameras)) for depth in depths], settings)
-    usable = [chooser.choose(k).indices for k in range(len(cameras))]
+    samples = [for_planning(depth, len(cameras)) for depth in depths]
+    chooser = ContextChooser(cameras, samples, settings)
+    usable = []
+    for one, sample in enumerate(samples):
+        if not hide:
+            chooser.depths = [sample if k == one else None for k in range(len(cameras))]
+        usable.append(chooser.choose(one).indices)
     held: list[tuple[int, int]] = []
     taken: set[int] = set()
     for one, others in enumerate(usable):

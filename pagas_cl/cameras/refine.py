@@ -39,6 +39,7 @@ FAR = 0.8                 # the same from which coarse photos come first;
 FAR_OFF = 0.15            # so they do where this share of samples matches elsewhere
 LEAST_GAIN = 0.03         # of the held-back pairs' cost: less may be chance
 WRONG = 2.0               # a view whose pairs agree so many times worse than the others' has a wrong camera
+UNLIKE = 0.1              # and so badly: photos of different things have a cost of 0.18
 _FINEST = 640_000         # pixels of a photo at the finest size: more say the same of a camera
 _MEASURED = 6             # views that are measured
 
@@ -68,9 +69,11 @@ class CameraRefinement:
     """Plain numbers: off (pixels), rounds, residual before and after, seconds."""
 
     def __str__(self) -> str:
-        told = f"cameras moved by {np.nanmedian(self.moved):.2f} pixels (median), at most {np.nanmax(self.moved):.2f}"
         wrong = f"; wrong and left out: {', '.join(self.left_out)}" if self.left_out else ""
-        return (told if self.accepted else f"cameras stay as given: {self.reason}") + wrong
+        if not self.accepted:
+            return f"cameras stay as given: {self.reason}{wrong}"
+        return (f"cameras moved by {np.nanmedian(self.moved):.2f} pixels (median), at most "
+                f"{np.nanmax(self.moved):.2f}{wrong}")
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -152,7 +155,7 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, off, config, device,
         return CameraRefinement(given, False, "no view has a surface", nothing, [])
     scene_scale = float(np.nanmedian(typical))
     typical = [z / scene_scale if np.isfinite(z) else 1.0 for z in typical]
-    pairs = choose_pairs(given, surfaces, config.context)
+    pairs = choose_pairs(given, surfaces, config.context, hide=not _map_numbers(unknowns))
     if not pairs.held or sum(map(bool, pairs.used)) < 3:
         return CameraRefinement(given, False, "it takes four views that see the same surface: three to tell how far a "
                                 "camera is off, and one more to judge", nothing, [])
@@ -163,18 +166,16 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, off, config, device,
     rounds = Rounds(frames, pairs, finest, typical)
     state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
                   _lenses(given, unknowns, lenses), _lens_numbers(unknowns), _map_numbers(unknowns))
-    coarse = measured > FAR or elsewhere > FAR_OFF
-    wrong = _wrong(rounds, state, Stage(0.25, 0.7, 0))
-    rounds.pairs = pairs.without(wrong)
     if state.map_numbers:
         rounds.run(MAPS, state)
-    rounds.run(COARSE if coarse or state.map_numbers else FINE, state)
-    if later := _wrong(rounds, state, Stage(0.5, 0.7, 0)):
-        wrong |= later
+    coarse = (measured > FAR or elsewhere > FAR_OFF or state.map_numbers > 0
+              or bool(_wrong(rounds, state, Stage(0.25, 0.7, 0))))
+    rounds.run(COARSE if coarse else FINE, state)
+    if wrong := _wrong(rounds, state, Stage(0.5, 0.7, 0)):         # the others once more, without what misled them
         rounds.pairs = pairs.without(wrong)
-        for k in later:
+        for k in wrong:
             state.cameras[k] = given[k]
-        rounds.run(FINE, state)
+        rounds.run(COARSE, state)
     return _judged(views, given, pairs, rounds, state, wrong, samples, unknowns,
                    {"off": measured, "matches_elsewhere": elsewhere, "coarse": coarse, "rounds": state.log,
                     "seconds": time.perf_counter() - start})
@@ -224,7 +225,7 @@ def _wrong(rounds: Rounds, state: State, stage: Stage) -> set[int]:
     if known.sum() < 4:
         return set()
     usual = float(np.median(costs[known]))
-    return {int(k) for k in np.flatnonzero(known & (costs > WRONG * usual) & (costs > usual + 0.02))}
+    return {int(k) for k in np.flatnonzero(known & (costs > max(WRONG * usual, UNLIKE)))}
 
 
 def _samples(camera: Camera, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from pagas_cl.cameras.pairs import Pairs
 from pagas_cl.cameras.solve import Term, Unknowns, assemble, pixel_scales, solve
 from pagas_cl.scene.camera import Camera
 
-NEAR_ENOUGH, LOOSE = 0.01, 0.03      # share of the depth by which views that see the same point may differ
+NEAR_ENOUGH, LOOSE, ANY = 0.01, 0.03, 0.5      # share of the depth by which views that see the same point may differ
 STEP, FARTHEST_STEP = 1.0, 3.0       # most that a round moves: a depth, pixels of parallax; a camera, pixels
 STILL = 0.01              # pixels of a size: a round that moves cameras by less is the last one there
 INFLATION = 40.0          # residuals that say the same, within a window
@@ -90,7 +90,7 @@ class Rounds:
         cameras = [frame.camera for frame in frames]
         tolerance = NEAR_ENOUGH if stage.share >= 0.5 else LOOSE
         if not stage.free:
-            tolerance = 4 * LOOSE
+            tolerance = ANY
         terms = [Term(t, others, self._block(frames, t, others, tolerance, stage.free))
                  for t, others in enumerate(self.pairs.used) if others]
         unknowns = self._unknowns(frames, state, stage)
