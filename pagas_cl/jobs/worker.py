@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import multiprocessing
 import os
 import socket
 import time
@@ -11,7 +12,9 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime
-from threading import Lock
+from functools import cache
+from multiprocessing.connection import wait
+from threading import Lock, Thread
 
 import numpy as np
 
@@ -97,6 +100,19 @@ class WorkerContext:
         return {k: self._views[batch.digests[k]] for k in batch.views}
 
 
+def follow_parent() -> None:
+    """In a process of a pool: end when the one that started it has, however that came about. Its queue would wait for
+    ever, and it would keep the device from the run that goes on."""
+    _follow_parent(os.getpid())
+
+
+@cache
+def _follow_parent(_: int) -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        Thread(target=lambda: (wait([parent.sentinel]), os._exit(1)), daemon=True).start()
+
+
 def run_batch(batch: Batch, inside=None) -> list[Record]:
     """Refine the views of `batch` that are not finished; one record each, which also tells of the view's error.
 
@@ -104,6 +120,7 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
     `inside(k)` is the progress of view `k`, where somebody in this process wants to know. OutputError (nothing can be
     written) and DeviceError (no device to work with) are raised: they are not the view's fault.
     """
+    follow_parent()
     if batch.code != code_version():
         raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "
                           "planned the run: install the same version everywhere")

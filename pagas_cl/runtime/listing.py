@@ -12,7 +12,7 @@ from typing import Any
 
 from pagas_cl.errors import DeviceError, NoDeviceError
 from pagas_cl.runtime import cache, icd, vendors
-from pagas_cl.runtime.child import ask
+from pagas_cl.runtime.child import ask, end_with_parent
 from pagas_cl.runtime.info import DeviceInfo, describe
 
 log = logging.getLogger("pagas_cl")
@@ -108,4 +108,5 @@ def _answer() -> dict[str, Any]:
 
 
 if __name__ == "__main__":
+    end_with_parent()
     sys.stdout.write("\n" + json.dumps(_answer()) + "\n")
