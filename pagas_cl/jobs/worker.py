@@ -222,11 +222,16 @@ def note_down(folder, what: str, name: str) -> None:
     with translate_os_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with open(path, "a", encoding="utf-8") as file:
-            file.write(f"{datetime.now().isoformat(timespec='milliseconds')} {what} {name}\n")
+            file.write(f"{datetime.now().isoformat(timespec='milliseconds')} {what} {on_a_line(name)}\n")
 
 
 def attempts(folder) -> Counter[str]:
-    """How often each view was begun in this run, by the journals of all workers."""
+    """How often each view was begun in this run, by the journals of all workers; names as they are written there."""
     lines = [line.split(" ", 2) for path in (work_folder(folder) / "journal").glob("*.txt")
              for line in path.read_text(encoding="utf-8").splitlines()]
     return Counter(line[2] for line in lines if line[1:2] == ["began"] and len(line) == 3)    # some may be cut short
+
+
+def on_a_line(name: str) -> str:
+    """A view's name on one line of any text file, whatever characters it has."""
+    return name.encode("unicode_escape").decode()

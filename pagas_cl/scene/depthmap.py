@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -10,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.files import read_first, read_npy, replaced, translated
+from pagas_cl.scene.files import is_file, read_first, read_npy, replaced, translated
+from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.pyramid import depth_down, depth_up
 
 log = logging.getLogger("pagas_cl")
@@ -22,10 +24,31 @@ SUFFIXES = (".npz", ".npy", ".pfm", ".png", ".geometric.bin", ".photometric.bin"
 
 def find_depth(folder: str | Path, image_name: str) -> Path | None:
     """The depth map of a photo in `folder`: `<stem>` or the whole `<image name>` (as COLMAP does) plus a suffix."""
+    whole = Path(image_name)
+    return _first(Path(folder), (image_name, str(whole.with_suffix("")), whole.name, whole.stem))
+
+
+def find_depths(folder: str | Path, names: Sequence[str]) -> list[Path | None]:
+    """`find_depth` of every view of a scene; first of all the files that a run of ours has written.
+
+    InputError where a file could be of several views: `0001.npz` of left/0001.png and right/0001.png.
+    """
     folder = Path(folder)
-    names = str(Path(image_name).with_suffix("")), Path(image_name).stem, image_name, Path(image_name).name
-    places = (folder / (name + suffix) for suffix in SUFFIXES for name in names)
-    return next((path for path in places if path.is_file()), None)
+    stems = file_stems(names)
+    own = [_first(folder, (stem,)) for stem in stems]
+    files = [file or find_depth(folder, name) for file, name in zip(own, names)]
+    claimed: dict[Path, int] = {file: place for place, file in enumerate(own) if file is not None}
+    for place, file in enumerate(files):
+        first = place if file is None else claimed.setdefault(file, place)
+        if first != place:
+            raise InputError(f"depth map {str(file)!r} could be of view {names[first]!r} and of {names[place]!r}: name "
+                             f"one for each, {stems[first]}{file.suffix} and {stems[place]}{file.suffix}")
+    return files
+
+
+def _first(folder: Path, stems: Iterable[str]) -> Path | None:
+    return next((folder / (stem + suffix) for suffix in SUFFIXES for stem in stems
+                 if is_file(folder / (stem + suffix))), None)
 
 
 def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import math
 import os
-import socket
+import secrets
 import struct
 import tokenize
 import zipfile
@@ -22,7 +22,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, OutputError, PagasError
 
 MOST_BYTES = 1 << 31       # of one array: a depth map of 268 megapixels of float64
 # what numpy, zipfile, Pillow, json, struct and XML parsers raise on damaged files, as fuzzing found it
@@ -42,6 +42,14 @@ def translated(before: str, after: str = "", damage: tuple[type[Exception], ...]
     except damage as error:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:120]
         raise InputError(f"{before}{reason}{after}") from error
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; false where there cannot be, for instance since its name is too long."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def read_npy(path: str | Path) -> np.ndarray:
@@ -81,16 +89,32 @@ def read_member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
 
 
 @contextmanager
-def replaced(path: str | Path, suffix: str = "") -> Iterator[Path]:
-    """Context: a name beside `path` to write to, ending in `suffix`, which gets the name `path` at the end."""
-    path = Path(path)  # its folder is made
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}.part{suffix}")
+def replaced(path: str | Path, suffix: str = "", parts: Path | None = None,
+             advice: str = "make room, or choose another place") -> Iterator[Path]:
+    """Context: a new file to write to, in the folder `parts` (by default beside `path`), its name ending in `suffix`;
+    when all of it is on the disk it gets the name `path`. Folders are made.
+
+    OutputError, with `advice`, where the disk does not take it.
+    """
+    path, beside = Path(path), None
     try:
+        for folder in (path.parent, parts or path.parent):
+            folder.mkdir(parents=True, exist_ok=True)
+        # new, of a name that nobody foresees: in a folder of several users another one may have put a link there
+        name = (parts or path.parent) / f".{path.name[:40]}.{secrets.token_hex(6)}.part{suffix}"
+        os.close(os.open(name, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        beside = name
         yield beside
+        with open(beside, "r+b") as file:
+            os.fsync(file.fileno())
         os.replace(beside, path)
+    except PagasError:
+        raise
+    except OSError as error:
+        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; {advice}") from error
     finally:
-        beside.unlink(missing_ok=True)
+        if beside is not None:
+            beside.unlink(missing_ok=True)
 
 
 def write_text(path: str | Path, text: str) -> Path:
@@ -98,7 +122,7 @@ def write_text(path: str | Path, text: str) -> Path:
     path = Path(path)
     try:
         with replaced(path) as beside:
-            beside.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
+            beside.write_text(text, encoding="utf-8", errors="backslashreplace")     # names of files may be no text
+    except OutputError as error:
+        raise InputError(f"{path} cannot be written: {getattr(error.__cause__, 'strerror', None) or error}") from error
     return path
