@@ -25,7 +25,8 @@ AWKWARD = ["a.png", "a.tif", "A.png", "left/0001.png", "right/0001.png", "cam/a.
            "frame.0001", "frame.0002", "inputs/b.png", "journal/b.png", "views/b.png", "parts/b.png", "lock.png",
            ".pagas_cl/b.png", ".pagas_cl.png", "a.npz/b.png", "x" * 245 + ".png", "x" * 244 + "y.png", "\u00e9.png",
            "e\u0301.png", "n\nl.png", "q\udce4.png", "sp ace.png", ".hidden.png", "#?%&.png", "<b>.png"]
-parts = st.sampled_from([".pagas_cl", "a", "A", "a.npz", "a.png", "x" * 250, "\u00e9", "e\u0301", "\ud800", "inputs", ".a"])
+parts = st.sampled_from([".pagas_cl", "a", "A", "a.npz", "a.png", "x" * 250, "\u00e9", "e\u0301", "\ud800",
+                         "inputs", ".a"])
 a_name = st.builds(lambda folders, last, kind: "/".join([*folders, last + kind]), st.lists(parts, max_size=2), parts,
                    st.sampled_from(["", ".png", ".tif", ".npz", ".0001"]))
 

@@ -220,7 +220,8 @@ def test_mesh_output_goes_on_too_and_leaves_nothing_beside(scene, tmp_path, monk
     whole = blocks.fuse_within
     monkeypatch.setattr(blocks, "fuse_within", interrupted)
     assert command_line.run(arguments) == 130
-    records = [json.loads(path.read_text()) for path in (tmp_path / ".fine.ply.views" / ".pagas_cl" / "views").glob("*.json")]
+    kept = tmp_path / ".fine.ply.views" / ".pagas_cl" / "views"
+    records = [json.loads(path.read_text()) for path in kept.glob("*.json")]
     assert len(records) == 8 and not (tmp_path / "fine.ply").exists()
     monkeypatch.setattr(blocks, "fuse_within", whole)
     monkeypatch.setattr("pagas_cl.jobs.worker._attempt", lambda *_: 1 / 0)  # nothing is left to refine

@@ -59,7 +59,7 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
     store = Store(work_folder(folder) / "inputs")
     for depth in depths:
         if isinstance(depth, DepthFile) and depth.file.resolve().parent == folder:
-            raise InputError(f"the depth maps to start from are in {str(folder)!r}, where the refined ones would go, and "
+            raise InputError(f"the depth maps to start from are in {str(folder)!r}, where the refined ones would go; "
                              "the next run would refine those: choose another folder")
     samples, asked = _sampled(depths, asked)
     depths = store.put_arrays(depths)

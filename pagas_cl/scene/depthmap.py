@@ -40,7 +40,7 @@ def find_depths(folder: str | Path, names: Sequence[str]) -> list[Path | None]:
     claimed: dict[Path, int] = {file: place for place, file in enumerate(own) if file is not None}
     for place, file in enumerate(files):
         first = place if file is None else claimed.setdefault(file, place)
-        if first != place:
+        if file is not None and first != place:
             raise InputError(f"depth map {str(file)!r} could be of view {names[first]!r} and of {names[place]!r}: name "
                              f"one for each, {stems[first]}{file.suffix} and {stems[place]}{file.suffix}")
     return files
