@@ -80,6 +80,7 @@ def _state(name: str) -> list[Any]:
 def enumerate_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:
     """Every device of every platform, in the platforms' order, as (DeviceInfo, pyopencl.Device), asked in this process;
     NoDeviceError where the loader finds no platform, or the platforms have no device."""
+    vendors.begin_process()
     try:
         platforms = cl.get_platforms()
     except cl.Error as error:
