@@ -31,7 +31,7 @@ from pagas_cl.jobs.task import Record, ViewTask
 from pagas_cl.result import DepthResult, confidence_of, normals_of
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import load_depth
-from pagas_cl.scene.files import DAMAGE
+from pagas_cl.scene.files import DAMAGE, opened, read_bytes
 from pagas_cl.scene.locks import locked
 from pagas_cl.scene.names import OWN
 
@@ -93,7 +93,7 @@ def _remove_empty(folders: list[Path]) -> None:
 
 def _names(folder: Path) -> set[str]:
     try:
-        return set(map(str, json.loads(_names_file(folder).read_bytes())))
+        return set(map(str, json.loads(read_bytes(_names_file(folder)))))
     except DAMAGE:
         return set()
 
@@ -138,7 +138,7 @@ def find_finished(folder: Path, task: ViewTask, extras: bool) -> Record | None:
     """The record of `task`, if an earlier attempt or run has finished it and its files are what was written."""
     path = _view_file(folder, task.stem, ".json")
     try:
-        known = json.loads(path.read_bytes())
+        known = json.loads(read_bytes(path))
         if known.pop("seal") != _seal(known):
             raise ValueError("it is not as it was written")
         record = Record(**known)
@@ -184,8 +184,8 @@ class StoredResult:
     def _extra(self, name: str) -> np.ndarray:
         path = _view_file(self.folder, self.record.stem, ".npz")
         try:
-            with np.load(path, allow_pickle=False) as archive:
-                return archive[name]
+            with opened(path) as file:
+                return np.load(file, allow_pickle=False)[name]
         except DAMAGE as error:
             raise InputError(f"{str(path)!r} cannot be read ({error}): start the same command again, which makes it "
                              "anew") from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, OutputError
 from pagas_cl.scene.depthmap import load_depth
-from pagas_cl.scene.files import read_npy, replaced
+from pagas_cl.scene.files import opened, read_npy, replaced
 
 _CHUNK = 1 << 22
 
@@ -70,7 +71,7 @@ def _digest_file(path: str, size: int, changed: int) -> str:
 
 def in_chunks(path) -> Iterator[bytes]:
     """A file's bytes, some at a time."""
-    with open(path, "rb") as file:
+    with opened(path, sys.maxsize) as file:
         yield from iter(lambda: file.read(_CHUNK), b"")
 
 

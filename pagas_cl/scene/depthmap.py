@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.files import is_file, read_first, read_npy, replaced, translated
+from pagas_cl.scene.files import is_file, opened, read_first, read_npy, replaced, translated
 from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.pyramid import depth_down, depth_up
 
@@ -135,7 +135,7 @@ def resize_depth(depth: npt.ArrayLike, width: int, height: int) -> npt.NDArray[n
 
 def _read_pfm(path: Path) -> np.ndarray:
     """Portable float map, one channel: rows from the bottom, byte order by the sign of the scale."""
-    with open(path, "rb") as file:
+    with opened(path) as file:
         head = [file.readline(64).split() for _ in range(3)]
         try:
             kind, (width, height), order = head[0][0], (int(n) for n in head[1]), float(head[2][0])
@@ -149,7 +149,7 @@ def _read_pfm(path: Path) -> np.ndarray:
 
 def _read_colmap(path: Path) -> np.ndarray:
     """COLMAP's dense map: "width&height&channels&", then float32, x fastest."""
-    with open(path, "rb") as file:
+    with opened(path) as file:
         head = file.read(64)
         numbers = head.split(b"&", 3)
         if len(numbers) != 4 or not all(n.isdigit() for n in numbers[:3]):

@@ -10,6 +10,7 @@ import io
 import math
 import os
 import secrets
+import stat
 import struct
 import tokenize
 import zipfile
@@ -18,6 +19,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
+from typing import BinaryIO
 from xml.parsers import expat
 
 import numpy as np
@@ -44,6 +46,36 @@ def translated(before: str, after: str = "", damage: tuple[type[Exception], ...]
         raise InputError(f"{before}{reason}{after}") from error
 
 
+@contextmanager
+def opened(path: str | Path, most: int = MOST_BYTES) -> Iterator[BinaryIO]:
+    """Context: a regular file of at most `most` bytes, open for reading.
+
+    InputError for what is none: to open a pipe waits for who writes into it, and a device may have no end. OSError
+    where it cannot be opened.
+    """
+    with open(path, "rb", opener=_without_waiting) as file:
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            raise InputError(f"{path} is no regular file (a pipe, a device or the like), and is not read")
+        if found.st_size > most:
+            raise InputError(f"{path} has {found.st_size} bytes, expected at most {most}: is it the right file?")
+        yield file
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
+    """All of a file; as `opened`."""
+    with opened(path, most) as file:
+        size = os.fstat(file.fileno()).st_size
+        data = file.read(size + 1)
+    if len(data) > size:      # a system's own files do not say how long they are
+        raise InputError(f"{path} holds more than the {size} bytes that it has: is it the right file?")
+    return data
+
+
 def is_file(path: Path) -> bool:
     """Whether there is such a file; false where there cannot be, for instance since its name is too long."""
     try:
@@ -54,8 +86,8 @@ def is_file(path: Path) -> bool:
 
 def read_npy(path: str | Path) -> np.ndarray:
     """The array of a .npy file; one of DAMAGE where it holds none."""
-    with _one_header:
-        values = np.load(path, allow_pickle=False)
+    with _one_header, opened(path) as file:
+        values = np.load(file, allow_pickle=False)
     if not isinstance(values, np.ndarray):
         raise ValueError("it holds no array")
     return values
@@ -63,9 +95,10 @@ def read_npy(path: str | Path) -> np.ndarray:
 
 def read_first(path: str | Path) -> np.ndarray:
     """The first array of a .npz archive; one of DAMAGE where it holds none."""
-    if not zipfile.is_zipfile(path):   # NumPy would speak of pickled data
-        raise ValueError("it is no .npz archive; the file is damaged or cut off: write it again")
-    with zipfile.ZipFile(path) as archive:
+    with opened(path) as file:
+        if not zipfile.is_zipfile(file):   # NumPy would speak of pickled data
+            raise ValueError("it is no .npz archive; the file is damaged or cut off: write it again")
+        archive = zipfile.ZipFile(file)
         members = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
         if not members:
             raise ValueError("it holds no array")
