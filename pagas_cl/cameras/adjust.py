@@ -11,8 +11,7 @@ import pyopencl as cl
 from pagas_cl.cameras.normalize import Normalizer
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, build, run_once
-from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.rig import camera_table
+from pagas_cl.scene.camera import Camera, camera_table
 from pagas_cl.scene.sampling import NEAR
 from pagas_cl.splat.buffers import Size
 from pagas_cl.splat.constants import define

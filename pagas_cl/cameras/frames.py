@@ -13,7 +13,7 @@ from pagas_cl.config import Config
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import Loads
-from pagas_cl.scene.mesh import Mesh, Surface, to_surface
+from pagas_cl.scene.mesh import Surface, to_surface
 from pagas_cl.scene.view import View
 from pagas_cl.splat.buffers import Size, level_size
 from pagas_cl.splat.photos import PhotoStore
@@ -23,8 +23,8 @@ Depths = Callable[[Sequence[Camera]], "list[np.ndarray]"]
 
 
 def depths_of(given) -> tuple[Depths, bool]:
-    """How to get depth maps for cameras, and whether they go with the cameras: those of a mesh do, one a view stays with
-    its view."""
+    """How to get depth maps for cameras, and whether they go with the cameras: those of a mesh do, one a view stays
+    with its view."""
     if isinstance(given, (list, tuple)) and not _is_mesh(given):
         def stay(_: Sequence[Camera]) -> list[np.ndarray]:
             return [np.asarray(depth.load() if isinstance(depth, Loads) else depth) if depth is not None else
@@ -54,8 +54,8 @@ class Frames:
         self._kept: list[np.ndarray] | None = None
 
     def at(self, cameras: Sequence[Camera], share: float, sigma: float, maps: np.ndarray | None = None) -> list[Frame]:
-        """The views through `cameras`, of full size, at `share` of it, photos smoothed by `sigma` pixels. `maps` (N, 2):
-        scale and shift (units) of each depth map."""
+        """The views through `cameras`, of full size, at `share` of it, photos smoothed by `sigma` pixels. `maps`
+        (N, 2): scale and shift (units) of each depth map."""
         sizes = [level_size(camera, share) for camera in cameras]
         small = [camera.resized(size.width, size.height) for camera, size in zip(cameras, sizes)]
         if self.moves:

@@ -54,8 +54,8 @@ class CameraRefinement:
     reason: str
     """Why the cameras stay as they were given; empty where they were refined."""
     moved: np.ndarray = field(repr=False)
-    """Pixels that each photo moved by, root mean square over its surface, float64 (N,): of the refined cameras, accepted
-    or not; NaN where a view has no surface."""
+    """Pixels that each photo moved by, root mean square over its surface, float64 (N,): of the refined cameras,
+    accepted or not; NaN where a view has no surface."""
     pairs: list[tuple[str, str, float, float]] = field(repr=False)
     """Pairs of views that took no part: names, mean residual cost before and after."""
     left_out: tuple[str, ...] = ()
