@@ -11,7 +11,7 @@ from shutil import rmtree
 
 import typer
 
-from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._console import nothing_refined, shown_progress
 from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
 from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
 from pagas_cl.errors import InputError, PagasError, need
@@ -21,6 +21,7 @@ MANY = ("--views", "--set", "--effect")  # options that take several words: `--v
 log = logging.getLogger("pagas_cl")
 
 
+@nothing_refined()
 def command(
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
     mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where the refinement starts."),

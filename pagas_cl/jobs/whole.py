@@ -19,6 +19,7 @@ from pagas_cl.jobs.worker import STOP, close_worker_contexts
 from pagas_cl.progress import ViewProgress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import for_planning
+from pagas_cl.scene.reasons import warn_of_nothing
 
 log = logging.getLogger("pagas_cl")
 
@@ -68,8 +69,10 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
         if workers.own:
             run.close()
         close_worker_contexts()
+    results = collect.results()
+    warn_of_nothing(views, depths, results)     # which may read the depth maps
     shutil.rmtree(store.folder, ignore_errors=True)
-    return collect.results()
+    return results
 
 
 def _unfinished(planner: Planner, parts, template: Batch, collect: _Collect):
