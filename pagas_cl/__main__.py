@@ -14,7 +14,14 @@ import typer
 
 from pagas_cl import __version__, commands
 from pagas_cl.commands._console import log_to_stderr
-from pagas_cl.errors import InputError, MissingExtraError, NoDeviceError, NothingRefinedError, PagasError
+from pagas_cl.errors import (
+    InputError,
+    InterruptedRunError,
+    MissingExtraError,
+    NoDeviceError,
+    NothingRefinedError,
+    PagasError,
+)
 
 INTERRUPTED, NOTHING_REFINED = 130, 3
 
@@ -90,7 +97,7 @@ def _explain(error: Exception) -> int:
         text, status = f"{error.format_message().rstrip('.')}; see 'pagas-cl --help'", 2
     elif isinstance(error, PagasError):
         text, status = str(error), 2 if isinstance(error, (InputError, MissingExtraError, NoDeviceError)) else 1
-        status = NOTHING_REFINED if isinstance(error, NothingRefinedError) else status
+        status = {NothingRefinedError: NOTHING_REFINED, InterruptedRunError: INTERRUPTED}.get(type(error), status)
     elif type(error).__module__.startswith("pyopencl"):
         text, status = (f"the OpenCL device failed ({error}): start the same command again; where it fails again, "
                         "update its driver or choose another device (pagas-cl devices)"), 1

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from pagas_cl.errors import InputError, PagasError
 from pagas_cl.jobs.executors import Workers
-from pagas_cl.jobs.finished import StoredResult, find_finished, work_folder
+from pagas_cl.jobs.finished import StoredResult, find_finished, records_in, work_folder
 from pagas_cl.jobs.plan import Planner, groups, on_disk
 from pagas_cl.jobs.run import Run
 from pagas_cl.jobs.store import Store, translate_os_errors
@@ -76,28 +76,37 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
 
 
 def _unfinished(planner: Planner, parts, template: Batch, collect: _Collect):
-    """Batches of what no earlier run has finished, each planned when it is asked for."""
-    kept = 0
-    for part in parts:
-        todo = []
-        for index in part:
-            try:
-                task = planner.task(index)
-            except InputError as error:  # a photo that has gone meanwhile
-                name = planner.views[index].name
-                log.error("view %s is left out: %s", name, error)
-                collect(Record(name, "", "", error=str(error), bad_input=True))
-                continue
-            record = find_finished(template.folder, task, template.extras)
-            if record is None:
-                todo.append(task)
-            else:
-                kept += 1
-                collect(record)
+    """Batches of what no earlier run has finished, each planned when it is asked for; where there was an earlier run
+    all of them first, so that what is kept of it is told before the work begins."""
+    todos = (_todo(planner, part, template, collect) for part in parts)
+    earlier = len(records_in(template.folder))
+    if earlier:
+        todos = list(todos)
+        kept = sum(not record.error for record in collect.records.values())
+        log.info("%d of %d views were finished by an earlier run and are kept%s", kept, len(collect.asked),
+                 "" if kept else ": it had other inputs, settings or code")
+    for todo in todos:
         if todo:
             yield planner.batch(todo, template)
-    if kept:
-        log.info("%d of %d views were finished by an earlier run and are kept", kept, len(collect.asked))
+
+
+def _todo(planner: Planner, part, template: Batch, collect: _Collect) -> list:
+    """The tasks of a part of the views, without those that are finished, which are collected."""
+    todo = []
+    for index in part:
+        try:
+            task = planner.task(index)
+        except InputError as error:  # a photo that has gone meanwhile
+            name = planner.views[index].name
+            log.error("view %s is left out: %s", name, error)
+            collect(Record(name, "", "", error=str(error), bad_input=True))
+            continue
+        record = find_finished(template.folder, task, template.extras)
+        if record is None:
+            todo.append(task)
+        else:
+            collect(record)
+    return todo
 
 
 class _Ended(BaseException):
