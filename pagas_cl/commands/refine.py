@@ -9,16 +9,17 @@ from pathlib import Path
 
 import typer
 
-from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._console import nothing_refined, shown_progress
 from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
-from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
+from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene, resumable, without
 from pagas_cl.errors import InputError, PagasError, need
 
-MANY = ("--views", "--set", "--effect")  # options that take several words: `--views a b c`
+MANY = ("--views", "--hold-out", "--set", "--effect")  # options that take several words: `--views a b c`
 
 log = logging.getLogger("pagas_cl")
 
 
+@nothing_refined()
 def command(
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
     mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where the refinement starts."),
@@ -26,6 +27,8 @@ def command(
     depth_dir: Path = typer.Option(None, "--depth-dir", help="Initial depth maps, <image stem>.npz, not --mesh."),
     save_depth: Path = typer.Option(None, "--save-depth", help="Folder for the refined depth maps, <image stem>.npz."),
     views: list[str] = typer.Option([], "--views", help="Refine these views only (several names may follow)."),
+    hold_out: list[str] = typer.Option([], "--hold-out", help="Keep these photos out of everything, for 'pagas-cl "
+                                                               "evaluate --held-out'."),
     context: int = typer.Option(None, "--context", help="Most context views of each view."),
     preset: str = typer.Option("balanced", "--preset", help="Settings to start from: fast, balanced, accurate, paper."),
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
@@ -62,7 +65,7 @@ def command(
     settings = [*settings, *effect_settings(effects)]
     more = {} if context is None else {"context__number": context}
     config = build_config(preset, settings, **more)
-    found = load_scene(scene, format, outside)
+    found = without(load_scene(scene, format, outside), hold_out, views)
     for view in found.views:
         view.check_files()
     for option, where in (("--output", output and output.parent), ("--save-depth", save_depth), ("--report", report)):
@@ -72,8 +75,8 @@ def command(
     folder = output.parent / f".{output.name}.views" if save_depth is None and output is not None else save_depth
     place = _place(device, devices, scheduler)
     names = [found.views[found.index(name)].name for name in views] or None
-    with (shown_progress(quiet) as progress, one_run(folder) if folder else nullcontext(),
-          _report(report, found, preset, settings, place) as page):
+    with (resumable(folder, len(names or found.views)), shown_progress(quiet) as progress,
+          one_run(folder) if folder else nullcontext(), _report(report, found, preset, settings, place) as page):
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder, names)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,

@@ -11,8 +11,8 @@ from pagas_cl.scene.files import write_text
 from pagas_cl.scene.names import flat_stem
 
 LEGEND = ["Pixels: refined = moved by the photos; kept = the input stays, since no other photo sees the pixel, it is "
-          "masked out, or the whole view came back as it came; rejected = the input stays, since the photos speak "
-          "against the new depth; no surface = no depth to start from.",
+          "masked out, the photos show nothing there, or the whole view came back as it came; rejected = the input "
+          "stays, since the photos speak against the new depth; no surface = no depth to start from.",
           "Change: how far the surface moved as the other photos see it, in pixels of parallax (px). Confidence: 1 = "
           "the photos fix the depth, 0.5 = they fix it to one pixel of parallax, 0 = they say nothing.",
           "Pictures: click for full size; dark grey = no value; the strip below a picture is its scale, from left to "
