@@ -5,6 +5,7 @@ nothing was refined; 1 anything else; 130 interrupted.
 """
 
 import pkgutil
+import shlex
 import signal
 import sys
 from importlib import import_module
@@ -78,7 +79,8 @@ def _run(arguments: list[str], debug: bool) -> int:
     try:
         one = wanted if wanted and wanted[0] in known else []
         many = getattr(_module(one[0]), "MANY", ()) if one else ()      # options that take several words
-        status = build_app(one or known)(expand_lists(arguments, many), prog_name="pagas-cl", standalone_mode=False)
+        status = build_app(one or known)(expand_lists(arguments, many), prog_name="pagas-cl", standalone_mode=False,
+                                         obj=shlex.join(["pagas-cl", *arguments]))  # what was asked, for reports
         if status == INTERRUPTED:  # typer has caught it
             raise KeyboardInterrupt
         return status if isinstance(status, int) else 0
