@@ -1,6 +1,4 @@
 // How sure each depth is (method section 7).
-//   bends        second differences of the depth, in pixels of parallax
-//   deviate      the standard deviation of each depth
 #include "camera.clh"
 #include "photo.clh"
 

@@ -1,7 +1,5 @@
 """Open3D's RGB-D frames, in any of the forms in which people hold them, as views and depth maps, and back."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -8,8 +8,6 @@ VoxelBlockGrid at +0.5. Intrinsics are read with `pixel_center` (0, as the legac
 VoxelBlockGrid here is shifted as a measurement of the installed Open3D says (surface.grid).
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 

@@ -1,13 +1,12 @@
 """The command line: finds the command, runs it, and turns what went wrong into an exit status and one sentence.
 
-Exit status: 0 done; 2 bad input, bad usage, or an optional package or an OpenCL device that is missing; 1 anything
-else; 130 interrupted.
+Exit status: 0 done; 2 bad input, bad usage, or an optional package or an OpenCL device that is missing; 3 done, but
+nothing was refined; 1 anything else; 130 interrupted.
 """
-
-from __future__ import annotations
 
 import pkgutil
 import shlex
+import signal
 import sys
 from importlib import import_module
 
@@ -15,9 +14,16 @@ import typer
 
 from pagas_cl import __version__, commands
 from pagas_cl.commands._console import log_to_stderr
-from pagas_cl.errors import InputError, MissingExtraError, NoDeviceError, PagasError
+from pagas_cl.errors import (
+    InputError,
+    InterruptedRunError,
+    MissingExtraError,
+    NoDeviceError,
+    NothingRefinedError,
+    PagasError,
+)
 
-INTERRUPTED = 130
+INTERRUPTED, NOTHING_REFINED = 130, 3
 
 
 def command_names() -> list[str]:
@@ -55,7 +61,8 @@ def _module(name: str):
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and end the process with its status."""
+    """Run the command line and end the process with its status; being asked to end (SIGTERM) is a Ctrl-C."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     raise SystemExit(run(sys.argv[1:] if arguments is None else arguments))
 
 
@@ -92,6 +99,7 @@ def _explain(error: Exception) -> int:
         text, status = f"{error.format_message().rstrip('.')}; see 'pagas-cl --help'", 2
     elif isinstance(error, PagasError):
         text, status = str(error), 2 if isinstance(error, (InputError, MissingExtraError, NoDeviceError)) else 1
+        status = {NothingRefinedError: NOTHING_REFINED, InterruptedRunError: INTERRUPTED}.get(type(error), status)
     elif type(error).__module__.startswith("pyopencl"):
         text, status = (f"the OpenCL device failed ({error}): start the same command again; where it fails again, "
                         "update its driver or choose another device (pagas-cl devices)"), 1

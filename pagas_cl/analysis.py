@@ -1,9 +1,8 @@
 """What a scene calls for, view by view, before anything is refined, and what each effect costs on this device."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
+from pagas_cl.bench import time_step
 from pagas_cl.config import Config
 from pagas_cl.effects import EFFECTS, Decision, decide, decide_consistency
 from pagas_cl.measurements import Measurements, measure
@@ -45,7 +44,6 @@ class Analysis:
     consistency: Decision | None = None
 
     def as_dict(self) -> dict:
-        """Plain nested dictionary, ready for JSON."""
         views = [{"view": view.view, "contexts": list(view.contexts), "reason": view.reason,
                   "measured": {name: value for name, value in vars(view.measured).items() if name not in _NOT_TOLD}
                   if view.measured else {}, "effects": [decision.as_dict() for decision in view.decisions]}
@@ -68,7 +66,7 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
     config, device = config or preset("balanced"), open_device(device)
     asked, photos = asked_views(views, depths, names), PhotoStore(device)
     chooser = PartnerChooser([view.camera for view in views], depths, config.context)
-    found, timed, measured_costs, tell = [], "", {}, progress or _silent
+    found, timed, measured_costs, tell = [], "", {}, progress or (lambda stage, done, total: None)
     for done, index in enumerate(asked):
         tell("analyze", done, len(asked))
         target, partners = views[index], chooser.choose(index)
@@ -90,8 +88,6 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
 def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device, photos,
                  tell) -> dict[str, EffectCost]:
     """Steps of one view with each effect on and off, the others as decided."""
-    from pagas_cl.splat.step_time import time_step
-
     known, costs = {}, {}
 
     def cost(settled):
@@ -107,7 +103,3 @@ def effect_costs(target, contexts, depth, config: Config, measured: Measurements
         costs[name] = EffectCost(on[0], off[0], on[1] - off[1])
     tell("time the effects", len(names), len(names))
     return costs
-
-
-def _silent(stage: str, done: int, total: int) -> None:
-    """The progress of who asks for none."""

@@ -1,19 +1,15 @@
 """A synthetic scene refined and judged against its exact truth: what `pagas-cl demo` runs."""
 
-from __future__ import annotations
-
-import logging
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 from pagas_cl import __version__
+from pagas_cl.errors import log
 from pagas_cl.evaluate import DepthReport, compare_depth, compare_predictions
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import ViewProgress
 from pagas_cl.synthetic.scene import SyntheticScene, relief_scene, write_scene
-
-_log = logging.getLogger("pagas_cl")
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +24,6 @@ class DemoResult:
     seconds: float                      # spent on refining, the device's compiler included
 
     def table(self) -> str:
-        """The errors as text."""
         head = (f"{'':<12}{'mean depth error':>24}{'median':>20}{'normals':>20}{'near edges':>20}\n"
                 f"{'view':<12}{'(pixels of parallax)':>24}{'':>20}{'(degrees)':>20}{'(px of parallax)':>20}\n")
         rows = []
@@ -103,7 +98,7 @@ def _mesh(synthetic, depths, folder, progress, report):
     try:
         import open3d  # noqa: F401
     except ImportError as error:  # absent, or one of the system libraries that it needs is
-        _log.warning('no mesh is made, since Open3D cannot be loaded (%s): pip install "pagas-cl[mesh]"', error)
+        log.warning('no mesh is made, since Open3D cannot be loaded (%s): pip install "pagas-cl[mesh]"', error)
         return None
 
     from pagas_cl.scene.mesh_file import write_mesh
@@ -116,5 +111,5 @@ def _mesh(synthetic, depths, folder, progress, report):
     view = synthetic.views[0]
     report.add_mesh(synthetic.initial_mesh(), surface, view=view,
                     depths=(synthetic.initial_depth(view.camera), next(each_depth(surface, [view.camera]))))
-    _log.info("%s: %d vertices, %d triangles", path, len(surface.vertices), len(surface.faces))
+    log.info("%s: %d vertices, %d triangles", path, len(surface.vertices), len(surface.faces))
     return path

@@ -1,4 +1,9 @@
-"""What can go wrong, one small family: every message says what, where, got, expected, and what to do."""
+"""What can go wrong, one small family: every message says what, where, got, expected, and what to do; and the log that
+every part writes to."""
+
+import logging
+
+log = logging.getLogger("pagas_cl")
 
 
 class PagasError(Exception):
@@ -7,6 +12,19 @@ class PagasError(Exception):
 
 class InputError(PagasError, ValueError):
     """The caller's data or settings cannot be used. The command line ends with status 2."""
+
+
+class InterruptedRunError(PagasError):
+    """Ctrl-C; the message says what is kept and how to go on. The command line ends with status 130."""
+
+
+class NothingRefinedError(PagasError):
+    """The work is done and nothing was refined: what was written is what came in. The command line ends with
+    status 3."""
+
+
+class NothingRefinedWarning(UserWarning):
+    """Of many views no depth was refined, or hardly one; the message names the likeliest reason."""
 
 
 class DeviceError(PagasError, RuntimeError):

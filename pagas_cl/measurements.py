@@ -1,7 +1,5 @@
 """What is measured of one view before it is refined (method section 8); what calls for which effect: effects.py."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

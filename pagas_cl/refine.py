@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
@@ -11,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.acceptance import rejection_reason
+from pagas_cl.acceptance import moved_by_evidence, nothing_reason, rejection_reason
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide, decide_consistency
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
 from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import settings_of
@@ -24,6 +23,7 @@ from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth
 from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
+from pagas_cl.scene.reasons import warn_of_nothing
 from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
     from pagas_cl.splat import NormalizedDepth, PhotoStore
     from pagas_cl.splat.view import Refinement
-
-log = logging.getLogger("pagas_cl")
 
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
@@ -84,7 +82,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     config = settings_of(preset, config)
     views = as_views(cams, images, masks)
     surface = to_surface(mesh)
-    depths = initial_depths(surface, views, progress)
+    depths = initial_depths(surface, views, progress, device=device)
     results = refine_views(views, depths, config=config, device=device, progress=progress, executor=executor,
                            folder=folder)
     if output == "displace":
@@ -122,7 +120,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     """
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import NormalizedDepth, PhotoStore, refine_levels
-    from pagas_cl.splat.fit import fit_memory
+    from pagas_cl.splat.budget import fit_memory
 
     config, depth, device = settings_of(preset, config), checked_depth(depth, target), open_device(device)
     if not contexts:
@@ -143,12 +141,12 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
               "planned_bytes": refined.planned_bytes, "seconds": time.perf_counter() - start}
-    reason = rejection_reason(refined, depth, len(contexts), held_out, measured)
+    moved, status = moved_by_evidence(refined, depth)
+    reason = rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined, status)
     if reason:
         log.warning("view %s is kept as it came: %s", target.name, reason)
         return DepthResult.unrefined(target.camera, depth, reason, report, target.name)
-    return DepthResult(target.camera, refined.depth, refined.status, refined.deviation, refined.parallax, "", report,
-                       target.name)
+    return DepthResult(target.camera, moved, status, refined.deviation, refined.parallax, "", report, target.name)
 
 
 def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names: Collection[str] | None = None,
@@ -207,6 +205,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
             on_view(views[index], arrays[index], result)
     photos.clear()
     view_progress.at(len(asked))
+    warn_of_nothing(views, depths, results)
     return results
 
 
@@ -239,17 +238,20 @@ def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Co
 
 
 def initial_depths(surface: Surface, views: Sequence[View], progress: Progress | None = None,
-                   keep: Callable[[np.ndarray], Any] | None = None) -> list[Any]:
-    """Depth of every view from the surface, by ray casting: float32 of shape (H, W), 0 = no surface.
+                   keep: Callable[[np.ndarray], Any] | None = None,
+                   device: str | Device | list[str] | tuple[str, ...] | None = None) -> list[Any]:
+    """Depth of every view from the surface, float32 of shape (H, W), 0 = no surface: drawn on `device` (as in
+    refine_mesh), by Open3D's ray casting where there is none.
 
     `keep` replaces each by what stands for it, such as the place where it put it.
     """
     from pagas_cl.scene.check import check_seen
+    from pagas_cl.surface.agree import comparison_device
     from pagas_cl.surface.raster import each_depth
 
     cameras, depths = [view.camera for view in views], []
     check_seen(surface, cameras)
-    for depth in each_depth(surface, cameras):
+    for depth in each_depth(surface, cameras, comparison_device(device)):
         depths.append(keep(depth) if keep else depth)
         if progress:
             progress("render the mesh", len(depths), len(cameras))

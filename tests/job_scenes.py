@@ -12,7 +12,7 @@ import numpy as np
 from support.scenes import relief_scene
 
 from pagas_cl.presets import preset
-from pagas_cl.refine import refine_one
+from pagas_cl.refine import refine_one, refine_views
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.depthmap import find_depth, load_depth
 from pagas_cl.scene.readers import read_scene
@@ -33,6 +33,12 @@ def load_small_scene(folder):
     return scene.views, [load_depth(find_depth(folder / "depth_initial", view.name)) for view in scene.views]
 
 
+def compile_once(folder, config=QUICK) -> None:
+    """Refine a view here, so that several processes find its kernels compiled and do not each compile them."""
+    views, depths = load_small_scene(folder)
+    refine_views(views, depths, names=[views[0].name], config=config)
+
+
 def bytes_of(folder) -> dict:
     """Content of every depth map in a folder of results."""
     return {path.name: path.read_bytes() for path in sorted(Path(folder).glob("*.npz"))}
@@ -40,7 +46,7 @@ def bytes_of(folder) -> dict:
 
 def said(folder, what: str) -> list[str]:
     """Names of the views that workers have written `what` ("began", "ended", "failed") of, in their journals."""
-    lines = [line.split(" ", 2) for path in sorted((Path(folder) / ".work" / "journal").glob("*.txt"))
+    lines = [line.split(" ", 2) for path in sorted((Path(folder) / ".pagas_cl" / "journal").glob("*.txt"))
              for line in path.read_text().splitlines()]
     return [name for _, word, name in lines if word == what]
 

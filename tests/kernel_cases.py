@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 from random_scenes import exposed, gains, random_scene
+from twins.units import depth_threshold, median_depth
 
-from pagas_cl.reference.level import Photo, depth_threshold, loss_and_gradient, prepare
-from pagas_cl.reference.project import median_depth
+from pagas_cl.reference.level import Photo, loss_and_gradient, prepare
 from pagas_cl.scene.view import View
 from pagas_cl.splat import exposure
 from pagas_cl.splat.inputs import LevelInput

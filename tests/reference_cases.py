@@ -8,13 +8,14 @@ from itertools import cycle, repeat
 import numpy as np
 from random_scenes import exposed, random_scene
 from support.effects import GRADIENT_CASES
+from twins.units import depth_threshold, median_depth
 
 from pagas_cl.config import Config, Loss, Pyramid, Smoothness, Solver, Splatting
 from pagas_cl.reference import composite, smooth
 from pagas_cl.reference import loss as losses
-from pagas_cl.reference.level import depth_threshold, loss_and_gradient, prepare, render
+from pagas_cl.reference.level import loss_and_gradient, prepare, render
 from pagas_cl.reference.pairs import ALPHA_MAX
-from pagas_cl.reference.project import is_valid, median_depth, project
+from pagas_cl.reference.project import is_valid, project
 
 # Every case says what it changes from settings that no tuning of a preset moves.
 BASE = Config(splatting=Splatting(radius=1.0, depth_slices=20.0, depth_footprints=0.0),

@@ -9,9 +9,13 @@ from pagas_cl.config import Context
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera, inverse_pose
 from pagas_cl.scene.check import check_seen, sample_points
-from pagas_cl.scene.choice import ContextChooser, choose_contexts
+from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.sampling import sample_depth, sample_pixels
+
+
+def choose_contexts(target, cameras, depths, *settings):
+    return ContextChooser(cameras, depths, *settings).choose(target)
 
 FRONT = (0.0, 0.0, -1.0)  # normal of the plane z = 0
 

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 
 import job_scenes as work
 import pytest
-from job_scenes import QUICK, TESTS, bytes_of, load_small_scene, said, write_small_scene
+from job_scenes import QUICK, TESTS, bytes_of, compile_once, load_small_scene, said, write_small_scene
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.jobs import refine_all
@@ -24,7 +24,9 @@ VIEWS = 16
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    return write_small_scene(tmp_path_factory.mktemp("cluster") / "scene", VIEWS)
+    folder = write_small_scene(tmp_path_factory.mktemp("cluster") / "scene", VIEWS)
+    compile_once(folder)
+    return folder
 
 
 class Cluster:
@@ -98,7 +100,7 @@ def test_a_worker_is_killed_and_another_joins(scene, cluster, tmp_path):
     began, ended = said(out, "began"), said(out, "ended")
     assert sorted(ended) == sorted(view.name for view in views)  # no finished view is done again
     assert len(began) - len(set(began)) <= 1                     # the killed worker's view is begun twice
-    assert len(list((out / ".work" / "journal").iterdir())) >= 3
+    assert len(list((out / ".pagas_cl" / "journal").iterdir())) >= 3
     assert cluster.workers["127.0.0.3"].wait(10) == -signal.SIGKILL
 
 

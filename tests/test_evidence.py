@@ -13,7 +13,7 @@ from pagas_cl.reference.pairs import candidates, nearest_surface
 from pagas_cl.reference.project import project
 from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import bind, build, run_once
-from pagas_cl.scene.rig import footprint
+from pagas_cl.scene.camera import footprint
 from pagas_cl.splat.constants import COST_GROUP
 from pagas_cl.splat.evidence import _SUM_GROUPS, Evidence, EvidencePrior, _median
 from pagas_cl.splat.options import defines

@@ -5,6 +5,7 @@ import logging
 import numpy as np
 import pytest
 from conftest import plane_depth
+from PIL import Image
 
 o3d = pytest.importorskip("open3d")
 
@@ -279,12 +280,15 @@ def test_same_result_twice(scene):
 
 def test_real_scene_comes_back_as_it_went_in(data_dir):
     from pagas_cl.scene.mesh import to_surface
-    from pagas_cl.scene.pyramid import view_at
     from pagas_cl.scene.readers import read_scene
     from pagas_cl.surface.raster import each_depth
 
     folder = data_dir / "dtu_scan24"
-    views = [view_at(view, 0.25) for view in read_scene(folder).views[::5]]
+    views = []
+    for view in read_scene(folder).views[::5]:
+        size = round(view.camera.width / 4), round(view.camera.height / 4)
+        small = Image.fromarray(view.load_image()).resize(size, Image.Resampling.BOX)
+        views.append(View(view.camera.resized(*size), np.asarray(small), None, view.name))
     cameras = [view.camera for view in views]
     depths = list(each_depth(to_surface(folder / "derived" / "mesh_coarse.ply"), cameras))
     mesh = fuse(views, depths)

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.pyramid import depth_down, depth_up, level_size, mask_to, photo_to, view_at
-from pagas_cl.scene.view import View
+from pagas_cl.scene.depthmap import depth_down, depth_up
 
 
 def brute(values, width, height):
@@ -21,20 +19,6 @@ def brute(values, width, height):
             weight = wy[:, None] * wx[None]
             out[i, j] = np.tensordot(weight, values, ([0, 1], [0, 1])) / weight.sum()
     return out
-
-
-@pytest.mark.parametrize("size", [(10, 8), (7, 5), (20, 1), (1, 1), (13, 16)])
-def test_photo_is_the_area_average(size):
-    photo = np.random.default_rng(1).integers(0, 256, (16, 20, 3), dtype=np.uint8)
-    got = photo_to(photo, *size)
-    assert got.dtype == np.uint8 and got.shape == (size[1], size[0], 3)
-    assert np.abs(got - brute(photo, *size)).max() <= 0.5 + 1e-9
-
-
-@pytest.mark.parametrize("size", [(10, 8), (7, 5)])
-def test_mask_needs_everything_that_a_pixel_covers(size):
-    mask = np.random.default_rng(2).random((16, 20)) > 0.05
-    assert np.array_equal(mask_to(mask, *size), brute(mask, *size) > 1 - 1e-9)
 
 
 @pytest.mark.parametrize("size", [(10, 8), (7, 5)])
@@ -62,13 +46,3 @@ def test_depth_up_is_exact_on_ramps_and_never_mixes_with_nothing():
 def test_one_pixel():
     assert depth_up(np.full((1, 1), 3, np.float32), 4, 2).tolist() == [[3] * 4] * 2
     assert depth_down(np.full((2, 4), 3, np.float32), 1, 1) == 3
-    assert level_size(3, 1, 0.1) == (1, 1)
-
-
-def test_view_at_scales_camera_photo_and_mask_together():
-    camera = Camera(20, 10, 15, 15, 8.2, 5.1, np.eye(4), "a")
-    view = View(camera, np.full((10, 20, 3), 7, np.uint8), np.ones((10, 20), bool))
-    half = view_at(view, 0.5)
-    assert half.load_image().shape == (5, 10, 3) and half.load_mask().shape == (5, 10)
-    assert half.camera.cx == pytest.approx(4.1)
-    assert view_at(view, 1.0) is view

@@ -8,10 +8,11 @@ from close import closeness, near_thresholds
 from random_scenes import pose, random_image, random_scene, rotation
 from reference_cases import BASE, CASES, prepared
 from twins.level import views_of_step
+from twins.units import depth_threshold, median_depth
 
 from pagas_cl.config import Config
-from pagas_cl.reference.level import Photo, depth_threshold, loss_and_gradient, prepare, render, view_loss
-from pagas_cl.reference.project import median_depth, project
+from pagas_cl.reference.level import Photo, loss_and_gradient, prepare, render, view_loss
+from pagas_cl.reference.project import project
 from pagas_cl.scene.camera import Camera
 
 

@@ -9,15 +9,16 @@ from random_scenes import pose, random_image, random_scene, rotation
 from reference_cases import BASE, prepared
 from twins import resample
 from twins.level import refine
+from twins.smooth import normals
 from twins.step import Adam, Plateau
+from twins.units import median_depth
 
 from pagas_cl.config import Config, Loss
 from pagas_cl.reference import loss as losses
 from pagas_cl.reference import smooth
 from pagas_cl.reference.level import Photo, loss_and_gradient, prepare
-from pagas_cl.reference.project import NEAR, median_depth, project
-from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.rig import viewing_distance
+from pagas_cl.reference.project import NEAR, project
+from pagas_cl.scene.camera import Camera, viewing_distance
 
 
 def test_ssim_is_scikit_images():
@@ -87,7 +88,7 @@ def test_smoothness_vanishes_on_planes():
     assert value < 1e-25 and np.abs(gradient).max() < 1e-12
     value, gradient = smooth.normal(plane, valid, rays, np.ones((9, 12)), 1.0)
     assert abs(value) < 1e-14 and np.abs(gradient).max() < 1e-12
-    n = smooth.normals(plane, valid, rays)
+    n = normals(plane, valid, rays)
     assert n[1:-1, 1:-1] == pytest.approx(np.broadcast_to(np.array([0.3, -0.2, 1]) / np.sqrt(1.13), (7, 10, 3)))
     assert (n[0] == 0).all()
 

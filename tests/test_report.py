@@ -19,7 +19,7 @@ from pagas_cl.report.pictures import (
     shaded,
     view_pictures,
 )
-from pagas_cl.report.writer import file_stem
+from pagas_cl.scene.names import flat_stem
 
 WIDTH, HEIGHT = 40, 30
 
@@ -82,7 +82,7 @@ def test_pictures_have_the_size_of_the_view_even_where_nothing_is_valid():
 
 @pytest.mark.parametrize("name, stem", [("a.jpg", "a"), ("cam1/a b.jpg", "cam1_a_b"), ("../..", "view"), ("", "view")])
 def test_file_stem(name, stem):
-    assert file_stem(name) == stem
+    assert flat_stem(name) == stem
 
 
 def test_report_writes_pictures_page_and_numbers(tmp_path):
@@ -117,8 +117,8 @@ def counts(refined, kept=0, rejected=0, nothing=0):
     ([counts(90, 10), counts(0, 100)], ["", "blurred"], "", "1 of the views came back as it came (blurred)."),
     ([counts(0, 100), counts(0, 100)], ["too far", "too far"], "", "Nothing was refined: 2 views, each as it came"),
     ([counts(0, 0, 0, 50)], [""], "", "none with a surface"),
-    ([counts(10)], [""], "disk full", "in 1 view (the run ended too early: disk full)"),
-    ([], [], "interrupted", "before a view was done (interrupted)")])
+    ([counts(10)], [""], "disk full", "in 1 view (the run ended with: disk full)"),
+    ([], [], "interrupted", "before a view was done, with: interrupted")])
 def test_the_headline_says_what_became_of_the_views(rows, reasons, stopped, said):
     assert said in sentence(rows, reasons, stopped)
 

@@ -7,9 +7,9 @@ import pytest
 from acceptance_scenes import figures
 from kernel_cases import Scene, start_level
 from support.scenes import relief_scene
+from twins.smooth import raised
 
 from pagas_cl.presets import BALANCED
-from pagas_cl.reference.smooth import raised
 from pagas_cl.refine import refine_depth
 
 pytestmark = pytest.mark.kernels

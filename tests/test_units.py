@@ -4,8 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from twins import units as twin
 
-from pagas_cl.reference import units as twin
+from pagas_cl.reference.project import normalized_depth
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.scene.sampling import FAR, MEDIAN_SAMPLES, NEAR, scene_scale_of
 from pagas_cl.splat.units import NormalizedDepth
@@ -33,7 +34,7 @@ def test_normalized_by_the_median_in_rows(device, dtype):
     depth[rng.random(depth.shape) < 0.3] = 0
     for given in (depth, np.asfortranarray(depth)):
         scaled, normalized = normalize(device, given)
-        want, scene_scale = twin.normalized_depth(given, None)
+        want, scene_scale = normalized_depth(given, None)
         assert normalized.scene_scale == scene_scale == np.median(depth[depth > 0])
         assert np.allclose(scaled * scene_scale, depth, rtol=1e-6) and np.array_equal(scaled, want)
         assert normalized.depth_range == twin.depth_range(want) > 0.1
@@ -55,7 +56,7 @@ def test_what_has_no_gaussian_is_zero(device):
     scaled, normalized = normalize(device, depth, mask)
     assert normalized.scene_scale == 2 and not scaled[0].any() and not scaled[1, :2].any() and not scaled[5].any()
     assert (scaled[2:5] == 1).all() and np.isfinite(scaled).all() and normalized.depth_range == 0
-    assert np.array_equal(scaled, twin.normalized_depth(depth, mask)[0])
+    assert np.array_equal(scaled, normalized_depth(depth, mask)[0])
     empty, normalized = normalize(device, np.zeros((3, 3)))
     assert normalized.scene_scale == 1 and normalized.depth_range == 0 and not empty.any()
     assert normalize(device, np.array([[0, 1.5, 4, 1.5]], np.float32))[1].depth_range == pytest.approx(2.5 / 1.5)

@@ -1,12 +1,12 @@
 """What commands do before the work: try the places they write to, read the scene and the initial depth of its views."""
 
-from __future__ import annotations
-
 import logging
 import tempfile
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, InterruptedRunError
 
 log = logging.getLogger("pagas_cl")
 
@@ -45,6 +45,37 @@ def load_scene(scene, format, outside: bool):
     return read_scene(scene, format, **({"outside": True} if outside else {}))
 
 
+@contextmanager
+def resumable(folder: Path | None, total: int):
+    """Context of a run of `total` views that keeps finished ones in `folder`: says first what an earlier run has left
+    there, and where it is interrupted (InterruptedRunError) what is kept now, and how to go on."""
+    from pagas_cl.jobs.finished import records_in
+
+    left = len(records_in(folder)) if folder is not None else 0
+    if left:
+        log.info("an earlier run has left %d finished view%s in %s: what this run would do alike is not done again",
+                 left, "" if left == 1 else "s", folder)
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        done = len(records_in(folder)) if folder is not None else 0
+        what = (f"{done} of {total} views are finished and kept in {str(folder)!r}: the same command goes on from them"
+                if done else "nothing is kept, no view was finished" if folder is not None
+                else "nothing is kept but pictures; with --save-depth finished views are")
+        raise InterruptedRunError(f"interrupted; {what}") from error
+
+
+def without(found, hold_out: list[str], asked: list[str]):
+    """The scene without the views `hold_out`, none of which is `asked` for."""
+    out = {found.index(name) for name in hold_out}
+    both = sorted(found.views[place].name for place in out & {found.index(name) for name in asked})
+    if both:
+        raise InputError(f"view {both[0]!r} is in --views and in --hold-out, expected one of them")
+    if out:
+        log.info("held out, and seen by nothing: %s", ", ".join(found.views[place].name for place in sorted(out)))
+    return replace(found, views=[view for place, view in enumerate(found.views) if place not in out])
+
+
 def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None) -> list:
     """Initial depth of every view, from the mesh or from files; None for a view without a file, which `names` must
     have. With a folder for the run they stay on disk, and what stands for them is given instead."""
@@ -57,9 +88,9 @@ def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, n
 
         keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
         return refine.initial_depths(to_surface(mesh), found.views, progress, keep)
-    from pagas_cl.scene.depthmap import find_depth
+    from pagas_cl.scene.depthmap import find_depths
 
-    files = [find_depth(depth_dir, view.name) for view in found.views]
+    files = find_depths(depth_dir, [view.name for view in found.views])
     if not any(files):
         raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
                          f"expected for instance {found.views[0].stem}.npz")

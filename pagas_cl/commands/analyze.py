@@ -1,7 +1,5 @@
 """`pagas-cl analyze`: which effects a scene calls for, on what evidence, and what each costs on this device."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,26 +1,25 @@
 """`pagas-cl refine`: the whole way from a folder of photos to refined depth maps and a mesh."""
 
-from __future__ import annotations
-
 import logging
 from collections import Counter
 from contextlib import nullcontext
 from functools import partial
+from itertools import product
 from pathlib import Path
-from shutil import rmtree
 
 import typer
 
-from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._console import nothing_refined, shown_progress
 from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
-from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
+from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene, resumable, without
 from pagas_cl.errors import InputError, PagasError, need
 
-MANY = ("--views", "--set", "--effect")  # options that take several words: `--views a b c`
+MANY = ("--views", "--hold-out", "--set", "--effect")  # options that take several words: `--views a b c`
 
 log = logging.getLogger("pagas_cl")
 
 
+@nothing_refined()
 def command(
     asked: typer.Context,
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
@@ -29,6 +28,8 @@ def command(
     depth_dir: Path = typer.Option(None, "--depth-dir", help="Initial depth maps, <image stem>.npz, not --mesh."),
     save_depth: Path = typer.Option(None, "--save-depth", help="Folder for the refined depth maps, <image stem>.npz."),
     views: list[str] = typer.Option([], "--views", help="Refine these views only (several names may follow)."),
+    hold_out: list[str] = typer.Option([], "--hold-out", help="Keep these photos out of everything, for 'pagas-cl "
+                                                               "evaluate --held-out'."),
     context: int = typer.Option(None, "--context", help="Most context views of each view."),
     preset: str = typer.Option("balanced", "--preset", help="Settings to start from: fast, balanced, accurate, paper."),
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
@@ -55,6 +56,7 @@ def command(
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
+    from pagas_cl.jobs.finished import one_run, remove_run
     from pagas_cl.keep_mesh import displaced_mesh, write_whole
     from pagas_cl.refine import fuse_results, refine_views
     from pagas_cl.scene.mesh_file import write_mesh
@@ -64,24 +66,26 @@ def command(
     settings = [*settings, *effect_settings(effects)]
     more = {} if context is None else {"context__number": context}
     config = build_config(preset, settings, **more)
-    found = load_scene(scene, format, outside)
+    found = without(load_scene(scene, format, outside), hold_out, views)
     for view in found.views:
         view.check_files()
     for option, where in (("--output", output and output.parent), ("--save-depth", save_depth), ("--report", report)):
         check_writable(option, where)
-    # finished views are kept with the depth maps, or beside the mesh until it is written
+    # finished views are kept with the depth maps, or beside the mesh until it is written; all that can be asked of
+    # them later is kept, so that nothing is refined again for it
     folder = output.parent / f".{output.name}.views" if save_depth is None and output is not None else save_depth
     place = _place(device, devices, scheduler)
     names = [found.views[found.index(name)].name for name in views] or None
     config_words = ", ".join([preset, *settings])
-    with shown_progress(quiet) as progress, _report(report, found, config_words, place, asked.obj) as page:
+    with (resumable(folder, len(names or found.views)), shown_progress(quiet) as progress,
+          one_run(folder) if folder else nullcontext(),
+          _report(report, found, config_words, place, asked.obj) as page):
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder, names)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
         results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
-                               progress=progress, on_view=page and partial(_add_pictures, page),
-                               extras=page is not None or keep_mesh or config.fusion.least_weight < 1)
+                               progress=progress, on_view=page and partial(_add_pictures, page))
         made = None
         if output is not None and keep_mesh:
             made = displaced_mesh(mesh, found.views, depths, results, config, subdivide)
@@ -94,9 +98,9 @@ def command(
             log.info("mesh: %s", output)
         if page is not None and made is not None:
             _show_mesh(page, found.views, mesh, made, results)
-    _tell(results, save_depth, report)
-    if folder is not None and save_depth is None:
-        rmtree(folder, ignore_errors=True)
+        _tell(results, save_depth, report)
+        if folder is not None and save_depth is None:
+            remove_run(folder)
 
 
 def _place(device, devices, scheduler) -> dict:
@@ -123,6 +127,11 @@ def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mes
         raise InputError("nothing to write: give --output, --save-depth or --report")
     if depth_dir is not None and not depth_dir.is_dir():
         raise InputError(f"--depth-dir {str(depth_dir)!r} is no folder")
+    for (old, given), (new, written) in product((("--depth-dir", depth_dir), ("--mesh", mesh)),
+                                                (("--save-depth", save_depth), ("--output", output))):
+        if given is not None and written is not None and given.resolve() == written.resolve():
+            raise InputError(f"{old} and {new} are both {str(written)!r}: what the refinement starts from would be "
+                             "replaced, and the next run would refine the refined; choose another name")
     if output is not None:
         check_mesh_path(output)
         need("open3d", "mesh", "fusing depth maps to a mesh (--output)")

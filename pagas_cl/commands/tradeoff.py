@@ -1,7 +1,5 @@
 """`pagas-cl tradeoff`: what accuracy costs in time on this device, for this scene."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """How well a depth map predicts a photo that took no part: correlation of patches warped through the depth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,7 +24,7 @@ class Prediction:
     correlation: np.ndarray = field(repr=False)
 
     @classmethod
-    def of(cls, correlation: np.ndarray) -> Prediction:
+    def of(cls, correlation: np.ndarray) -> "Prediction":
         """Figures of a map of correlations."""
         values = correlation[np.isfinite(correlation)]
         if not len(values):

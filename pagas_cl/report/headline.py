@@ -26,11 +26,11 @@ def sentence(rows: list[dict], reasons: list[str], stopped: str = "") -> str:
     """What became of the views `rows`, of which those with a reason (not "") came back as they came."""
     done = f"{len(rows)} view{'s' * (len(rows) != 1)}"
     if stopped:
-        done += f" (the run ended too early: {stopped})"
+        done += f" (the run ended with: {stopped})"
     returned = [reason for reason in reasons if reason]
     share = shares(summed(rows))
     if not rows:
-        return f"Nothing was refined: the run ended before a view was done ({stopped})." if stopped else ""
+        return f"Nothing was refined: the run ended before a view was done, with: {stopped}." if stopped else ""
     if not share:
         return f"Nothing was refined: {done}, none with a surface to start from."
     if not share.get("refined"):

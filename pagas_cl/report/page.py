@@ -1,7 +1,5 @@
 """The page a person looks at: one HTML file with everything in it, and the pictures in full size beside it."""
 
-from __future__ import annotations
-
 import base64
 import io
 from html import escape

@@ -4,8 +4,6 @@ Colour maps are a few anchors with straight lines between them; each rises evenl
 ends to white at zero.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

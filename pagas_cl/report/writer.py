@@ -1,9 +1,6 @@
 """Collects the views of a run as they are done, and writes the pictures and the page."""
 
-from __future__ import annotations
-
 import json
-import re
 import time
 from html import escape
 from pathlib import Path
@@ -15,11 +12,12 @@ from pagas_cl.report.mesh_view import SCRIPTS, mesh_viewer
 from pagas_cl.report.page import compared, figure, html_page, write_picture
 from pagas_cl.report.pictures import change_in_units, parallax_change, shaded_pictures, view_pictures
 from pagas_cl.scene.files import write_text
+from pagas_cl.scene.names import flat_stem
 
-_LONGEST = 120  # bytes of a view's name in the names of its pictures
 LEGEND = ["Shares are of the pixels with a surface to start from: refined = moved by the photos; kept = the input "
-          "stays, since no other photo sees the pixel, it is masked out, or the whole view came back as it came; "
-          "rejected = the input stays, since the photos speak against the new depth. No surface: share of all pixels. "
+          "stays, since no other photo sees the pixel, it is masked out, the photos show "
+          "nothing there, or the whole view came back as it came; rejected = the "
+          "input stays, since the photos speak against the new depth. No surface: share of all pixels. "
           "The pixels themselves are counted in report.json.",
           "Change: how far the surface moved as the other photos see it, in pixels of parallax (px). Confidence: 1 = "
           "the photos fix the depth, 0.5 = they fix it to one pixel of parallax, 0 = they say nothing.",
@@ -41,10 +39,10 @@ class Report:
         self._views: list[dict] = []
         self._reasons: list[str] = []
         self._sections: list[tuple] = []
-        self._stems = {"mesh"}
+        self._stems = ["mesh"]
         self._mesh, self._stopped, self._began = "", "", time.monotonic()
 
-    def __enter__(self) -> Report:
+    def __enter__(self) -> "Report":
         return self
 
     def __exit__(self, kind, error, _):
@@ -64,8 +62,10 @@ class Report:
         change = parallax_change(camera, list(contexts), before, after) if contexts else None
         if parallax is not None:
             change = change_in_units(before, after, parallax)
+        stem = flat_stem(view.name, self._stems)
+        self._stems.append(stem)
         pictures = view_pictures(photo, camera, before, after, change=change, confidence=confidence)
-        figures = self._figures(self._own_stem(view.name), pictures)
+        figures = self._figures(stem, pictures)
         self._views.append({"view": view.name, **(counts or {}), **_change_figures(change, confidence, after)})
         self._reasons.append(reason)
         lines = [f"kept as it came: {reason}"] if reason else []
@@ -99,16 +99,6 @@ class Report:
                          scripts=["page.js", *(SCRIPTS if self._mesh else [])])
         return write_text(self.folder / "index.html", page)
 
-    def _own_stem(self, name: str) -> str:
-        """A part of file names that no other view's pictures have, also where case does not count."""
-        stem = first = file_stem(name).encode()[:_LONGEST].decode(errors="ignore")
-        number = 1
-        while stem.lower() in self._stems:
-            number += 1
-            stem = f"{first}_{number}"
-        self._stems.add(stem.lower())
-        return stem
-
     def _figures(self, stem: str, pictures) -> list[str]:
         """Write the pictures; HTML of those before and after each other's, then of the single ones."""
         links = {}
@@ -120,12 +110,6 @@ class Report:
         single = [picture for key, picture in found.items() if not any(key in pair for pair in pairs)]
         return ([compared(found[a], found[b], (links[a], links[b])) for a, b in pairs]
                 + [figure(picture, links[picture.key], len(single) == 1) for picture in single])
-
-
-def file_stem(name: str) -> str:
-    """A view's name without its suffix, as part of a file name: `cam1/a b.jpg` becomes `cam1_a_b`."""
-    path = Path(name)
-    return re.sub(r"[^\w.-]+", "_", str(path.parent / path.stem)).strip("_.") or "view"
 
 
 def _change_figures(change, confidence, after) -> dict:

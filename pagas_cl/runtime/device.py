@@ -1,8 +1,5 @@
 """Choosing an OpenCL device and opening it: one context, one in-order queue."""
 
-from __future__ import annotations
-
-import logging
 import os
 import re
 import threading
@@ -12,16 +9,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from pagas_cl.errors import DeviceError, InputError, NoDeviceError
+from pagas_cl.errors import DeviceError, InputError, NoDeviceError, log
 from pagas_cl.runtime import icd, listing
 from pagas_cl.runtime.info import DeviceInfo
 from pagas_cl.runtime.trial import Trial, try_device
-from pagas_cl.runtime.vendors import import_pyopencl
+from pagas_cl.runtime.vendors import check_process, import_pyopencl
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.memory import Memory
-
-log = logging.getLogger("pagas_cl")
 
 ENVIRONMENT = "PAGAS_CL_DEVICE"
 SHARE = "PAGAS_CL_SHARE"  # how many processes may work on one device
@@ -43,7 +38,7 @@ class Device:
     """Whether events of `queue` carry times."""
 
     @cached_property
-    def memory(self) -> Memory:
+    def memory(self) -> "Memory":
         """The buffers that this process holds on the device, counted."""
         from pagas_cl.runtime.memory import Memory, limit_of
 
@@ -57,22 +52,15 @@ class Device:
 def open_device(name: str | Device | None = None, *, profiling: bool = False) -> Device:
     """Open the OpenCL device called `name`, if a trial has shown that it works (runtime.trial; made once a driver).
 
-    Parameters
-    ----------
-    name : str, Device or None
-        Part of "platform / device", upper or lower case; "gpu" or "cpu" for the kind; "auto" for the best one (a GPU
-        before a CPU). None takes the environment variable PAGAS_CL_DEVICE, and "auto" where it is not set. A Device is
-        returned as it is.
-    profiling : bool
-        Record a start and an end time with every event of the queue.
+    `name` is part of "platform / device", upper or lower case; "gpu" or "cpu" for the kind; "auto" for the best one (a
+    GPU before a CPU). None takes the environment variable PAGAS_CL_DEVICE, and "auto" where it is not set. A Device is
+    returned as it is. `profiling`: record a start and an end time with every event of the queue.
 
-    Raises
-    ------
-    DeviceError
-        There is no platform, no device matches, the one that matches lacks something, has failed its trial, or cannot
-        be opened. The message says what was found and what to install.
+    DeviceError: there is no platform, no device matches, the one that matches lacks something, has failed its trial, or
+    cannot be opened. The message says what was found and what to install.
     """
     if isinstance(name, Device):
+        check_process()
         return name
     cl = import_pyopencl()
     faults = []
@@ -128,6 +116,7 @@ def give_up(device: Device) -> None:
 
 def working(device: Device) -> Device:
     """`device`, or the same one opened anew where its context was given up; DeviceError where it cannot be."""
+    check_process()
     if device not in _given_up:
         return device
     try:

@@ -1,7 +1,5 @@
 """What the driver says when a device fails in the middle of work, as errors of one sentence."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """Photos and masks: files or arrays in, 8-bit RGB and boolean arrays out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 

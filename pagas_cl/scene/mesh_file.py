@@ -1,7 +1,5 @@
 """Mesh files: read through Open3D; .ply written by NumPy alone with everything that a Surface has, others by Open3D."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Hard cases of size: 12 megapixels, and more than 2^24. The twin runs on a window cut out of the far corner."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,8 +1,6 @@
 """What changes the shape of the code, as compile-time defines: an effect that is off is not in the program at all;
 and the programs that are compiled with them."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from math import ceil, floor, log2
 

@@ -1,8 +1,6 @@
 """Which depths other views confirm (method section 7), on a device, or in NumPy where there is none; how much and how
 far depth maps contradict each other."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,8 +11,7 @@ import numpy as np
 from pagas_cl.config import Fusion
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError
 from pagas_cl.reference import agree as twin
-from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.rig import camera_table
+from pagas_cl.scene.camera import Camera, camera_table
 from pagas_cl.scene.sampling import NEAR
 
 log = logging.getLogger("pagas_cl")

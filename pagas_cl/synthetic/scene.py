@@ -1,7 +1,5 @@
 """Synthetic scenes with exact ground truth: a relief under photographs, seen from a grid of views around it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -43,12 +41,10 @@ class SyntheticScene:
 
     @property
     def views(self) -> list:
-        """Target and context views."""
         return self.all_views[:1 + self.relief.contexts]
 
     @property
     def held_out(self) -> list:
-        """Views kept out of refinement."""
         return self.all_views[1 + self.relief.contexts:]
 
     def image(self, index: int) -> np.ndarray:

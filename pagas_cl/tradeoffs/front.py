@@ -1,7 +1,5 @@
 """The Pareto front, its plot, and how well one figure ranks settings like another."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

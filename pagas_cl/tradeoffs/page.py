@@ -1,7 +1,5 @@
 """Tables of a study, its record, and the page that a person opens."""
 
-from __future__ import annotations
-
 import json
 import logging
 from dataclasses import asdict

@@ -4,8 +4,6 @@ The paper's figures in the ablation are of DTU scan 24 (Chamfer distance, mm, it
 they are known here; the other rows of its table have none.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import dataclass, fields, replace
@@ -34,7 +32,6 @@ class Setting:
 
     @property
     def contexts(self) -> int:
-        """Context views that it asks for."""
         return max(stage.context.number for stage in self.stages)
 
     @property

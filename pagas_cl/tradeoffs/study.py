@@ -1,23 +1,18 @@
 """Settings on cases, one record after the other in tradeoff.json: resumable, within a budget."""
 
-from __future__ import annotations
-
 import json
-import logging
 import time
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from pagas_cl.errors import DeviceError, InputError
+from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.jobs.executors import SerialExecutor
 from pagas_cl.tradeoffs.case import BenchmarkCase, loaded, make_cases, score
 from pagas_cl.tradeoffs.front import Point, pareto, rank_correlation, summarise
 from pagas_cl.tradeoffs.page import FILE, write_json, write_report
 from pagas_cl.tradeoffs.plan import Setting, distinct, front_plan
 from pagas_cl.tradeoffs.run import Guess, run
-
-log = logging.getLogger("pagas_cl")
 
 
 @dataclass(frozen=True, eq=False)

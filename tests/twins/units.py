@@ -1,24 +1,21 @@
-"""Twin of splat/units: depths from scene units to the device's units and back."""
-
-from __future__ import annotations
+"""Twin of splat/units: depths back from the device's units, and the scale of a run; the way there ships
+(pagas_cl.reference.project.normalized_depth)."""
 
 import numpy as np
 
+from pagas_cl.reference.project import is_valid
 from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, surface_depth
-from pagas_cl.scene.sampling import FAR, NEAR, scene_scale_of
 
 
-def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.ndarray, float]:
-    """Depth in units of its median, float32, 0 where there is none, and that median, the scene's scale.
+def median_depth(depth: np.ndarray) -> float:
+    """The `scene_scale` of a run: the median of the valid depths, scene units."""
+    return float(np.median(depth[is_valid(depth)]))
 
-    Depths outside NEAR to FAR units, masked out or not finite have no Gaussian.
-    """
-    depth = depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32)
-    scene_scale = scene_scale_of(depth, mask)
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = (depth / np.asarray(scene_scale, depth.dtype)).astype(np.float32)
-        valid = (depth > 0) & (depth < np.inf) & (scaled >= NEAR) & (scaled <= FAR)
-    return np.where(valid if mask is None else valid & mask, scaled, np.float32(0)), scene_scale
+
+def depth_threshold(depth: np.ndarray, slices: float) -> float:
+    """delta: range of the valid depths / slices, in the depth's own unit (paper section 3; 20 slices)."""
+    d = depth[is_valid(depth)]
+    return float((d.max() - d.min()) / slices)
 
 
 def depth_range(normalized: np.ndarray) -> float:
