@@ -67,7 +67,7 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = 
         for view, old, result in zip(synthetic.views, initial, results):
             report.add(view, old, result.depth, contexts=[v.camera for v in synthetic.views if v is not view],
                        confidence=result.confidence, counts=result.counts)
-        mesh = _mesh(synthetic, depths, folder, progress, report)
+        mesh = _mesh(synthetic, depths, folder, progress, report, device)
     target, other = synthetic.views[0], synthetic.held_out[0]
     predicted = compare_predictions(target, [initial[0], depths[0]], other, synthetic.true_depth(other.camera))
     return DemoResult(_errors(synthetic, initial), _errors(synthetic, depths), tuple(p.median for p in predicted),
@@ -94,7 +94,7 @@ def _errors(synthetic, depths):
             for view, depth in zip(synthetic.views, depths)}
 
 
-def _mesh(synthetic, depths, folder, progress, report):
+def _mesh(synthetic, depths, folder, progress, report, device):
     try:
         import open3d  # noqa: F401
     except ImportError as error:  # absent, or one of the system libraries that it needs is
@@ -102,6 +102,7 @@ def _mesh(synthetic, depths, folder, progress, report):
         return None
 
     from pagas_cl.scene.mesh_file import write_mesh
+    from pagas_cl.surface.agree import comparison_device
     from pagas_cl.surface.fuse import fuse
     from pagas_cl.surface.raster import each_depth
 
@@ -109,7 +110,7 @@ def _mesh(synthetic, depths, folder, progress, report):
     path = folder / "mesh_refined.ply"
     write_mesh(path, surface)
     view = synthetic.views[0]
-    report.add_mesh(synthetic.initial_mesh(), surface, view=view,
-                    depths=(synthetic.initial_depth(view.camera), next(each_depth(surface, [view.camera]))))
+    made = next(each_depth(surface, [view.camera], comparison_device(device)))
+    report.add_mesh(synthetic.initial_mesh(), surface, view=view, depths=(synthetic.initial_depth(view.camera), made))
     log.info("%s: %d vertices, %d triangles", path, len(surface.vertices), len(surface.faces))
     return path

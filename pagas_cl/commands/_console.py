@@ -61,6 +61,23 @@ def nothing_refined():
 
 
 @contextmanager
+def noted(note):
+    """Context of work whose NothingRefinedWarning is handed to note(text), too, where that is a function."""
+    show = warnings.showwarning
+
+    def both(message, category, *place, **more):
+        if note and category is NothingRefinedWarning:
+            note(str(message))
+        show(message, category, *place, **more)
+
+    warnings.showwarning = both
+    try:
+        yield
+    finally:
+        warnings.showwarning = show
+
+
+@contextmanager
 def shown_progress(quiet: bool = False):
     """Context of a callable progress(stage, done, total) that draws a bar, or writes a line now and then."""
     if quiet:

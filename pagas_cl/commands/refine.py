@@ -9,7 +9,7 @@ from pathlib import Path
 
 import typer
 
-from pagas_cl.commands._console import nothing_refined, shown_progress
+from pagas_cl.commands._console import noted, nothing_refined, shown_progress
 from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
 from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene, resumable, without
 from pagas_cl.errors import InputError, PagasError, need
@@ -84,8 +84,9 @@ def command(
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
-        results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
-                               progress=progress, on_view=page and partial(_add_pictures, page))
+        with noted(page and page.note):
+            results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
+                                   progress=progress, on_view=page and partial(_add_pictures, page))
         made = None
         if output is not None and keep_mesh:
             made = displaced_mesh(mesh, found.views, depths, results, config, subdivide)
@@ -97,7 +98,7 @@ def command(
         if output is not None:
             log.info("mesh: %s", output)
         if page is not None and made is not None:
-            _show_mesh(page, found.views, mesh, made, results)
+            _show_mesh(page, found.views, mesh, made, results, place["device"])
         _tell(results, save_depth, report)
         if folder is not None and save_depth is None:
             remove_run(folder)
@@ -160,15 +161,17 @@ def _add_pictures(page, view, initial, result) -> None:
              counts={**result.counts, **figures}, remarks=remarks, reason=result.reason)
 
 
-def _show_mesh(page, views, mesh, made, results) -> None:
+def _show_mesh(page, views, mesh, made, results, device) -> None:
     """Put the given and the made mesh on the page, seen from the view of which most was refined."""
     from pagas_cl.result import joined
     from pagas_cl.scene.mesh import to_surface
+    from pagas_cl.surface.agree import comparison_device
     from pagas_cl.surface.raster import each_depth
 
     before, after = mesh and to_surface(mesh), to_surface(made)
     place, _ = max(joined(views, results), key=lambda pair: pair[1].counts["refined"])
-    depths = before and [next(each_depth(surface, [views[place].camera])) for surface in (before, after)]
+    depths = before and [next(each_depth(surface, [views[place].camera], comparison_device(device)))
+                         for surface in (before, after)]
     page.add_mesh(before, after, view=views[place], depths=depths)
 
 
