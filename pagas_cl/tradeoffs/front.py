@@ -118,15 +118,11 @@ def plot_front(path, points, figure: str, title: str = "", at_most: float = 1.3)
              ylabel=f"{_NAMES.get(figure, figure)}\n(1 = initial depth)")
     for axis in (axes.xaxis, axes.yaxis):  # 0.4 and not 4 x 10^-1
         axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter(_few_minor)
+        # of the minor ticks 2 and 5 of each decade, the others run into each other
+        axis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
     axes.margins(x=0.12)  # room for a name at the right
     axes.grid(True, which="both", alpha=0.2)
     axes.legend(fontsize=7, ncols=2)
     with replaced(path, Path(path).suffix) as beside:
         drawing.savefig(beside, dpi=110)
     return Path(path)
-
-
-def _few_minor(value, _) -> str:
-    """Label of a minor tick: 2 and 5 of each decade, the others run into each other."""
-    return f"{value:g}" if f"{value:e}"[0] in "25" else ""
