@@ -19,6 +19,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from pagas_cl.errors import InputError, need
+from pagas_cl.runtime.child import end_with_parent
 
 UNKNOWN = "Something really bad happened"  # pymeshlab's words for a filter name that it does not know
 _SECONDS = 60.0  # for one child process; a filter with default values on a small sphere takes milliseconds
@@ -186,4 +187,5 @@ def _is_known(pymeshlab, name: str, path: Path) -> bool:
 
 
 if __name__ == "__main__":
+    end_with_parent()
     main(*sys.argv[1:])

@@ -5,6 +5,7 @@ else; 130 interrupted.
 """
 
 import pkgutil
+import signal
 import sys
 from importlib import import_module
 
@@ -52,7 +53,8 @@ def _module(name: str):
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and end the process with its status."""
+    """Run the command line and end the process with its status; being asked to end (SIGTERM) is a Ctrl-C."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     raise SystemExit(run(sys.argv[1:] if arguments is None else arguments))
 
 

@@ -81,7 +81,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     config = settings_of(preset, config)
     views = as_views(cams, images, masks)
     surface = to_surface(mesh)
-    depths = initial_depths(surface, views, progress)
+    depths = initial_depths(surface, views, progress, device=device)
     results = refine_views(views, depths, config=config, device=device, progress=progress, executor=executor,
                            folder=folder)
     if output == "displace":
@@ -236,17 +236,20 @@ def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Co
 
 
 def initial_depths(surface: Surface, views: Sequence[View], progress: Progress | None = None,
-                   keep: Callable[[np.ndarray], Any] | None = None) -> list[Any]:
-    """Depth of every view from the surface, by ray casting: float32 of shape (H, W), 0 = no surface.
+                   keep: Callable[[np.ndarray], Any] | None = None,
+                   device: str | Device | list[str] | tuple[str, ...] | None = None) -> list[Any]:
+    """Depth of every view from the surface, float32 of shape (H, W), 0 = no surface: drawn on `device` (as in
+    refine_mesh), by Open3D's ray casting where there is none.
 
     `keep` replaces each by what stands for it, such as the place where it put it.
     """
     from pagas_cl.scene.check import check_seen
+    from pagas_cl.surface.agree import comparison_device
     from pagas_cl.surface.raster import each_depth
 
     cameras, depths = [view.camera for view in views], []
     check_seen(surface, cameras)
-    for depth in each_depth(surface, cameras):
+    for depth in each_depth(surface, cameras, comparison_device(device)):
         depths.append(keep(depth) if keep else depth)
         if progress:
             progress("render the mesh", len(depths), len(cameras))

@@ -46,7 +46,7 @@ def bytes_of(folder) -> dict:
 
 def said(folder, what: str) -> list[str]:
     """Names of the views that workers have written `what` ("began", "ended", "failed") of, in their journals."""
-    lines = [line.split(" ", 2) for path in sorted((Path(folder) / ".work" / "journal").glob("*.txt"))
+    lines = [line.split(" ", 2) for path in sorted((Path(folder) / ".pagas_cl" / "journal").glob("*.txt"))
              for line in path.read_text().splitlines()]
     return [name for _, word, name in lines if word == what]
 

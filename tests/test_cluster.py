@@ -100,7 +100,7 @@ def test_a_worker_is_killed_and_another_joins(scene, cluster, tmp_path):
     began, ended = said(out, "began"), said(out, "ended")
     assert sorted(ended) == sorted(view.name for view in views)  # no finished view is done again
     assert len(began) - len(set(began)) <= 1                     # the killed worker's view is begun twice
-    assert len(list((out / ".work" / "journal").iterdir())) >= 3
+    assert len(list((out / ".pagas_cl" / "journal").iterdir())) >= 3
     assert cluster.workers["127.0.0.3"].wait(10) == -signal.SIGKILL
 
 

@@ -65,7 +65,7 @@ def test_threads_and_files_give_the_bytes_of_the_loop(scene, alone, tmp_path):
         results = refine_views(views, files, config=QUICK, executor=pool, folder=tmp_path)
         assert same(results, alone[0]) and bytes_of(tmp_path) == alone[1]
     assert sorted(said(tmp_path, "ended")) == sorted(view.name for view in views)
-    assert not (tmp_path / ".work" / "inputs").exists() and len(bytes_of(tmp_path)) == len(views) == 8
+    assert not (tmp_path / ".pagas_cl" / "inputs").exists() and len(bytes_of(tmp_path)) == len(views) == 8
 
 
 def test_processes_give_the_bytes_of_the_loop(scene, alone, monkeypatch):

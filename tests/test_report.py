@@ -9,7 +9,7 @@ from PIL import Image
 from pagas_cl import Camera, View
 from pagas_cl.report import Report
 from pagas_cl.report.pictures import NOTHING, colored, depth_range, normal_colors, parallax_change, view_pictures
-from pagas_cl.report.writer import file_stem
+from pagas_cl.scene.names import flat_stem
 
 WIDTH, HEIGHT = 40, 30
 
@@ -72,7 +72,7 @@ def test_pictures_have_the_size_of_the_view_even_where_nothing_is_valid():
 
 @pytest.mark.parametrize("name, stem", [("a.jpg", "a"), ("cam1/a b.jpg", "cam1_a_b"), ("../..", "view"), ("", "view")])
 def test_file_stem(name, stem):
-    assert file_stem(name) == stem
+    assert flat_stem(name) == stem
 
 
 def test_report_writes_pictures_page_and_numbers(tmp_path):

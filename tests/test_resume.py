@@ -79,7 +79,7 @@ def test_only_what_changed_is_done_again(scene, wanted, finished):
     assert said(finished, "began") == ["context_02.png"] and bytes_of(finished) == wanted
 
 
-@pytest.mark.parametrize("file", ["target.npz", ".work/target.npz", ".work/target.json"])
+@pytest.mark.parametrize("file", ["target.npz", ".pagas_cl/views/target.npz", ".pagas_cl/views/target.json"])
 def test_a_file_cut_short_is_made_again(scene, wanted, finished, file, caplog):
     path = finished / file
     path.write_bytes(path.read_bytes()[:-40])
@@ -90,14 +90,14 @@ def test_a_file_cut_short_is_made_again(scene, wanted, finished, file, caplog):
 
 @pytest.mark.parametrize("content", [b"", b"[]", b"{}", b'{"name": 3}', b"\xff\xfe"])
 def test_a_damaged_record_is_not_believed(scene, wanted, finished, content):
-    (finished / ".work" / "target.json").write_bytes(content)
+    (finished / ".pagas_cl" / "views" / "target.json").write_bytes(content)
     refine(scene, finished)
     assert said(finished, "began") == ["target.png"] and bytes_of(finished) == wanted
 
 
 def test_extras_that_are_missing_are_made(scene, tmp_path):
     refine(scene, tmp_path, extras=False)
-    assert not list((tmp_path / ".work").glob("*.npz"))
+    assert not list((tmp_path / ".pagas_cl").rglob("*.npz"))
     results = refine(scene, tmp_path)
     assert all(result.confidence.shape == (48, 64) for result in results)
 
@@ -220,7 +220,8 @@ def test_mesh_output_goes_on_too_and_leaves_nothing_beside(scene, tmp_path, monk
     whole = blocks.fuse_within
     monkeypatch.setattr(blocks, "fuse_within", interrupted)
     assert command_line.run(arguments) == 130
-    records = [json.loads(path.read_text()) for path in (tmp_path / ".fine.ply.views" / ".work").glob("*.json")]
+    kept = tmp_path / ".fine.ply.views" / ".pagas_cl" / "views"
+    records = [json.loads(path.read_text()) for path in kept.glob("*.json")]
     assert len(records) == 8 and not (tmp_path / "fine.ply").exists()
     monkeypatch.setattr(blocks, "fuse_within", whole)
     monkeypatch.setattr("pagas_cl.jobs.worker._attempt", lambda *_: 1 / 0)  # nothing is left to refine

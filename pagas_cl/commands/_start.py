@@ -55,9 +55,9 @@ def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, n
 
         keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
         return refine.initial_depths(to_surface(mesh), found.views, progress, keep)
-    from pagas_cl.scene.depthmap import find_depth
+    from pagas_cl.scene.depthmap import find_depths
 
-    files = [find_depth(depth_dir, view.name) for view in found.views]
+    files = find_depths(depth_dir, [view.name for view in found.views])
     if not any(files):
         raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
                          f"expected for instance {found.views[0].stem}.npz")

@@ -67,8 +67,9 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
     from pagas_cl.evaluate import compare_depth, depth_per_parallax
 
     rows = {}
-    for view in scene.views:
-        depth, truth = (_depth(where, view, scale) for where in (folder, truth_folder))
+    places = [_depth_files(where, scene) for where in (folder, truth_folder)]
+    for view, *files in zip(scene.views, *places):
+        depth, truth = (_depth(file, view, scale) for file in files)
         if depth is None or truth is None:
             continue
         others = [other.camera for other in scene.views if other is not view]
@@ -85,11 +86,11 @@ def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict
     from pagas_cl.evaluate import compare_predictions
 
     kept_out = [scene.views[scene.index(name)] for name in held_out]
-    rows = {}
-    for view in scene.views:
+    rows, places = {}, [_depth_files(where, scene) for where in (folder, before) if where is not None]
+    for view, *files in zip(scene.views, *places):
         if view in kept_out:
             continue
-        depths = [_depth(where, view, scale) for where in (folder, before) if where is not None]
+        depths = [_depth(file, view, scale) for file in files]
         if any(depth is None for depth in depths):
             continue
         for other in kept_out:
@@ -106,10 +107,15 @@ def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict
     return rows
 
 
-def _depth(folder, view, scale):
-    from pagas_cl.scene.depthmap import find_depth, load_depth
+def _depth_files(folder, scene):
+    from pagas_cl.scene.depthmap import find_depths
 
-    path = find_depth(folder, view.name)
+    return find_depths(folder, [view.name for view in scene.views])
+
+
+def _depth(path, view, scale):
+    from pagas_cl.scene.depthmap import load_depth
+
     return None if path is None else load_depth(path, (view.camera.width, view.camera.height), scale=scale)
 
 

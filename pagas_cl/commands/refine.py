@@ -4,8 +4,8 @@ import logging
 from collections import Counter
 from contextlib import nullcontext
 from functools import partial
+from itertools import product
 from pathlib import Path
-from shutil import rmtree
 
 import typer
 
@@ -52,6 +52,7 @@ def command(
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
+    from pagas_cl.jobs.finished import one_run, remove_run
     from pagas_cl.keep_mesh import displaced_mesh, write_whole
     from pagas_cl.refine import fuse_results, refine_views
     from pagas_cl.scene.mesh_file import write_mesh
@@ -66,18 +67,19 @@ def command(
         view.check_files()
     for option, where in (("--output", output and output.parent), ("--save-depth", save_depth), ("--report", report)):
         check_writable(option, where)
-    # finished views are kept with the depth maps, or beside the mesh until it is written
+    # finished views are kept with the depth maps, or beside the mesh until it is written; all that can be asked of
+    # them later is kept, so that nothing is refined again for it
     folder = output.parent / f".{output.name}.views" if save_depth is None and output is not None else save_depth
     place = _place(device, devices, scheduler)
     names = [found.views[found.index(name)].name for name in views] or None
-    with shown_progress(quiet) as progress, _report(report, found, preset, settings, place) as page:
+    with (shown_progress(quiet) as progress, one_run(folder) if folder else nullcontext(),
+          _report(report, found, preset, settings, place) as page):
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder, names)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
         results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
-                               progress=progress, on_view=page and partial(_add_pictures, page),
-                               extras=page is not None or keep_mesh or config.fusion.least_weight < 1)
+                               progress=progress, on_view=page and partial(_add_pictures, page))
         if output is not None and keep_mesh:
             write_whole(output, displaced_mesh(mesh, found.views, depths, results, config, subdivide))
         elif output is not None:
@@ -85,9 +87,9 @@ def command(
                                             device=place["device"]))
         if output is not None:
             log.info("mesh: %s", output)
-    _tell(results, save_depth, report)
-    if folder is not None and save_depth is None:
-        rmtree(folder, ignore_errors=True)
+        _tell(results, save_depth, report)
+        if folder is not None and save_depth is None:
+            remove_run(folder)
 
 
 def _place(device, devices, scheduler) -> dict:
@@ -114,6 +116,11 @@ def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mes
         raise InputError("nothing to write: give --output, --save-depth or --report")
     if depth_dir is not None and not depth_dir.is_dir():
         raise InputError(f"--depth-dir {str(depth_dir)!r} is no folder")
+    for (old, given), (new, written) in product((("--depth-dir", depth_dir), ("--mesh", mesh)),
+                                                (("--save-depth", save_depth), ("--output", output))):
+        if given is not None and written is not None and given.resolve() == written.resolve():
+            raise InputError(f"{old} and {new} are both {str(written)!r}: what the refinement starts from would be "
+                             "replaced, and the next run would refine the refined; choose another name")
     if output is not None:
         check_mesh_path(output)
         need("open3d", "mesh", "fusing depth maps to a mesh (--output)")

@@ -5,6 +5,7 @@ import signal
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 
 from pagas_cl.errors import DeviceError, need
+from pagas_cl.jobs.worker import follow_parent
 
 PATIENCE = 20  # seconds to wait for a scheduler's answer
 
@@ -63,9 +64,13 @@ def local_pool(devices) -> ProcessPoolExecutor:
     from pagas_cl.runtime.device import shares
 
     number = len(known_devices(devices)) * shares()
-    # Ctrl-C reaches every process of a terminal: the first one asks the workers to end after their present view
-    return ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=signal.signal,
-                               initargs=(signal.SIGINT, signal.SIG_IGN))
+    return ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=_begin)
+
+
+def _begin() -> None:
+    """Ctrl-C reaches every process of a terminal: the first one asks the workers to end after their present view."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    follow_parent()
 
 
 def dask_executor(address: str) -> Executor:

@@ -1,7 +1,6 @@
 """Collects the views of a run as they are done, and writes the pictures and the page."""
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +8,7 @@ import numpy as np
 from pagas_cl.report.page import figure, html_page, write_picture
 from pagas_cl.report.pictures import change_in_units, parallax_change, view_pictures
 from pagas_cl.scene.files import write_text
+from pagas_cl.scene.names import flat_stem
 
 LEGEND = ["Pixels: refined = moved by the photos; kept = the input stays, since no other photo sees the pixel, it is "
           "masked out, or the whole view came back as it came; rejected = the input stays, since the photos speak "
@@ -32,6 +32,7 @@ class Report:
         self.title, self.notes = title, list(notes)
         self._views: list[dict] = []
         self._sections: list[tuple] = []
+        self._stems: list[str] = []
 
     def __enter__(self) -> "Report":
         return self
@@ -50,7 +51,8 @@ class Report:
         change = parallax_change(camera, list(contexts), before, after) if contexts else None
         if parallax is not None:
             change = change_in_units(before, after, parallax)
-        stem = file_stem(view.name)
+        stem = flat_stem(view.name, self._stems)
+        self._stems.append(stem)
         figures = []
         for picture in view_pictures(photo, camera, before, after, change=change, confidence=confidence):
             name = f"{stem}_{picture.key}.{'jpg' if picture.key == 'photo' else 'png'}"
@@ -71,12 +73,6 @@ class Report:
         legend = LEGEND if self._views else []
         return write_text(self.folder / "index.html",
                           html_page(self.title, self.notes, columns, rows, self._sections, legend))
-
-
-def file_stem(name: str) -> str:
-    """A view's name without its suffix, as part of a file name: `cam1/a b.jpg` becomes `cam1_a_b`."""
-    path = Path(name)
-    return re.sub(r"[^\w.-]+", "_", str(path.parent / path.stem)).strip("_.") or "view"
 
 
 def _change_figures(change, confidence, after) -> dict:

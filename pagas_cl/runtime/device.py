@@ -14,7 +14,7 @@ from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, Inp
 from pagas_cl.runtime import icd, listing
 from pagas_cl.runtime.info import DeviceInfo
 from pagas_cl.runtime.trial import Trial, try_device
-from pagas_cl.runtime.vendors import import_pyopencl
+from pagas_cl.runtime.vendors import check_process, import_pyopencl
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.memory import Memory
@@ -61,6 +61,7 @@ def open_device(name: str | Device | None = None, *, profiling: bool = False) ->
     cannot be opened. The message says what was found and what to install.
     """
     if isinstance(name, Device):
+        check_process()
         return name
     cl = import_pyopencl()
     faults = []
@@ -116,6 +117,7 @@ def give_up(device: Device) -> None:
 
 def working(device: Device) -> Device:
     """`device`, or the same one opened anew where its context was given up; DeviceError where it cannot be."""
+    check_process()
     if device not in _given_up:
         return device
     try:

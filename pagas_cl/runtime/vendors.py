@@ -13,21 +13,39 @@ from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from types import ModuleType
 
-from pagas_cl.errors import NoDeviceError
+from pagas_cl.errors import DeviceError, NoDeviceError
 from pagas_cl.runtime import cache, icd
 
 VARIABLE = "OCL_ICD_VENDORS"
 _INTEL, _LIBRARY = "intel-opencl-rt", "libintelocl.so"
 
 
+_process: list[int] = []      # the process whose drivers were asked first
+
+
 def import_pyopencl() -> ModuleType:
     """The pyopencl module, or a NoDeviceError that says what is wrong with it."""
+    check_process()
     register()
     try:
         import pyopencl
     except ImportError as error:
         raise NoDeviceError(icd.no_pyopencl(error)) from error
     return pyopencl
+
+
+def begin_process() -> None:
+    """From here on the drivers run threads of their own in this process."""
+    _process[:] = [os.getpid()]
+
+
+def check_process() -> None:
+    """Raise DeviceError in a process that was forked from one in which drivers run: their threads are not in it, and
+    whatever it asks of them waits for ever."""
+    if _process and _process[0] != os.getpid():
+        raise DeviceError("this process was forked from one that had used OpenCL, whose drivers do not survive that: "
+                          "start it with multiprocessing.get_context('spawn'), as in ProcessPoolExecutor(4, "
+                          "multiprocessing.get_context('spawn')), or use no device before the fork")
 
 
 def register() -> None:

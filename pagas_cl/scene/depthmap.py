@@ -4,6 +4,7 @@ Convention: an image is resampled such that its corners stay in place (`Camera.r
 input from j n_in / n_out to (j + 1) n_in / n_out. Any ratio is allowed, not only 2.
 """
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -12,7 +13,8 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.files import read_first, read_npy, replaced, translated
+from pagas_cl.scene.files import is_file, opened, read_first, read_npy, replaced, translated
+from pagas_cl.scene.names import file_stems
 
 # What became of each pixel's depth; DepthResult.status says what each means.
 NO_SURFACE, REFINED, KEPT, REJECTED = range(4)
@@ -21,10 +23,31 @@ SUFFIXES = (".npz", ".npy", ".pfm", ".png", ".geometric.bin", ".photometric.bin"
 
 def find_depth(folder: str | Path, image_name: str) -> Path | None:
     """The depth map of a photo in `folder`: `<stem>` or the whole `<image name>` (as COLMAP does) plus a suffix."""
+    whole = Path(image_name)
+    return _first(Path(folder), (image_name, str(whole.with_suffix("")), whole.name, whole.stem))
+
+
+def find_depths(folder: str | Path, names: Sequence[str]) -> list[Path | None]:
+    """`find_depth` of every view of a scene; first of all the files that a run of ours has written.
+
+    InputError where a file could be of several views: `0001.npz` of left/0001.png and right/0001.png.
+    """
     folder = Path(folder)
-    names = str(Path(image_name).with_suffix("")), Path(image_name).stem, image_name, Path(image_name).name
-    places = (folder / (name + suffix) for suffix in SUFFIXES for name in names)
-    return next((path for path in places if path.is_file()), None)
+    stems = file_stems(names)
+    own = [_first(folder, (stem,)) for stem in stems]
+    files = [file or find_depth(folder, name) for file, name in zip(own, names)]
+    claimed: dict[Path, int] = {file: place for place, file in enumerate(own) if file is not None}
+    for place, file in enumerate(files):
+        first = place if file is None else claimed.setdefault(file, place)
+        if file is not None and first != place:
+            raise InputError(f"depth map {str(file)!r} could be of view {names[first]!r} and of {names[place]!r}: name "
+                             f"one for each, {stems[first]}{file.suffix} and {stems[place]}{file.suffix}")
+    return files
+
+
+def _first(folder: Path, stems: Iterable[str]) -> Path | None:
+    return next((folder / (stem + suffix) for suffix in SUFFIXES for stem in stems
+                 if is_file(folder / (stem + suffix))), None)
 
 
 def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
@@ -187,7 +210,7 @@ def _along(values: np.ndarray, n_out: int, axis: int) -> np.ndarray:
 
 def _read_pfm(path: Path) -> np.ndarray:
     """Portable float map, one channel: rows from the bottom, byte order by the sign of the scale."""
-    with open(path, "rb") as file:
+    with opened(path) as file:
         head = [file.readline(64).split() for _ in range(3)]
         try:
             kind, (width, height), order = head[0][0], (int(n) for n in head[1]), float(head[2][0])
@@ -201,7 +224,7 @@ def _read_pfm(path: Path) -> np.ndarray:
 
 def _read_colmap(path: Path) -> np.ndarray:
     """COLMAP's dense map: "width&height&channels&", then float32, x fastest."""
-    with open(path, "rb") as file:
+    with opened(path) as file:
         head = file.read(64)
         numbers = head.split(b"&", 3)
         if len(numbers) != 4 or not all(n.isdigit() for n in numbers[:3]):

@@ -7,7 +7,8 @@ NumPy parses a header with `ast.literal_eval`, which in CPython 3.11 fails now a
 import io
 import math
 import os
-import socket
+import secrets
+import stat
 import struct
 import tokenize
 import zipfile
@@ -16,11 +17,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
+from typing import BinaryIO
 from xml.parsers import expat
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, OutputError, PagasError
 
 MOST_BYTES = 1 << 31       # of one array: a depth map of 268 megapixels of float64
 # what numpy, zipfile, Pillow, json, struct and XML parsers raise on damaged files, as fuzzing found it
@@ -42,10 +44,48 @@ def translated(before: str, after: str = "", damage: tuple[type[Exception], ...]
         raise InputError(f"{before}{reason}{after}") from error
 
 
+@contextmanager
+def opened(path: str | Path, most: int = MOST_BYTES) -> Iterator[BinaryIO]:
+    """Context: a regular file of at most `most` bytes, open for reading.
+
+    InputError for what is none: to open a pipe waits for who writes into it, and a device may have no end. OSError
+    where it cannot be opened.
+    """
+    with open(path, "rb", opener=_without_waiting) as file:
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            raise InputError(f"{path} is no regular file (a pipe, a device or the like), and is not read")
+        if found.st_size > most:
+            raise InputError(f"{path} has {found.st_size} bytes, expected at most {most}: is it the right file?")
+        yield file
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
+    """All of a file; as `opened`."""
+    with opened(path, most) as file:
+        size = os.fstat(file.fileno()).st_size
+        data = file.read(size + 1)
+    if len(data) > size:      # a system's own files do not say how long they are
+        raise InputError(f"{path} holds more than the {size} bytes that it has: is it the right file?")
+    return data
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; false where there cannot be, for instance since its name is too long."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def read_npy(path: str | Path) -> np.ndarray:
     """The array of a .npy file; one of DAMAGE where it holds none."""
-    with _one_header:
-        values = np.load(path, allow_pickle=False)
+    with _one_header, opened(path) as file:
+        values = np.load(file, allow_pickle=False)
     if not isinstance(values, np.ndarray):
         raise ValueError("it holds no array")
     return values
@@ -53,9 +93,10 @@ def read_npy(path: str | Path) -> np.ndarray:
 
 def read_first(path: str | Path) -> np.ndarray:
     """The first array of a .npz archive; one of DAMAGE where it holds none."""
-    if not zipfile.is_zipfile(path):   # NumPy would speak of pickled data
-        raise ValueError("it is no .npz archive; the file is damaged or cut off: write it again")
-    with zipfile.ZipFile(path) as archive:
+    with opened(path) as file:
+        if not zipfile.is_zipfile(file):   # NumPy would speak of pickled data
+            raise ValueError("it is no .npz archive; the file is damaged or cut off: write it again")
+        archive = zipfile.ZipFile(file)
         members = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
         if not members:
             raise ValueError("it holds no array")
@@ -79,16 +120,32 @@ def read_member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
 
 
 @contextmanager
-def replaced(path: str | Path, suffix: str = "") -> Iterator[Path]:
-    """Context: a name beside `path` to write to, ending in `suffix`, which gets the name `path` at the end."""
-    path = Path(path)  # its folder is made
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}.part{suffix}")
+def replaced(path: str | Path, suffix: str = "", parts: Path | None = None,
+             advice: str = "make room, or choose another place") -> Iterator[Path]:
+    """Context: a new file to write to, in the folder `parts` (by default beside `path`), its name ending in `suffix`;
+    when all of it is on the disk it gets the name `path`. Folders are made.
+
+    OutputError, with `advice`, where the disk does not take it.
+    """
+    path, beside = Path(path), None
     try:
+        for folder in (path.parent, parts or path.parent):
+            folder.mkdir(parents=True, exist_ok=True)
+        # new, of a name that nobody foresees: in a folder of several users another one may have put a link there
+        name = (parts or path.parent) / f".{path.name[:40]}.{secrets.token_hex(6)}.part{suffix}"
+        os.close(os.open(name, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        beside = name
         yield beside
+        with open(beside, "r+b") as file:
+            os.fsync(file.fileno())
         os.replace(beside, path)
+    except PagasError:
+        raise
+    except OSError as error:
+        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; {advice}") from error
     finally:
-        beside.unlink(missing_ok=True)
+        if beside is not None:
+            beside.unlink(missing_ok=True)
 
 
 def write_text(path: str | Path, text: str) -> Path:
@@ -96,7 +153,7 @@ def write_text(path: str | Path, text: str) -> Path:
     path = Path(path)
     try:
         with replaced(path) as beside:
-            beside.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
+            beside.write_text(text, encoding="utf-8", errors="backslashreplace")     # names of files may be no text
+    except OutputError as error:
+        raise InputError(f"{path} cannot be written: {getattr(error.__cause__, 'strerror', None) or error}") from error
     return path

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import Loads
+from pagas_cl.scene.names import place_of
 from pagas_cl.scene.view import View
 
 # A list of Camera, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction; of the last two, which are optional,
@@ -81,12 +82,8 @@ def asked_views(views: Sequence[View], depths: Sequence[Depth | None], names: Co
         if not have:
             raise InputError("no view has a depth map with a valid pixel: nothing to refine")
         return have
-    known = {label: k for k, view in enumerate(views) for label in (view.name, view.stem)}
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise InputError(f"no view is called {unknown[0]!r}; known are "
-                         + ", ".join(sorted({v.name for v in views})[:10]))
-    return list(dict.fromkeys(known[name] for name in names))
+    known = [view.name for view in views]
+    return list(dict.fromkeys(place_of(name, known) for name in names))
 
 
 def _matched(given: Images, cameras: list[Camera], what: str) -> list[Any]:

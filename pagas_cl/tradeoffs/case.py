@@ -12,6 +12,7 @@ from pagas_cl.evaluate.depth import compare_depth, depth_per_parallax, find_disc
 from pagas_cl.evaluate.predict import compare_predictions
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import central_normals
+from pagas_cl.scene.names import file_stems, place_of
 from pagas_cl.scene.view import View
 
 _HELD_OUT_PLACES = (1, 4)  # of the choice of contexts: well-placed photos, but not the best one
@@ -59,12 +60,13 @@ def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int
     more.
     """
     truth = truth or [None] * len(views)
-    banned = {_index(views, name) for name in held_out or ()}
+    known = [view.name for view in views]
+    banned = {place_of(name, known) for name in held_out or ()}
     # a held-out view is no context view of any target; the chooser may not see it
     usable = [depth if k not in banned else None for k, depth in enumerate(depths)]
-    targets = _targets(usable, truth, sample) if names is None else [_index(views, name) for name in names]
+    targets = _targets(usable, truth, sample) if names is None else [place_of(name, known) for name in names]
     chooser = ContextChooser([view.camera for view in views], depths, Context(number=most_contexts + 2 + len(banned)))
-    cases = []
+    cases, stems = [], file_stems(known)
     for k in targets:
         if depths[k] is None:
             raise InputError(f"view {views[k].name!r} has no initial depth map to measure on")
@@ -75,19 +77,12 @@ def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int
         if not contexts:
             log.warning("view %s has no usable context view and is left out", views[k].name)
             continue
-        name = f"{scene_name}/{views[k].stem}" if scene_name else views[k].stem
+        name = f"{scene_name}/{stems[k]}" if scene_name else stems[k]
         cases.append(BenchmarkCase(name, views[k], [views[j] for j in contexts], [views[j] for j in kept_out],
                                    depths[k], truth[k], [depths[j] for j in contexts]))
     if not cases:
         raise InputError("no view can be measured on: none has an initial depth map and a usable context view")
     return cases
-
-
-def _index(views, name: str) -> int:
-    for k, view in enumerate(views):
-        if name in (view.name, view.stem):
-            return k
-    raise InputError(f"no view is called {name!r}; known are {', '.join(sorted(v.name for v in views)[:10])}")
 
 
 def _targets(depths, truth, sample: int) -> list[int]:
