@@ -120,17 +120,8 @@ def plot_front(path, points, figure: str, title: str = "", at_most: float = 1.3,
         if p.group == "preset" and not numbered:
             axes.annotate(p.name, place(p), textcoords="offset points", xytext=(6, 6), fontsize=9, fontweight="bold")
     axes.axhline(1, color="grey", linewidth=0.8, linestyle=":")
-<<<<<<< HEAD
     axes.set(xscale="log", yscale="log", xlabel="time of a view (seconds)", title=title,
              ylabel=f"{_NAMES.get(figure, figure)}\n(1 = that of the initial depth)")
-=======
-    axes.set(xscale="log", yscale="log", xlabel="seconds per view", title=title,
-             ylabel=f"{_NAMES.get(figure, figure)}\n(1 = initial depth)")
-    for axis in (axes.xaxis, axes.yaxis):  # 0.4 and not 4 x 10^-1
-        axis.set_major_formatter("{x:g}")
-        # of the minor ticks 2 and 5 of each decade, the others run into each other
-        axis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
->>>>>>> thin
     axes.margins(x=0.12)  # room for a name at the right
     for axis, ends in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
         ticks = _ticks(*ends)
@@ -147,7 +138,6 @@ def plot_front(path, points, figure: str, title: str = "", at_most: float = 1.3,
     with replaced(path, Path(path).suffix) as beside:
         drawing.savefig(beside, dpi=110)
     return Path(path)
-<<<<<<< HEAD
 
 
 def _ticks(low: float, high: float) -> list[float]:
@@ -188,5 +178,3 @@ def _number(drawing, axes, places, labels) -> None:
 
 def _meet(one, other) -> bool:
     return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
-=======
->>>>>>> thin
