@@ -17,8 +17,9 @@ from kill_trials import check_whole
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError
 from pagas_cl.jobs import run, worker
 from pagas_cl.refine import refine_depth, refine_views
-from pagas_cl.runtime import claim, faults, program
+from pagas_cl.runtime import claim, program
 from pagas_cl.runtime import device as devices
+from pagas_cl.runtime.device import translate_cl_errors
 
 pytestmark = pytest.mark.slow
 
@@ -167,7 +168,7 @@ def test_other_commands_say_it_too(tmp_path, failing, device, capsys, words):
 
 def test_what_is_no_loss_stays_what_it_is(device):
     for code, kind in ((-4, DeviceMemoryError), (-6, DeviceMemoryError), (-52, cl.Error), (-30, cl.Error)):
-        with pytest.raises(kind), faults.translate_cl_errors(device, "a test"):
+        with pytest.raises(kind), translate_cl_errors(device, "a test"):
             raise driver_error(code)
-    with pytest.raises(ZeroDivisionError), faults.translate_cl_errors(device, "a test"):
+    with pytest.raises(ZeroDivisionError), translate_cl_errors(device, "a test"):
         raise ZeroDivisionError

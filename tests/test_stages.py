@@ -2,75 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-import pyopencl as cl
 import pytest
 from close import assert_kernel_close
-from kernel_cases import Scene, view_of
+from kernel_cases import Scene
+from support.stage import ALPHA, BLENDS, ORDER_FREE, Stage
 from twins import resample
 from twins.gradient_filter import filter_gradient
 from twins.step import Adam
 
-from pagas_cl.presets import BALANCED, PAPER
 from pagas_cl.reference import loss as losses
 from pagas_cl.reference.composite import composite_vjp
-from pagas_cl.reference.level import State, prepare, render
+from pagas_cl.reference.level import render
 from pagas_cl.reference.smooth import smoothness
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import run_once
 from pagas_cl.splat import composite, gradient_filter, project, smooth
-from pagas_cl.splat.buffers import LevelBuffers, Size
-from pagas_cl.splat.inputs import LevelInput
-from pagas_cl.splat.options import Programs
-from pagas_cl.splat.photos import PhotoStore
+from pagas_cl.splat.buffers import Size
 from pagas_cl.splat.resample import Resampler
 from pagas_cl.splat.step import Solver
 
 pytestmark = pytest.mark.kernels
 
-ORDER_FREE = BALANCED.with_settings(splatting__low_pass=0.0, solver__patience=0)
-ALPHA = PAPER.with_settings(solver__patience=0)
-BLENDS = pytest.mark.parametrize("config", [ORDER_FREE, ALPHA], ids=["order-free", "alpha"])
-
-
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     return Scene.make(17, width=45, height=37, contexts=2, masks=True)
-
-
-@dataclass
-class Stage:
-    """What a stage is launched with, all buffers at their start but the depth, and the twin's state."""
-
-    device: object
-    programs: Programs
-    buffers: LevelBuffers
-    views: list
-    twin: State
-
-    @classmethod
-    def make(cls, device, config, scene: Scene) -> Stage:
-        photos, views = PhotoStore(device), [view_of(p) for p in (scene.target, *scene.contexts)]
-        given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.scene_scale,
-                           scene.delta(config), 1.0, len(scene.contexts))
-        buffers = LevelBuffers.allocated(device, given.dimensions(config))
-        made = cls(device, Programs(device, config, given.cameras), buffers, given.views(config),
-                   prepare(scene.initial.astype(np.float64), scene.target, scene.contexts, config, scene.scene_scale,
-                           scene.delta(config)))
-        made.put(depth=scene.moved, cameras=given.camera_table)
-        return made
-
-    def put(self, **arrays):
-        """Into the buffers of these names."""
-        for name, array in arrays.items():
-            cl.enqueue_copy(self.device.queue, getattr(self.buffers, name), np.ascontiguousarray(array, np.float32))
-
-    def run(self, launches, name: str, shape, dtype=np.float32) -> np.ndarray:
-        """What the buffer `name` holds after the launches."""
-        run_once(self.device.queue, launches)
-        return download(self.device, getattr(self.buffers, name), shape, dtype).astype(np.float64)
 
 
 def test_depth_per_parallax_and_what_is_seen(device, scene):

@@ -28,13 +28,6 @@ class Photo:
     def from_view(cls, view) -> Photo:
         return cls(view.camera, view.load_image() / 255.0, view.load_mask())
 
-    def exposed_as(self, context: Photo) -> np.ndarray:
-        """This photo with the exposure of `context`, clipped as a photo is."""
-        if context.exposure is None:
-            return self.image
-        gain, offset = context.exposure.T
-        return np.clip(gain * self.image + offset, 0, 1)
-
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -74,7 +67,11 @@ def render(depth, target: Photo, context: Photo, config: Config, state: State) -
     """The target's Gaussians in the view of `context` (method sections 3 and 4)."""
     projected = project(depth, target.camera, context.camera, config.splatting.low_pass, state.scene_scale)
     photo = losses.comparable(context.image, config.loss)
-    colors = losses.comparable(target.exposed_as(context), config.loss)
+    own = target.image
+    if context.exposure is not None:        # as the context photo was exposed, clipped as a photo is
+        gain, offset = context.exposure.T
+        own = np.clip(gain * own + offset, 0, 1)
+    colors = losses.comparable(own, config.loss)
     return composite(projected, colors.reshape(-1, colors.shape[-1]), photo, config.splatting,
                      threshold_in(target, context, config, state))
 

@@ -4,12 +4,13 @@ import os
 import re
 import threading
 import weakref
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from pagas_cl.errors import DeviceError, InputError, NoDeviceError, log
+from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, InputError, NoDeviceError, log
 from pagas_cl.runtime import icd, listing
 from pagas_cl.runtime.info import DeviceInfo
 from pagas_cl.runtime.trial import Trial, try_device
@@ -134,6 +135,35 @@ def opened(info: DeviceInfo, cl_device: Any, lanes: int, profiling: bool = False
     context = cl.Context([cl_device])
     queue = cl.CommandQueue(context, cl_device, cl.command_queue_properties.PROFILING_ENABLE if profiling else 0)
     return Device(info, cl_device, context, queue, lanes, profiling)
+
+
+# What the driver says when a device fails in the middle of work.
+_MEMORY = ("MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_HOST_MEMORY")
+_LOST = ("OUT_OF_RESOURCES", "DEVICE_NOT_AVAILABLE", "DEVICE_NOT_FOUND", "INVALID_DEVICE", "INVALID_COMMAND_QUEUE",
+         "INVALID_CONTEXT", "EXEC_STATUS_ERROR_FOR_EVENTS_IN_WAIT_LIST")
+_OF_DRIVERS = -9999       # NVIDIA's code for an access that its hardware refused; below -1000 each maker has its own
+
+
+@contextmanager
+def translate_cl_errors(device: Device, doing: str) -> Iterator[None]:
+    """Context: errors of the driver while `doing` (a noun phrase) on `device`, as ours; others as they are.
+
+    DeviceMemoryError: it has no memory left, fewer buffers may do. DeviceLostError: it answers no more, or has ended
+    what it was at; its context is given up.
+    """
+    cl, title = import_pyopencl(), device.info.title
+    try:
+        yield
+    except cl.Error as error:
+        code = getattr(error, "code", 0)
+        if code in [getattr(cl.status_code, name) for name in _MEMORY]:
+            raise DeviceMemoryError(f"{title} ran out of memory during {doing} ({error})") from error
+        if code in [getattr(cl.status_code, name) for name in _LOST] or code <= _OF_DRIVERS:
+            give_up(device)
+            raise DeviceLostError(f"{title} failed during {doing} ({error}): start the same command again, which goes "
+                                  "on from the views that are on disk; where it fails again, update its driver or "
+                                  "choose another device (pagas-cl devices)") from error
+        raise
 
 
 def shares() -> int:

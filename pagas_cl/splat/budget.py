@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pagas_cl.config import Config
 from pagas_cl.errors import DeviceMemoryError, log
 from pagas_cl.runtime.arena import total_bytes
-from pagas_cl.runtime.faults import translate_cl_errors
+from pagas_cl.runtime.device import translate_cl_errors
 from pagas_cl.scene.camera import Camera
 from pagas_cl.splat.buffers import EvidenceBuffers, LevelBuffers, Size, dimensions, level_size
 from pagas_cl.splat.evidence import HISTOGRAM

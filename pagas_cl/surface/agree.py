@@ -59,7 +59,7 @@ def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: lis
     have = [k for k, other in enumerate(depths) if other is not None]
     cameras, depths = [cameras[k] for k in have], [depths[k] for k in have]
     if device is not None:
-        from pagas_cl.runtime.faults import translate_cl_errors
+        from pagas_cl.runtime.device import translate_cl_errors
 
         try:
             with translate_cl_errors(device, f"the comparison of view {target.name!r} with others"):

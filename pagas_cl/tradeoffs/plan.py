@@ -59,15 +59,13 @@ def distinct(settings: list[Setting], contexts: int) -> list[Setting]:
     """Without those that are the same as an earlier one where there are only `contexts` context views."""
     first = {}
     for setting in settings:
-        stages = tuple(_within(stage, contexts) for stage in setting.stages)
-        first.setdefault(replace(setting, stages=stages).key, setting)
+        stages = []
+        for stage in setting.stages:
+            number = min(stage.context.number, contexts)
+            each = min(stage.solver.views_per_step or number, number)
+            stages.append(stage.with_settings(context__number=number, solver__views_per_step=each))
+        first.setdefault(replace(setting, stages=tuple(stages)).key, setting)
     return list(first.values())
-
-
-def _within(config: Config, contexts: int) -> Config:
-    number = min(config.context.number, contexts)
-    each = min(config.solver.views_per_step or number, number)
-    return config.with_settings(context__number=number, solver__views_per_step=each)
 
 
 def front_plan() -> list[Setting]:
