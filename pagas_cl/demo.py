@@ -4,6 +4,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from pagas_cl import __version__
 from pagas_cl.errors import log
 from pagas_cl.evaluate import DepthReport, compare_depth, compare_predictions
 from pagas_cl.presets import settings_of
@@ -61,14 +62,16 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = 
     notes = [f"A synthetic relief, {relief.width} x {relief.height} pixels, {len(synthetic.views)} views "
              f"{relief.spacing:g} degrees apart; the initial depth has the fine detail smoothed away.",
              f"One pixel of parallax is {relief.parallax:.3g} scene units.", f"Refined in {seconds:.1f} s."]
-    with Report(folder / "report", "pagas-cl demo", notes) as report:
+    facts = [("version", f"pagas_cl {__version__}"), ("device", str(getattr(device, "info", device or "the default")))]
+    with Report(folder / "report", "pagas-cl demo", notes, facts) as report:
         for view, old, result in zip(synthetic.views, initial, results):
             report.add(view, old, result.depth, contexts=[v.camera for v in synthetic.views if v is not view],
                        confidence=result.confidence, counts=result.counts)
+        mesh = _mesh(synthetic, depths, folder, progress, report)
     target, other = synthetic.views[0], synthetic.held_out[0]
     predicted = compare_predictions(target, [initial[0], depths[0]], other, synthetic.true_depth(other.camera))
     return DemoResult(_errors(synthetic, initial), _errors(synthetic, depths), tuple(p.median for p in predicted),
-                      folder / "report" / "index.html", _mesh(synthetic, depths, folder, progress), seconds)
+                      folder / "report" / "index.html", mesh, seconds)
 
 
 def _refined(synthetic: SyntheticScene, config, device, progress):
@@ -91,7 +94,7 @@ def _errors(synthetic, depths):
             for view, depth in zip(synthetic.views, depths)}
 
 
-def _mesh(synthetic, depths, folder, progress):
+def _mesh(synthetic, depths, folder, progress, report):
     try:
         import open3d  # noqa: F401
     except ImportError as error:  # absent, or one of the system libraries that it needs is
@@ -100,9 +103,13 @@ def _mesh(synthetic, depths, folder, progress):
 
     from pagas_cl.scene.mesh_file import write_mesh
     from pagas_cl.surface.fuse import fuse
+    from pagas_cl.surface.raster import each_depth
 
     surface = fuse(synthetic.views, depths, progress=progress)
     path = folder / "mesh_refined.ply"
     write_mesh(path, surface)
+    view = synthetic.views[0]
+    report.add_mesh(synthetic.initial_mesh(), surface, view=view,
+                    depths=(synthetic.initial_depth(view.camera), next(each_depth(surface, [view.camera]))))
     log.info("%s: %d vertices, %d triangles", path, len(surface.vertices), len(surface.faces))
     return path

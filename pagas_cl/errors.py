@@ -14,6 +14,19 @@ class InputError(PagasError, ValueError):
     """The caller's data or settings cannot be used. The command line ends with status 2."""
 
 
+class InterruptedRunError(PagasError):
+    """Ctrl-C; the message says what is kept and how to go on. The command line ends with status 130."""
+
+
+class NothingRefinedError(PagasError):
+    """The work is done and nothing was refined: what was written is what came in. The command line ends with
+    status 3."""
+
+
+class NothingRefinedWarning(UserWarning):
+    """Of many views no depth was refined, or hardly one; the message names the likeliest reason."""
+
+
 class DeviceError(PagasError, RuntimeError):
     """No OpenCL device can do the work: none found, too little memory, lost during the run."""
 

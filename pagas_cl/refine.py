@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.acceptance import rejection_reason
+from pagas_cl.acceptance import moved_by_evidence, nothing_reason, rejection_reason
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide, decide_consistency
 from pagas_cl.errors import InputError, log
@@ -23,6 +23,7 @@ from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth
 from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
+from pagas_cl.scene.reasons import warn_of_nothing
 from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:
@@ -140,12 +141,12 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
               "planned_bytes": refined.planned_bytes, "seconds": time.perf_counter() - start}
-    reason = rejection_reason(refined, depth, len(contexts), held_out, measured)
+    moved, status = moved_by_evidence(refined, depth)
+    reason = rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined, status)
     if reason:
         log.warning("view %s is kept as it came: %s", target.name, reason)
         return DepthResult.unrefined(target.camera, depth, reason, report, target.name)
-    return DepthResult(target.camera, refined.depth, refined.status, refined.deviation, refined.parallax, "", report,
-                       target.name)
+    return DepthResult(target.camera, moved, status, refined.deviation, refined.parallax, "", report, target.name)
 
 
 def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names: Collection[str] | None = None,
@@ -204,6 +205,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
             on_view(views[index], arrays[index], result)
     photos.clear()
     view_progress.at(len(asked))
+    warn_of_nothing(views, depths, results)
     return results
 
 

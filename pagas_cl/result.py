@@ -24,8 +24,9 @@ class DepthResult:
     depth: npt.NDArray[np.float32]
     """z-depth in scene units, 0 = no surface."""
     status: npt.NDArray[np.uint8]
-    """NO_SURFACE (0), REFINED (1), KEPT (2: no other view sees it, or it is masked out), REJECTED (3: the photos speak
-    against the new depth); in the last two the depth is the input's, bit for bit."""
+    """NO_SURFACE (0), REFINED (1: moved, and photos speak for it there or close by), KEPT (2: no other view sees it, it
+    is masked out, the photos show nothing around it, or nothing moved it), REJECTED (3: the photos speak against the
+    new depth); in the last two the depth is the input's, bit for bit."""
     deviation: npt.NDArray[np.float32]
     """Standard deviation of the depth in scene units; infinite where the photos say nothing, 0 without a surface."""
     parallax: npt.NDArray[np.float32]

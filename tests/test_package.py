@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = {"pagas_cl": ROOT / "pagas_cl", "pagas_cl/cl_kernels": ROOT / "cl_kernels",
            "pagas_cl/filters": ROOT / "filters"}
-SHIPPED = {".py", ".cl", ".clh", ".mlx", ".typed"}
+SHIPPED = {".py", ".cl", ".clh", ".mlx", ".typed", ".css", ".js"}
 OPTIONAL = {"open3d", "pymeshlab", "pycolmap", "matplotlib", "skimage", "scipy", "dask", "distributed"}
 
 # What each part may import of the others; the flow is one way (and all may import errors, config, presets).

@@ -1,6 +1,7 @@
 """The report: colours, the change in pixels of parallax, and the files of a run."""
 
 import json
+from html import escape
 
 import numpy as np
 import pytest
@@ -8,7 +9,16 @@ from PIL import Image
 
 from pagas_cl import Camera, View
 from pagas_cl.report import Report
-from pagas_cl.report.pictures import NOTHING, colored, depth_range, normal_colors, parallax_change, view_pictures
+from pagas_cl.report.headline import sentence
+from pagas_cl.report.pictures import (
+    NOTHING,
+    colored,
+    depth_range,
+    normal_colors,
+    parallax_change,
+    shaded,
+    view_pictures,
+)
 from pagas_cl.scene.names import flat_stem
 
 WIDTH, HEIGHT = 40, 30
@@ -88,7 +98,7 @@ def test_report_writes_pictures_page_and_numbers(tmp_path):
     assert page.count("data:image/jpeg") == 7 and "http" not in page
     assert "rejected = the input stays, since" in page and "dark grey = no value" in page
     told = json.loads((folder / "report.json").read_text())["views"][0]
-    assert told["refined"] == 7000 and "<td>7,000</td>" in page and told["mean confidence"] == 0.5
+    assert told["refined"] == 7000 and "<td>100.0%</td>" in page and told["mean confidence"] == 0.5
     names = sorted(path.name for path in folder.iterdir())
     assert len(names) == 9 and not any("part" in name for name in names)
     assert Image.open(folder / "b_depth_after.png").size == (WIDTH, HEIGHT)
@@ -96,3 +106,39 @@ def test_report_writes_pictures_page_and_numbers(tmp_path):
 
 def test_report_without_views_has_a_page(tmp_path):
     assert "nothing" in Report(tmp_path, "nothing").write().read_text()
+
+
+def counts(refined, kept=0, rejected=0, nothing=0):
+    return {"refined": refined, "kept": kept, "rejected": rejected, "no surface": nothing}
+
+
+@pytest.mark.parametrize("rows, reasons, stopped, said", [
+    ([counts(90, 6, 4), counts(80, 20)], ["", ""], "", "The photos refined 85.0% of the surface in 2 views."),
+    ([counts(90, 10), counts(0, 100)], ["", "blurred"], "", "1 of the views came back as it came (blurred)."),
+    ([counts(0, 100), counts(0, 100)], ["too far", "too far"], "", "Nothing was refined: 2 views, each as it came"),
+    ([counts(0, 0, 0, 50)], [""], "", "none with a surface"),
+    ([counts(10)], [""], "disk full", "in 1 view (the run ended too early: disk full)"),
+    ([], [], "interrupted", "before a view was done (interrupted)")])
+def test_the_headline_says_what_became_of_the_views(rows, reasons, stopped, said):
+    assert said in sentence(rows, reasons, stopped)
+
+
+def test_the_page_has_shares_facts_and_pictures_in_pairs(tmp_path):
+    view = View(camera(name="a.png"), np.full((HEIGHT, WIDTH, 3), 99, np.uint8))
+    with Report(tmp_path, facts=[("command", "pagas-cl 'a <b>'"), ("version", "pagas_cl 1")]) as report:
+        for reason in ("", "<i>dark</i>"):
+            report.add(view, plane(4.0), plane(4.1), contexts=[camera(0.5)], reason=reason,
+                       counts=counts(900 * (not reason), 300 + 900 * bool(reason)))
+    page = (tmp_path / "index.html").read_text()
+    assert "37.5% of the surface in 2 views" in page and "&lt;i&gt;dark&lt;/i&gt;" in page and "<i>dark" not in page
+    assert "<td>all 2 views</td><td>37.5%</td><td>62.5%</td><td>0.0%</td><td>0.0%</td>" in page
+    assert "<code>pagas-cl &#x27;a &lt;b&gt;&#x27;</code>" in page and "<dt>time</dt>" in page
+    assert page.count('<div class="pair">') == 4, "depth and normals of two views"
+    told = json.loads((tmp_path / "report.json").read_text())
+    assert told["version"] == "pagas_cl 1" and escape(told["headline"]) in page
+
+
+def test_shaded_pictures_are_brighter_where_the_surface_faces_the_light():
+    x, y = np.meshgrid(np.arange(WIDTH) + 0.5 - 20, np.arange(HEIGHT) + 0.5 - 15)
+    lit, away = (shaded(4 / (1 + side * (x + y) / 50), camera())[10, 20].sum() for side in (0.5, -0.5))
+    assert lit > away + 100 and tuple(shaded(plane(0), camera())[5, 5]) == NOTHING

@@ -3,8 +3,13 @@
 import logging
 import sys
 import time
+import warnings
 from contextlib import contextmanager
 from functools import cache
+
+from pagas_cl.errors import NothingRefinedError, NothingRefinedWarning
+
+log = logging.getLogger("pagas_cl")
 
 _LINE_EVERY = 10.0  # seconds between lines where standard error is a file
 
@@ -36,6 +41,23 @@ def log_to_stderr(debug: bool = False):
     finally:
         logger.handlers, logger.propagate = before[:2]
         logger.setLevel(before[2])
+
+
+@contextmanager
+def nothing_refined():
+    """Context of work whose NothingRefinedWarning is told when all else is done: as NothingRefinedError, for the
+    status, or in the log where something was refined."""
+    told, show = [], warnings.showwarning
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", NothingRefinedWarning)
+        warnings.showwarning = lambda message, category, *place, **more: (
+            told.append(str(message)) if category is NothingRefinedWarning else show(message, category, *place, **more))
+        yield
+    for text in told:
+        if text.startswith("nothing"):
+            raise NothingRefinedError(f"{text.replace('nothing was refined', 'NOTHING WAS REFINED', 1)}; what was "
+                                      "written holds the depths that came in")
+        log.warning("%s", text)
 
 
 @contextmanager

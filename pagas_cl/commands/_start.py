@@ -2,9 +2,11 @@
 
 import logging
 import tempfile
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, InterruptedRunError
 
 log = logging.getLogger("pagas_cl")
 
@@ -41,6 +43,37 @@ def load_scene(scene, format, outside: bool):
     from pagas_cl.scene.readers import read_scene
 
     return read_scene(scene, format, **({"outside": True} if outside else {}))
+
+
+@contextmanager
+def resumable(folder: Path | None, total: int):
+    """Context of a run of `total` views that keeps finished ones in `folder`: says first what an earlier run has left
+    there, and where it is interrupted (InterruptedRunError) what is kept now, and how to go on."""
+    from pagas_cl.jobs.finished import records_in
+
+    left = len(records_in(folder)) if folder is not None else 0
+    if left:
+        log.info("an earlier run has left %d finished view%s in %s: what this run would do alike is not done again",
+                 left, "" if left == 1 else "s", folder)
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        done = len(records_in(folder)) if folder is not None else 0
+        what = (f"{done} of {total} views are finished and kept in {str(folder)!r}: the same command goes on from them"
+                if done else "nothing is kept, no view was finished" if folder is not None
+                else "nothing is kept but pictures; with --save-depth finished views are")
+        raise InterruptedRunError(f"interrupted; {what}") from error
+
+
+def without(found, hold_out: list[str], asked: list[str]):
+    """The scene without the views `hold_out`, none of which is `asked` for."""
+    out = {found.index(name) for name in hold_out}
+    both = sorted(found.views[place].name for place in out & {found.index(name) for name in asked})
+    if both:
+        raise InputError(f"view {both[0]!r} is in --views and in --hold-out, expected one of them")
+    if out:
+        log.info("held out, and seen by nothing: %s", ", ".join(found.views[place].name for place in sorted(out)))
+    return replace(found, views=[view for place, view in enumerate(found.views) if place not in out])
 
 
 def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None) -> list:

@@ -84,9 +84,16 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
 def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict]:
     """"<view> from <held-out view>" -> median correlation and pixels; with depth maps `before` on the same pixels."""
     from pagas_cl.evaluate import compare_predictions
+    from pagas_cl.jobs.finished import users_of
 
     kept_out = [scene.views[scene.index(name)] for name in held_out]
-    rows, places = {}, [_depth_files(where, scene) for where in (folder, before) if where is not None]
+    users, rows = users_of(folder), {}
+    for view in kept_out:
+        if view.name in users:
+            log.warning("%s is no held-out photo: it took part in the refinement of %d of the views in %s, so that the "
+                        "figures flatter; refine with --hold-out %s to have it judge", view.name,
+                        len(users[view.name]), folder, view.name)
+    places = [_depth_files(where, scene) for where in (folder, before) if where is not None]
     for view, *files in zip(scene.views, *places):
         if view in kept_out:
             continue

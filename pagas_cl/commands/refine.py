@@ -9,23 +9,27 @@ from pathlib import Path
 
 import typer
 
-from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._console import nothing_refined, shown_progress
 from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
-from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
+from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene, resumable, without
 from pagas_cl.errors import InputError, PagasError, need
 
-MANY = ("--views", "--set", "--effect")  # options that take several words: `--views a b c`
+MANY = ("--views", "--hold-out", "--set", "--effect")  # options that take several words: `--views a b c`
 
 log = logging.getLogger("pagas_cl")
 
 
+@nothing_refined()
 def command(
+    asked: typer.Context,
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
     mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where the refinement starts."),
     output: Path = typer.Option(None, "--output", help="The refined mesh to write (.ply, .obj, .stl, .off)."),
     depth_dir: Path = typer.Option(None, "--depth-dir", help="Initial depth maps, <image stem>.npz, not --mesh."),
     save_depth: Path = typer.Option(None, "--save-depth", help="Folder for the refined depth maps, <image stem>.npz."),
     views: list[str] = typer.Option([], "--views", help="Refine these views only (several names may follow)."),
+    hold_out: list[str] = typer.Option([], "--hold-out", help="Keep these photos out of everything, for 'pagas-cl "
+                                                               "evaluate --held-out'."),
     context: int = typer.Option(None, "--context", help="Most context views of each view."),
     preset: str = typer.Option("balanced", "--preset", help="Settings to start from: fast, balanced, accurate, paper."),
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
@@ -62,7 +66,7 @@ def command(
     settings = [*settings, *effect_settings(effects)]
     more = {} if context is None else {"context__number": context}
     config = build_config(preset, settings, **more)
-    found = load_scene(scene, format, outside)
+    found = without(load_scene(scene, format, outside), hold_out, views)
     for view in found.views:
         view.check_files()
     for option, where in (("--output", output and output.parent), ("--save-depth", save_depth), ("--report", report)):
@@ -72,21 +76,28 @@ def command(
     folder = output.parent / f".{output.name}.views" if save_depth is None and output is not None else save_depth
     place = _place(device, devices, scheduler)
     names = [found.views[found.index(name)].name for name in views] or None
-    with (shown_progress(quiet) as progress, one_run(folder) if folder else nullcontext(),
-          _report(report, found, preset, settings, place) as page):
+    config_words = ", ".join([preset, *settings])
+    with (resumable(folder, len(names or found.views)), shown_progress(quiet) as progress,
+          one_run(folder) if folder else nullcontext(),
+          _report(report, found, config_words, place, asked.obj) as page):
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder, names)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
         results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
                                progress=progress, on_view=page and partial(_add_pictures, page))
+        made = None
         if output is not None and keep_mesh:
-            write_whole(output, displaced_mesh(mesh, found.views, depths, results, config, subdivide))
+            made = displaced_mesh(mesh, found.views, depths, results, config, subdivide)
+            write_whole(output, made)
         elif output is not None:
-            write_mesh(output, fuse_results(found.views, results, config, progress, memory, page and page.note,
-                                            device=place["device"]))
+            made = fuse_results(found.views, results, config, progress, memory, page and page.note,
+                                device=place["device"])
+            write_mesh(output, made)
         if output is not None:
             log.info("mesh: %s", output)
+        if page is not None and made is not None:
+            _show_mesh(page, found.views, mesh, made, results)
         _tell(results, save_depth, report)
         if folder is not None and save_depth is None:
             remove_run(folder)
@@ -140,27 +151,38 @@ def _add_pictures(page, view, initial, result) -> None:
     from pagas_cl.effects import Decision
 
     report = result.report
-    remarks = [f"kept as it came: {result.reason}"] if result.reason else []
-    if report.get("contexts"):
-        remarks.append("context views: " + ", ".join(report["contexts"]))
+    remarks = ["context views: " + ", ".join(report["contexts"])] if report.get("contexts") else []
     for on, what in ((True, "effects simulated"), (False, "effects not called for")):
         effects = [str(Decision(**fields)) for fields in report.get("effects", ()) if fields["on"] == on]
         remarks += [f"{what}: " + "; ".join(effects)] if effects else []
     figures = {"seconds": round(report["seconds"], 2)} if "seconds" in report else {}
     page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
-             counts={**result.counts, **figures}, remarks=remarks)
+             counts={**result.counts, **figures}, remarks=remarks, reason=result.reason)
 
 
-def _report(folder, found, preset, settings, place):
+def _show_mesh(page, views, mesh, made, results) -> None:
+    """Put the given and the made mesh on the page, seen from the view of which most was refined."""
+    from pagas_cl.result import joined
+    from pagas_cl.scene.mesh import to_surface
+    from pagas_cl.surface.raster import each_depth
+
+    before, after = mesh and to_surface(mesh), to_surface(made)
+    place, _ = max(joined(views, results), key=lambda pair: pair[1].counts["refined"])
+    depths = before and [next(each_depth(surface, [views[place].camera])) for surface in (before, after)]
+    page.add_mesh(before, after, view=views[place], depths=depths)
+
+
+def _report(folder, found, settings: str, place, asked: str):
     """The Report to fill, or a context of None where none was asked for."""
     if folder is None:
         return nullcontext()
+    from pagas_cl import __version__
     from pagas_cl.report import Report
 
-    changed = f", {', '.join(settings)}" if settings else ""
     where = place.get("executor") or getattr(place["device"], "info", place["device"])
-    return Report(folder, "pagas-cl refine", [f"scene: {found.source}, {len(found.views)} views",
-                                             f"settings: {preset}{changed}", f"device: {where}"])
+    return Report(folder, "pagas-cl refine", facts=[
+        ("scene", f"{found.source}, {len(found.views)} views"), ("settings", settings), ("command", asked or ""),
+        ("version", f"pagas_cl {__version__}"), ("device", str(where))])
 
 
 def _tell(results, save_depth, report) -> None:

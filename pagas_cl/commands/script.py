@@ -9,7 +9,7 @@ from pathlib import Path
 
 import typer
 
-from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._console import nothing_refined, shown_progress
 from pagas_cl.commands._start import check_source, check_writable, load_scene
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.files import replaced
@@ -17,6 +17,7 @@ from pagas_cl.scene.files import replaced
 log = logging.getLogger("pagas_cl")
 
 
+@nothing_refined()
 def command(
     script: Path = typer.Argument(..., metavar="SCRIPT", help="The filter script (.mlx)."),
     scene: Path = typer.Argument(None, metavar="[SCENE]", help="Folder with photos and cameras, for our step."),

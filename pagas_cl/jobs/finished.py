@@ -154,6 +154,26 @@ def find_finished(folder: Path, task: ViewTask, extras: bool) -> Record | None:
     return None if other else record
 
 
+def records_in(folder: Path) -> list[Record]:
+    """Records of views that runs have finished in `folder`; those that cannot be read are left out."""
+    found = []
+    for path in sorted(work_folder(folder).rglob("*.json")):
+        try:
+            found.append(Record(**json.loads(path.read_bytes())))
+        except (OSError, ValueError, TypeError):
+            log.debug("%s is no record", path)
+    return found
+
+
+def users_of(folder: Path) -> dict[str, list[str]]:
+    """Name of each photo -> views in `folder` that it took part in: as target, as context view, or as a judge."""
+    users: dict[str, list[str]] = {}
+    for record in records_in(folder):
+        for name in (record.name, *record.report.get("contexts", ()), *record.report.get("held_out", ())):
+            users.setdefault(name, []).append(record.name)
+    return users
+
+
 @dataclass(frozen=True, eq=False)
 class StoredResult:
     """As a DepthResult, with the arrays read from disk when they are asked for; nothing of it stays in memory."""

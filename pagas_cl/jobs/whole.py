@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pagas_cl.errors import InputError, PagasError
 from pagas_cl.jobs.executors import Workers
-from pagas_cl.jobs.finished import StoredResult, claim_names, find_finished, one_run, work_folder
+from pagas_cl.jobs.finished import StoredResult, claim_names, find_finished, one_run, records_in, work_folder
 from pagas_cl.jobs.plan import Planner, groups, on_disk
 from pagas_cl.jobs.run import Run
 from pagas_cl.jobs.store import DepthFile, Store, translate_os_errors
@@ -17,6 +17,7 @@ from pagas_cl.jobs.worker import STOP, close_worker_contexts
 from pagas_cl.progress import ViewProgress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import for_planning
+from pagas_cl.scene.reasons import warn_of_nothing
 
 log = logging.getLogger("pagas_cl")
 
@@ -76,33 +77,44 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
         if workers.own:
             run.close()
         close_worker_contexts()
+    results = collect.results()
+    warn_of_nothing(views, depths, results)     # which may read the depth maps
     shutil.rmtree(store.folder, ignore_errors=True)
-    return collect.results()
+    return results
 
 
 def _unfinished(planner: Planner, parts, template: Batch, collect: "_Collect"):
-    """Batches of what no earlier run has finished, each planned when it is asked for."""
-    kept = 0
-    for part in parts:
-        todo = []
-        for index in part:
-            try:
-                task = planner.task(index)
-            except InputError as error:  # a photo that has gone meanwhile
-                name = planner.views[index].name
-                log.error("view %s is left out: %s", name, error)
-                collect(Record(name, "", "", error=str(error), bad_input=True))
-                continue
-            record = find_finished(template.folder, task, template.extras)
-            if record is None:
-                todo.append(task)
-            else:
-                kept += 1
-                collect(record)
+    """Batches of what no earlier run has finished, each planned when it is asked for; where there was an earlier run
+    all of them first, so that what is kept of it is told before the work begins."""
+    todos = (_todo(planner, part, template, collect) for part in parts)
+    earlier = len(records_in(template.folder))
+    if earlier:
+        todos = list(todos)
+        kept = sum(not record.error for record in collect.records.values())
+        log.info("%d of %d views were finished by an earlier run and are kept%s", kept, len(collect.asked),
+                 "" if kept else ": it had other inputs, settings or code")
+    for todo in todos:
         if todo:
             yield planner.batch(todo, template)
-    if kept:
-        log.info("%d of %d views were finished by an earlier run and are kept", kept, len(collect.asked))
+
+
+def _todo(planner: Planner, part, template: Batch, collect: "_Collect") -> list:
+    """The tasks of a part of the views, without those that are finished, which are collected."""
+    todo = []
+    for index in part:
+        try:
+            task = planner.task(index)
+        except InputError as error:  # a photo that has gone meanwhile
+            name = planner.views[index].name
+            log.error("view %s is left out: %s", name, error)
+            collect(Record(name, "", "", error=str(error), bad_input=True))
+            continue
+        record = find_finished(template.folder, task, template.extras)
+        if record is None:
+            todo.append(task)
+        else:
+            collect(record)
+    return todo
 
 
 class _Ended(BaseException):

@@ -45,7 +45,7 @@ def _shifted(step: float) -> Callable[[Camera], Camera]:
     return lambda camera: replace(camera, cx=camera.cx + step, cy=camera.cy + step)
 
 
-_POSES = (
+POSES = (
     _Change("as given", lambda camera: camera, ""),
     _Change("inverted", _posed(inverse_pose), "Camera.from_c2w(K, matrix, ...)", "the inverse matrices"),
     _Change("y and z flipped", _posed(lambda m: _FLIP @ m),
@@ -78,12 +78,12 @@ def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDAr
     if 2 * seeing >= count:
         return inside
     better = [int(np.count_nonzero(patches.shares([way.of(camera) for camera in cameras], points)[1] > _CHANCE))
-              for way in _POSES[1:]]
+              for way in POSES[1:]]
     best = int(np.argmax(better))  # the first of equals: the simplest reading
     behind = int(np.count_nonzero(front < 0.5))
     who = f"{seeing} of {count} cameras see the mesh" + (f", it lies behind {behind} of {count}" if behind else "")
     if better[best] >= (0.9 * count if seeing else max(1, 0.5 * count)):
-        way = _POSES[1 + best]
+        way = POSES[1 + best]
         raise InputError(f"{who}; with {way.matrices} {better[best]} of {count} do: pass "
                          f"{way.mend.partition('(')[0]}(...)")
     if seeing == 0:
@@ -181,8 +181,8 @@ def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None, most: 
         raise InputError("the mesh has no area: all its triangles are degenerate")
     keep = patches.evenly(len(cams), most)
     greys = None if views is None else [patches.grey_of(views[k].load_image()) for k in keep]
-    given = _Trial(_POSES[0], cams, keep, greys, samples)
-    trials = [given, *(_Trial(way, cams, keep, greys, samples) for way in _POSES[1:])]
+    given = _Trial(POSES[0], cams, keep, greys, samples)
+    trials = [given, *(_Trial(way, cams, keep, greys, samples) for way in POSES[1:])]
     if given.pairs:
         trials += [_Trial(way, cams, keep, greys, samples, given) for way in _DETAILS]
     readings = [trial.reading(given) for trial in trials]
@@ -220,7 +220,7 @@ class _Trial:
 
 def _best(readings: Sequence[Reading]) -> Reading:
     """The reading to use: as given unless another one is clearly right."""
-    given, poses = readings[0], readings[1:len(_POSES)]
+    given, poses = readings[0], readings[1:len(POSES)]
     level = given.agreement or 0.0
     agreeing = [r for r in poses if (r.agreement or 0.0) > max(max(level, 0.0) + _CLEAR, _CLEAR * 2)]
     if agreeing:
