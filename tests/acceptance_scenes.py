@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from random_scenes import rotation
 from support.scenes import relief_scene
 
 from pagas_cl.evaluate import compare_depth
@@ -33,15 +34,9 @@ def turned(camera: Camera, pixels: float, direction: float) -> Camera:
     """The camera turned by as much as moves its photo by `pixels`."""
     x, y = pixels / camera.fx * np.cos(direction), pixels / camera.fy * np.sin(direction)
     turn = np.eye(4)
-    turn[:3, :3] = _rotation(np.array([-y, x, 0.0]))
+    turn[:3, :3] = rotation(np.array([-y, x, 0.0]))
     return Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
                   turn @ camera.world_to_camera, camera.name)
-
-
-def _rotation(axis):
-    angle = np.linalg.norm(axis)
-    k = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]]) / angle
-    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
 
 
 def moving(share: float = 0.45, **settings):

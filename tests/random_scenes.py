@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pagas_cl.reference.level import Photo
-from pagas_cl.scene.camera import Camera
+from pagas_cl.selftest.scenes import camera as camera_at
 
 GAINS = np.array([[[0.8, 0.05], [0.9, 0.02], [1.1, -0.03]], [[1.3, -0.1], [1.0, 0.0], [0.7, 0.1]]])
 
@@ -68,7 +68,8 @@ def random_scene(seed: int, width: int = 20, height: int = 16, contexts: int = 3
     center = rng.standard_normal(3)
 
     def photo(R, at, w, h, fx, fy, name):
-        camera = Camera(w, h, fx, fy, w / 2 + rng.normal(), h / 2 + rng.normal(), pose(R, at * scale + offset), name)
+        middle = w / 2 + rng.normal(), h / 2 + rng.normal()
+        camera = camera_at((w, h), (fx, fy), at * scale + offset, R, middle, name)
         mask = rng.random((h, w)) > 0.1 if masks and name != "target" else None
         return Photo(camera, random_image(rng, w, h), mask)
 
