@@ -6,23 +6,11 @@
 // whether a pixel's centre lies in a triangle is written with fma() alone, so that no compiler contracts it one way for
 // one triangle and another way for its neighbour: no pixel falls between two triangles.
 #include "constants.clh"
+#include "eye.clh"
 
 #define LARGE 256                        // pixels of the bounding box from which on a work-group draws
 #define NEAR_SHARE 1e-6f                 // of a triangle's largest depth: what is nearer to the camera's plane is left out
 #define EMPTY 0x7f800000u                // infinity: no surface
-
-typedef struct {
-    float3 r0, r1, r2, center, center_rest;
-    float fx, fy, cx, cy, ifx, ify;
-    int width, height;
-} Eye;
-
-Eye load_eye(__constant float *c)
-{
-    const Eye eye = {vload3(0, c), vload3(1, c), vload3(2, c), vload3(3, c), vload3(4, c), c[15], c[16], c[17], c[18],
-                     c[19], c[20], (int)c[21], (int)c[22]};
-    return eye;
-}
 
 float fixed_dot(float3 a, float3 b)
 {

@@ -72,7 +72,10 @@ def test_refine_from_depth_maps(scene, tmp_path):
 def test_refine_from_a_mesh_to_a_mesh(scene, tmp_path):
     pytest.importorskip("open3d")
     assert command_line.run(refine(scene, "--mesh", scene / "mesh_coarse.ply", "--output",
-                                   tmp_path / "a" / "fine.ply")) == 0
+                                   tmp_path / "a" / "fine.ply", "--report", tmp_path / "page")) == 0
+    page = (tmp_path / "page" / "index.html").read_text()
+    assert "<canvas" in page and "mesh_shaded_before.png" in page and "<dt>version</dt>" in page
+    assert f"<code>pagas-cl refine {scene} " in page
     from pagas_cl.scene.mesh_file import read_mesh
 
     fine, coarse = read_mesh(tmp_path / "a" / "fine.ply"), read_mesh(scene / "mesh_coarse.ply")

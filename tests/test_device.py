@@ -2,6 +2,7 @@
 
 import logging
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -220,4 +221,6 @@ def test_the_real_machine():
     """Needs an OpenCL device; `make test` installs PoCL, so there is one."""
     devices = listing.list_devices()
     opened = open_device("auto")
-    assert opened.info in devices and opened.queue.context == opened.context
+    # a virtual machine's memory may grow meanwhile
+    lasting = [replace(info, memory=0, max_alloc=0) for info in (opened.info, *devices)]
+    assert lasting[0] in lasting[1:] and opened.queue.context == opened.context

@@ -142,3 +142,15 @@ def test_shaded_pictures_are_brighter_where_the_surface_faces_the_light():
     x, y = np.meshgrid(np.arange(WIDTH) + 0.5 - 20, np.arange(HEIGHT) + 0.5 - 15)
     lit, away = (shaded(4 / (1 + side * (x + y) / 50), camera())[10, 20].sum() for side in (0.5, -0.5))
     assert lit > away + 100 and tuple(shaded(plane(0), camera())[5, 5]) == NOTHING
+
+
+def test_views_of_like_names_have_pictures_of_their_own(tmp_path):
+    names = ["cam/a.png", "cam_a.png", "cam_a.jpg", "CAM/A.png", "mesh.png", "å" * 120 + ".png", "cam_a_2.png"]
+    with Report(tmp_path) as report:
+        for k, name in enumerate(names):
+            report.add(View(camera(name=name), np.full((HEIGHT, WIDTH, 3), 20 * k, np.uint8)), plane(4.0), plane(4.1))
+        report.add_mesh((np.eye(3), [[0, 1, 2]]), (np.eye(3), [[0, 1, 2]]), depths=(plane(4), plane(4)),
+                        view=View(camera(), np.full((HEIGHT, WIDTH, 3), 255, np.uint8)))
+    photos = sorted(tmp_path.glob("*_photo.jpg"))
+    shown = {round(float(np.asarray(Image.open(path)).mean()) / 20) for path in photos}
+    assert len(photos) == 8 and shown == {*range(7), 13}

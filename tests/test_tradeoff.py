@@ -16,11 +16,11 @@ from pagas_cl.splat import PhotoStore
 from pagas_cl.synthetic.scene import write_scene
 from pagas_cl.tradeoffs import plan
 from pagas_cl.tradeoffs.case import make_cases, score
-from pagas_cl.tradeoffs.front import pareto, rank_correlation
-from pagas_cl.tradeoffs.page import ablation_table
+from pagas_cl.tradeoffs.front import Point, _ticks, pareto, rank_correlation
+from pagas_cl.tradeoffs.page import ablation_table, closing, headline, write_report
 from pagas_cl.tradeoffs.plan import ablation_plan
 from pagas_cl.tradeoffs.run import initial_depth, run
-from pagas_cl.tradeoffs.study import measure
+from pagas_cl.tradeoffs.study import Study, measure
 
 pytestmark = pytest.mark.slow
 
@@ -138,7 +138,9 @@ def test_a_study_is_written_resumed_and_ranked(case, tmp_path, caplog):
     by_name = {p.name: p for p in study.points}
     assert by_name["40 steps"].error("depth") < by_name["10 steps"].error("depth") < 1
     assert by_name["40 steps"].view_steps == 40 and by_name["40 steps"].device_bytes > 0
-    assert "<table>" in (tmp_path / "index.html").read_text() and (tmp_path / "tradeoff.png").stat().st_size > 1000
+    page = (tmp_path / "index.html").read_text()
+    assert "&quot;40 steps&quot; leaves the least, " in page and "<td>40 steps</td><td>2</td>" in page
+    assert "<table>" in page and (tmp_path / "tradeoff.png").stat().st_size > 1000
     assert "| 40 steps |" in ablation_table(study.points)
 
 
@@ -147,6 +149,36 @@ def test_a_spent_budget_leaves_settings_out_and_says_so(case, caplog):
     assert study.points == [] and study.left_out == ["long"]
     with pytest.raises(InputError, match="budget"):
         measure([case], [short("x", 1)], budget=0)
+
+
+def study_of(**errors):
+    """A study of settings with these depth errors, each taking a second longer than the one before."""
+    points = [Point(name, "steps", "", k + 1.0, 10**6, 5, {"depth": error}, 1, k == 0)
+              for k, (name, error) in enumerate(errors.items())]
+    return Study(points, "depth", {"a.png": {}}, float("nan"), "a <device>", ["last"])
+
+
+@pytest.mark.parametrize("errors, said", [
+    (dict(quick=0.51, slow=0.5), '"slow" leaves the least, 50.0% of the initial depth\'s error, in 2 s a view; "quick" '
+                                 'leaves 51.0% in 1 s.'),
+    (dict(quick=0.9, slow=0.5), '"slow" leaves the least, 50.0% of the initial depth\'s error, in 2 s a view.'),
+    (dict(bad=1.04), 'No setting betters the initial depth: the best, "bad", has 104.0% of the initial depth\'s err'),
+    (dict(nothing=float("nan")), "No setting could be judged"), ({}, "Nothing was measured")])
+def test_the_headline_of_a_study(errors, said):
+    assert headline(study_of(**errors)).startswith(said)
+
+
+def test_the_page_of_a_study_ends_with_what_was_left_out(tmp_path):
+    study = study_of(**{"<b>": 0.5, "other": 0.5})
+    page = write_report(tmp_path, study, "d").read_text()
+    assert "<b>" not in page and "a &lt;device&gt;" in page
+    assert page.index("</table>") < page.index(closing(study)[0]) and "number is that of the point" in page
+
+
+@pytest.mark.parametrize("low, high", [(0.26, 0.45), (0.9, 1.3), (1e-3, 1e4), (0.15, 30)])
+def test_axes_have_a_few_round_numbers(low, high):
+    ticks = _ticks(low, high)
+    assert 4 <= len(ticks) <= 12 and low <= ticks[0] and ticks[-1] <= high
 
 
 def test_command_without_truth_judges_by_held_out_photos(tmp_path, capsys, monkeypatch):

@@ -20,7 +20,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.files import write_text
 from pagas_cl.scene.mesh import to_surface
 
-MOST_TRIANGLES = 150_000   # of each mesh in a page: 1 to 2 MB
+MOST_TRIANGLES = 200_000   # of each mesh in a page: up to 3 MB
 SCRIPTS = ["viewer.js"]
 _NOTHING = 255             # of a value that is stored in 8 bits
 
@@ -167,8 +167,8 @@ def _packed(numbers, kind) -> bytes:
 
 
 def _first_sight(vertices, faces, corner, camera) -> dict:
-    """Middle and radius of most of the mesh, and the rows of the first view's rotation (x right, y down, z away)."""
-    low, high = np.percentile(vertices, (2, 98), axis=0)
+    """The rows of the first view's rotation (x right, y down, z away); in it, the middle of most of the mesh (in the
+    mesh's own axes), half its size along each axis, and the radius."""
     if camera is not None:
         rotation = camera.world_to_camera[:3, :3]
     else:
@@ -178,5 +178,6 @@ def _first_sight(vertices, faces, corner, camera) -> dict:
         right = np.cross(down, away)
         right /= np.linalg.norm(right)
         rotation = np.stack([right, np.cross(away, right), away])
-    return {"middle": ((low + high) / 2 - corner).tolist(), "radius": float(np.linalg.norm(high - low) / 2) or 1.0,
-            "rotation": np.asarray(rotation).tolist()}
+    low, high = np.percentile((vertices - corner) @ rotation.T, (1, 99), axis=0)
+    return {"middle": ((low + high) / 2 @ rotation).tolist(), "half": ((high - low) / 2).tolist(),
+            "radius": float(np.linalg.norm(high - low) / 2) or 1.0, "rotation": np.asarray(rotation).tolist()}

@@ -75,7 +75,7 @@ def shaded(depth, camera: Camera) -> np.ndarray:
     """A depth map (H, W) as a lit surface of one colour, uint8 (H, W, 3); NOTHING where it has no normal."""
     normals = normals_of(np.asarray(depth), camera)
     facing = np.where((normals * camera.rays()).sum(axis=-1, keepdims=True) > 0, -normals, normals)
-    light = 0.1 + 0.8 * np.maximum(facing @ _LIGHT, 0) + 0.22 * np.maximum(-facing[..., 2], 0)
+    light = 0.1 + 0.84 * np.maximum(facing @ _LIGHT, 0) + 0.08 * np.maximum(-facing[..., 2], 0)
     rgb = (np.array(_CLAY) / 255) * light[..., None] ** (1 / 2.2) * 255
     return np.where((normals != 0).any(axis=-1, keepdims=True), np.rint(np.minimum(rgb, 255)), NOTHING).astype(np.uint8)
 

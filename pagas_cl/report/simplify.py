@@ -7,31 +7,42 @@ import numpy as np
 
 _ROUNDS = 8                 # of finding the cell's size
 _MOST_CELLS = 1 << 20      # along an axis, so that a cell's number fits into 64 bits
+_PART = 1 << 18             # triangles at a time
 _STAY = 0.02                # weight of staying at the mean of a cell's vertices, as a share of that of the planes
 
 
 def simplify(vertices, faces, most: int):
     """At most `most` triangles of a mesh (V, 3), (F, 3): vertices, faces, and the cell's number of each given vertex.
 
-    A mesh that has no more comes back as it is. float64 (W, 3), int64 (G, 3), int64 (V,); -1: no triangle has it.
+    A mesh that has no more comes back as it is. float64 (W, 3), int32 (G, 3), int32 (V,); -1: no triangle has it.
     """
-    vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
+    vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces)
     used = np.zeros(len(vertices), bool)
     used[faces] = True
-    owner = np.where(used, np.cumsum(used) - 1, -1)
+    owner = np.where(used, np.cumsum(used) - 1, -1).astype(np.int32)
     vertices, faces = vertices[used], owner[faces]
     if len(faces) <= most:
         return vertices, faces, owner
-    local = vertices - vertices.min(axis=0)
-    across = np.cross(*(local[faces[:, k]] - local[faces[:, 0]] for k in (1, 2)))
-    cell = max(np.sqrt(np.linalg.norm(across, axis=1).sum() / most), local.max() / _MOST_CELLS, 1e-300)
+    corner = vertices.min(axis=0)
+    local = vertices - corner
+    area = sum(np.linalg.norm(_across(local, faces[part]), axis=1).sum() for part in _parts(len(faces)))
+    cell = max(np.sqrt(area / most), local.max() / _MOST_CELLS, 1e-300)
     for _ in range(_ROUNDS):
         cells, fewer = _clustered(local, faces, cell)
         if len(fewer) <= most:
             break
         cell *= max(1.02, 1.01 * np.sqrt(len(fewer) / most))
-    placed = _placed(local, faces, across, cells, cell) + vertices.min(axis=0)
-    return placed, fewer, np.where(owner >= 0, cells[np.maximum(owner, 0)], -1)
+    return _placed(local, faces, cells, cell) + corner, fewer, np.where(owner >= 0, cells[np.maximum(owner, 0)], -1)
+
+
+def _parts(number: int):
+    """Slices of so many triangles, so that what is computed of each stays small."""
+    return (slice(start, start + _PART) for start in range(0, number, _PART))
+
+
+def _across(local, faces) -> np.ndarray:
+    """Normals of triangles, as long as twice their area."""
+    return np.cross(*(local[faces[:, k]] - local[faces[:, 0]] for k in (1, 2)))
 
 
 def _clustered(local, faces, cell):
@@ -39,7 +50,7 @@ def _clustered(local, faces, cell):
     index = np.floor(local / cell).astype(np.int64)
     wide = index.max(axis=0) + 1
     _, cells = np.unique((index[:, 0] * wide[1] + index[:, 1]) * wide[2] + index[:, 2], return_inverse=True)
-    cells = cells.reshape(-1)
+    cells = cells.reshape(-1).astype(np.int32)
     corners = cells[faces]
     corners = corners[(corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
                       & (corners[:, 2] != corners[:, 0])]
@@ -47,22 +58,26 @@ def _clustered(local, faces, cell):
     return cells, corners[first]
 
 
-def _placed(local, faces, across, cells, cell):
+def _placed(local, faces, cells, cell):
     """Of each cell the point nearest to the planes of its triangles, by area, and to the mean of its vertices."""
     count = int(cells.max()) + 1
     number = np.bincount(cells, minlength=count)
     mean = np.stack([np.bincount(cells, local[:, k], count) / number for k in range(3)], axis=1)
-    area = np.linalg.norm(across, axis=1)
-    normal = across / np.where(area > 0, area, 1)[:, None]
     planes, pull = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    for corner in faces.T:
-        at = cells[corner]
-        away = ((local[corner] - mean[at]) * normal).sum(axis=1) * area
-        for i in range(3):
-            pull[:, i] += np.bincount(at, away * normal[:, i], count)
-            for j in range(i, 3):
-                planes[:, i, j] += np.bincount(at, area * normal[:, i] * normal[:, j], count)
-                planes[:, j, i] = planes[:, i, j]
-    stay = _STAY * np.trace(planes, axis1=1, axis2=2) + 1e-30 * max(area.sum(), 1e-300)
+    for part in _parts(len(faces)):
+        normal = _across(local, faces[part])
+        area = np.linalg.norm(normal, axis=1)
+        normal /= np.where(area > 0, area, 1)[:, None]
+        for corner in faces[part].T:
+            at = cells[corner]
+            away = ((local[corner] - mean[at]) * normal).sum(axis=1) * area
+            for i in range(3):
+                pull[:, i] += np.bincount(at, away * normal[:, i], count)
+                for j in range(i, 3):
+                    planes[:, i, j] += np.bincount(at, area * normal[:, i] * normal[:, j], count)
+    for i, j in ((1, 0), (2, 0), (2, 1)):
+        planes[:, i, j] = planes[:, j, i]
+    trace = np.trace(planes, axis1=1, axis2=2)
+    stay = _STAY * trace + 1e-9 * max(trace.max(), 1e-300)
     move = np.linalg.solve(planes + stay[:, None, None] * np.eye(3), pull[..., None])[..., 0]
     return mean + np.clip(move, -cell, cell)

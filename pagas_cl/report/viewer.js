@@ -22,7 +22,7 @@ out vec4 shown;
 void main() {
   vec3 n = normalize(facets ? cross(dFdx(at), dFdy(at)) : normal);
   if (dot(n, at) > 0.) n = -n;                           // seen from behind
-  float light = .1 + .8 * max(dot(n, normalize(vec3(-.62, -.62, -.48))), 0.) + .22 * max(-n.z, 0.);
+  float light = .1 + .84 * max(dot(n, normalize(vec3(-.62, -.62, -.48))), 0.) + .08 * max(-n.z, 0.);
   shown = vec4(pow(pow(paint, vec3(2.2)) * light, vec3(1. / 2.2)), 1.);
 }`;
 const LENS = 2.75;   // focal length in units of half the shorter side
@@ -71,7 +71,11 @@ async function show(box) {
   const after = meshes[meshes.length - 1], shades = data.values.map(() => take(Uint8Array, after.count, 1));
 
   const state = { at: slider ? 0.5 : 0 };
-  const reset = () => Object.assign(state, { rotation: data.rotation.map(row => [...row]), x: 0, y: 0, away: 2.6 });
+  const reset = () => {     // the mesh after fills the canvas
+    const wide = canvas.clientWidth, high = canvas.clientHeight, [x, y, z] = data.half.map(h => h / data.radius);
+    const away = 0.7 * z + 1.15 * LENS * Math.max(x * Math.min(1, high / wide), y * Math.min(1, wide / high));
+    Object.assign(state, { rotation: data.rotation.map(row => [...row]), x: 0, y: 0, away });
+  };
   let waiting = 0;
   const later = () => { waiting ||= requestAnimationFrame(() => { waiting = 0; draw(); }); };
   const draw = () => {

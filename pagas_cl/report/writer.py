@@ -39,7 +39,7 @@ class Report:
         self._views: list[dict] = []
         self._reasons: list[str] = []
         self._sections: list[tuple] = []
-        self._stems: list[str] = []
+        self._stems = ["mesh"]
         self._mesh, self._stopped, self._began = "", "", time.monotonic()
 
     def __enter__(self) -> "Report":

@@ -39,7 +39,9 @@ def each_depth(surface: Surface, cameras: Iterable[Camera], device: Device | Non
 
 def frame_of(surface: Surface) -> tuple[np.ndarray, float]:
     """Middle (3,) and size of what the faces of a mesh span, scene units: the frame that it is handled in."""
-    used = surface.vertices[np.unique(surface.faces)]
+    used = np.zeros(len(surface.vertices), bool)
+    used[surface.faces] = True
+    used = surface.vertices[used]
     low, high = used.min(axis=0), used.max(axis=0)
     return (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
 
@@ -53,12 +55,24 @@ class Drawing:
 
         self.device, self.program = device, build(device, "raster.cl")
         self.middle, self.unit = frame_of(surface)
-        local = (surface.vertices - self.middle) / self.unit
-        rounded = local.astype(np.float32)
-        self._vertices = np.stack([rounded, (local - rounded).astype(np.float32)], axis=1)
+        self._vertices = self._in_frame(surface.vertices)
         self._faces = np.ascontiguousarray(surface.faces, np.int32)
         whole = self._vertices.nbytes + self._faces.nbytes * 4 // 3 <= device.memory.limit // 4
         self._held = [self._sent(self._vertices, self._faces)] if whole else None
+
+    def move(self, vertices: np.ndarray) -> None:
+        """Put the vertices elsewhere, (V, 3) in world coordinates; the frame stays."""
+        from pagas_cl.runtime.program import Upload
+
+        self._vertices = self._in_frame(vertices)
+        if self._held is not None:
+            Upload(self._held[0][0], self._vertices).enqueue(self.device.queue).wait()
+
+    def _in_frame(self, vertices: np.ndarray) -> np.ndarray:
+        """(V, 2, 3) float32: coordinates rounded, and what is left of them."""
+        local = (vertices - self.middle) / self.unit
+        rounded = local.astype(np.float32)
+        return np.stack([rounded, (local - rounded).astype(np.float32)], axis=1)
 
     def _sent(self, vertices: np.ndarray, faces: np.ndarray) -> tuple[Any, Any, Any, int]:
         from pagas_cl.runtime.memory import upload
@@ -79,7 +93,7 @@ class Drawing:
                 buffer.release()
 
     def draw(self, camera: Camera, unit: float) -> Any:
-        """A buffer of float32 (H, W): depth in a unit of which `unit` are a scene unit, 0 = no surface."""
+        """A buffer of float32 (H, W), to be released: depth, 0 = no surface; `unit` is a scene unit in its unit."""
         import pyopencl as cl
 
         from pagas_cl.runtime.memory import upload
@@ -88,7 +102,7 @@ class Drawing:
         device, pixels = self.device, camera.width * camera.height
         z_buffer = device.memory.buffer(device.context, 4 * pixels, "z_buffer")
         cl.enqueue_fill_buffer(device.queue, z_buffer, _EMPTY, 0, 4 * pixels)
-        eye = upload(device, self._eye(camera))
+        eye = upload(device, eye_of(camera, self.middle, self.unit))
         for vertices, faces, large, count in self._parts():
             cl.enqueue_fill_buffer(device.queue, large, np.uint32(0), 0, 4)
             known = {"vertices": vertices, "faces": faces, "camera": eye, "z_buffer": z_buffer, "large": large}
@@ -110,11 +124,13 @@ class Drawing:
         z_buffer.release()
         return depth
 
-    def _eye(self, camera: Camera) -> np.ndarray:
-        center = (camera.center - self.middle) / self.unit
-        rounded = center.astype(np.float32)
-        return np.array([*camera.world_to_camera[:3, :3].ravel(), *rounded, *(center - rounded), camera.fx, camera.fy,
-                         camera.cx, camera.cy, 1 / camera.fx, 1 / camera.fy, camera.width, camera.height], np.float32)
+
+def eye_of(camera: Camera, middle: np.ndarray, unit: float) -> np.ndarray:
+    """A camera as eye.clh reads it, in the frame of a mesh: float32 (23,)."""
+    center = (camera.center - middle) / unit
+    rounded = center.astype(np.float32)
+    return np.array([*camera.world_to_camera[:3, :3].ravel(), *rounded, *(center - rounded), camera.fx, camera.fy,
+                     camera.cx, camera.cy, 1 / camera.fx, 1 / camera.fy, camera.width, camera.height], np.float32)
 
 
 def _cast(surface: Surface, cameras: Iterable[Camera]) -> Iterator[np.ndarray]:

@@ -26,9 +26,11 @@ _MUCH_SOONER = 0.7  # of the time
 def headline(study) -> str:
     """What came out, in one sentence."""
     judged = [point for point in study.points if point.error(study.figure) == point.error(study.figure)]
+    if not study.points:
+        return "Nothing was measured: the time did not do for a single setting."
     if not judged:
         return "No setting could be judged: there is no truth, and no held-out photo that sees enough of the views."
-    what = "of the initial depth's error" if study.figure == "depth" else "of what held-out photos miss of the initial"
+    what = "of the initial depth's " + ("error" if study.figure == "depth" else "mismatch with held-out photos")
     best = min(judged, key=lambda point: point.error(study.figure))
     least = best.error(study.figure)
     if not least < 1:
