@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 import pytest
-from kernel_cases import Scene, view_of
+from support.kernel_cases import Scene, view_of
 
 from pagas_cl.presets import BALANCED, PAPER
 from pagas_cl.reference.level import State, prepare
