@@ -27,6 +27,7 @@ _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 _SAMPLES = 20_000
 _WORK = 20_000_000   # camera-point pairs of one reading of the poses
 _CHANCE = 0.0005     # share of the mesh that a wrong reading may have in an image by chance; a city's view has more
+_MUCH_MORE = 3       # times the share of the mesh in the images: another unit explains more than another reading
 _FOUND = 0.8         # correlation at which no other place of the mesh is tried
 _SEES = 0.002        # the same of the fewer samples that photos are compared at
 _CLEAR = 0.15        # a pose reading must correlate better by this much
@@ -93,11 +94,16 @@ def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDAr
     seeing, count = int(np.count_nonzero(inside)), len(cameras)
     if 2 * seeing >= count:
         return inside
-    better = [int(np.count_nonzero(patches.shares([way.of(camera) for camera in cameras], points)[1] > _CHANCE))
-              for way in POSES[1:]]
+    by_pose = [patches.shares([way.of(camera) for camera in cameras], points)[1] for way in POSES[1:]]
+    by_unit = [patches.shares(cameras, unit * points)[1] for unit in UNITS]
+    better, seen = ([int(np.count_nonzero(share > _CHANCE)) for share in shares] for shares in (by_pose, by_unit))
     best = int(np.argmax(better))  # the first of equals: the simplest reading
     behind = int(np.count_nonzero(front < 0.5))
     who = f"{seeing} of {count} cameras see the mesh" + (f", it lies behind {behind} of {count}" if behind else "")
+    unit = max((k for k in range(len(UNITS)) if seen[k] >= 0.9 * count), default=None)      # the largest that all see
+    if unit is not None and not seeing and by_unit[unit].mean() > _MUCH_MORE * by_pose[best].mean():
+        raise InputError(f"{who}; with the mesh scaled by {UNITS[unit]:.4g} {seen[unit]} of {count} do: is it in another "
+                         "unit than the cameras ('pagas-cl check' tells by the photos)?")
     if better[best] >= (0.9 * count if seeing else max(1, 0.5 * count)):
         way = POSES[1 + best]
         found = f"{who}; with {way.matrices} {better[best]} of {count} do: "
@@ -105,11 +111,6 @@ def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDAr
         error.at_command_line = f"{found}{way.in_files}"
         raise error
     if seeing == 0:
-        by_unit = [(int(np.count_nonzero(patches.shares(cameras, unit * points)[1] > _CHANCE)), unit) for unit in UNITS]
-        most, unit = max(by_unit)       # the largest of those that all see
-        if most >= 0.9 * count:
-            raise InputError(f"{who}; with the mesh scaled by {unit:.4g} {most} of {count} do: is it in another unit "
-                             "than the cameras ('pagas-cl check' tells by the photos)?")
         centers = np.array([camera.center for camera in cameras])
         raise InputError(f"{who}, nor do more with inverse matrices or OpenGL axes: the mesh spans {_box(points)}, the "
                          f"cameras are at {_box(centers)}; are mesh and cameras in the same frame and unit?")

@@ -105,7 +105,9 @@ def sentence(given: Reading, best: Reading, count: int, fit: Fit | None, halves:
                 f"{mend}")
     if fit and fit.apart:
         instead = f", as given only {given}" if given.agreement is not None else ""
-        return (f"{sees}, but mesh and cameras do not fit together: with the mesh {fit.in_words} the photos agree "
+        apart = (", but mesh and cameras do not fit together:" if given.seeing else
+                 ", in no reading of their numbers: cameras and mesh are in different coordinate frames or units;")
+        return (f"{sees}{apart} with the mesh {fit.in_words} the photos agree "
                 f"{fit.agreement:.2f}{instead} ({fit.how_sure})" + (
                     "; is it in another unit than the cameras?" if abs(np.log(fit.scale)) > 0.5 else ""))
     if given.seeing == 0:
