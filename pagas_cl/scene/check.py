@@ -27,7 +27,7 @@ _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 _SAMPLES = 20_000
 _WORK = 20_000_000   # camera-point pairs of one reading of the poses
 _CHANCE = 0.0005     # share of the mesh that a wrong reading may have in an image by chance; a city's view has more
-_MUCH_MORE = 3       # times the share of the mesh in the images: another unit explains more than another reading
+_MUCH = 0.1          # share of the mesh that images show on the average where its unit is right
 _FOUND = 0.8         # correlation at which no other place of the mesh is tried
 _SEES = 0.002        # the same of the fewer samples that photos are compared at
 _CLEAR = 0.15        # a pose reading must correlate better by this much
@@ -100,10 +100,11 @@ def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDAr
     best = int(np.argmax(better))  # the first of equals: the simplest reading
     behind = int(np.count_nonzero(front < 0.5))
     who = f"{seeing} of {count} cameras see the mesh" + (f", it lies behind {behind} of {count}" if behind else "")
-    unit = max((k for k in range(len(UNITS)) if seen[k] >= 0.9 * count), default=None)      # the largest that all see
-    if unit is not None and not seeing and by_unit[unit].mean() > _MUCH_MORE * by_pose[best].mean():
-        raise InputError(f"{who}; with the mesh scaled by {UNITS[unit]:.4g} {seen[unit]} of {count} do: is it in another "
-                         "unit than the cameras ('pagas-cl check' tells by the photos)?")
+    fitting = [k for k, share in enumerate(by_unit)     # the largest of these is no dot
+               if seen[k] >= 0.9 * count and share.mean() > max(_MUCH, 3 * by_pose[best].mean())]
+    if fitting and not seeing:
+        raise InputError(f"{who}; with the mesh scaled by {UNITS[fitting[-1]]:.4g} {seen[fitting[-1]]} of {count} do: is "
+                         "it in another unit than the cameras ('pagas-cl check' tells by the photos)?")
     if better[best] >= (0.9 * count if seeing else max(1, 0.5 * count)):
         way = POSES[1 + best]
         found = f"{who}; with {way.matrices} {better[best]} of {count} do: "
