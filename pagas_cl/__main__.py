@@ -104,7 +104,8 @@ def _explain(error: Exception) -> int:
     if hasattr(error, "format_message"):  # typer's own errors: unknown option, missing argument
         text, status = f"{error.format_message().rstrip('.')}; see 'pagas-cl --help'", 2
     elif isinstance(error, PagasError):
-        text, status = str(error), 2 if isinstance(error, (InputError, MissingExtraError, NoDeviceError)) else 1
+        text = getattr(error, "at_command_line", "") or str(error)
+        status = 2 if isinstance(error, (InputError, MissingExtraError, NoDeviceError)) else 1
         status = {NothingRefinedError: NOTHING_REFINED, InterruptedRunError: INTERRUPTED}.get(type(error), status)
     elif isinstance(error, OSError) and error.errno is not None:
         what = repr(str(error.filename)) if error.filename else "a file"
