@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Camera", "CameraRefinement", "Config", "DepthResult", "DeviceError", "InputError", "KernelBuildError",
-    "MissingExtraError", "PagasError", "Scene", "Surface", "View", "check_cameras", "find_depth", "load_depth", "preset", "read_scene",
-    "refine_cameras", "refine_depth", "refine_mesh", "refine_views", "save_depth", "tradeoff",
+    "MissingExtraError", "PagasError", "Scene", "Surface", "View", "check_cameras", "find_depth", "load_depth",
+    "preset", "read_scene", "refine_cameras", "refine_depth", "refine_mesh", "refine_views", "save_depth", "tradeoff",
 ]
 
 _HOME = {  # as the imports above
