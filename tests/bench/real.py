@@ -7,7 +7,7 @@
 For each view two of the photos that it would use are held out. The others refine it as `pagas_cl.refine_views` does,
 which never sees those two; then both depths carry each held-out photo over to the view, and 7x7 patches of it are
 correlated with the view's own photo over the pixels that both depths predict (medians), the pose of the held-out
-photo fitted to each of both first (its camera is off, too). Cameras as given; with refined ones: tests/bench/cameras.py.
+photo fitted to each of both first (its camera is off, too). Cameras as given; refined ones: tests/bench/cameras.py.
 OUT gets figures.json and table.md.
 """
 
