@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from pagas_cl.bench import time_step
+from pagas_cl.cameras.effect import FEWEST, MOST, decide_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import EFFECTS, Decision, decide, decide_consistency
 from pagas_cl.measurements import Measurements, measure
@@ -42,6 +43,7 @@ class Analysis:
     timed: str
     device: str
     consistency: Decision | None = None
+    cameras: Decision | None = None
 
     def as_dict(self) -> dict:
         views = [{"view": view.view, "contexts": list(view.contexts), "reason": view.reason,
@@ -51,7 +53,8 @@ class Analysis:
         costs = {name: {"seconds_on": cost.on, "seconds_off": cost.off, "device_bytes": cost.device_bytes}
                  for name, cost in self.costs.items()}
         return {"device": self.device, "timed": self.timed, "costs": costs,
-                "consistency": self.consistency and self.consistency.as_dict(), "views": views}
+                "consistency": self.consistency and self.consistency.as_dict(),
+                "cameras": self.cameras and self.cameras.as_dict(), "views": views}
 
 
 def analyze(views, depths, *, names=None, config: Config | None = None, device=None, costs: bool = True,
@@ -83,7 +86,10 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
                                                               tell)
     tell("analyze", len(asked), len(asked))
     agreement = decide_consistency([view.camera for view in views], depths, config, device)[1]
-    return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement)
+    cameras = None
+    if config.effects.cameras != "set" and FEWEST <= len(views) <= MOST:
+        cameras = decide_cameras(views, depths, config, device)[0]
+    return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement, cameras)
 
 
 def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device, photos,

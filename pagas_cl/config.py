@@ -265,11 +265,13 @@ class Effects(_Stage):
     noise: str = _effect()
     pyramid: str = _effect()
     consistency: str = _effect()
+    cameras: str = _effect()
 
     @property
     def measured(self) -> bool:
-        """Whether a view is measured for them; the consistency check rests on other measurements."""
-        return any(getattr(self, f.name) not in ("set", "off") for f in fields(self) if f.name != "consistency")
+        """Whether a view is measured for them; the consistency check and the cameras are of a whole scene."""
+        return any(getattr(self, f.name) not in ("set", "off") for f in fields(self)
+                   if f.name not in ("consistency", "cameras"))
 
     @classmethod
     def every(cls, choice: str) -> Effects:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.acceptance import moved_by_evidence, nothing_reason, rejection_reason
+from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide, decide_consistency
 from pagas_cl.errors import InputError, log
@@ -40,7 +42,8 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
                 executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
     """Refine a mesh with calibrated photos.
 
-    mesh -> depth of every view -> refine each view by itself -> keep what other views confirm -> TSDF -> mesh
+    mesh -> cameras, where they are off -> depth of every view -> refine each view by itself -> keep what other views
+    confirm -> TSDF -> mesh
     (method section 7).
 
     Parameters
@@ -82,6 +85,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     config = settings_of(preset, config)
     views = as_views(cams, images, masks)
     surface = to_surface(mesh)
+    views, config, _ = settle_cameras(views, surface, config, device, progress)
     depths = initial_depths(surface, views, progress, device=device)
     results = refine_views(views, depths, config=config, device=device, progress=progress, executor=executor,
                            folder=folder)
@@ -155,7 +159,8 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
                  on_view: Callable[[View, Depth, DepthResult], Any] | None = None,
                  executor: Executor | str | None = None, folder: str | Path | None = None,
                  extras: bool = True) -> list[DepthResult]:
-    """Refine the depth maps of many views, each by itself.
+    """Refine the depth maps of many views, each by itself; where cameras are off, these first (effects.cameras): each
+    result has the camera that its depth map belongs to.
 
     Parameters
     ----------
@@ -187,6 +192,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
 
     config, depths = settings_of(preset, config), depth_maps(views, depths)
     asked = asked_views(views, depths, names)
+    views, config, cameras = settle_cameras(views, depths, config, device, progress)
     if executor is not None or folder is not None or device == "all" or isinstance(device, (list, tuple)):
         from pagas_cl.jobs import refine_all
 
@@ -201,6 +207,8 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
         view_progress.at(done)
         result = refine_one(views, chooser.choose(index), arrays[index], config, device, photos,
                             progress=view_progress.inside(done))
+        if cameras is not None:
+            result.report["camera"] = {"moved": float(cameras.moved[index]), "accepted": cameras.accepted}
         results.append(result)
         if on_view:
             on_view(views[index], arrays[index], result)
@@ -276,7 +284,9 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     from pagas_cl.surface.fuse import weights_of
 
     device, pairs = comparison_device(device), sorted(joined(views, results), key=lambda pair: pair[0])
-    used, results = [views[place] for place, _ in pairs], [result for _, result in pairs]
+    used = [views[place] if result.camera is views[place].camera else replace(views[place], camera=result.camera)
+            for place, result in pairs]      # a result's camera may have been refined with it
+    results = [result for _, result in pairs]
     cameras = [view.camera for view in used]
     config, decision = decide_consistency(cameras, results, config, device)
     if decision is not None:

@@ -12,7 +12,7 @@ from pagas_cl.cameras.adjust import Adjuster, Frame
 from pagas_cl.config import Config
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.images import Loads
+from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.mesh import Surface, to_surface
 from pagas_cl.scene.view import View
 from pagas_cl.splat.buffers import Size, level_size
@@ -23,12 +23,12 @@ Depths = Callable[[Sequence[Camera]], "list[np.ndarray]"]
 
 
 def depths_of(given) -> tuple[Depths, bool]:
-    """How to get depth maps for cameras, and whether they go with the cameras: those of a mesh do, one a view stays
-    with its view."""
-    if isinstance(given, (list, tuple)) and not _is_mesh(given):
-        def stay(_: Sequence[Camera]) -> list[np.ndarray]:
-            return [np.asarray(depth.load() if isinstance(depth, Loads) else depth) if depth is not None else
-                    np.zeros((1, 1), np.float32) for depth in given]
+    """How to get depth maps for cameras, and whether they change with the cameras: those of a mesh do, others stay with
+    their views."""
+    if not is_mesh(given):
+        def stay(cameras: Sequence[Camera]) -> list[np.ndarray]:
+            return [np.zeros((camera.height, camera.width), np.float32) if depth is None else depth_array(depth)
+                    for camera, depth in zip(cameras, given)]
         return stay, False
     surface: Surface = to_surface(given)
 
@@ -39,9 +39,12 @@ def depths_of(given) -> tuple[Depths, bool]:
     return render, True
 
 
-def _is_mesh(given) -> bool:
-    """Whether it is (vertices, faces) and no list of depth maps."""
-    return len(given) == 2 and all(np.ndim(part) == 2 and np.shape(part)[1] == 3 for part in given)
+def is_mesh(given) -> bool:
+    """Whether it is a mesh of any kind, such as (vertices, faces), and no list of depth maps."""
+    if not isinstance(given, (list, tuple)):
+        return True
+    return (isinstance(given, tuple) and len(given) == 2
+            and all(np.ndim(part) == 2 and np.shape(part)[1] == 3 for part in given))
 
 
 class Frames:
@@ -54,8 +57,8 @@ class Frames:
         self._kept: list[np.ndarray] | None = None
 
     def at(self, cameras: Sequence[Camera], share: float, sigma: float, maps: np.ndarray | None = None) -> list[Frame]:
-        """The views through `cameras`, of full size, at `share` of it, photos smoothed by `sigma` pixels. `maps`
-        (N, 2): scale and shift (units) of each depth map."""
+        """The views through `cameras` (of full size) at `share` of it, photos smoothed by `sigma` pixels. `maps`:
+        scale and shift (units) of each depth map, (N, 2)."""
         sizes = [level_size(camera, share) for camera in cameras]
         small = [camera.resized(size.width, size.height) for camera, size in zip(cameras, sizes)]
         if self.moves:

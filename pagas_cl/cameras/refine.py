@@ -54,8 +54,8 @@ class CameraRefinement:
     reason: str
     """Why the cameras stay as they were given; empty where they were refined."""
     moved: np.ndarray = field(repr=False)
-    """Pixels that each photo moved by, root mean square over its surface, float64 (N,): of the refined cameras,
-    accepted or not; NaN where a view has no surface."""
+    """Pixels that each photo moved by, root mean square over its surface, float64 (N,), accepted or not; NaN where a
+    view has no surface."""
     pairs: list[tuple[str, str, float, float]] = field(repr=False)
     """Pairs of views that took no part: names, mean residual cost before and after."""
     left_out: tuple[str, ...] = ()
@@ -86,8 +86,8 @@ class CameraRefinement:
 
 def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, *,
                    unknowns: Collection[str] = ("pose",), lenses: Sequence[int] | None = None,
-                   gauge: Sequence[Camera] | None = None, off: float | None = None, preset: str | None = None,
-                   config: Config | None = None, device: str | Device | None = None,
+                   gauge: Sequence[Camera] | None = None, measured: tuple[float, float] | None = None,
+                   preset: str | None = None, config: Config | None = None, device: str | Device | None = None,
                    progress: Progress | None = None, photos: PhotoStore | None = None) -> CameraRefinement:
     """Refine the cameras of `views`, so that their photos agree through the surface.
 
@@ -103,8 +103,9 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
         For each view the number of its lens, from 0; by default views of equal focal lengths and sizes share one.
     gauge : list of Camera, optional
         The cameras that hold what photos do not see, where `views` have been refined before: those given at first.
-    off : float, optional
-        Pixels that the cameras may be off by; measured by default.
+    measured : (float, float), optional
+        Pixels that photos are off by across the direction of depth, and the share of samples that match elsewhere;
+        measured by default.
 
     Returns
     -------
@@ -119,7 +120,7 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
 
     device, config = open_device(device), settings_of(preset, config)
     with translate_cl_errors(device, "the refinement of the cameras"):
-        return _refine(list(views), depths_or_mesh, tuple(unknowns), lenses, gauge, off, config, device, progress,
+        return _refine(list(views), depths_or_mesh, tuple(unknowns), lenses, gauge, measured, config, device, progress,
                        photos)
 
 
@@ -140,7 +141,8 @@ def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], confi
             float(np.mean([one.far_off for one in told])))
 
 
-def _refine(views, depths_or_mesh, unknowns, lenses, gauge, off, config, device, progress, photos) -> CameraRefinement:
+def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, device, progress,
+            photos) -> CameraRefinement:
     from pagas_cl.splat import PhotoStore
 
     start, (depths, moves) = time.perf_counter(), depths_of(depths_or_mesh)
@@ -158,7 +160,7 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, off, config, device,
     if not pairs.held or sum(map(bool, pairs.used)) < 3:
         return CameraRefinement(given, False, "it takes four views that see the same surface: three to tell how far a "
                                 "camera is off, and one more to judge", nothing, [])
-    measured, elsewhere = photos_off(views, surfaces, config, device, photos) if off is None else (off, 0.0)
+    measured, elsewhere = known or photos_off(views, surfaces, config, device, photos)
     adjuster = Adjuster(device, scene_scale, intrinsics=unknowns != ("pose",))
     frames = Frames(adjuster, views, depths, moves, photos)
     finest = min(1.0, float(np.sqrt(_FINEST / np.median([c.width * c.height for c in given]))))
@@ -175,6 +177,8 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, off, config, device,
         for k in wrong:
             state.cameras[k] = given[k]
         rounds.run(COARSE, state)
+        for k in wrong:
+            state.cameras[k] = given[k]
     return _judged(views, given, pairs, rounds, state, wrong, samples, unknowns,
                    {"off": measured, "matches_elsewhere": elsewhere, "coarse": coarse, "rounds": state.log,
                     "seconds": time.perf_counter() - start})

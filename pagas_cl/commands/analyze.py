@@ -70,6 +70,8 @@ def rows(analysis) -> list[list[str]]:
         if view.reason and not view.decisions:
             cells.append([view.view, "", "", "", "", view.reason])
         cells += [row(view.view, decision) for decision in view.decisions]
+    if analysis.cameras is not None:
+        cells.append(row("all", analysis.cameras, "; refined before the views where pairs that take no part agree"))
     if analysis.consistency is not None:
         cells.append(row("all", analysis.consistency, "; of the initial depth, decided anew on the refined one"))
     return cells

@@ -3,6 +3,7 @@
 import logging
 from collections import Counter
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -80,10 +81,12 @@ def command(
     with (resumable(folder, len(names or found.views)), shown_progress(quiet) as progress,
           one_run(folder) if folder else nullcontext(),
           _report(report, found, config_words, place, asked.obj) as page):
+        found, config = _settled_cameras(found, mesh, config, place["device"], progress, page)
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder, names)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
+            config = config.with_settings(effects__cameras="set" if mesh else config.effects.cameras)
         with noted(page and page.note):
             results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
                                    progress=progress, on_view=page and partial(_add_pictures, page))
@@ -102,6 +105,19 @@ def command(
         _tell(results, save_depth, report)
         if folder is not None and save_depth is None:
             remove_run(folder)
+
+
+def _settled_cameras(found, mesh, config, device, progress, page):
+    """The scene with refined cameras, where its mesh calls for them; those of depth maps come with refine_views."""
+    from pagas_cl.cameras.effect import settle_cameras
+    from pagas_cl.scene.mesh import to_surface
+
+    if mesh is None or config.effects.cameras in ("off", "set"):
+        return found, config
+    views, config, told = settle_cameras(found.views, to_surface(mesh), config, device, progress)
+    if told is not None and page is not None:
+        page.note(str(told))
+    return replace(found, views=views), config
 
 
 def _place(device, devices, scheduler) -> dict:
