@@ -7,13 +7,13 @@
 #include "constants.clh"
 #include "eye.clh"
 
-#define FACING 0.15f                     // least cosine between ray and normal
+#define FACING 0.3f                      // least cosine between ray and normal
 #define ON_SURFACE 1.0f                  // footprints (more on slopes) between a seen vertex and the drawn mesh
 #define WINDOW 1                         // pixels around a depth that must lie on one surface with it,
 #define NO_EDGE 3.0f                     // to so many footprints along the normal
 #define LEAST_SIGMA 0.1f                 // footprints: no depth is surer
 #define OUTLIER 1.0f                     // footprints from the median from which on a word does not count
-#define DOUBT 0.15f                      // the same from which on it counts less
+#define DOUBT 0.3f                       // the same from which on it counts less
 
 __kernel void vertex_normals(__global const float *positions, __global const int *first, __global const int2 *pairs,
                              int count, __global float *normals)                       // [V, 3], unit length or zero

@@ -81,8 +81,8 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
     """
     from pagas_cl.refine import fuse_results
     from pagas_cl.scene.mesh import from_surface
-    from pagas_cl.surface.displace import vertex_confidence
     from pagas_cl.surface.fuse import fusion_plan
+    from pagas_cl.surface.on_vertices import vertex_confidence
 
     config = settings_of(preset, config)
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,

@@ -16,7 +16,7 @@ from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide, decide_consistency
 from pagas_cl.errors import InputError, log
-from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
+from pagas_cl.keep_mesh import DETAIL, FLAT, check_flat, check_subdivide, displaced_mesh, polished
 from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
@@ -38,13 +38,12 @@ if TYPE_CHECKING:
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
                 config: Config | None = None, device: str | Device | list[str] | tuple[str, ...] | None = None,
-                progress: Progress | None = None, output: str = "tsdf", subdivide: float | None = None,
-                executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
+                progress: Progress | None = None, output: str = "mesh", subdivide: float | None = None,
+                flat: float = FLAT, executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
     """Refine a mesh with calibrated photos.
 
-    mesh -> cameras, where they are off -> depth of every view -> refine each view by itself -> keep what other views
-    confirm -> TSDF -> mesh
-    (method section 7).
+    mesh -> cameras, where they are off -> depth of every view -> refine each view by itself -> all vertices onto what
+    views agree on (method sections 7, 9 and 10).
 
     Parameters
     ----------
@@ -63,25 +62,30 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     progress : callable of (stage, done, total), optional
         `done` is a fraction within a view.
     output : str
-        "tsdf": a new mesh, fused from the refined depth maps. "displace": the given mesh with its vertices moved onto
-        depths that at least two views agree on; topology, texture coordinates and attributes stay.
+        "mesh": the given mesh with as many triangles as the detail that photos show needs; what no photo sees stays,
+        and so do texture coordinates and attributes. "displace": the same with the given triangles; a path gives an
+        Open3D mesh with its textures. "tsdf": a new mesh, fused from the refined depth maps: where the given one's
+        topology is wrong.
     subdivide : float, optional
-        With "displace": first split edges longer than this many pixel footprints.
+        First split edges longer than this many pixel footprints; with "mesh" 1.5 where it is left out.
+    flat : float
+        With "mesh": splits are undone where the surface stays true to within this many pixel footprints.
     executor, folder
         As in refine_views.
 
     Returns
     -------
-    A mesh of the kind that came in; with "tsdf", new colours and normals. (A path gives a Surface, with "displace" an
-    Open3D mesh.)
+    A mesh of the kind that came in (a path gives a Surface, with "displace" an Open3D mesh); with "tsdf", new colours
+    and normals, else the vertices' "deviation" (scene units) and "views" where the kind has attributes.
 
     Raises
     ------
     InputError, DeviceError, MissingExtraError
     """
-    if output not in ("tsdf", "displace"):
-        raise InputError(f"output is {output!r}, expected 'tsdf' or 'displace'")
+    if output not in ("mesh", "tsdf", "displace"):
+        raise InputError(f"output is {output!r}, expected 'mesh', 'tsdf' or 'displace'")
     check_subdivide(subdivide)
+    check_flat(flat)
     config = settings_of(preset, config)
     views = as_views(cams, images, masks)
     surface = to_surface(mesh)
@@ -90,7 +94,10 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     results = refine_views(views, depths, config=config, device=device, progress=progress, executor=executor,
                            folder=folder)
     if output == "displace":
-        return displaced_mesh(mesh, views, depths, results, config, subdivide)
+        return displaced_mesh(mesh, views, depths, results, config, subdivide, device=device)
+    if output == "mesh":
+        given = surface if isinstance(mesh, (str, Path)) else mesh
+        return displaced_mesh(given, views, depths, results, config, subdivide or DETAIL, flat, device)
     fused = fuse_results(views, results, config, progress, executor=executor, folder=folder, device=device)
     return from_surface(fused, like=mesh)
 
@@ -298,5 +305,6 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     agreed = confirmed(cameras, depths, config.fusion, device=device)
     files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
     elsewhere = executor if files and hasattr(executor, "map") else None      # not where it is an address
-    return fuse_within(used, agreed, config.fusion, memory_mb, weights=weights_of(results, config.fusion.least_weight),
-                       progress=progress, executor=elsewhere, folder=folder)
+    fused = fuse_within(used, agreed, config.fusion, memory_mb, weights=weights_of(results, config.fusion.least_weight),
+                        progress=progress, executor=elsewhere, folder=folder)
+    return polished(fused, results, config, device) if config.fusion.polish and device is not None else fused

@@ -92,7 +92,8 @@ def check_mesh_path(path: str | Path) -> None:
 def write_mesh(path: str | Path, surface: Surface) -> None:
     """Write `surface`; folders are made, and the final name never holds half of it.
 
-    .ply: binary, vertices as double, normals and quality as float, colours as 8 bit; of other kinds what Open3D writes.
+    .ply: binary, vertices as double, normals, quality and attributes as float, colours as 8 bit; of other kinds what
+    Open3D writes.
     """
     path = Path(path)
     check_mesh_path(path)
@@ -117,6 +118,7 @@ def _write_ply(path: Path, surface: Surface) -> None:
         columns += [(name, "u1", "uchar", rgb[:, i]) for i, name in enumerate(("red", "green", "blue"))]
     if surface.quality is not None:
         columns.append(("quality", "<f4", "float", surface.quality))
+    columns += [(name, "<f4", "float", value) for name, value in surface.attributes.items()]
     vertices = np.empty(len(surface.vertices), np.dtype([(name, kind) for name, kind, _, _ in columns]))
     for name, _, _, values in columns:
         vertices[name] = values

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pagas_cl")
 
-LAMBDA, STAY, CREASE, JUMP = 0.5, 0.02, 0.1, 0.5
-ROUNDS, LINKINGS, STEPS = 2, 2, 40      # of evidence, of links between neighbours, of conjugate gradients
+LAMBDA, STAY, CREASE, JUMP = 2.0, 0.02, 0.1, 0.5
+ROUNDS, LINKINGS, STEPS = 3, 2, 40      # of evidence, of links between neighbours, of conjugate gradients
 _HOLDS = 8                              # times that ways are halved where triangles would turn over
 _GROUP = 128
 _SAMPLES, _ASKED = 20_000, 8            # triangles and views that tell which way normals point
@@ -76,7 +76,7 @@ def _solve(surface: Surface, views: Sequence[Observed], device: Device, least_vi
                              "positions": upload(device, start)}
     for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1)):
         known[name] = device.memory.buffer(device.context, 4 * size * count, name)
-    orientation, vertices, held = _orientation(surface, drawing, [view.camera for view in views]), surface.vertices, 0
+    orientation, vertices, held = _orientation(surface, drawing, views), surface.vertices, 0
     for number in range(rounds):
         words = Words(device, count, known)
         run_once(device.queue, [bind(words.program, "vertex_normals", (count,), None, known, count=count)])
@@ -160,7 +160,7 @@ class _Gradients:
 
 
 def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> int:
-    """Places along the ways, in the buffer "moved", so that no triangle turns over; how many vertices were held back."""
+    """Places along the ways, in the buffer "moved"; no triangle turns over. How many vertices were held back."""
     import pyopencl as cl
 
     from pagas_cl.runtime.memory import download
@@ -178,12 +178,13 @@ def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> in
     return int(np.count_nonzero(download(device, known["held"], count, np.int32)))
 
 
-def _orientation(surface: Surface, drawing: Any, cameras: list) -> float:
+def _orientation(surface: Surface, drawing: Any, views: Sequence[Observed]) -> float:
     """1 where the triangles that cameras see face them, -1 where they face away, 0 where they do as it comes."""
     step, votes, number = max(1, len(surface.faces) // _SAMPLES), 0, 0
     a, b, c = (surface.vertices[surface.faces[::step, k]] for k in range(3))
     across, middle = np.cross(b - a, c - a), (a + b + c) / 3
-    for camera in cameras[::max(1, len(cameras) // _ASKED)]:
+    for place in range(0, len(views), max(1, len(views) // _ASKED)):
+        camera = views[place].camera
         uv, z = camera.project(middle)
         with np.errstate(invalid="ignore"):
             inside = np.flatnonzero((z > 0) & (uv >= 0).all(axis=1) & (uv < (camera.width, camera.height)).all(axis=1))

@@ -1,5 +1,5 @@
-"""Five made scenes with true surfaces, for measuring meshes: a relief, wires in front of a wall, a closed object seen all
-round, a thin sheet seen from both sides, a box with sharp creases. Photos are cast rays (Open3D) under a solid texture.
+"""Five made scenes with true surfaces, for measuring meshes: a relief, wires in front of a wall, a closed object seen
+all round, a thin sheet seen from both sides, a box with sharp creases. Photos are cast rays under a solid texture.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def box(width: int) -> Scene:
     rng = np.random.default_rng(4)
     error = _waves(rng, 40, 200, 1.0, 3)
     half = 0.2 * width
-    blocks = [((0, 0, 0), (half, half, half)), ((0.3 * half, -0.2 * half, -half), (0.4 * half, 0.5 * half, 0.25 * half))]
+    blocks = [((0, 0, 0), (half,) * 3), ((0.3 * half, -0.2 * half, -half), (0.4 * half, 0.5 * half, 0.25 * half))]
     true = _joined([_cuboid(*block, 0.6) for block in blocks])
     given = _joined([_cuboid(*block, 4.0) for block in blocks])
     given = given[0] + error(*given[0].T)[:, None] * _outward(*given), given[1]

@@ -19,7 +19,8 @@ from pagas_cl.scene.readers import read_scene
 from pagas_cl.synthetic.scene import write_scene
 
 TESTS = Path(__file__).resolve().parents[1]
-QUICK = preset("balanced").with_settings(pyramid__steps=(3,), context__number=3)
+# cameras off: whether a scene calls for them is measured before any job
+QUICK = preset("balanced").with_settings(pyramid__steps=(3,), context__number=3, effects__cameras="off")
 
 
 def write_small_scene(folder, views=8) -> Path:
