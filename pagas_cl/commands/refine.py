@@ -47,6 +47,8 @@ def command(
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
     keep_mesh: bool = typer.Option(False, "--keep-mesh",
                                    help="Move the vertices of --mesh instead of fusing a new one."),
+    allow_loss: bool = typer.Option(False, "--allow-loss",
+                                    help="With --keep-mesh: go on though the new file cannot keep all of the mesh."),
     subdivide: float = typer.Option(None, "--subdivide", metavar="PIXELS",
                                     help="With --keep-mesh: first split edges longer than this many pixels."),
     devices: str = typer.Option(None, "--devices", metavar="all|NAME,...",
@@ -62,7 +64,7 @@ def command(
     from pagas_cl.refine import fuse_results, refine_views
     from pagas_cl.scene.mesh_file import write_mesh
 
-    _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide)
+    _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide, allow_loss)
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
     settings = [*settings, *effect_settings(effects)]
     more = {} if context is None else {"context__number": context}
@@ -132,9 +134,10 @@ def _place(device, devices, scheduler) -> dict:
     return {"device": several or open_device(device)}
 
 
-def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh: bool, subdivide) -> None:
+def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh: bool, subdivide,
+                   allow_loss: bool) -> None:
     """Refuse what cannot end well before any work is done."""
-    from pagas_cl.keep_mesh import check_subdivide
+    from pagas_cl.keep_mesh import check_kept, check_subdivide
     from pagas_cl.scene.mesh_file import check_mesh_path
 
     check_source(mesh, depth_dir, "where the refinement starts")
@@ -158,6 +161,8 @@ def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mes
     check_subdivide(subdivide)
     if keep_mesh and mesh is None:
         raise InputError("--keep-mesh needs --mesh: it moves that mesh's vertices")
+    if keep_mesh and output is not None:
+        check_kept(output, mesh, allow_loss)
     if subdivide is not None and not keep_mesh:
         raise InputError("--subdivide needs --keep-mesh: a fused mesh has the voxel's fineness "
                          "(--set fusion.voxel=...)")

@@ -4,16 +4,18 @@ NumPy parses a header with `ast.literal_eval`, which in CPython 3.11 fails now a
 ("AST constructor recursion depth mismatch"): only one is let in. Unpacking, which takes longer, goes on beside it.
 """
 
+import filecmp
 import io
 import math
 import os
 import secrets
 import stat
 import struct
+import tempfile
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
@@ -136,9 +138,7 @@ def replaced(path: str | Path, suffix: str = "", parts: Path | None = None,
         os.close(os.open(name, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         beside = name
         yield beside
-        with open(beside, "r+b") as file:
-            os.fsync(file.fileno())
-        os.replace(beside, path)
+        _rename(beside, path)
     except PagasError:
         raise
     except OSError as error:
@@ -146,6 +146,42 @@ def replaced(path: str | Path, suffix: str = "", parts: Path | None = None,
     finally:
         if beside is not None:
             beside.unlink(missing_ok=True)
+
+
+@contextmanager
+def replaced_with_others(path: str | Path) -> Iterator[Path]:
+    """Context: `path`'s name in a new folder, for those who write other files beside it (materials, textures).
+
+    When all is written each file gets its place, `path` the last. A file that is there with other bytes is not ours to
+    replace: then nothing of it is, all goes into a folder of its own, and OutputError says where it is.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".", suffix=".part", dir=path.parent) as new:
+        yield Path(new) / path.name
+        written = sorted(Path(new).iterdir(), key=lambda file: file.name == path.name)
+        taken = differing(written, path)
+        if taken:
+            aside = Path(tempfile.mkdtemp(prefix=f"{path.stem}~", dir=path.parent))
+            for file in written:
+                os.replace(file, aside / file.name)
+            raise OutputError(f"{taken[0]} is there and is not ours to replace: the mesh and its files are in {aside}")
+        for file in written:
+            _rename(file, path.with_name(file.name))
+
+
+def _rename(file: Path, name: Path) -> None:
+    """Only when its bytes are on the disk: the name would survive a crash without them."""
+    with open(file, "r+b") as opened_again:
+        os.fsync(opened_again.fileno())
+    os.replace(file, name)
+
+
+def differing(written: Iterable[Path], path: Path) -> list[str]:
+    """Names beside `path` that are taken by files with other bytes than those of `written`, `path`'s own aside."""
+    places = [(file, path.with_name(file.name)) for file in written if file.name != path.name]
+    return [str(place) for file, place in places
+            if place.exists() and (not place.is_file() or not filecmp.cmp(file, place, shallow=False))]
 
 
 def write_text(path: str | Path, text: str) -> Path:

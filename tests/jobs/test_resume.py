@@ -7,12 +7,13 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_small_scene
-from support.kill_trials import arguments, run_trials
+from support.kill_trials import WAYS, arguments, options, run_trials, undisturbed
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import OutputError
@@ -27,7 +28,7 @@ def scene(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def undisturbed(scene, tmp_path_factory):
+def whole_run(scene, tmp_path_factory):
     """Folder of an undisturbed run."""
     folder = tmp_path_factory.mktemp("undisturbed")
     refine(scene, folder)
@@ -35,15 +36,15 @@ def undisturbed(scene, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def wanted(undisturbed):
+def wanted(whole_run):
     """Bytes of an undisturbed run."""
-    return bytes_of(undisturbed)
+    return bytes_of(whole_run)
 
 
 @pytest.fixture
-def finished(undisturbed, tmp_path):
+def finished(whole_run, tmp_path):
     """A copy of that folder, to be damaged."""
-    return Path(shutil.copytree(undisturbed, tmp_path / "finished"))
+    return Path(shutil.copytree(whole_run, tmp_path / "finished"))
 
 
 def command(scene, out, *more):
@@ -56,10 +57,18 @@ def refine(scene, folder, **more):
     return refine_views(views, depths, config=QUICK, folder=folder, **more)
 
 
-def test_killed_at_random_times(tmp_path):
-    """A few trials; `PYTHONPATH=tests python -m support.kill_trials --trials 50` for many."""
-    figures = run_trials(2, tmp_path, seed=1)
-    assert figures["kills"] == 2
+def test_killed_at_random_times(tmp_path, monkeypatch):
+    """One or two trials of each way to run; for many: `PYTHONPATH=tests python -m support.kill_trials --trials 50 --way
+    all`."""
+    if sys.platform != "linux":
+        pytest.skip("asks /proc what is left of a run")
+    pytest.importorskip("distributed")
+    monkeypatch.setenv("TMPDIR", str(tmp_path))      # locks of devices apart from those of other programs
+    like = undisturbed(tmp_path)
+    with ExitStack() as stack:
+        for way, trials in zip(WAYS, (2, 1, 1, 1)):
+            figures = run_trials(trials, tmp_path / way, like, 1, options(way, tmp_path, stack))
+            assert figures["kills"] == trials
 
 
 def test_a_second_run_does_nothing_and_gives_the_same(scene, wanted, tmp_path):
