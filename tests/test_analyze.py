@@ -62,7 +62,8 @@ def test_a_summary_comes_first_and_the_table_on_demand(scene, capsys):
     assert short.startswith("4 views\n\nCalled for:\n") and "Not called for:" in short and "evidence" not in short
     exposure = short[short.index("  exposure "):]
     assert exposure.startswith("  exposure        4 of 4 views") and "(on above 0.012)" in " ".join(exposure.split())
-    rows = [line.split() for line in long[long.index("\nview "):].splitlines() if line.startswith(("target", "context"))]
+    rows = [line.split() for line in long[long.index("\nview "):].splitlines()
+            if line.startswith(("target", "context"))]
     assert [row[1] for row in rows] == 2 * list(EFFECTS) and {row[4] for row in rows} == {"on", "off"}
     costs = long[long.index("\neffect "):].splitlines()[2:]
     assert [line.split()[0] for line in costs] == list(EFFECTS)

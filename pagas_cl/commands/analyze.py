@@ -142,8 +142,9 @@ def show(analysis, table: bool = False) -> None:
         lines += ["", f"{'view':<29} {'effect':<16}{'evidence':>10}{'threshold':>11}  decision"]
         for view, effect, evidence, threshold, decision, reason in rows(analysis):
             line = f"{view[-29:]:<29} {effect:<16}{evidence:>10}{threshold:>11}  {decision}"
-            lines.append(line.rstrip() if effect else f"{view[-29:]:<29} {reason}"[:WIDTH])
-        lines += ["", f"{'effect':<16}{'without it':>12}{'with it':>12}{'memory':>12}  a view"] if analysis.costs else []
+            lines.append(line if effect else f"{view[-29:]:<29} {reason}"[:WIDTH])
+        if analysis.costs:
+            lines += ["", f"{'effect':<16}{'without it':>12}{'with it':>12}{'memory':>12}  a view"]
         lines += [f"{name:<16}{seconds(cost.off):>12}{seconds(cost.on):>12}{size(cost.device_bytes):>12}"
                   for name, cost in analysis.costs.items()]
     sys.stdout.write("\n".join(lines) + "\n")
