@@ -1,6 +1,7 @@
 """Accuracy against time: the figures by hand, and small real studies."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,8 +17,8 @@ from pagas_cl.splat import PhotoStore
 from pagas_cl.synthetic.scene import write_scene
 from pagas_cl.tradeoffs import plan
 from pagas_cl.tradeoffs.case import make_cases, score
-from pagas_cl.tradeoffs.front import pareto, rank_correlation
-from pagas_cl.tradeoffs.page import ablation_table
+from pagas_cl.tradeoffs.front import _MARKERS, pareto, rank_correlation
+from pagas_cl.tradeoffs.page import ablation_table, notes, write_report
 from pagas_cl.tradeoffs.plan import ablation_plan
 from pagas_cl.tradeoffs.run import initial_depth, run
 from pagas_cl.tradeoffs.study import measure
@@ -159,6 +160,48 @@ def test_command_without_truth_judges_by_held_out_photos(tmp_path, capsys, monke
     out = capsys.readouterr().out
     assert "no truth here" in out and "20 steps" in out and (tmp_path / "out" / "index.html").is_file()
     assert json.loads((tmp_path / "out" / "tradeoff.json").read_text())["figure"] == "unpredicted"
+
+
+@pytest.mark.parametrize("number", [2, 5])
+def test_without_truth_a_photo_is_spared_to_judge(made, number):
+    """Views of a choice that cannot be judged are left out for others; where none can, that is an error."""
+    views = made.all_views[:1 + number]
+    depths = [made.initial_depth(view.camera) for view in views]
+    cases = make_cases(views, depths, sample=2)
+    assert len(cases) == 2 and all(case.held_out and case.contexts for case in cases)
+    study = measure(cases, [short("4 steps", 4)])
+    assert study.figure == "unpredicted" and all(np.isfinite(point.error("unpredicted")) for point in study.points)
+    assert notes(study)[0].startswith(("Best: 4 steps", "NO SETTING BEATS THE INPUT"))
+
+
+def test_what_nobody_can_judge_is_refused(made):
+    views = made.all_views[:2]
+    depths = [made.initial_depth(view.camera) for view in views]
+    with pytest.raises(InputError, match="none has .* a judge"):
+        make_cases(views, depths)
+    away = np.diag([-1.0, 1, -1, 1]) @ views[1].camera.world_to_camera
+    blind = replace(views[1], camera=replace(views[1].camera, world_to_camera=away), name="away")
+    with pytest.raises(InputError, match="no view can be judged"):
+        measure(make_cases([*views, blind], [*depths, None], held_out=["away"]), [short("4 steps", 4)])
+
+
+def test_the_headline_is_what_was_found(case):
+    study = measure([case], [short("10 steps", 10)])
+    best = notes(study)[0]
+    assert best.startswith("Best: 10 steps, which leaves ") and "front" not in best
+    worse = replace(study, points=[replace(p, errors={"depth": 1.25}) for p in study.points])
+    assert notes(worse)[0].startswith("NO SETTING BEATS THE INPUT: the best of 1, 10 steps, leaves 1.25 times")
+    assert "could be told" in notes(replace(study, points=[]))[0]
+
+
+def test_the_page_ends_with_what_was_left_out_and_its_points_differ(case, tmp_path):
+    settings = [short("10 steps", 10), short("no SSIM", 10, loss__ssim=0.0)]
+    study = replace(measure([case], settings), left_out=["much", "more"])
+    write_report(tmp_path, study, study.device)
+    page = (tmp_path / "index.html").read_text()
+    assert page.index("</table>") < page.index("Left out for lack of time: much; more")
+    assert all("both" not in setting.name for setting in plan.front_plan())
+    assert len(set(_MARKERS)) == len(_MARKERS) >= len({setting.group for setting in plan.front_plan()})
 
 
 def test_command_refuses_what_it_cannot_do(tmp_path, capsys):

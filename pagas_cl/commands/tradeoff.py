@@ -38,7 +38,7 @@ def command(
     """Run a plan of settings on a sample of views: error, time and memory of each, and the front of the best."""
     from pagas_cl.runtime.device import open_device
     from pagas_cl.tradeoffs import tradeoff
-    from pagas_cl.tradeoffs.page import ablation_table, markdown, notes
+    from pagas_cl.tradeoffs.page import ablation_table, left_out, markdown, notes
     from pagas_cl.tradeoffs.plan import ablation_plan
 
     check_source(mesh, depth_dir, "where the refinement starts")
@@ -61,5 +61,6 @@ def command(
                          "measure smaller photos")
     sys.stdout.write("\n".join(notes(study)) + "\n\n")
     sys.stdout.write(ablation_table(study.points) if ablation else markdown(study.points))
+    sys.stdout.write("".join(f"\n{line}\n" for line in left_out(study)))
     if report is not None:
         sys.stdout.write(f"\nplot and page: {report / 'index.html'}\n")

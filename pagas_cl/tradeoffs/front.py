@@ -12,6 +12,7 @@ from pagas_cl.scene.files import replaced
 
 _GROUPS = ("preset", "effects", "steps", "views a step", "context views", "model", "levels", "solver",
            "staged", "ablation")
+_MARKERS = "osDvP*Xp<>"      # one a group, beside its colour
 _NAMES = {"depth": "mean depth error", "normal": "mean normal error",
           "unpredicted": "1 - correlation of held-out photos"}
 
@@ -106,15 +107,18 @@ def plot_front(path, points, figure: str, title: str = "", at_most: float = 1.3)
     groups += sorted({p.group for p in points} - set(groups))
     for number, group in enumerate(groups):
         rows = [p for p in points if p.group == group and np.isfinite(p.error(figure))]
-        for marker, above in (("o", False), ("^", True)):
+        own = _MARKERS[number % len(_MARKERS)]
+        for marker, above in ((own, False), ("$\\uparrow$", True)):
             places = [place(p) for p in rows if (p.error(figure) > at_most) == above]
             axes.scatter(*np.reshape(places, (-1, 2)).T, s=22, marker=marker, color=f"C{number}", zorder=2,
                          label=None if above else group)
     front = sorted(place(p) for p in points if p.on_front)
     axes.step(*np.reshape(front, (-1, 2)).T, where="post", color="black", linewidth=1, zorder=1, label="Pareto front")
     for p in points:
-        if p.group == "preset":
-            axes.annotate(p.name, place(p), textcoords="offset points", xytext=(6, 6), fontsize=9, fontweight="bold")
+        if p.group == "preset" or p.on_front:
+            bold = p.group == "preset"
+            axes.annotate(p.name, place(p), textcoords="offset points", xytext=(6, 6), fontsize=9 if bold else 7,
+                          fontweight="bold" if bold else None)
     axes.axhline(1, color="grey", linewidth=0.8, linestyle=":")
     axes.set(xscale="log", yscale="log", xlabel="seconds per view", title=title,
              ylabel=f"{_NAMES.get(figure, figure)}\n(1 = initial depth)")

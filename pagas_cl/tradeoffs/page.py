@@ -24,7 +24,7 @@ _SAME = 0.02      # relative changes of an error below this count as none
 
 def notes(study) -> list[str]:
     """What a reader has to know, one line each."""
-    lines = [f"Device: {study.device}. Views: {', '.join(study.initial)}.",
+    lines = [headline(study), f"Device: {study.device}. Views: {', '.join(study.initial)}.",
              "Errors are shares of the initial depth's, means over the views; settings of the Pareto front are marked."]
     if study.figure == "unpredicted":
         lines.append("There is no truth here: the front is of 1 - median correlation of 7x7 patches with photos that "
@@ -32,9 +32,27 @@ def notes(study) -> list[str]:
     elif study.proxy == study.proxy:
         lines.append("Held-out photos rank these settings like the true depth error does with a rank correlation of "
                      f"{study.proxy:.2f}.")
-    if study.left_out:
-        lines.append(f"Left out for lack of time: {'; '.join(study.left_out)}.")
     return lines
+
+
+def headline(study) -> str:
+    """What was found, in a sentence."""
+    best = study.best
+    if best is None:
+        return "No error could be told: nothing was measured to the end, or the input has none."
+    error = best.error(study.figure)
+    if error >= 1:
+        return (f"NO SETTING BEATS THE INPUT: the best of {len(study.points)}, {best.name}, leaves {error:.2f} times "
+                "the error of the depth given. Are cameras and photos right (pagas-cl check)?")
+    quick = next(p for p in study.front if p.error(study.figure) < 1)
+    sooner = "" if quick is best else (f"; {quick.name} leaves {quick.error(study.figure):.0%} in "
+                                       f"{quick.seconds:.2g} s")
+    return f"Best: {best.name}, which leaves {error:.0%} of the input's error in {best.seconds:.2g} s a view{sooner}."
+
+
+def left_out(study) -> list[str]:
+    """What there was no time for, as a line; the reader comes to it last."""
+    return [f"Left out for lack of time: {'; '.join(study.left_out)}."] if study.left_out else []
 
 
 def markdown(points) -> str:
@@ -104,7 +122,7 @@ def write_report(folder: Path, study, device: str) -> Path:
             log.warning("no plot: %s", error)
     marked = [point.on_front for point in study.points]
     return write_text(folder / "index.html", html_page("Error against time", notes(study), *_front_table(study.points),
-                                                       picture=picture, marked=marked))
+                                                       legend=left_out(study), picture=picture, marked=marked))
 
 
 def write_json(path: Path, content) -> None:

@@ -132,8 +132,8 @@ def _variants(rate: float) -> dict[str, dict[str, dict]]:
             "gradient filtered over 1 pixel": dict(solver__gradient_filter=1),
             "gradient filtered over 3 pixels": dict(solver__gradient_filter=3),
             "long memory (beta2 0.999)": dict(solver__beta2=0.999),
-            "both, 200 steps": dict(solver__gradient_filter=0, solver__beta2=0.999, pyramid__steps=(200,),
-                                    solver__rate=0.04),
+            "each pixel its own gradient and long memory, 200 steps": dict(
+                solver__gradient_filter=0, solver__beta2=0.999, pyramid__steps=(200,), solver__rate=0.04),
             "half the rate": dict(solver__rate=0.5 * rate), "twice the rate": dict(solver__rate=2 * rate),
             "rate kept to the end": dict(solver__final_rate=1.0),
             "early stop on the loss": dict(solver__patience=20, pyramid__steps=(200,))},
