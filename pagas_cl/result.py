@@ -15,7 +15,15 @@ from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED, central
 from pagas_cl.scene.view import View
 
 
-@dataclass(frozen=True, eq=False)
+def in_short(result: Any) -> str:
+    """A result in a line: view, size, what became of its depths."""
+    counts = ", ".join(f"{number:,} {what}" for what, number in result.counts.items() if number)
+    came = f"; as it came: {result.reason}" if result.reason else ""
+    camera = result.camera
+    return f"{type(result).__name__}({result.name!r}, {camera.width} x {camera.height}: {counts or 'nothing'}{came})"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class DepthResult:
     """A refined depth map and how far to trust it. Arrays have the shape (H, W) of the target's photo."""
 
@@ -40,6 +48,8 @@ class DepthResult:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", self.name or self.camera.name)
+
+    __repr__ = in_short
 
     @property
     def counts(self) -> dict[str, int]:

@@ -1,5 +1,6 @@
 """Messages speak to the one who reads them: names that are near, words of the command line there and of Python here."""
 
+import logging
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +9,13 @@ from support.scenes import relief_scene
 
 import pagas_cl
 import pagas_cl.__main__ as command_line
+from pagas_cl.commands._console import log_to_stderr
 from pagas_cl.errors import InputError
 from pagas_cl.filters import parameters
 from pagas_cl.filters.open3d_frames import read_frames
+from pagas_cl.jobs.finished import StoredResult
+from pagas_cl.jobs.task import Record
+from pagas_cl.result import DepthResult
 from pagas_cl.scene.camera import Camera, inverse_pose
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import View
@@ -77,3 +82,30 @@ def test_the_command_line_hears_nothing_of_python(inverted, tmp_path, capsys, co
     assert command_line.run([command, str(inverted), "--mesh", str(inverted / "mesh_coarse.ply"), *more]) == 2
     last = capsys.readouterr().err.splitlines()[-1]
     assert "invert each pose there" in last and "Camera" not in last and "(K" not in last
+
+
+def test_a_result_prints_as_a_line(tmp_path):
+    camera = Camera(4, 3, 10, 10, 2, 1.5, np.eye(4), "a.png")
+    result = DepthResult.unrefined(camera, np.ones((3, 4)), "nobody sees it")
+    assert repr(result) == "DepthResult('a.png', 4 x 3: 12 kept; as it came: nobody sees it)"
+    stored = StoredResult(camera, tmp_path, Record("a.png", "a", "k", "", {"refined": 12345}))
+    assert repr(stored) == "StoredResult('a.png', 4 x 3: 12,345 refined)"
+
+
+def test_a_scene_has_its_images(inverted):
+    scene = pagas_cl.read_scene(inverted)
+    assert [image.name for image in scene.images] == ["target.png", "context_00.png", "context_01.png"]
+
+
+@pytest.mark.parametrize("debug", [False, True])
+def test_warnings_are_told_once(capsys, debug):
+    log = logging.getLogger("pagas_cl")
+    with log_to_stderr(debug):
+        for k in range(20):
+            log.warning("the same")
+            log.warning("view %s is odd", k)
+            log.info("as it is")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines.count("WARNING the same") == (20 if debug else 1) and lines.count("INFO as it is") == 20
+    assert sum("is odd" in line and "more" not in line for line in lines) == (20 if debug else 5)
+    assert ("WARNING 15 more warnings like 'view ... is odd' (--debug shows all)" in lines) == (not debug)

@@ -5,6 +5,7 @@ import os
 import sys
 import time
 import warnings
+from collections import Counter
 from contextlib import contextmanager
 from functools import cache
 
@@ -65,6 +66,32 @@ def console():
     return Console(stderr=True)
 
 
+class Once(logging.Filter):
+    """Tells each warning once, and no more than MOST of one kind; `rest` says how many were left out."""
+
+    MOST = 5
+
+    def __init__(self):
+        super().__init__()
+        self._told: set[str] = set()
+        self._kinds: Counter[str] = Counter()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        if record.levelno != logging.WARNING:
+            return True
+        text = record.getMessage()
+        if text in self._told:
+            return False
+        self._told.add(text)
+        self._kinds[record.msg] += 1
+        return self._kinds[record.msg] <= self.MOST
+
+    def rest(self) -> list[str]:
+        """A line for each kind of which some were left out."""
+        return [f"{count - self.MOST} more warnings like '{str(kind).replace('%s', '...')}' (--debug shows all)"
+                for kind, count in self._kinds.items() if count > self.MOST]
+
+
 @contextmanager
 def log_to_stderr(debug: bool = False):
     """Context that sends the messages of the logger "pagas_cl" to standard error, and leaves it as it was."""
@@ -75,6 +102,9 @@ def log_to_stderr(debug: bool = False):
     else:
         handler = logging.StreamHandler()
         handler.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
+    once = Once()
+    if not debug:
+        handler.addFilter(once)
     logger = logging.getLogger("pagas_cl")
     before = logger.handlers, logger.propagate, logger.level
     logger.handlers, logger.propagate = [handler], False
@@ -82,6 +112,9 @@ def log_to_stderr(debug: bool = False):
     try:
         yield
     finally:
+        handler.removeFilter(once)
+        for line in once.rest() if not debug else ():
+            logger.warning("%s", line)
         logger.handlers, logger.propagate = before[:2]
         logger.setLevel(before[2])
 

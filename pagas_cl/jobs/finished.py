@@ -26,7 +26,7 @@ import numpy as np
 from pagas_cl.errors import InputError, OutputError
 from pagas_cl.jobs.store import digest_of, in_chunks, translate_os_errors, written
 from pagas_cl.jobs.task import Record, ViewTask
-from pagas_cl.result import DepthResult, confidence_of, normals_of
+from pagas_cl.result import DepthResult, confidence_of, in_short, normals_of
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.files import DAMAGE, opened, read_bytes
@@ -181,7 +181,7 @@ def users_of(folder: Path) -> dict[str, list[str]]:
     return users
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StoredResult:
     """As a DepthResult, with the arrays read from disk when they are asked for; nothing of it stays in memory."""
 
@@ -189,6 +189,7 @@ class StoredResult:
     folder: Path
     record: Record
 
+    __repr__ = in_short
     file = property(lambda self: self.folder / f"{self.record.stem}.npz")
     name = property(lambda self: self.record.name)
     reason = property(lambda self: self.record.reason)

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -108,6 +109,11 @@ class Scene:
     def cameras(self) -> list[Camera]:
         """Of `views`, in their order."""
         return [view.camera for view in self.views]
+
+    @property
+    def images(self) -> list[Any]:
+        """Of `views`, in their order: what refine_mesh takes beside `cameras`, paths where they are files."""
+        return [view.image for view in self.views]
 
     def index(self, name: str) -> int:
         """Place of the view called `name` (whole name, file name or stem)."""

@@ -33,6 +33,12 @@ class Study:
     records: list[dict] = field(default_factory=list, repr=False)   # every run
 
     @property
+    def best(self) -> Point | None:
+        """The point with the smallest error; None where none has one."""
+        return min((p for p in self.points if p.error(self.figure) == p.error(self.figure)),
+                   key=lambda p: p.error(self.figure), default=None)
+
+    @property
     def front(self) -> list[Point]:
         return [point for point in self.points if point.on_front]
 
@@ -76,13 +82,26 @@ def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *
         raise InputError(f"the budget is {budget!r} minutes, expected more than 0")
     cases = [loaded(case) for case in cases]
     book = Book(None if report is None else Path(report), device.info.title)
-    initial = {case.name: score(case, case.initial) for case in cases}
+    cases, initial = _judged(cases)
     executor = executor or SerialExecutor()
     left_out = _fill(book, cases, settings, device, budget, repeats, executor, progress)
     study = collect(book.records, settings, initial, str(device.info), left_out)
     if report is not None:
         write_report(Path(report), study, book.device)
     return study
+
+
+def _judged(cases: list[BenchmarkCase]) -> tuple[list[BenchmarkCase], dict]:
+    """The cases whose initial depth can be judged, and its errors: one without a judge gives no figure."""
+    scores = {case.name: score(case, case.initial) for case in cases}
+    judged = [case for case in cases if {"depth", "unpredicted"} & scores[case.name].keys()]
+    for case in cases:
+        if case not in judged:
+            log.warning("%s cannot be judged and is left out: it has no truth, no held-out photo sees it", case.name)
+    if not judged:
+        raise InputError("no view can be judged: give its truth, hold out photos that see what is measured, or give "
+                         "more views")
+    return judged, {case.name: scores[case.name] for case in judged}
 
 
 def collect(records, settings, initial: dict, device: str, left_out=()) -> Study:

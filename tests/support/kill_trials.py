@@ -9,6 +9,7 @@ which outlives the runs). After each trial no process that the killed one had st
 
 import argparse
 import multiprocessing
+import os
 import random
 import signal
 import subprocess

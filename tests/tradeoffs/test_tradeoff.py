@@ -1,6 +1,7 @@
 """Accuracy against time: the figures by hand, and small real studies."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from pagas_cl.splat import PhotoStore
 from pagas_cl.synthetic.scene import write_scene
 from pagas_cl.tradeoffs import plan
 from pagas_cl.tradeoffs.case import make_cases, score
-from pagas_cl.tradeoffs.front import Point, _ticks, pareto, rank_correlation
+from pagas_cl.tradeoffs.front import _MARKERS, Point, _ticks, pareto, rank_correlation
 from pagas_cl.tradeoffs.page import ablation_table, closing, headline, write_report
 from pagas_cl.tradeoffs.plan import ablation_plan
 from pagas_cl.tradeoffs.run import initial_depth, run
@@ -191,6 +192,34 @@ def test_command_without_truth_judges_by_held_out_photos(tmp_path, capsys, monke
     out = capsys.readouterr().out
     assert "no truth here" in out and "20 steps" in out and (tmp_path / "out" / "index.html").is_file()
     assert json.loads((tmp_path / "out" / "tradeoff.json").read_text())["figure"] == "unpredicted"
+
+
+@pytest.mark.parametrize("number", [2, 5])
+def test_without_truth_a_photo_is_spared_to_judge(made, number):
+    """Views of a choice that cannot be judged are left out for others; where none can, that is an error."""
+    views = made.all_views[:1 + number]
+    depths = [made.initial_depth(view.camera) for view in views]
+    cases = make_cases(views, depths, sample=2)
+    assert len(cases) == 2 and all(case.held_out and case.contexts for case in cases)
+    study = measure(cases, [short("4 steps", 4)])
+    assert study.figure == "unpredicted" and all(np.isfinite(point.error("unpredicted")) for point in study.points)
+    assert headline(study).startswith(('"4 steps" leaves the least', "No setting betters the initial depth"))
+
+
+def test_what_nobody_can_judge_is_refused(made):
+    views = made.all_views[:2]
+    depths = [made.initial_depth(view.camera) for view in views]
+    with pytest.raises(InputError, match="none has .* a judge"):
+        make_cases(views, depths)
+    away = np.diag([-1.0, 1, -1, 1]) @ views[1].camera.world_to_camera
+    blind = replace(views[1], camera=replace(views[1].camera, world_to_camera=away), name="away")
+    with pytest.raises(InputError, match="no view can be judged"):
+        measure(make_cases([*views, blind], [*depths, None], held_out=["away"]), [short("4 steps", 4)])
+
+
+def test_groups_can_be_told_apart():
+    assert all("both" not in setting.name for setting in plan.front_plan())
+    assert len(set(_MARKERS)) == len(_MARKERS) >= len({setting.group for setting in plan.front_plan()})
 
 
 def test_command_refuses_what_it_cannot_do(tmp_path, capsys):
