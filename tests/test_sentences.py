@@ -9,8 +9,8 @@ import zlib
 
 import numpy as np
 import pytest
-from job_scenes import QUICK, load_small_scene, write_small_scene
 from PIL import Image
+from support.job_scenes import QUICK, load_small_scene, write_small_scene
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import InputError, OutputError

@@ -23,7 +23,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from camera_noise import after_similarity, noisy, rms_motion
+from support.camera_noise import after_similarity, noisy, rms_motion
 
 LEVELS = (0.0, 0.5, 1.0, 3.0, 6.0)
 SCENES = {"relief": {}, "bar": {"bar": 8.0, "seed": 1}}

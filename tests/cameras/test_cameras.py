@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from camera_noise import after_similarity, noisy, rms_motion
+from support.camera_noise import after_similarity, noisy, rms_motion
 
 import pagas_cl
 from pagas_cl.cameras.effect import settle_cameras
