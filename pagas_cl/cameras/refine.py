@@ -115,8 +115,7 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     ------
     InputError, DeviceError
     """
-    from pagas_cl.runtime.device import open_device
-    from pagas_cl.runtime.device import translate_cl_errors
+    from pagas_cl.runtime.device import open_device, translate_cl_errors
 
     device, config = open_device(device), settings_of(preset, config)
     with translate_cl_errors(device, "the refinement of the cameras"):
