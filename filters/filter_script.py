@@ -94,7 +94,8 @@ def _checked_step(number: int, element, known: native.Known, where: str, outside
 def _check_runs(known: native.Known, name: str, where: str) -> None:
     """Refuse a filter that pymeshlab has not, or that would end the process."""
     if not known.exists:
-        raise InputError(f"{where} is neither ours nor pymeshlab's; did you mean {_nearest(name)!r}?")
+        near = _nearest(name)
+        raise InputError(f"{where} is neither ours nor pymeshlab's" + (f"; did you mean {near!r}?" if near else ""))
     if known.crash == "SIGABRT":
         raise InputError(f"{where} ends the whole Python process here ({known.crash}): MeshLab's filters that draw "
                          "need OpenGL, which this Python has not")
@@ -104,10 +105,12 @@ def _check_runs(known: native.Known, name: str, where: str) -> None:
 
 
 def _nearest(name: str) -> str:
+    """The filter whose name is most like `name`; empty where none is."""
     from difflib import SequenceMatcher
 
     theirs = native.nearest(name)
-    return max((FILTER, theirs), key=lambda near: SequenceMatcher(None, name.lower(), near.lower()).ratio())
+    ratio, near = max((SequenceMatcher(None, name.lower(), near.lower()).ratio(), near) for near in (FILTER, theirs))
+    return near if ratio > 0.5 else ""
 
 
 def run_script(meshes, path, scene=None, *, outside: bool = False, device: str | None = None,

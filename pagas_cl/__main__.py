@@ -13,7 +13,7 @@ from importlib import import_module
 import typer
 
 from pagas_cl import __version__, commands
-from pagas_cl.commands._console import log_to_stderr
+from pagas_cl.commands._console import log_to_stderr, make_streams_safe
 from pagas_cl.errors import (
     InputError,
     InterruptedRunError,
@@ -63,7 +63,13 @@ def _module(name: str):
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and end the process with its status; being asked to end (SIGTERM) is a Ctrl-C."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    raise SystemExit(run(sys.argv[1:] if arguments is None else arguments))
+    make_streams_safe()
+    status = run(sys.argv[1:] if arguments is None else arguments)
+    sys.stdout.flush()
+    fault = getattr(sys.stdout, "fault", "")
+    if fault:
+        sys.stderr.write(f"pagas-cl: standard output cannot be written: {fault}\n")
+    raise SystemExit(status or int(bool(fault)))
 
 
 def run(arguments: list[str]) -> int:
@@ -98,8 +104,13 @@ def _explain(error: Exception) -> int:
     if hasattr(error, "format_message"):  # typer's own errors: unknown option, missing argument
         text, status = f"{error.format_message().rstrip('.')}; see 'pagas-cl --help'", 2
     elif isinstance(error, PagasError):
-        text, status = str(error), 2 if isinstance(error, (InputError, MissingExtraError, NoDeviceError)) else 1
+        text = getattr(error, "at_command_line", "") or str(error)
+        status = 2 if isinstance(error, (InputError, MissingExtraError, NoDeviceError)) else 1
         status = {NothingRefinedError: NOTHING_REFINED, InterruptedRunError: INTERRUPTED}.get(type(error), status)
+    elif isinstance(error, OSError) and error.errno is not None:
+        what = repr(str(error.filename)) if error.filename else "a file"
+        text, status = (f"{what} cannot be written or read: {error.strerror or error}; see to its disk and permissions "
+                        "(with --debug: where)"), 1
     elif type(error).__module__.startswith("pyopencl"):
         text, status = (f"the OpenCL device failed ({error}): start the same command again; where it fails again, "
                         "update its driver or choose another device (pagas-cl devices)"), 1

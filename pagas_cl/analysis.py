@@ -8,7 +8,7 @@ from pagas_cl.effects import EFFECTS, Decision, decide, decide_consistency
 from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import preset
 from pagas_cl.scene.choice import PartnerChooser
-from pagas_cl.scene.inputs import asked_views, checked_depth, depth_array
+from pagas_cl.scene.inputs import asked_views, checked_depth, depth_array, depth_maps
 
 _NOT_TOLD = ("gains", "local_specularity")  # of what is measured: arrays, no figures
 
@@ -64,6 +64,7 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
     from pagas_cl.splat import PhotoStore
 
     config, device = config or preset("balanced"), open_device(device)
+    depths = depth_maps(views, depths)
     asked, photos = asked_views(views, depths, names), PhotoStore(device)
     chooser = PartnerChooser([view.camera for view in views], depths, config.context)
     found, timed, measured_costs, tell = [], "", {}, progress or (lambda stage, done, total: None)

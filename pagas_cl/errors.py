@@ -2,8 +2,18 @@
 every part writes to."""
 
 import logging
+from collections.abc import Iterable
+from difflib import get_close_matches
 
 log = logging.getLogger("pagas_cl")
+
+
+def nearest_of(word: str, known: Iterable[str]) -> str:
+    """What a sentence ends with where one of `known`, or what follows its last dot, is nearly `word`; else empty."""
+    known = list(known)
+    ends = {name.rpartition(".")[2].lower(): name for name in known} | {name.lower(): name for name in known}
+    near = get_close_matches(word.lower(), ends, n=1)
+    return f"the nearest known one is {ends[near[0]]!r}" if near else ""
 
 
 class PagasError(Exception):
@@ -11,7 +21,10 @@ class PagasError(Exception):
 
 
 class InputError(PagasError, ValueError):
-    """The caller's data or settings cannot be used. The command line ends with status 2."""
+    """The caller's data or settings cannot be used. The command line ends with status 2, and says `at_command_line`
+    where the message is one for Python."""
+
+    at_command_line = ""
 
 
 class InterruptedRunError(PagasError):

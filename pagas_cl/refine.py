@@ -21,7 +21,7 @@ from pagas_cl.progress import Progress, ViewProgress
 from pagas_cl.result import DepthResult, OnDisk, joined
 from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.images import Loads
-from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth
+from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth, depth_maps
 from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
 from pagas_cl.scene.reasons import warn_of_nothing
 from pagas_cl.scene.view import View
@@ -185,7 +185,8 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import PhotoStore
 
-    config, asked = settings_of(preset, config), asked_views(views, depths, names)
+    config, depths = settings_of(preset, config), depth_maps(views, depths)
+    asked = asked_views(views, depths, names)
     if executor is not None or folder is not None or device == "all" or isinstance(device, (list, tuple)):
         from pagas_cl.jobs import refine_all
 

@@ -18,7 +18,8 @@ def command(
 ):
     """Check the cameras of SCENE against a mesh and the photos.
 
-    Status 2 when another reading of them fits better, or when none of them sees the mesh.
+    Estimates the offset and scale of the mesh that would make the photos agree, too. Status 2 when another reading of
+    the cameras fits better, when none sees the mesh, or when mesh and cameras are pixels of parallax apart.
     """
     from pagas_cl.errors import InputError
     from pagas_cl.scene.check import check_views
@@ -27,7 +28,7 @@ def command(
     report = check_views(mesh, found.cameras, found.views)
     sys.stdout.write(json.dumps(report.as_dict(), indent=1) + "\n" if as_json else table(report))
     if not report.ok:
-        raise InputError(report.sentence)
+        raise InputError(report.at_command_line[1])
 
 
 def table(report) -> str:
@@ -38,5 +39,6 @@ def table(report) -> str:
     for r in report.readings:
         agreement = "-" if r.agreement is None else f"{r.agreement:.3f}"
         lines.append(f"{r.name:<34}{r.seeing:>8}{r.inside:>10.1%}{agreement:>11}{r.patches:>9}")
-    ending = [report.sentence] if report.ok else []  # else it is the error's sentence, on standard error
-    return "\n".join([*lines, "", report.half_pixel, *ending, ""])
+    half_pixel, sentence = report.at_command_line
+    ending = [sentence] if report.ok else []  # else it is the error's sentence, on standard error
+    return "\n".join([*lines, "", half_pixel, *ending, ""])

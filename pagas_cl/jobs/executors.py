@@ -62,7 +62,9 @@ def local_pool(devices) -> ProcessPoolExecutor:
     """One spawned process for each device that `devices` means: an OpenCL context does not survive a fork."""
     from pagas_cl.runtime.claim import known_devices
     from pagas_cl.runtime.device import shares
+    from pagas_cl.runtime.memory import limit_of
 
+    limit_of(1)      # what the environment says of memory is refused here, once, and not by each worker
     number = len(known_devices(devices)) * shares()
     return ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=_begin)
 

@@ -46,14 +46,20 @@ def work_folder(folder: Path) -> Path:
 @contextmanager
 def one_run(folder: Path) -> Iterator[None]:
     """Context: `folder`, which is made, is this run's alone; OutputError where another one is at work in it."""
-    work = work_folder(folder)
+    work = work_folder(folder).absolute()
+    new = [path for path in (work, *work.parents) if not path.exists()]
     with translate_os_errors(folder):
         work.mkdir(parents=True, exist_ok=True)
     with locked(work / "lock") as mine:
         if not mine:
             raise OutputError(f"another run is at work in {str(folder)!r}: wait until it has ended, or choose another "
                               "output")
-        yield
+        try:
+            yield
+        finally:
+            if new and [path.name for path in work.glob("*")] == ["lock"]:      # it has come to nothing
+                (work / "lock").unlink()
+                _remove_empty(new)
 
 
 def claim_names(folder: Path, stems: list[str]) -> None:
@@ -62,7 +68,8 @@ def claim_names(folder: Path, stems: list[str]) -> None:
     known = _names(folder)
     for stem in stems:
         file = Path(folder) / f"{stem}.npz"
-        if stem not in known and file.exists() and not _view_file(folder, stem, ".json").exists():
+        records = _view_file(folder, stem, ".json"), Path(folder) / ".work" / f"{stem}.json"      # the latter of 0.1.0
+        if stem not in known and file.exists() and not any(record.exists() for record in records):
             raise OutputError(f"{str(file)!r} is there and was not written by a run of ours: move it away, or choose "
                               "another folder for the refined depth maps")
     if not known.issuperset(stems):

@@ -134,7 +134,9 @@ def opened(info: DeviceInfo, cl_device: Any, lanes: int, profiling: bool = False
     cl = import_pyopencl()
     context = cl.Context([cl_device])
     queue = cl.CommandQueue(context, cl_device, cl.command_queue_properties.PROFILING_ENABLE if profiling else 0)
-    return Device(info, cl_device, context, queue, lanes, profiling)
+    device = Device(info, cl_device, context, queue, lanes, profiling)
+    device.memory      # noqa: B018  (InputError where PAGAS_CL_MEMORY is no number: now, and not in the first view)
+    return device
 
 
 # What the driver says when a device fails in the middle of work.

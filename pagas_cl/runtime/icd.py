@@ -61,6 +61,8 @@ def no_device(platforms: list[str]) -> str:
     message = f"the OpenCL platforms found have no device: {', '.join(platforms)}"
     if any("AMD" in name or "Accelerated Parallel" in name for name in platforms):
         message += "; may you read /dev/kfd? Add your user to the groups render and video, then log in again"
+    if "POCL_CACHE_DIR" in os.environ:
+        message += f"; POCL_CACHE_DIR is set to {os.environ['POCL_CACHE_DIR']!r}, which must be writable"
     if "POCL_DEVICES" in os.environ:
         message += f"; POCL_DEVICES is set to {os.environ['POCL_DEVICES']!r}, unset it"
     return f"{message}. {cpu_advice()}"

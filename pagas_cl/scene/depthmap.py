@@ -245,9 +245,9 @@ def _exactly(file: BinaryIO, path: Path, width: int, height: int, channels: int,
 
 
 def _read_png(path: Path) -> np.ndarray:
-    from PIL import Image
+    from pagas_cl.scene.images import open_image
 
-    with Image.open(path) as image:
+    with open_image(path) as image:
         if not image.mode.startswith("I"):
             raise ValueError(f"it is {image.mode}, expected a 16-bit grey PNG")
         return np.asarray(image).astype(np.float64)

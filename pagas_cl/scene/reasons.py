@@ -16,12 +16,11 @@ import numpy as np
 from pagas_cl.errors import NothingRefinedWarning
 from pagas_cl.scene import patches
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.check import POSES
+from pagas_cl.scene.check import POSES, UNITS
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.view import View
 
-UNITS = (1e-3, 1e-2, 0.0254, 0.1, 0.3048, 1 / 0.3048, 10.0, 1 / 0.0254, 100.0, 1e3)   # metric, inches, feet
 _VIEWS = 6
 _SAMPLES = 12_000
 _FLAT = 1.5          # grey levels of 255; a photo of less standard deviation shows nothing
@@ -76,7 +75,7 @@ def _of_readings(views: Sequence[View], near: list[int], maps: list[np.ndarray],
     cameras = [views[k].camera for k in near]
     given = _agreement(cameras, maps, greys)
     tried = [(_agreement(cameras, [depth * np.float32(unit) for depth in maps], greys),
-              f"with depths times {unit:.4g}", f"is their unit not the cameras' (--depth-scale {1 / unit:.4g})?")
+              f"with depths times {unit:.4g}", f"is their unit not the cameras' (a depth scale of {1 / unit:.4g})?")
              for unit in UNITS]
     tried += [(_agreement([way.of(camera) for camera in cameras], maps, greys), f"with {way.matrices} of the cameras",
                "are the poses read the wrong way round?") for way in POSES[1:]]

@@ -20,7 +20,7 @@ class View:
 
     `image`: (H, W, 3) uint8 RGB (floating point from 0 to 1 is rounded to 8 bit); `mask`: (H, W), true = keep. Each may
     be a path or an object with `load()`, read each time it is asked for. Messages and files call the view `name`; where
-    that is empty, by the camera's name.
+    that is empty, by the camera's name, or "unnamed".
     """
 
     camera: Camera
@@ -31,7 +31,7 @@ class View:
     def __post_init__(self) -> None:
         if not isinstance(self.camera, Camera):
             raise InputError(f"view {self.name!r}: camera is a {type(self.camera).__name__}, expected pagas_cl.Camera")
-        object.__setattr__(self, "name", str(self.name or self.camera.name))
+        object.__setattr__(self, "name", str(self.name or self.camera.name or "unnamed"))
         for what, convert in (("image", as_photo), ("mask", as_mask)):
             value = getattr(self, what)
             if isinstance(value, str):
