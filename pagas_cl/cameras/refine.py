@@ -41,7 +41,7 @@ LEAST_GAIN = 0.03         # of the held-back pairs' cost: less may be chance
 WRONG = 2.0               # a view whose pairs agree so many times worse than the others' has a wrong camera
 UNLIKE = 0.1              # and so badly: photos of different things have a cost of 0.18
 _FINEST = 640_000         # pixels of a photo at the finest size: more say the same of a camera
-_MEASURED = 6             # views that are measured
+_MEASURED = 4             # views that are measured
 
 
 @dataclass(frozen=True, eq=False)
