@@ -39,8 +39,9 @@ def through_executor(scene: Path, out: Path) -> None:
     from pagas_cl.refine import refine_views
 
     views, depths = load_small_scene(scene)
+    config = preset("balanced").with_settings(pyramid__steps=(60,))      # as the command line has it
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        refine_views(views, depths, config=preset("balanced").with_settings(pyramid__steps=(60,)), folder=out, executor=pool)
+        refine_views(views, depths, config=config, folder=out, executor=pool)
 
 
 def run_whole(scene: Path, out: Path, more=()) -> float:
