@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pagas_cl.errors import InputError, InterruptedRunError
+from pagas_cl.scene.files import read_bytes
 
 log = logging.getLogger("pagas_cl")
 
@@ -32,6 +33,11 @@ def check_writable(option: str, folder: Path | None) -> None:
         why = f"{str(file)!r} is a file" if file else error.strerror or str(error)
         raise InputError(f"{option}: cannot write in the folder {str(folder)!r} ({why}): choose another one"
                          + ("" if file else ", or see to its permissions")) from error
+    else:
+        page = folder / "index.html"
+        if option == "--report" and page.exists() and b"pagas" not in read_bytes(page):
+            raise InputError(f"{option}: {str(page)!r} is a page of somebody else, which ours would replace: choose "
+                             "another folder")
     finally:
         for path in new:
             if path.is_dir():

@@ -53,7 +53,8 @@ def command(
                                     help="With --keep-mesh: first split edges longer than this many pixels."),
     devices: str = typer.Option(None, "--devices", metavar="all|NAME,...",
                                 help="One process on each of these devices."),
-    scheduler: str = typer.Option(None, "--scheduler", metavar="tcp://HOST:PORT", help="A running Dask cluster."),
+    scheduler: str = typer.Option(None, "--scheduler", metavar="tcp://HOST:PORT", help="A running Dask cluster; "
+                                  "one that you trust, since it may run any program here."),
     memory: float = typer.Option(None, "--memory", metavar="MB",
                                  help="Most host memory for fusing; what is free by default."),
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),

@@ -108,6 +108,15 @@ def test_a_depth_map_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):
     assert command_line.run(list(command)) == 0 == command_line.run(list(command))
 
 
+def test_a_page_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):
+    (tmp_path / "index.html").write_text("<html>my own page</html>")
+    command = commands(scene, tmp_path, scene / "depth_initial")["report"]
+    assert command_line.run(list(command)) == 2 and "page of somebody else" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["index.html"]
+    (tmp_path / "index.html").unlink()
+    assert command_line.run(list(command)) == 0 == command_line.run(list(command))
+
+
 def test_what_is_started_from_is_not_replaced(scene, tmp_path, capsys):
     depths, mesh = tmp_path / "depths", tmp_path / "m.ply"
     shutil.copytree(scene / "depth_initial", depths)

@@ -21,7 +21,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
-from support.job_scenes import QUICK, bytes_of, load_small_scene, write_small_scene
+from support.job_scenes import bytes_of, load_small_scene, write_small_scene
 
 COMMAND = [sys.executable, "-m", "pagas_cl", "refine"]
 WAYS = ("in-process", "devices", "executor", "dask")
@@ -36,11 +36,13 @@ def arguments(scene: Path, out: Path, more=()) -> list[str]:
 
 def through_executor(scene: Path, out: Path) -> None:
     """What somebody's own program does."""
+    from pagas_cl.presets import preset
     from pagas_cl.refine import refine_views
 
     views, depths = load_small_scene(scene)
+    config = preset("balanced").with_settings(pyramid__steps=(60,))      # as the command line has it
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        refine_views(views, depths, config=QUICK.with_settings(pyramid__steps=(60,)), folder=out, executor=pool)
+        refine_views(views, depths, config=config, folder=out, executor=pool)
 
 
 def run_whole(scene: Path, out: Path, more=()) -> float:
