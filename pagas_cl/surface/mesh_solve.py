@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("pagas_cl")
 
 LAMBDA, STAY, CREASE, JUMP = 2.0, 0.02, 0.1, 0.5
-ROUNDS, LINKINGS, STEPS = 3, 2, 40      # of evidence, of links between neighbours, of conjugate gradients
+ROUNDS, LINKINGS, STEPS = 3, 2, 60      # of evidence, of links between neighbours, of conjugate gradients
 _HOLDS = 8                              # times that ways are halved where triangles would turn over
 _GROUP = 128
 _SAMPLES, _ASKED = 20_000, 8            # triangles and views that tell which way normals point
