@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -37,8 +37,7 @@ class DepthSource:
     """Loads as float32 (H, W) of the view's `size` (width, height), z-depth in scene units, 0 = no surface.
 
     `scale`: the file's number for one scene unit; `placement`: how the photo lies in the map (stretched over it where
-    None); `confidence` below `least` and depths equal to `invalid` are left out. `factor`, `shift`: what the depth is
-    multiplied by, and what is added then (surface.align).
+    None); `confidence` below `least` and depths equal to `invalid` are left out.
     """
 
     file: Path | Stored
@@ -48,14 +47,12 @@ class DepthSource:
     confidence: Path | Stored | None = None
     least: float = 0.0
     invalid: float | None = None
-    factor: float = 1.0
-    shift: float = 0.0
 
     @property
     def digest(self) -> str:
         names = [digest_file(file) if isinstance(file, Path) else file.digest
                  for file in (self.file, self.confidence) if file is not None]
-        numbers = (self.size, self.scale, self.placement, self.least, self.invalid, self.factor, self.shift)
+        numbers = (self.size, self.scale, self.placement, self.least, self.invalid)
         return digest_of([f"{names} {numbers}".encode()])
 
     def load(self) -> npt.NDArray[np.float32]:
@@ -71,18 +68,32 @@ class DepthSource:
                 sure = sure[np.ix_(rows, columns)]
             values = np.where(sure >= self.least, values, 0)
         depth = clean_depth(values if self.scale == 1 else values / self.scale, str(self.file))
-        return adjusted((self.placement or _over(self.size, depth)).photo_depth(depth, *self.size), self.factor,
-                        self.shift)
+        return (self.placement or _over(self.size, depth)).photo_depth(depth, *self.size)
 
 
 def _over(size: tuple[int, int], depth: np.ndarray) -> Placement:
     return Placement((depth.shape[1] / size[0], depth.shape[0] / size[1]), (0, 0))
 
 
+@dataclass(frozen=True)
+class Adjusted:
+    """Another depth map times `factor` plus `shift` (scene units) where it has a surface; 0 where that is not above 0."""
+
+    source: Stored
+    factor: float
+    shift: float
+
+    @property
+    def digest(self) -> str:
+        return digest_of([f"{self.source.digest} {self.factor.hex()} {self.shift.hex()}".encode()])
+
+    def load(self) -> npt.NDArray[np.float32]:
+        """The depth map."""
+        return adjusted(self.source.load(), self.factor, self.shift)
+
+
 def adjusted(depth: np.ndarray, factor: float, shift: float) -> npt.NDArray[np.float32]:
     """`factor` depth + `shift` where there is a surface and that is above 0, else 0."""
-    if factor == 1 and shift == 0:
-        return np.asarray(depth, np.float32)
     moved = np.where(depth > 0, np.maximum(factor * depth.astype(np.float64) + shift, 0), 0)
     return moved.astype(np.float32)
 
@@ -115,10 +126,3 @@ def least_confidence(maps: Sequence[Path | Stored], where: str) -> float:
         raise InputError(f"{where}: no confidence is a finite number; export without it")
     low = 1.0 if values.min() >= 1 else 0.0
     return float(low + LEFT_OUT * (np.median(values) - low))
-
-
-def rescaled(source: DepthSource, scale: float) -> DepthSource:
-    """The same file with another number for one scene unit."""
-    if not (np.isfinite(scale) and scale > 0):
-        raise InputError(f"depth scale is {scale}, expected a number above 0")
-    return replace(source, scale=scale)
