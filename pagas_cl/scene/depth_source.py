@@ -77,7 +77,7 @@ def _over(size: tuple[int, int], depth: np.ndarray) -> Placement:
 
 @dataclass(frozen=True)
 class Adjusted:
-    """Another depth map times `factor` plus `shift` (scene units) where it has a surface; 0 where that is not above 0."""
+    """Another depth map times `factor` plus `shift` (scene units) where it has a surface; 0 where that is below 0."""
 
     source: Stored
     factor: float

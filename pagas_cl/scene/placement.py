@@ -99,8 +99,8 @@ def find_placement(photo: Path, small: tuple[int, int], pixels: np.ndarray | Non
                    usual: str = "stretched") -> Placement:
     """How `photo` became the small image of size (width, height).
 
-    It is found by comparing it with the small image's own `pixels` (H, W, 3); where those are not known, by the `usual` way
-    of the program that made it, if the sizes allow it. InputError where neither is clear.
+    It is found by comparing it with the small image's own `pixels` (H, W, 3); where those are not known, by the `usual`
+    way of the program that made it, if the sizes allow it. InputError where neither is clear.
     """
     size = image_size(photo)
     known = ways(size, small)

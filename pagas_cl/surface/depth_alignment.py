@@ -21,7 +21,7 @@ from pagas_cl.config import Context
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.images import bilinear
-from pagas_cl.scene.pyramid import depth_down, depth_up
+from pagas_cl.scene.pyramid import depth_down
 from pagas_cl.scene.sampling import sample_pixels
 
 SIDE = 160              # pixels of the reduced maps' longer side: noise is averaged, depth edges are few
@@ -65,7 +65,7 @@ def pairs_of(views: Sequence[Reduced], number: int = _NEIGHBOURS) -> list[tuple[
 
 
 def carried(view: Reduced, other: Reduced, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Samples of `view` at `depth` in the other view: positions x, y in its map, and z; NaN where behind it or outside."""
+    """Samples of `view` at `depth` in the other view: x, y in its map, and z; NaN where behind it or outside."""
     rotation, tau = other.camera.relative_to(view.camera)
     x, y, z = (view.rays * depth[:, None] @ rotation.T + tau).T
     with np.errstate(divide="ignore", invalid="ignore"):

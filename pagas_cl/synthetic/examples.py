@@ -1,4 +1,4 @@
-"""A small scene in the form that another program leaves, with depth as that program has it: `pagas-cl demo --format`."""
+"""A small scene in the form that another program leaves: `pagas-cl demo --format`."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def as_network(frames: Sequence[Frame], *, scales: float = 0.2, shifts: float = 
     """The same with depth as feed-forward networks leave it.
 
     A factor a view within 1 +- `scales`, a shift within +- `shifts` of the median depth, errors that neighbours share
-    (blobs of an eighth of a side; standard deviation `noise` of the depth), and `holes`: the share of the pixels without
-    depth, where the confidence is lowest.
+    (blobs of an eighth of a side; standard deviation `noise` of the depth), and `holes`: the share of the pixels
+    without depth, where the confidence is lowest.
     """
     rng, found = np.random.default_rng(seed), []
     for frame in frames:
