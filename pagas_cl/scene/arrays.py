@@ -12,7 +12,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.digest import digest_file, digest_of
-from pagas_cl.scene.files import MOST_BYTES, read_member, translated
+from pagas_cl.scene.files import DAMAGE, MOST_BYTES, read_member, translated
 
 _HELD = 3      # whole arrays that are kept: depth, confidence, photos of one file
 
@@ -62,7 +62,7 @@ def members(file: Path) -> list[str]:
     try:
         with zipfile.ZipFile(file) as archive:
             return [name[:-4] for name in archive.namelist() if name.endswith(".npy")]
-    except (OSError, zipfile.BadZipFile, ValueError):
+    except DAMAGE:
         return []
 
 

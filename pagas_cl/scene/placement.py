@@ -132,7 +132,8 @@ def _correlation(photo: Path, pixels: np.ndarray, way: Placement) -> float:
     small = grey_of(photo_to(image, max(1, round(width * way.scale[0])), max(1, round(height * way.scale[1]))))
     H, W = pixels.shape[:2]
     x, y = np.meshgrid((np.arange(_COMPARED) + 0.5) * W / _COMPARED, (np.arange(_COMPARED) + 0.5) * H / _COMPARED)
-    px, py = x - way.offset[0], y - way.offset[1]
+    px = (x - way.offset[0]) * small.shape[1] / (width * way.scale[0])
+    py = (y - way.offset[1]) * small.shape[0] / (height * way.scale[1])
     inside = (px > 0) & (py > 0) & (px < small.shape[1]) & (py < small.shape[0])
     a, b = bilinear(grey_of(pixels), x[inside], y[inside]), bilinear(small, px[inside], py[inside])
     a, b = a - a.mean(), b - b.mean()

@@ -377,5 +377,5 @@ EXPORTS: dict[str, Callable[[Path, Sequence[Frame]], None]] = {
     "da3-colmap": da3_colmap, "vggt": vggt, "vggt-colmap": vggt_colmap, "mapanything": mapanything,
     "mapanything-colmap": mapanything_colmap, "mvsanywhere": mvsanywhere, "record3d": record3d,
     "record3d-exr": record3d_exr, "polycam": polycam, "scannet": scannet, "7scenes": seven_scenes, "tum": tum,
-    "video_mvs": video_mvs,
+    "dvmvs": video_mvs,
 }

@@ -23,7 +23,7 @@ FORMATS = {"cameras": "camera_file", "colmap": "colmap", "nerfstudio": "nerfstud
            "neus": "neus", "open3d": "open3d_trajectory", "bundler": "bundler", "meshlab": "meshlab",
            "da3": "depth_anything", "vggt": "vggt", "mapanything": "mapanything", "record3d": "record3d",
            "polycam": "polycam", "scannet": "scannet", "7scenes": "seven_scenes", "tum": "tum",
-           "video_mvs": "video_mvs"}
+           "dvmvs": "video_mvs"}
 
 log = logging.getLogger("pagas_cl")
 

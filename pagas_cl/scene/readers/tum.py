@@ -45,7 +45,8 @@ def read(folder: Path, *, outside: bool = False) -> Scene:
     if not detect(folder) or trajectory is None:
         raise InputError(f"{folder} has no groundtruth.txt with rgb.txt or {LISTS[0]}")
     poses = _rows(trajectory, 8)
-    times = np.array([untrusted.word(row[0], f"{trajectory}: time") for row in poses])
+    numbers = untrusted.words([word for row in poses for word in row[:8]], str(trajectory)).reshape(-1, 8)
+    times = numbers[:, 0]
     order = np.argsort(times, kind="stable")
     frames, lost = [], 0
     for time, photo, depth in _pairs(folder):
@@ -53,9 +54,7 @@ def read(folder: Path, *, outside: bool = False) -> Scene:
         if abs(times[k] - time) > _APART:
             lost += 1
             continue
-        where = f"{trajectory}, time {poses[k][0]}"
-        numbers = untrusted.words(poses[k][1:8], where)
-        pose = rgbd.pose_from_quaternion(numbers[[3, 4, 5, 6, 0, 1, 2]], where)
+        pose = rgbd.pose_from_quaternion(numbers[k, [4, 5, 6, 7, 1, 2, 3]], f"{trajectory}, time {poses[k][0]}")
         image = photos.existing(photos.inside(folder, photo, f"{folder}: photo", outside=outside), str(folder))
         file = depth and photos.existing(photos.inside(folder, depth, f"{folder}: depth", outside=outside), str(folder))
         K, center = _K(folder, image)
