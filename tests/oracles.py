@@ -132,7 +132,12 @@ def vggt(data):
 
 def mapanything(data):
     depth, intrinsics, poses = _arrays(data, "depth_z", "intrinsics", "camera_poses")
-    return [(_scaled(intrinsics[0], np.array(depth.shape[2:0:-1]) / SIZE), np.linalg.inv(poses[0]))]
+    size = np.array(depth.shape[2:0:-1])
+    scale, offset = size / SIZE, (0, 0)
+    if b"img_no_norm.npy" not in data[data.index(b"PK\1\2"):]:     # nothing to compare with: cropped, as it does
+        scale = np.full(2, scale.max())
+        offset = (size - scale * SIZE) / 2
+    return [(_scaled(intrinsics[0], scale, offset), np.linalg.inv(poses[0]))]
 
 
 def _posed(quaternion, place):
