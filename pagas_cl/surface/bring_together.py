@@ -18,13 +18,15 @@ from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.pyramid import depth_down
 from pagas_cl.scene.view import View
 from pagas_cl.surface import depth_alignment as alignment
-from pagas_cl.surface.common_scale import AGREE, CommonScale, find_common_scale, find_unit
+from pagas_cl.surface.common_scale import AGREE, CommonScale, cameras_off, find_common_scale, find_unit
 
 log = logging.getLogger("pagas_cl")
 
 _HELD, _FEW = 400, 200        # pixels of the longer side of the maps that are kept in memory, of so many views
 _BETTER = 0.7                 # disagreement must fall to this share of it
 _MATTERS = 0.004              # and change some depth by so much
+_LOOKED_AT = 0.8              # photos that agree better are not off by much
+REACH = 0.5                   # pixels that a refinement bridges while cameras stay as they are (measured)
 _STILL = 0.05                 # a view that disagrees by more afterwards is named
 
 
@@ -34,7 +36,8 @@ class Together:
 
     `unit`: the number for one scene unit that is part of the factors; `disagreement`: median relative difference of
     depth maps where two views see the same, before and after; `agreement`: correlation of photos over the depth, NaN
-    where it could not be measured; `said`: all of it in sentences.
+    where it could not be measured; `off`: pixels by which photos are off across the direction of depth (0 where they
+    agree well); `said`: all of it in sentences.
     """
 
     factors: np.ndarray = field(repr=False)
@@ -42,6 +45,7 @@ class Together:
     unit: float = 1.0
     disagreement: tuple[float, float] = (0.0, 0.0)
     agreement: float = float("nan")
+    off: float = 0.0
     said: tuple[str, ...] = ()
 
     def apply(self, depths: Sequence[Any]) -> list[Any]:
@@ -73,7 +77,7 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
         said.append(f"depths are {unit:g} times as large as the cameras' positions ask for{_name(unit)}: photos agree "
                     f"{agreement:.2f} over the depths divided by that, {given:.2f} over them as they are; they are "
                     "divided")
-        factors /= unit
+        factors[have] /= unit
     held = [None if map is None else map / np.float32(unit) for map in held]
     small = [alignment.reduced(cameras[k], map) for k in have if (map := held[k]) is not None]
     x, before, after, left = _aligned(small)
@@ -89,12 +93,14 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
             held[k] = adjusted(held[k], float(a), float(b))       # type: ignore[arg-type]
     common = find_common_scale(views, cameras, held)
     if common.factor != 1:
-        factors *= common.factor
+        factors[have] *= common.factor
         shifts *= common.factor
         said.append(f"all depths are multiplied by {common.factor:.4f}: photos agree {common.agreement:.2f} over them "
                     f"then, {common.given:.2f} before")
-    said += _doubts([views[have[k]].name for k in left], common)
-    return Together(factors, shifts, unit, (before, after), common.agreement, tuple(said))
+        held = [None if map is None else map * np.float32(common.factor) for map in held]
+    off = cameras_off(views, cameras, held) if common.agreement < _LOOKED_AT else 0.0
+    said += _doubts([views[have[k]].name for k in left], common, off)
+    return Together(factors, shifts, unit, (before, after), common.agreement, off, tuple(said))
 
 
 def _small(view: View, depth: np.ndarray, count: int) -> np.ndarray:
@@ -129,15 +135,21 @@ def _disagreement(views: Sequence[alignment.Reduced], pairs: Sequence[tuple[int,
     return np.array(found)
 
 
-def _doubts(names: list[str], common: CommonScale) -> list[str]:
+def _doubts(names: list[str], common: CommonScale, off: float) -> list[str]:
+    """What is still wrong, and what to run."""
     said = []
     if names:
         said.append(f"{len(names)} views still disagree with their neighbours by more than {_STILL:.0%}: "
                     + ", ".join(names[:5]) + (", ..." if len(names) > 5 else ""))
-    if np.isfinite(common.agreement) and common.agreement < AGREE:
-        said.append(f"photos agree only {common.agreement:.2f} over the depth: it, or the cameras, are off by many "
-                    "pixels, farther than refining reaches; adjust the cameras first (COLMAP's bundle adjustment, "
-                    "VGGT's --use_ba), or give better depth")
+    if off > REACH:
+        said.append(f"photos agree only {common.agreement:.2f} over the depth: they are off by about {off:.1f} pixels "
+                    f"across the direction of depth, which no depth explains; depth refinement by itself bridges some "
+                    f"{REACH:g}. Adjust the cameras: COLMAP's bundle_adjuster with these as its start, or the "
+                    "network's own (VGGT: --use_ba)")
+    elif common.agreement < AGREE:
+        said.append(f"photos agree only {common.agreement:.2f} over the depth, and moving them by some pixels does not "
+                    "mend it: depth or cameras are far off, or photos and cameras are paired wrongly; run COLMAP's "
+                    "bundle adjustment, or give better depth")
     return said
 
 

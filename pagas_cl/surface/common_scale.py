@@ -26,6 +26,7 @@ _LEAST = 30             # patches that say something
 _FLAT = 2.0             # grey levels of 255: patches of less texture are not compared
 CLEAR = 0.01            # by so much patches must correlate better than under the depths as given
 _MOST = 241             # values of s in a sweep
+_ACROSS, _SOME = 10.0, 0.3      # pixels of the small photos searched to each side; least correlation at the best
 AGREE = 0.5             # mean correlation from which on photos are said to agree over the depth
 UNITS = (1e3, 1e-3, 1e2, 1e-2, 1e1, 1e-1, 1e4, 1e-4, 5e3)      # numbers for one scene unit that are tried
 
@@ -121,6 +122,21 @@ def _best_agreement(views: Sequence[View], cameras: Sequence[Camera], depths: Se
     return float(np.mean(best))
 
 
+def cameras_off(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None]) -> float:
+    """How far photos are off across the direction in which depth moves them, which no depth explains: the root mean
+    square over pairs of views, pixels of the photos; NaN where no pair can be compared. Up to some 6 % of a side."""
+    pairs = _pairs(cameras, depths)
+    if not pairs:
+        return float("nan")
+    sweep = _Sweep(views, depths, pairs, _SIDES[0])
+    tried, found = np.arange(-_ACROSS, _ACROSS + 0.25, 0.5), []
+    for pair in pairs:
+        scores = sweep.scores_across(*pair, tried)
+        if np.isfinite(scores).all() and scores.max() > _SOME:
+            found.append(_peak(tried, scores) * views[pair[0]].camera.width / sweep.cameras[pair[0]].width)
+    return float(np.sqrt(np.mean(np.square(found)))) if found else float("nan")
+
+
 class _Sweep:
     """Photos and patches at one size."""
 
@@ -168,6 +184,21 @@ class _Sweep:
                 values = np.maximum((other * self.patches[i].grey[good]).sum(axis=1), 0)
                 total, count = total + float(values.sum()), count + len(values)
         return total / count if count >= _LEAST else float("nan")
+
+
+    def scores_across(self, i: int, j: int, moves: np.ndarray) -> np.ndarray:
+        """Mean correlation of the pair's patches where those of j are moved by each of `moves` pixels across the
+        direction of depth."""
+        (u, v, good), (u2, v2, _) = self._place(i, j, 0.0), self._place(i, j, 1e-3)
+        if good.sum() < _LEAST:
+            return np.full(len(moves), np.nan)
+        along = np.stack([(u2 - u)[good].mean(axis=1), (v2 - v)[good].mean(axis=1)])
+        along /= np.maximum(np.hypot(*along), 1e-12)
+        found = []
+        for move in moves:
+            moved = bilinear(self.greys[j], u[good] - move * along[1][:, None], v[good] + move * along[0][:, None])
+            found.append(np.maximum((_unit(moved)[0] * self.patches[i].grey[good]).sum(axis=1), 0).mean())
+        return np.array(found)
 
 
 def _patches(camera: Camera, grey: np.ndarray, depth: np.ndarray) -> _Patches:

@@ -279,7 +279,9 @@ def video_mvs(folder: Path, frames: Sequence[Frame]) -> None:
     """K.txt, poses.txt, images/, depth/, as DeepVideoMVS has them."""
     photos(folder, frames)
     _png(folder, frames, "depth/{:06d}.png", 1000)
-    (folder / "K.txt").write_text(_matrix(frames[0].camera.K))
+    K = frames[0].camera.K
+    K[:2, 2] -= 0.5
+    (folder / "K.txt").write_text(_matrix(K))
     (folder / "poses.txt").write_text("".join(
         exports.row(inverse_pose(f.camera.world_to_camera).ravel()) + "\n" for f in frames))
 

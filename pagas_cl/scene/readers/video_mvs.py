@@ -1,7 +1,7 @@
 """Sequences of multi-view stereo networks (DeepVideoMVS and its followers): `K.txt`, `poses.txt`, `images/`, `depth/`.
 
 Convention: a line of poses.txt is a 4 x 4 matrix, camera-to-world, metres, OpenCV; line k belongs to the k-th photo by
-name; depth/<name>.png is registered, in millimetres.
+name; K counts pixel centres at whole numbers; depth/<name>.png is registered, in millimetres.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ def read(folder: Path) -> Scene:
     frames = []
     for k, (photo, row) in enumerate(zip(images, lines)):
         pose = np.asarray(untrusted.words(row, f"{path}, line {k + 1}", 16)).reshape(4, 4)
-        frames.append(rgbd.Frame(photo, pose, K, photos.first_file(folder / "depth", (f"{photo.stem}.png",))))
+        depth = photos.first_file(folder / "depth", (f"{photo.stem}.png",))
+        frames.append(rgbd.Frame(photo, pose, K, depth, pixel_center=0.0))
     return rgbd.scene_of(folder, frames, rgbd.Depth(1000.0, "millimetres, as the format says"),
                          f"{path} (DeepVideoMVS)")
