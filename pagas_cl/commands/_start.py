@@ -57,7 +57,7 @@ def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, n
 
         keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
         return refine.initial_depths(to_surface(mesh), found.views, progress, keep)
-    sources = depth_files(found, depth_dir, depth_scale, names)[0]
+    sources = depth_files(found, depth_dir, depth_scale, names, as_numbers=False)[0]
     return sources if folder is not None else loaded(sources)
 
 
@@ -66,9 +66,10 @@ def loaded(depths) -> list:
     return [depth.load() if hasattr(depth, "load") else depth for depth in depths]
 
 
-def depth_files(found, depth_dir, depth_scale, names=None) -> tuple[list, bool]:
-    """What loads the depth map of every view from `depth_dir`, None for a view without a file, and whether all of the
-    files say their numbers in some unit (a PNG does not; without a scale its numbers are taken as they are)."""
+def depth_files(found, depth_dir, depth_scale, names=None, as_numbers: bool = True) -> tuple[list, bool]:
+    """What loads the depth map of every view from `depth_dir`, None for a view without a file, and whether all files
+    say their unit. A PNG does not: without a scale its numbers are taken as they are, or refused when they are loaded
+    where `as_numbers` is false."""
     from pagas_cl.jobs.store import DepthFile
     from pagas_cl.scene.depthmap import find_depth
 
@@ -85,6 +86,6 @@ def depth_files(found, depth_dir, depth_scale, names=None) -> tuple[list, bool]:
         log.warning("%d views have no depth map in %s and serve as context views only: %s", len(without), depth_dir,
                     ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
     said = depth_scale is not None or not any(file and file.suffix.lower() == ".png" for file in files)
-    sources = [file and DepthFile(file.resolve(), (view.camera.width, view.camera.height), depth_scale if said else 1.0)
+    sources = [file and DepthFile(file.resolve(), (view.camera.width, view.camera.height), depth_scale if said or not as_numbers else 1.0)
                for view, file in zip(found.views, files)]
     return sources, said
