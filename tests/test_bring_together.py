@@ -15,6 +15,8 @@ from pagas_cl.surface.bring_together import bring_together
 from pagas_cl.synthetic.examples import as_network, frames_of
 from pagas_cl.synthetic.exports_depth import write_exr
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def made():

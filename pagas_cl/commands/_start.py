@@ -86,6 +86,7 @@ def depth_files(found, depth_dir, depth_scale, names=None, as_numbers: bool = Tr
         log.warning("%d views have no depth map in %s and serve as context views only: %s", len(without), depth_dir,
                     ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
     said = depth_scale is not None or not any(file and file.suffix.lower() == ".png" for file in files)
-    sources = [file and DepthFile(file.resolve(), (view.camera.width, view.camera.height), depth_scale if said or not as_numbers else 1.0)
+    scale = depth_scale if said or not as_numbers else 1.0
+    sources = [file and DepthFile(file.resolve(), (view.camera.width, view.camera.height), scale)
                for view, file in zip(found.views, files)]
     return sources, said
