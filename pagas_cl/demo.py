@@ -74,6 +74,17 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = 
                       folder / "report" / "index.html", mesh, seconds)
 
 
+def make_example(folder, format: str, width: int = 288, height: int = 216, contexts: int = 4) -> str:
+    """A small scene as the program called `format` leaves it; returns what to do with it, as lines of text."""
+    from pagas_cl.synthetic.examples import write_example
+
+    folder = write_example(Path(folder), format, relief_scene(width, height, contexts, held_out=0))
+    more = f" --photos {folder / 'photos'}" if format == "mapanything-colmap" else ""
+    return (f"{folder}: {contexts + 1} photos of {width} x {height} as {format} leaves them; exact depth in "
+            f"{folder / 'depth_true'}\ntry: pagas-cl refine {folder}{more} --save-depth {folder}_refined "
+            f"--output {folder}_fine.ply\n")
+
+
 def _refined(synthetic: SyntheticScene, config, device, progress):
     from pagas_cl.refine import refine_depth
 

@@ -86,7 +86,7 @@ def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, n
     """Initial depth of every view, from the mesh or from files; None for a view without a file, which `names` must
     have. With a folder for the run they stay on disk, and what stands for them is given instead."""
     from pagas_cl.jobs.finished import work_folder
-    from pagas_cl.jobs.store import DepthFile, Store
+    from pagas_cl.jobs.store import Store
 
     if mesh is not None:
         from pagas_cl import refine
@@ -94,6 +94,20 @@ def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, n
 
         keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
         return refine.initial_depths(to_surface(mesh), found.views, progress, keep)
+    sources = depth_files(found, depth_dir, depth_scale, names, as_numbers=False)[0]
+    return sources if folder is not None else loaded(sources)
+
+
+def loaded(depths) -> list:
+    """The depth maps themselves, for what loads them."""
+    return [depth.load() if hasattr(depth, "load") else depth for depth in depths]
+
+
+def depth_files(found, depth_dir, depth_scale, names=None, as_numbers: bool = True) -> tuple[list, bool]:
+    """What loads the depth map of every view from `depth_dir`, None for a view without a file, and whether all files
+    say their unit. A PNG does not: without a scale its numbers are taken as they are, or refused when they are loaded
+    where `as_numbers` is false."""
+    from pagas_cl.jobs.store import DepthFile
     from pagas_cl.scene.depthmap import find_depths
 
     files = find_depths(depth_dir, [view.name for view in found.views])
@@ -108,6 +122,8 @@ def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, n
     if without and not names:
         log.warning("%d views have no depth map in %s and serve as context views only: %s", len(without), depth_dir,
                     ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
-    sources = [file and DepthFile(file.resolve(), (view.camera.width, view.camera.height), depth_scale)
+    said = depth_scale is not None or not any(file and file.suffix.lower() == ".png" for file in files)
+    scale = depth_scale if said or not as_numbers else 1.0
+    sources = [file and DepthFile(file.resolve(), (view.camera.width, view.camera.height), scale)
                for view, file in zip(found.views, files)]
-    return sources if folder is not None else [source and source.load() for source in sources]
+    return sources, said

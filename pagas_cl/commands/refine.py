@@ -11,8 +11,15 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import noted, nothing_refined, shown_progress
+from pagas_cl.commands._given import look, together
 from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
-from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene, resumable, without
+from pagas_cl.commands._start import (
+    check_source,
+    check_writable,
+    initial_depths,
+    loaded,
+    resumable,
+)
 from pagas_cl.errors import InputError, PagasError, need
 
 MANY = ("--views", "--hold-out", "--set", "--effect")  # options that take several words: `--views a b c`
@@ -23,8 +30,10 @@ log = logging.getLogger("pagas_cl")
 @nothing_refined()
 def command(
     asked: typer.Context,
-    scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
-    mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where the refinement starts."),
+    scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...), or what "
+                                 "a network, a phone or an RGB-D recording left."),
+    mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where the refinement starts. Without "
+                              "it and --depth-dir: what SCENE holds."),
     output: Path = typer.Option(None, "--output", help="The refined mesh to write (.ply, .obj, .stl, .off)."),
     depth_dir: Path = typer.Option(None, "--depth-dir", help="Initial depth maps, <image stem>.npz, not --mesh."),
     save_depth: Path = typer.Option(None, "--save-depth", help="Folder for the refined depth maps, <image stem>.npz."),
@@ -45,6 +54,10 @@ def command(
     format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
     depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
+    photos: Path = typer.Option(None, "--photos", help="Folder of the original photos, where SCENE has a network's "
+                                "small ones."),
+    align: bool = typer.Option(True, "--align/--no-align", help="Bring depth maps together that disagree, in scale and "
+                               "shift, before they are refined."),
     keep_mesh: bool = typer.Option(False, "--keep-mesh",
                                    help="Move the vertices of --mesh instead of fusing a new one."),
     allow_loss: bool = typer.Option(False, "--allow-loss",
@@ -70,7 +83,14 @@ def command(
     settings = [*settings, *effect_settings(effects)]
     more = {} if context is None else {"context__number": context}
     config = build_config(preset, settings, **more)
-    found = without(load_scene(scene, format, outside), hold_out, views)
+    given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
+                 photos=photos, names=views or None).without(hold_out, views)
+    found, mesh = given.scene, given.mesh
+    for line in given.lines():
+        log.info("%s", line)
+    if mesh is None and given.depths is None:
+        raise InputError(f"{str(scene)!r} holds neither depth maps nor a mesh: expected either --mesh or --depth-dir "
+                         "(where the refinement starts), got neither")
     for view in found.views:
         view.check_files()
     for option, where in (("--output", output and output.parent), ("--save-depth", save_depth), ("--report", report)):
@@ -85,7 +105,11 @@ def command(
           one_run(folder) if folder else nullcontext(),
           _report(report, found, config_words, place, asked.obj) as page):
         found, config = _settled_cameras(found, mesh, config, place["device"], progress, page)
-        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder, names)
+        if mesh is not None:
+            depths = initial_depths(found, mesh, None, None, progress, None if keep_mesh else folder, names)
+        else:
+            depths = together(given, align)
+            depths = depths if folder is not None else loaded(depths)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
@@ -141,11 +165,13 @@ def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mes
     from pagas_cl.keep_mesh import check_kept, check_subdivide
     from pagas_cl.scene.mesh_file import check_mesh_path
 
-    check_source(mesh, depth_dir, "where the refinement starts")
+    if mesh is not None and depth_dir is not None:
+        check_source(mesh, depth_dir, "where the refinement starts")
     if memory is not None and not memory > 0:
         raise InputError(f"--memory is {memory:g} MB, expected more than 0")
     if output is None and save_depth is None and report is None:
-        raise InputError("nothing to write: give --output, --save-depth or --report")
+        start = "" if mesh or depth_dir else "; and, where SCENE holds no surface itself, either --mesh or --depth-dir"
+        raise InputError(f"nothing to write: give --output, --save-depth or --report{start}")
     if depth_dir is not None and not depth_dir.is_dir():
         raise InputError(f"--depth-dir {str(depth_dir)!r} is no folder")
     for (old, given), (new, written) in product((("--depth-dir", depth_dir), ("--mesh", mesh)),

@@ -13,12 +13,13 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.exr import read_exr
 from pagas_cl.scene.files import is_file, opened, read_first, read_npy, replaced, translated
 from pagas_cl.scene.names import file_stems
 
 # What became of each pixel's depth; DepthResult.status says what each means.
 NO_SURFACE, REFINED, KEPT, REJECTED = range(4)
-SUFFIXES = (".npz", ".npy", ".pfm", ".png", ".geometric.bin", ".photometric.bin")
+SUFFIXES = (".npz", ".npy", ".pfm", ".exr", ".png", ".geometric.bin", ".photometric.bin")
 
 
 def find_depth(folder: str | Path, image_name: str) -> Path | None:
@@ -57,28 +58,34 @@ def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
     Parameters
     ----------
     path : path
-        .npz (its first array), .npy, .pfm, 16-bit .png, or COLMAP's .geometric.bin / .photometric.bin.
+        .npz (its first array), .npy, .pfm, 16-bit .png, COLMAP's .geometric.bin / .photometric.bin, or .exr.
     size : (width, height), optional
         Size wanted; another size is resampled by `resize_depth`.
     scale : float, optional
         The file's number for one scene unit (1000 for millimetres in a scene of metres); a PNG needs it, else 1.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"depth map {str(path)!r} does not exist")
-    readers = {".npz": read_first, ".npy": read_npy, ".pfm": _read_pfm, ".png": _read_png, ".bin": _read_colmap}
-    read = readers.get(path.suffix.lower())
-    if read is None:
-        raise InputError(f"depth map {str(path)!r}: unknown kind, expected one of {', '.join(SUFFIXES)}")
-    if scale is None and read is _read_png:
+    if scale is None and path.suffix.lower() == ".png" and path.is_file():
         raise InputError(f"depth map {str(path)!r}: a PNG does not say its unit; give the depth scale (1000 for "
                          "millimetres in a scene of metres)")
     if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise InputError(f"depth scale is {scale}, expected a number above 0")
-    with translated(f"depth map {str(path)!r} cannot be read: "):
-        values = read(path)
+    values = read_values(path)
     depth = clean_depth(values if scale is None else values / scale, str(path))
     return depth if size is None else resize_depth(depth, *size)
+
+
+def read_values(path: Path) -> np.ndarray:
+    """The numbers of a depth map's file as they are."""
+    if not path.is_file():
+        raise InputError(f"depth map {str(path)!r} does not exist")
+    readers = {".npz": read_first, ".npy": read_npy, ".pfm": _read_pfm, ".png": _read_png, ".bin": _read_colmap,
+               ".exr": read_exr}
+    read = readers.get(path.suffix.lower())
+    if read is None:
+        raise InputError(f"depth map {str(path)!r}: unknown kind, expected one of {', '.join(SUFFIXES)}")
+    with translated(f"depth map {str(path)!r} cannot be read: "):
+        return read(path)
 
 
 def surface_depth(depth: np.ndarray) -> npt.NDArray[np.float32]:

@@ -110,6 +110,15 @@ def bilinear(pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return mixed
 
 
+def photo_to(photo: np.ndarray, width: int, height: int) -> np.ndarray:
+    """A photo (H, W, 3) uint8 at another size: area average, or interpolated where a side grows."""
+    if photo.shape[:2] == (height, width):
+        return photo
+    grows = width > photo.shape[1] or height > photo.shape[0]
+    kind = Image.Resampling.BILINEAR if grows else Image.Resampling.BOX
+    return np.asarray(Image.fromarray(photo).resize((width, height), kind))
+
+
 def open_image(path: Path) -> Image.Image:
     """An image file, its header read, of no more than MOST_PIXELS."""
     if not path.is_file():

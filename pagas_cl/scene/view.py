@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,9 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import Loads, as_mask, as_photo, image_size, read_mask, read_photo
 from pagas_cl.scene.names import place_of
+
+if TYPE_CHECKING:      # it imports what imports this
+    from pagas_cl.scene.depth_source import DepthSource
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +96,16 @@ class View:
 class Scene:
     """Views, and the folder or file that they were read from, with its format.
 
-    `points`: sparse points (N, 3) float64 where the format has them; nothing needs them.
+    `points`: sparse points (N, 3) float64 where the format has them; nothing needs them. `depths`: where the format has
+    depth maps, one a view (None where a view has none), each with load() and digest; `depth_unit`: how their unit is
+    known, in words.
     """
 
     views: list[View]
     source: str = ""
     points: npt.NDArray[np.float64] | None = field(default=None, repr=False)
+    depths: "Sequence[DepthSource | None] | None" = field(default=None, repr=False)
+    depth_unit: str = ""
 
     def __post_init__(self) -> None:
         twice = [name for name, count in Counter(view.name for view in self.views).items() if count > 1]

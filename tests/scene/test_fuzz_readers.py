@@ -18,6 +18,8 @@ from support.scene_files import READERS
 from pagas_cl.errors import InputError
 from pagas_cl.scene.readers import read_scene
 
+ONE = ("mvsnet", "mapanything", "polycam", "scannet", "7scenes")     # a file holds one camera
+
 
 @pytest.fixture(scope="module", params=READERS)
 def target(request, tmp_path_factory):
@@ -25,8 +27,8 @@ def target(request, tmp_path_factory):
     make, name, oracle, options = READERS[request.param]
     folder = tmp_path_factory.mktemp(request.param)
     views = rigs.with_photos(folder, rigs.random_cameras(
-        1 if request.param == "mvsnet" else 3, centred=request.param == "bundler", square=request.param == "bundler",
-        same=request.param in ("open3d_log", "colmap", "colmap_txt")))
+        1 if request.param in ONE else 3, centred=request.param == "bundler", square=request.param == "bundler",
+        same=request.param in ("open3d_log", "colmap", "colmap_txt", "tum", "scannet", "7scenes", "dvmvs")))
     make(folder, views)
     return request.param.split("_")[0], folder, folder / name, oracle, options
 
@@ -83,10 +85,10 @@ def places(value, path=()):
         yield from places(inner, path + (key,))
 
 
-@pytest.mark.parametrize("name", ["nerfstudio", "open3d", "cameras"])
+@pytest.mark.parametrize("name", ["nerfstudio", "open3d", "cameras", "record3d", "polycam"])
 def test_any_json_value_anywhere(name, tmp_path):
     make, file, oracle, options = READERS[name]
-    make(tmp_path, rigs.with_photos(tmp_path, rigs.random_cameras(2)))
+    make(tmp_path, rigs.with_photos(tmp_path, rigs.random_cameras(1 if name in ONE else 2)))
     path = tmp_path / file
     original = json.loads(path.read_text())
     paths = list(places(original))

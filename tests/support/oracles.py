@@ -102,6 +102,90 @@ def camera_file(data):
              np.array(v["world_to_camera"], float)) for v in views]
 
 
+SIZE = np.array([64, 48])        # of the photos of test_fuzz_readers
+
+
+def _arrays(data, *names):
+    import io
+
+    file = np.load(io.BytesIO(data))
+    return [np.asarray(file[name], float) for name in names]
+
+
+def _scaled(K, scale, offset=(0, 0)):
+    K = np.array(K, float)
+    K[:2, 2] -= offset
+    return np.diag([1 / scale[0], 1 / scale[1], 1]) @ K
+
+
+def da3(data):
+    depth, intrinsics, extrinsics = _arrays(data, "depth", "intrinsics", "extrinsics")
+    scale = np.array(depth.shape[2:0:-1]) / SIZE
+    return [(_scaled(K, scale), full(E)) for K, E in zip(intrinsics, extrinsics)]
+
+
+def vggt(data):
+    depth, intrinsics, extrinsics = _arrays(data, "depth", "intrinsic", "extrinsic")
+    s = depth.shape[1] / SIZE.max()
+    return [(_scaled(K, (s, s), s * (SIZE.max() - SIZE) / 2), full(E)) for K, E in zip(intrinsics, extrinsics)]
+
+
+def mapanything(data):
+    depth, intrinsics, poses = _arrays(data, "depth_z", "intrinsics", "camera_poses")
+    size = np.array(depth.shape[2:0:-1])
+    scale, offset = size / SIZE, (0, 0)
+    if b"img_no_norm.npy" not in data[data.index(b"PK\1\2"):]:     # nothing to compare with: cropped, as it does
+        scale = np.full(2, scale.max())
+        offset = (size - scale * SIZE) / 2
+    return [(_scaled(intrinsics[0], scale, offset), np.linalg.inv(poses[0]))]
+
+
+def _posed(quaternion, place):
+    from scipy.spatial.transform import Rotation
+
+    return full(np.column_stack([Rotation.from_quat(quaternion).as_matrix(), place]))
+
+
+def record3d(data):
+    d = json.loads(data.decode("utf-8-sig"))
+    result = []
+    for k, p in enumerate(d["poses"]):
+        each = d.get("perFrameIntrinsicCoeffs")
+        f = each[k] if isinstance(each, list) and len(each) == len(d["poses"]) else [d["K"][i] for i in (0, 4, 6, 7)]
+        s = SIZE / (d["w"], d["h"])
+        K = np.array([[f[0] * s[0], 0, f[2] * s[0]], [0, f[1] * s[1], f[3] * s[1]], [0, 0, 1]])
+        result.append((K, np.linalg.inv(_posed(p[:4], p[4:]) @ FLIP)))
+    return result
+
+
+def polycam(data):
+    d = json.loads(data.decode("utf-8-sig"))
+    K = np.array([[d["fx"], 0, d["cx"]], [0, d["fy"], d["cy"]], [0, 0, 1.0]])
+    return [(K, np.linalg.inv(full([[d[f"t_{r}{c}"] for c in range(4)] for r in range(3)]) @ FLIP))]
+
+
+def pose_txt(data):
+    return [(None, np.linalg.inv(np.array(data.decode("utf-8-sig").split(), float).reshape(4, 4)))]
+
+
+def poses_txt(data):
+    lines = [line for line in data.decode("utf-8-sig").splitlines() if line.strip()]
+    return [pose_txt(line.encode())[0] for line in lines[:3]]
+
+
+def tum(data):
+    """Of the photos' three times, which are 1/30 s apart, the nearest pose within 0.03 s."""
+    rows = [line.replace(",", " ").split() for line in data.decode("utf-8-sig").splitlines()]
+    rows = [np.array(row[:8], float) for row in rows if row and not row[0].startswith("#")]
+    rows.sort(key=lambda row: row[0])
+    result = []
+    for k in range(3):
+        row = min(rows, key=lambda row: abs(row[0] - round(1305031102.175304 + k / 30, 6)))
+        if abs(row[0] - round(1305031102.175304 + k / 30, 6)) <= 0.03:
+            result.append((None, np.linalg.inv(_posed(row[4:], row[1:4]))))
+    return result
+
+
 def same(cameras, expected):
     assert len(cameras) == len(expected)
     for camera, (K, pose) in zip(cameras, expected):

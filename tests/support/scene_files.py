@@ -1,9 +1,13 @@
 """Small scenes of every format: written by the library that owns the format where there is one, else by ours."""
 
+import shutil
+
+import numpy as np
 import pytest
 from support import oracles, scene_writers
 
 from pagas_cl.scene.readers import camera_file, meshlab
+from pagas_cl.synthetic import exports_depth
 
 
 def make_open3d(folder, views):
@@ -43,6 +47,18 @@ def make_colmap(folder, views, binary=True):
     write_model(folder, [v.camera for v in views], binary=binary, photos=False)
 
 
+def make_frames(write):
+    """By a writer of a format with photos and depth maps of its own."""
+    def make(folder, views):
+        y, x = np.mgrid[:48, :64]
+        photo = np.stack([4 * x, 5 * y, 127 + 80 * np.sin(x / 9)], -1).astype(np.uint8)      # a network sees it small
+        frames = [exports_depth.Frame(v.camera, photo, np.full(photo.shape[:2], 2.0, "f4")) for v in views]
+        shutil.rmtree(folder / "images")
+        write(folder, frames)
+
+    return make
+
+
 READERS = {
     "cameras": (camera_file.write, "cameras.json", oracles.camera_file, {}),
     "colmap": (make_colmap, "sparse/0/images.bin", oracles.colmap_bin, {}),
@@ -54,4 +70,13 @@ READERS = {
     "open3d_log": (make_log, "trajectory.log", oracles.log, {}),
     "bundler": (scene_writers.bundler, "bundle.out", oracles.bundler, {}),
     "meshlab": (make_meshlab, "project.mlp", oracles.meshlab, {"flavour": "meshlab"}),
+    "da3": (make_frames(exports_depth.da3), "exports/npz/results.npz", oracles.da3, {}),
+    "vggt": (make_frames(exports_depth.vggt), "predictions.npz", oracles.vggt, {}),
+    "mapanything": (make_frames(exports_depth.mapanything), "predictions/000000.npz", oracles.mapanything, {}),
+    "record3d": (make_frames(exports_depth.record3d), "metadata", oracles.record3d, {}),
+    "polycam": (make_frames(exports_depth.polycam), "keyframes/cameras/000000.json", oracles.polycam, {}),
+    "scannet": (make_frames(exports_depth.scannet), "pose/0.txt", oracles.pose_txt, {}),
+    "7scenes": (make_frames(exports_depth.seven_scenes), "frame-000000.pose.txt", oracles.pose_txt, {}),
+    "tum": (make_frames(exports_depth.tum), "groundtruth.txt", oracles.tum, {}),
+    "dvmvs": (make_frames(exports_depth.video_mvs), "poses.txt", oracles.poses_txt, {}),
 }

@@ -7,6 +7,7 @@ numbers, texts and cameras go through `untrusted`, paths through `photos.inside`
 damaged, distorted or unclear ends in one InputError sentence. A new format is a new module and a line in FORMATS.
 """
 
+import logging
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,12 @@ from pagas_cl.scene.view import Scene
 
 # In the order of looking: what names its convention and its photos itself comes first.
 FORMATS = {"cameras": "camera_file", "colmap": "colmap", "nerfstudio": "nerfstudio", "mvsnet": "mvsnet",
-           "neus": "neus", "open3d": "open3d_trajectory", "bundler": "bundler", "meshlab": "meshlab"}
+           "neus": "neus", "open3d": "open3d_trajectory", "bundler": "bundler", "meshlab": "meshlab",
+           "da3": "depth_anything", "vggt": "vggt", "mapanything": "mapanything", "record3d": "record3d",
+           "polycam": "polycam", "scannet": "scannet", "7scenes": "seven_scenes", "tum": "tum",
+           "dvmvs": "video_mvs"}
+
+log = logging.getLogger("pagas_cl")
 
 
 def read_scene(folder: str | Path, format: str | None = None, **options: Any) -> Scene:
@@ -37,6 +43,16 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
             scene: Scene = module.read(folder, **options)
             refuse_shared_masks(scene.views, folder)
             tell_links(scene.views, folder)
+            if format is None and scene.depths is None:
+                _tell_depth(folder, name)
             return scene
     raise InputError(f"scene {str(folder)!r} holds no cameras in a known format ({', '.join(FORMATS)}); expected for "
                      "instance images/ and a COLMAP model in sparse/0")
+
+
+def _tell_depth(folder: Path, taken: str) -> None:
+    """Say which other format, with depth maps, the folder holds too."""
+    for name in list(FORMATS)[list(FORMATS).index("da3"):]:
+        if name != taken and import_module(f"{__name__}.{FORMATS[name]}").detect(folder):
+            log.info("%s is read as %s; it also holds %s, with depth maps: --format %s takes those", folder, taken,
+                     name, name)
