@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from job_scenes import write_small_scene
 from PIL import Image
+from support.job_scenes import write_small_scene
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import OutputError

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import rigs
 from PIL import Image
+from support import rigs
 from support.scenes import relief_scene
 
 from pagas_cl.errors import InputError
