@@ -9,6 +9,8 @@
 #include "constants.clh"
 #include "sums.clh"
 
+#define STILL 0.02f                      // footprints
+
 #define EACH_IN_GROUP(i) \
     const int i = get_global_id(0); \
     __local float scratch[GROUP];
@@ -145,11 +147,13 @@ __kernel void turn(__global const float *scalars, int step, int first_time, int 
     p[i] = residual[i] * inverse_diagonal[i] + (first_time ? 0.0f : beta * p[i]);
 }
 
-// moved = positions + delta normals
-__kernel void move(__global const float *positions, __global const float *normals, __global const float *delta, int count,
-                   float scale, __global float *moved)
+// moved = positions + delta normals; what has no evidence and would hardly move stays where it is
+__kernel void move(__global const float *positions, __global const float *normals, __global const float *unit,
+                   __global const float *weight, int count, float scale, __global float *delta, __global float *moved)
 {
     EACH(i, count)
+    if (!(weight[i] > 0.0f) && fabs(delta[i]) < STILL * unit[i] * scale)
+        delta[i] = 0.0f;
     vstore3(vload3(i, positions) + (delta[i] / scale) * vload3(i, normals), i, moved);
 }
 

@@ -26,7 +26,7 @@ LEVELS = [
     [(200, "jobs", "jobs progress", "many views, devices, resuming"),
      (1000, "result", "result", "DepthResult: what a view gives back")],
     [(200, "splat", "splat", "launches: a module a kernel file"),
-     (640, "surface", "surface", "ray casting, agreement, TSDF")],
+     (640, "surface", "surface", "mesh depth and solve, TSDF")],
     [(140, "runtime", "runtime", "devices, programs"), (440, "cl_kernels", "cl_kernels", "OpenCL C 1.2"),
      (760, "reference", "reference", "float64 twins")],
     [(705, "scene", "scene", "cameras, photos, meshes, readers: host side, NumPy")],

@@ -94,7 +94,7 @@ def _solve(surface: Surface, views: Sequence[Observed], device: Device, least_vi
         words.known["unit"].release()
         words.known["unit"] = upload(device, np.where(found, unit, np.float32(middle)))
         _Gradients(device, count, len(pairs), {**known, **words.known}, 1 / middle).run()
-        held = _move(device, count, known, 1 / middle)
+        held = _move(device, count, {**known, **words.known}, 1 / middle)
         seen, sigma = (download(device, words.known[name], count, kind) for name, kind in
                        (("seen", np.int32), ("sigma", np.float32)))
         words.release()
@@ -168,7 +168,7 @@ def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> in
 
     program = build(device, "mesh_solve.cl", (f"GROUP={_GROUP}",))
     cl.enqueue_fill_buffer(device.queue, known["held"], np.int32(0), 0, 4 * count)
-    move = {name: known[name] for name in ("positions", "normals", "delta", "moved")}
+    move = {name: known[name] for name in ("positions", "normals", "unit", "weight", "delta", "moved")}
     hold = {name: known[name] for name in ("positions", "moved", "first", "pairs", "delta", "held")}
     for turn in range(_HOLDS):
         run_once(device.queue, [bind(program, "move", (count,), None, move, count=count, scale=scale),

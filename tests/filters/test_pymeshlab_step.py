@@ -130,7 +130,7 @@ def test_same_as_refine_mesh(made):
     meshes.add_mesh(pymeshlab.Mesh(*made.initial_mesh(3.0)), "wall")
     config = request({"settings": FAST, "voxel": "2"}, "test").config
     photos = [v.image for v in made.views]
-    expected = pagas_cl.refine_mesh(meshes.current_mesh(), made.cameras[:3], photos, config=config)
+    expected = pagas_cl.refine_mesh(meshes.current_mesh(), made.cameras[:3], photos, config=config, output="tsdf")
     meshes.apply_pagas_depth_refinement(made.views, settings=FAST, voxel=2.0)
     assert np.array_equal(meshes.current_mesh().vertex_matrix(), expected.vertex_matrix())
     assert np.array_equal(meshes.current_mesh().face_matrix(), expected.face_matrix())

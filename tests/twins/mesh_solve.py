@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.sparse.linalg import spsolve
 
-LAMBDA, STAY, CREASE, JUMP, LINKINGS = 2.0, 0.02, 0.1, 0.5, 2
+LAMBDA, STAY, CREASE, JUMP, LINKINGS, STILL = 2.0, 0.02, 0.1, 0.5, 2, 0.02
 
 
 def ways(vertices, faces, normals, unit, target, weight) -> np.ndarray:
@@ -25,4 +25,4 @@ def ways(vertices, faces, normals, unit, target, weight) -> np.ndarray:
         data = sparse.diags(each * np.where(weight > 0, weight, STAY))
         matrix = data + LAMBDA * laplacian.T @ sparse.diags(each) @ laplacian
         delta = spsolve(matrix.tocsc(), each * weight * t)
-    return delta * middle
+    return np.where((weight > 0) | (abs(delta) * middle > STILL * unit), delta * middle, 0)
