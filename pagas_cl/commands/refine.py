@@ -65,7 +65,8 @@ def command(
     more = {} if context is None else {"context__number": context}
     config = build_config(preset, settings, **more)
     found = load_scene(scene, format, outside)
-    for view in found.views:
+    given = found.views
+    for view in given:
         view.check_files()
     for option, where in (("--output", output and output.parent), ("--save-depth", save_depth), ("--report", report)):
         check_writable(option, where)
@@ -90,6 +91,8 @@ def command(
                                             device=place["device"]))
         if output is not None:
             log.info("mesh: %s", output)
+    if save_depth is not None:
+        _save_cameras(save_depth, given, results)
     _tell(results, save_depth, report)
     if folder is not None and save_depth is None:
         rmtree(folder, ignore_errors=True)
@@ -106,6 +109,18 @@ def _settled_cameras(found, mesh, config, device, progress, page):
     if told is not None and page is not None:
         page.note(str(told))
     return replace(found, views=views), config
+
+
+def _save_cameras(folder: Path, views, results) -> None:
+    """Beside the depth maps the cameras that they belong to, where these were refined: not those of the scene's
+    `views`."""
+    from pagas_cl.result import joined
+    from pagas_cl.scene.readers import camera_file
+
+    pairs = joined(views, results)
+    if any(result.camera is not views[place].camera for place, result in pairs):
+        log.info("refined cameras: %s", camera_file.write(
+            folder, [replace(views[place], camera=result.camera, mask=None) for place, result in pairs]))
 
 
 def _place(device, devices, scheduler) -> dict:
