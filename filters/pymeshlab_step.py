@@ -109,6 +109,7 @@ def scene_views(scene) -> list[View]:
 
 def refine_layer(meshes, views: list[View], asked: Request, *, device=None, progress=None) -> dict:
     """Refine the current layer of a MeshSet; what the method and the script share."""
+    from pagas_cl.cameras.effect import settle_cameras
     from pagas_cl.refine import fuse_results, initial_depths, refine_views
     from pagas_cl.scene.mesh import to_surface
 
@@ -117,14 +118,15 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
     surface = to_surface(layer)  # the layer's matrix applied
     if asked.output == "displace":
         surface = replace(surface, quality=None, colors=None, normals=None)
+    views, config, _ = settle_cameras(views, surface, asked.config, device or asked.device, progress)
     depths = initial_depths(surface, views, progress)
     if asked.output == "displace" and asked.subdivide is not None:
         surface = _subdivided(meshes, surface, views, depths, asked.subdivide, matrix)
-    results = refine_views(views, depths, config=asked.config, device=device or asked.device, progress=progress)
+    results = refine_views(views, depths, config=config, device=device or asked.device, progress=progress)
     if asked.output == "displace":
         _displace_layer(meshes, surface, views, depths, results, asked, matrix)
     else:
-        fused = fuse_results(views, results, asked.config, progress, device=device or asked.device)
+        fused = fuse_results(views, results, config, progress, device=device or asked.device)
         _add_layer(meshes, fused, results, f"{label} refined", matrix)
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
 

@@ -15,6 +15,7 @@ from pagas_cl.cameras.frames import Frames, depths_of
 from pagas_cl.cameras.motion import pixel_motion
 from pagas_cl.cameras.pairs import choose_pairs
 from pagas_cl.cameras.rounds import COARSE, FINE, MAPS, Rounds, Stage, State
+from pagas_cl.cameras.scales import first_scales
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError
 from pagas_cl.measurements import measure
@@ -168,6 +169,7 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
                   _lenses(given, unknowns, lenses), _lens_numbers(unknowns), _map_numbers(unknowns))
     if state.map_numbers:
+        state.maps[:, 0] = first_scales(given, surfaces, pairs.used)
         rounds.run(MAPS, state)
     coarse = (measured > FAR or elsewhere > FAR_OFF or state.map_numbers > 0
               or bool(_wrong(rounds, state, Stage(0.25, 0.7, 0))))

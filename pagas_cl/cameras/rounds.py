@@ -93,12 +93,12 @@ class Rounds:
             tolerance = ANY
         terms = [Term(t, others, self._block(frames, t, others, tolerance, stage.free))
                  for t, others in enumerate(self.pairs.used) if others]
-        unknowns = self._unknowns(frames, state, stage)
-        system, right = assemble(terms, cameras, self.scene_scale, unknowns)
         used = sum(float(term.block.used.sum()) for term in terms)
         squares = sum(float(term.block.squares.sum()) for term in terms)
         if not used:
             return frames, 0.0
+        unknowns = self._unknowns(frames, state, stage)
+        system, right = assemble(terms, cameras, self.scene_scale, unknowns)
         there = self._moved(frames, state, unknowns)
         share = frames[0].camera.width / state.cameras[0].width
         y, spread = solve(system, right, there, INFLATION * squares / used, max(state.spread * share, 1e-3))

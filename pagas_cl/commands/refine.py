@@ -91,7 +91,8 @@ def command(
     if mesh is None and given.depths is None:
         raise InputError(f"{str(scene)!r} holds neither depth maps nor a mesh: expected either --mesh or --depth-dir "
                          "(where the refinement starts), got neither")
-    for view in found.views:
+    as_given = found.views
+    for view in as_given:
         view.check_files()
     for option, where in (("--output", output and output.parent), ("--save-depth", save_depth), ("--report", report)):
         check_writable(option, where)
@@ -129,6 +130,8 @@ def command(
             log.info("mesh: %s", output)
         if page is not None and made is not None:
             _show_mesh(page, found.views, mesh, made, results, place["device"])
+        if save_depth is not None:
+            _save_cameras(save_depth, as_given, results)
         _tell(results, save_depth, report)
         if folder is not None and save_depth is None:
             remove_run(folder)
@@ -145,6 +148,18 @@ def _settled_cameras(found, mesh, config, device, progress, page):
     if told is not None and page is not None:
         page.note(str(told))
     return replace(found, views=views), config
+
+
+def _save_cameras(folder: Path, views, results) -> None:
+    """Beside the depth maps the cameras that they belong to, where these were refined: not those of the scene's
+    `views`."""
+    from pagas_cl.result import joined
+    from pagas_cl.scene.readers import camera_file
+
+    pairs = joined(views, results)
+    if any(result.camera is not views[place].camera for place, result in pairs):
+        log.info("refined cameras: %s", camera_file.write(
+            folder, [replace(views[place], camera=result.camera, mask=None) for place, result in pairs]))
 
 
 def _place(device, devices, scheduler) -> dict:

@@ -156,6 +156,30 @@ def test_the_effect_moves_cameras_before_views_are_refined(relief, off_by_one, d
     assert as_given.camera is cameras[0]
 
 
+def test_depth_maps_that_disagree_by_a_factor(relief, device):
+    factors = np.array([1.02, 0.95, 1.12, 0.84, 1.05, 0.97, 1.0])
+    depths = [depth * np.float32(factor) for depth, factor in zip(relief.depths, factors)]
+    found = refine_cameras(relief.through(noisy(relief.cameras, 0.5, 0)), depths, unknowns=("pose", "depth_scale"),
+                           device=device)
+    scales = found.depth_scales * factors
+    assert found.accepted and np.ptp(scales) < 0.005 and scales.mean() == pytest.approx(1, abs=0.05)
+    assert (found.depth_shifts == 0).all() and relief.error(found.cameras) < 0.2
+    with pytest.raises(InputError, match="a mesh was given"):
+        refine_cameras(relief.views, (np.eye(3), np.arange(3)[None]), unknowns=("depth_scale",), device=device)
+
+
+def test_a_lens_of_its_own(relief, device):
+    """Half of the views were taken with a longer lens than they say."""
+    lenses = [0, 0, 0, 0, 1, 1, 1]
+    cameras = [replace(c, fx=c.fx * (1 + 0.01 * lens), fy=c.fy * (1 + 0.01 * lens))
+               for c, lens in zip(noisy(relief.cameras, 0.3, 0), lenses)]
+    found = refine_cameras(relief.through(cameras), relief.depths, unknowns=("pose", "focal"), lenses=lenses,
+                           device=device)
+    ratio = found.cameras[5].fx / found.cameras[0].fx
+    assert found.accepted and ratio == pytest.approx(1, abs=0.003) and found.cameras[4].fx == found.cameras[6].fx
+    assert found.cameras[0].cx == cameras[0].cx
+
+
 def test_a_mesh_stays_where_it_is(relief, off_by_one, device):
     pytest.importorskip("open3d")
     cameras, by_depth = off_by_one
