@@ -45,7 +45,8 @@ def html_page(title: str, notes: list[str], header: list[str], rows: list[list[s
     A section is (name, pictures as HTML, lines of text); a row whose first cell names one leads there. Rows that are
     `marked` stand out.
     """
-    parts = [f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
+    parts = [f'<!doctype html><html lang="en"><meta charset="utf-8">'
+             f'<meta name="generator" content="pagas-cl"><title>{escape(title)}</title>'
              f"<style>{_STYLE}</style><h1>{escape(title)}</h1>", _paragraphs(notes)]
     if picture:
         parts.append(f'<img src="{escape(picture)}" alt="{escape(title)}">')
