@@ -53,7 +53,7 @@ def html_page(title: str, notes: list[str], header: list[str], rows: list[list[s
     text); a row whose first cell names one leads there. Rows that are `marked` stand out. `scripts` of this package run
     at the end.
     """
-    parts = ['<!doctype html><html lang="en"><meta charset="utf-8">'
+    parts = ['<!doctype html><html lang="en"><meta charset="utf-8"><meta name="generator" content="pagas-cl">'
              '<meta name="viewport" content="width=device-width, initial-scale=1">'
              f"<title>{escape(title)}</title><style>{_shipped('page.css')}</style><h1>{escape(title)}</h1>"]
     parts += [f'<p class="headline">{escape(headline)}</p>'] if headline else []

@@ -19,6 +19,7 @@ from pagas_cl.errors import InputError, OutputError
 from pagas_cl.jobs.finished import one_run
 from pagas_cl.jobs.store import DepthFile
 from pagas_cl.refine import refine_views
+from pagas_cl.report.page import html_page
 from pagas_cl.scene.depthmap import load_depth, save_depth
 from pagas_cl.scene.files import replaced
 
@@ -109,6 +110,7 @@ def test_a_depth_map_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):
 
 
 def test_a_page_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):
+    assert "pagas" in html_page("any", [], [], [])      # by which our own pages are known
     (tmp_path / "index.html").write_text("<html>my own page</html>")
     command = commands(scene, tmp_path, scene / "depth_initial")["report"]
     assert command_line.run(list(command)) == 2 and "page of somebody else" in capsys.readouterr().err
