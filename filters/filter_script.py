@@ -5,8 +5,6 @@ defaults for values that it does not understand. Stretches of MeshLab's filters 
 between them, and the history keeps every step, so that saving the script keeps ours.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 import tempfile

@@ -5,8 +5,6 @@ Each question is [MeshLab name, pymeshlab name or null]. Each answer is a line: 
 {"name", "known", "written"}: `written` is the filter as pymeshlab itself writes it, with all parameters and types.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -22,6 +20,7 @@ from xml.etree import ElementTree
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.filters.names import METHOD
+from pagas_cl.runtime.child import end_with_parent
 
 UNKNOWN = "Something really bad happened"  # pymeshlab's words for a filter name that it does not know
 _SECONDS = 60.0  # for one child process; a filter with default values on a small sphere takes milliseconds
@@ -189,4 +188,5 @@ def _is_known(pymeshlab, name: str, path: Path) -> bool:
 
 
 if __name__ == "__main__":
+    end_with_parent()
     main(*sys.argv[1:])

@@ -1,7 +1,5 @@
 """Open3D's RGB-D frames, in any of the forms in which people hold them, as views and depth maps, and back."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -89,10 +87,9 @@ def _parts(given) -> tuple:
 def _pixels(image, who: str) -> np.ndarray:
     """(H, W) or (H, W, C) array of a legacy or tensor Image, an array, or a file."""
     if isinstance(image, (str, Path)):
-        from PIL import Image
+        from pagas_cl.scene.images import open_image
 
-        image_size(image)  # a sentence for what is no image
-        with Image.open(image) as file:
+        with open_image(Path(image)) as file:
             pixels = np.asarray(file)
         return pixels.astype(np.uint16) if pixels.dtype == np.int32 else pixels
     pixels = _numpy(image)

@@ -8,8 +8,6 @@ VoxelBlockGrid at +0.5. Intrinsics are read with `pixel_center` (0, as the legac
 VoxelBlockGrid here is shifted as a measurement of the installed Open3D says (surface.grid).
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 
@@ -83,8 +81,8 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
     """
     from pagas_cl.refine import fuse_results
     from pagas_cl.scene.mesh import from_surface
-    from pagas_cl.surface.displace import vertex_confidence
     from pagas_cl.surface.fuse import fusion_plan
+    from pagas_cl.surface.on_vertices import vertex_confidence
 
     config = settings_of(preset, config)
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,

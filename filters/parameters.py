@@ -3,8 +3,6 @@
 A MeshLab script would store a length as an absolute number and apply it to the next mesh, whatever its size.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

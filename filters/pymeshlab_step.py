@@ -4,8 +4,6 @@
     meshes.apply_pagas_depth_refinement("SCENE")     # refines the current layer with the photos of SCENE
 """
 
-from __future__ import annotations
-
 import logging
 from contextlib import nullcontext
 from dataclasses import replace
@@ -147,7 +145,7 @@ def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 def _add_layer(meshes, surface, results, label: str, matrix: np.ndarray) -> None:
     """The fused mesh as a new current layer with the old one's matrix, confidence as quality, unit normals."""
     from pagas_cl.scene.mesh import from_surface
-    from pagas_cl.surface.displace import vertex_confidence
+    from pagas_cl.surface.on_vertices import vertex_confidence
 
     quality = vertex_confidence(surface.vertices, results)
     surface = replace(surface, vertices=_local(surface.vertices, matrix), quality=quality, normals=None)
@@ -160,16 +158,19 @@ def _add_layer(meshes, surface, results, label: str, matrix: np.ndarray) -> None
 def _displace_layer(meshes, surface, views, depths, results, asked: Request, matrix: np.ndarray) -> None:
     """Move the current layer's vertices where they are: pymeshlab's meshes take no new positions from outside, but its
     filters can copy vertex attributes, exactly, into positions and quality."""
-    from pagas_cl.keep_mesh import observed_views
-    from pagas_cl.surface.displace import displace
+    from pagas_cl.keep_mesh import Observations, coarseness, solve_device
+    from pagas_cl.surface.mesh_solve import solve_mesh
+    from pagas_cl.surface.on_vertices import footprints, vertex_confidence
 
-    fusion = asked.config.fusion
-    moved = displace(surface, observed_views(views, depths, results), agree_views=fusion.agree_views,
-                     agree_pixels=fusion.agree_pixels)
+    finest = footprints(surface.vertices, [view.camera for view in views], depths)
+    solved = solve_mesh(surface, Observations(results, coarseness(surface, finest, None)), solve_device(asked.device),
+                        least_views=max(1, asked.config.fusion.agree_views) + 1)
+    moved = (solved.vertices != surface.vertices).any(axis=1)
+    quality = np.where(moved, vertex_confidence(solved.vertices, results), 0)
     # vertices that stayed keep their bits: they are not sent through the matrix and back
-    local = np.where(moved.moved[:, None], _local(moved.vertices, matrix), meshes.current_mesh().vertex_matrix())
+    local = np.where(moved[:, None], _local(solved.vertices, matrix), meshes.current_mesh().vertex_matrix())
     names = _attribute_names(meshes.current_mesh())
-    for name, values in zip(names, (*local.T, moved.quality)):
+    for name, values in zip(names, (*local.T, quality)):
         meshes.current_mesh().add_vertex_custom_scalar_attribute(np.ascontiguousarray(values), name)
     meshes.compute_coord_by_function(x=names[0], y=names[1], z=names[2], onselected=False)
     meshes.compute_scalar_by_function_per_vertex(q=names[3], onselected=False)
@@ -196,7 +197,7 @@ def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: 
     import pymeshlab
 
     from pagas_cl.scene.mesh import to_surface
-    from pagas_cl.surface.displace import footprints
+    from pagas_cl.surface.on_vertices import footprints
 
     finest = footprints(surface.vertices, [view.camera for view in views], depths)
     if not np.isfinite(finest).any():

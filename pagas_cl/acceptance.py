@@ -1,7 +1,5 @@
 """Which depths of a refined view evidence has moved; whether it is to be trusted as a whole, or returned as it came."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.result import KEPT, REFINED, REJECTED

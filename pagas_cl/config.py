@@ -246,6 +246,9 @@ class Fusion(_Stage):
     least_weight: float = _number(1.0, 0, 1)
     """What a depth counts, in thirds, however unsure it is: below 1 depths are weighted by their confidence, at 0 those
     that no photo speaks for are left out. A view that is sure then counts three times for `min_views`."""
+    polish: bool = _switch(True)
+    """Whether the vertices of the fused mesh are put where the depth maps agree (method section 10): no ripples of
+    voxels. Needs an OpenCL device."""
     min_component: float = _number(0.05, 0, 1)
     """Pieces with fewer triangles than this share of the largest one are dropped; 0 keeps all."""
 
@@ -265,11 +268,13 @@ class Effects(_Stage):
     noise: str = _effect()
     pyramid: str = _effect()
     consistency: str = _effect()
+    cameras: str = _effect()
 
     @property
     def measured(self) -> bool:
-        """Whether a view is measured for them; the consistency check rests on other measurements."""
-        return any(getattr(self, f.name) not in ("set", "off") for f in fields(self) if f.name != "consistency")
+        """Whether a view is measured for them; the consistency check and the cameras are of a whole scene."""
+        return any(getattr(self, f.name) not in ("set", "off") for f in fields(self)
+                   if f.name not in ("consistency", "cameras"))
 
     @classmethod
     def every(cls, choice: str) -> Effects:

@@ -1,7 +1,11 @@
-"""What can go wrong, one small family: every message says what, where, got, expected, and what to do."""
+"""What can go wrong, one small family: every message says what, where, got, expected, and what to do; and the log that
+every part writes to."""
 
+import logging
 from collections.abc import Iterable
 from difflib import get_close_matches
+
+log = logging.getLogger("pagas_cl")
 
 
 def nearest_of(word: str, known: Iterable[str]) -> str:

@@ -1,7 +1,5 @@
 """What the refinement of one view gives back."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,7 +11,7 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED, surface_depth
+from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED, central_normals, surface_depth
 from pagas_cl.scene.view import View
 
 
@@ -73,14 +71,14 @@ class DepthResult:
         return normals_of(self.depth, self.camera)
 
     @classmethod
-    def missing(cls, camera: Camera, reason: str, name: str = "") -> DepthResult:
+    def missing(cls, camera: Camera, reason: str, name: str = "") -> "DepthResult":
         """No surface anywhere, of a view that could not be refined."""
         nothing = np.zeros((camera.height, camera.width), np.float32)
         return cls(camera, nothing, nothing.astype(np.uint8), nothing, nothing, reason, {"failed": reason}, name)
 
     @classmethod
     def unrefined(cls, camera: Camera, depth: npt.ArrayLike, reason: str, report: dict[str, Any] | None = None,
-                  name: str = "") -> DepthResult:
+                  name: str = "") -> "DepthResult":
         """The input as it came, with the reason."""
         depth = surface_depth(np.asarray(depth))
         status = np.where(depth > 0, KEPT, NO_SURFACE).astype(np.uint8)
@@ -134,12 +132,4 @@ def confidence_of(depth: np.ndarray, deviation: np.ndarray, parallax: np.ndarray
 
 def normals_of(depth: np.ndarray, camera: Camera) -> npt.NDArray[np.float32]:
     """Normals of a depth map; see DepthResult.normals."""
-    points = camera.rays() * depth.astype(np.float64)[..., None]
-    normals = np.zeros(points.shape, np.float32)
-    across = np.cross(points[2:, 1:-1] - points[:-2, 1:-1], points[1:-1, 2:] - points[1:-1, :-2])
-    valid = depth > 0
-    whole = (valid[1:-1, 1:-1] & valid[2:, 1:-1] & valid[:-2, 1:-1] & valid[1:-1, 2:] & valid[1:-1, :-2])
-    length = np.linalg.norm(across, axis=-1, keepdims=True)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        normals[1:-1, 1:-1] = np.where(whole[..., None] & (length > 0), across / length, 0)
-    return normals
+    return np.nan_to_num(central_normals(depth, camera)).astype(np.float32)

@@ -152,8 +152,8 @@ def test_fusion_drops_what_others_contradict(maps, made):
 
 def test_timed_steps_have_room_for_their_losses(made, device, monkeypatch):
     """Five steps are timed whatever the settings ask for: two of them would leave room for three losses."""
+    from pagas_cl.bench import time_step
     from pagas_cl.splat.level import Level
-    from pagas_cl.splat.step_time import time_step
 
     plain, rooms = Level.run, []
 

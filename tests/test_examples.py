@@ -29,7 +29,7 @@ MIXED = """<!DOCTYPE FilterScript>
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """SCENE, DEPTH, RGBD, NERFSTUDIO, MVSNET, NEUS, BUNDLER, a 2DGS output and a script."""
-    import scene_writers as to
+    from support import scene_writers as to
 
     from pagas_cl.scene.depthmap import resize_depth, save_depth
 

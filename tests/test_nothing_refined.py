@@ -112,7 +112,8 @@ def test_every_command_says_so_and_ends_with_status_3(spoilt, tmp_path, capsys, 
     mesh = ["--mesh", str(spoilt / "mesh_coarse.ply"), "--output", str(tmp_path / "fine.ply")]
     words = {"depth maps": ["refine", str(spoilt), "--depth-dir", str(spoilt / "depth_initial"), "--save-depth",
                             str(tmp_path / "out")],
-             "mesh": ["refine", str(spoilt), *mesh], "same mesh": ["refine", str(spoilt), *mesh, "--keep-mesh"]}
+             "mesh": ["refine", str(spoilt), *mesh, "--report", str(tmp_path / "page")],
+             "same mesh": ["refine", str(spoilt), *mesh, "--keep-mesh"]}
     if way == "script":
         pytest.importorskip("pymeshlab")
         (tmp_path / "s.mlx").write_text('<!DOCTYPE FilterScript>\n<FilterScript><filter name="PAGaS Depth Refinement">'
@@ -122,4 +123,7 @@ def test_every_command_says_so_and_ends_with_status_3(spoilt, tmp_path, capsys, 
     assert command_line.run([*words[way], "--quiet", *fast]) == 3
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith("pagas-cl: NOTHING WAS REFINED: 0 of ") and "masks leave 0.0%" in last
+    if way == "mesh":
+        page = (tmp_path / "page" / "index.html").read_text()
+        assert "Nothing was refined: " in page and "masks leave 0.0%" in page
     assert (tmp_path / ("out/target.npz" if way == "depth maps" else "fine.ply")).is_file()

@@ -1,8 +1,7 @@
 """What the commands write to standard error: messages, and progress with the time left."""
 
-from __future__ import annotations
-
 import logging
+import os
 import sys
 import time
 import warnings
@@ -15,6 +14,48 @@ from pagas_cl.errors import NothingRefinedError, NothingRefinedWarning
 log = logging.getLogger("pagas_cl")
 
 _LINE_EVERY = 10.0  # seconds between lines where standard error is a file
+
+
+class _Lenient:
+    """A standard stream; what is written to it is dropped once nobody reads it any more (`| head -1`), or it cannot be
+    written for another reason (`fault`), so that the work goes on."""
+
+    def __init__(self, stream):
+        self._stream, self.fault = stream, ""
+
+    def __getattr__(self, name: str):
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        self._do(self._stream.write, text)
+        return len(text)
+
+    def flush(self) -> None:
+        self._do(self._stream.flush)
+
+    def _do(self, what, *arguments) -> None:
+        try:
+            what(*arguments)
+        except OSError as error:
+            self.fault = "" if isinstance(error, BrokenPipeError) else error.strerror or str(error)
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self._stream.fileno())
+            os.close(nowhere)
+
+
+def make_streams_safe() -> None:
+    """Before anything else in a process of our own: standard streams that are closed lead nowhere, and not into the
+    next file that is opened; names of files are written even where they are no text."""
+    for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)      # gets the least number that is free: this one
+        stream = getattr(sys, name) or open(number, mode, closefd=False)      # noqa: SIM115
+        if mode == "w":
+            stream.reconfigure(errors="backslashreplace")
+            stream = _Lenient(stream)
+        setattr(sys, name, stream)
 
 
 @cache
@@ -93,6 +134,23 @@ def nothing_refined():
             raise NothingRefinedError(f"{text.replace('nothing was refined', 'NOTHING WAS REFINED', 1)}; what was "
                                       "written holds the depths that came in")
         log.warning("%s", text)
+
+
+@contextmanager
+def noted(note):
+    """Context of work whose NothingRefinedWarning is handed to note(text), too, where that is a function."""
+    show = warnings.showwarning
+
+    def both(message, category, *place, **more):
+        if note and category is NothingRefinedWarning:
+            note(str(message))
+        show(message, category, *place, **more)
+
+    warnings.showwarning = both
+    try:
+        yield
+    finally:
+        warnings.showwarning = show
 
 
 @contextmanager

@@ -1,7 +1,5 @@
 """Settings of a command line: `--set stage.field=value`, or the best for `--time-per-view` and `--time-budget`."""
 
-from __future__ import annotations
-
 import logging
 
 from pagas_cl.config import Config, setting_names

@@ -1,7 +1,5 @@
 """What commands do before the work: try the places they write to, read the scene and the initial depth of its views."""
 
-from __future__ import annotations
-
 import logging
 import tempfile
 from contextlib import contextmanager
@@ -9,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pagas_cl.errors import InputError, InterruptedRunError
+from pagas_cl.scene.files import read_bytes
 
 log = logging.getLogger("pagas_cl")
 
@@ -34,6 +33,11 @@ def check_writable(option: str, folder: Path | None) -> None:
         why = f"{str(file)!r} is a file" if file else error.strerror or str(error)
         raise InputError(f"{option}: cannot write in the folder {str(folder)!r} ({why}): choose another one"
                          + ("" if file else ", or see to its permissions")) from error
+    else:
+        page = folder / "index.html"
+        if option == "--report" and page.exists() and b"pagas" not in read_bytes(page):
+            raise InputError(f"{option}: {str(page)!r} is a page of somebody else, which ours would replace: choose "
+                             "another folder")
     finally:
         for path in new:
             if path.is_dir():
@@ -90,9 +94,9 @@ def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, n
 
         keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
         return refine.initial_depths(to_surface(mesh), found.views, progress, keep)
-    from pagas_cl.scene.depthmap import find_depth
+    from pagas_cl.scene.depthmap import find_depths
 
-    files = [find_depth(depth_dir, view.name) for view in found.views]
+    files = find_depths(depth_dir, [view.name for view in found.views])
     if not any(files):
         raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
                          f"expected for instance {found.views[0].stem}.npz")

@@ -1,7 +1,5 @@
 """`pagas-cl analyze`: which effects a scene calls for, on what evidence, and what each costs on this device."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
@@ -72,6 +70,8 @@ def rows(analysis) -> list[list[str]]:
         if view.reason and not view.decisions:
             cells.append([view.view, "", "", "", "", view.reason])
         cells += [row(view.view, decision) for decision in view.decisions]
+    if analysis.cameras is not None:
+        cells.append(row("all", analysis.cameras, "; refined before the views where pairs that take no part agree"))
     if analysis.consistency is not None:
         cells.append(row("all", analysis.consistency, "; of the initial depth, decided anew on the refined one"))
     return cells
@@ -142,7 +142,7 @@ def show(analysis, table: bool = False) -> None:
         lines += ["", f"{'view':<29} {'effect':<16}{'evidence':>10}{'threshold':>11}  decision"]
         for view, effect, evidence, threshold, decision, reason in rows(analysis):
             line = f"{view[-29:]:<29} {effect:<16}{evidence:>10}{threshold:>11}  {decision}"
-            lines.append(line if effect else f"{view[-29:]:<29} {reason}"[:WIDTH])
+            lines.append(line.rstrip() if effect else f"{view[-29:]:<29} {reason}"[:WIDTH])
         if analysis.costs:
             lines += ["", f"{'effect':<16}{'without it':>12}{'with it':>12}{'memory':>12}  a view"]
         lines += [f"{name:<16}{seconds(cost.off):>12}{seconds(cost.on):>12}{size(cost.device_bytes):>12}"

@@ -1,7 +1,5 @@
 """`pagas-cl check`: are these the right cameras for this mesh and these photos?"""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`pagas-cl demo`: a small scene with known geometry, refined on whatever device there is."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

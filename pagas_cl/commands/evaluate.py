@@ -1,7 +1,5 @@
 """`pagas-cl evaluate`: errors of a mesh, a point cloud or depth maps, in the figures that benchmarks use."""
 
-from __future__ import annotations
-
 import json
 import logging
 import sys
@@ -70,8 +68,9 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
     from pagas_cl.evaluate import compare_depth, depth_per_parallax
 
     rows = {}
-    for view in scene.views:
-        depth, truth = (_depth(where, view, scale) for where in (folder, truth_folder))
+    places = [_depth_files(where, scene) for where in (folder, truth_folder)]
+    for view, *files in zip(scene.views, *places):
+        depth, truth = (_depth(file, view, scale) for file in files)
         if depth is None or truth is None:
             continue
         others = [other.camera for other in scene.views if other is not view]
@@ -95,14 +94,15 @@ def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict
             log.warning("%s is no held-out photo: it took part in the refinement of %d of the views in %s, so that the "
                         "figures flatter; refine with --hold-out %s to have it judge", view.name,
                         len(users[view.name]), folder, view.name)
-    for view in scene.views:
+    places = [_depth_files(where, scene) for where in (folder, before) if where is not None]
+    for view, *files in zip(scene.views, *places):
         if view in kept_out:
             continue
-        depths = [_depth(where, view, scale) for where in (folder, before) if where is not None]
+        depths = [_depth(file, view, scale) for file in files]
         if any(depth is None for depth in depths):
             continue
         for other in kept_out:
-            after, *first = compare_predictions(view, depths, other)
+            after, *first = compare_predictions(view, depths, _fitted(other, view, depths))
             if not after.pixels:
                 log.warning("%s: nothing of it is seen in %s", view.name, other.name)
                 continue
@@ -115,10 +115,27 @@ def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict
     return rows
 
 
-def _depth(folder, view, scale):
-    from pagas_cl.scene.depthmap import find_depth, load_depth
+def _fitted(other, view, depths) -> list:
+    """The held-out view once for each depth map, its pose fitted to it; as it is where there is no device."""
+    from pagas_cl.cameras.judge import fitted_pose
+    from pagas_cl.errors import DeviceError
 
-    path = find_depth(folder, view.name)
+    try:
+        return [fitted_pose(other, view, depth) for depth in depths]
+    except DeviceError as error:
+        log.warning("held-out cameras are taken as they are: %s", error)
+        return [other] * len(depths)
+
+
+def _depth_files(folder, scene):
+    from pagas_cl.scene.depthmap import find_depths
+
+    return find_depths(folder, [view.name for view in scene.views])
+
+
+def _depth(path, view, scale):
+    from pagas_cl.scene.depthmap import load_depth
+
     return None if path is None else load_depth(path, (view.camera.width, view.camera.height), scale=scale)
 
 

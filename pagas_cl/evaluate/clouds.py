@@ -3,8 +3,6 @@
 A mesh becomes a cloud of points that are spread evenly over its area, the same ones every time.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +10,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.evaluate.depth import Figures
+from pagas_cl.scene.files import DAMAGE, read_first, read_npy
 
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])  # Roberts' low-discrepancy sequence in the plane
 _MOST = 50_000_000
@@ -271,11 +270,10 @@ def _read(path):
     suffix = path.suffix.lower()
     try:
         if suffix in (".npy", ".npz"):
-            data = np.load(path, allow_pickle=False)
-            return (data[data.files[0]] if suffix == ".npz" else data), None
+            return (read_first if suffix == ".npz" else read_npy)(path), None
         if suffix in (".xyz", ".txt"):
             return np.loadtxt(path, dtype=np.float64, usecols=(0, 1, 2), ndmin=2), None
-    except (ValueError, IndexError, OSError) as error:
+    except DAMAGE as error:
         raise InputError(f"{str(path)!r} is no list of points, expected (n, 3): {error}") from error
     o3d = need("open3d", "mesh", f"reading {path.name}")
     mesh = o3d.io.read_triangle_mesh(str(path))

@@ -1,9 +1,9 @@
 """Files whose final name never holds half of them; arrays under the hash of their content, found from any process."""
 
-from __future__ import annotations
-
 import hashlib
 import os
+import sys
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,15 +13,18 @@ import numpy as np
 
 from pagas_cl.errors import InputError, OutputError
 from pagas_cl.scene.depthmap import load_depth
-from pagas_cl.scene.files import read_npy, replaced
+from pagas_cl.scene.files import opened, read_npy, replaced
 
 _CHUNK = 1 << 22
 
 
+_KEPT = "finished views are kept, make room or choose another folder, and start the same command again"
+
+
 @contextmanager
-def written(path: Path):
-    """Context of a binary file that gets the name `path` when all of it is on disk; errors as translate_os_errors."""
-    with translate_os_errors(path), replaced(path) as beside, open(beside, "wb") as file:
+def written(path: Path, parts: Path | None = None):
+    """Context of a binary file that gets the name `path` when all of it is on disk; see scene.files.replaced."""
+    with replaced(path, parts=parts, advice=_KEPT) as beside, open(beside, "wb") as file:
         yield file
 
 
@@ -33,8 +36,7 @@ def translate_os_errors(path: Path):
     except OutputError:
         raise
     except OSError as error:
-        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; finished views are kept, make room "
-                          "or choose another folder, and start the same command again") from error
+        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; {_KEPT}") from error
 
 
 def digest_of(parts) -> str:
@@ -62,8 +64,13 @@ def digest_file(path) -> str:
 
 @lru_cache(maxsize=1 << 17)
 def _digest_file(path: str, size: int, changed: int) -> str:
-    with open(path, "rb") as file:
-        return digest_of(iter(lambda: file.read(_CHUNK), b""))
+    return digest_of(in_chunks(path))
+
+
+def in_chunks(path) -> Iterator[bytes]:
+    """A file's bytes, some at a time."""
+    with opened(path, sys.maxsize) as file:
+        yield from iter(lambda: file.read(_CHUNK), b"")
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,6 @@ decides; what the photos cannot decide is said to be undecided. `check_seen` is 
 goes before every refinement.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
@@ -19,9 +17,9 @@ from pagas_cl.scene import fit as sentences
 from pagas_cl.scene import patches
 from pagas_cl.scene.align import Alignment, align, focus
 from pagas_cl.scene.camera import Camera, inverse_pose
+from pagas_cl.scene.fit import GOOD, Fit, Reading, fitted
 from pagas_cl.scene.inputs import Cameras, Images, as_cameras, as_views
 from pagas_cl.scene.mesh import Mesh, Surface, to_surface
-from pagas_cl.scene.fit import GOOD, Fit, Reading, fitted
 from pagas_cl.scene.view import View
 
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -165,7 +163,6 @@ class CameraReport:
     """`half_pixel` and `sentence` for who mends files and not calls."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain nested dictionary, ready for JSON."""
         return asdict(self)
 
 
@@ -250,7 +247,7 @@ class _Trial:
     """One reading, measured. Detail readings use the pairs and patches of the cameras as given."""
 
     def __init__(self, way: _Change, cams: list[Camera], keep: np.ndarray, greys: list[np.ndarray] | None,
-                 samples: patches.Samples, given: _Trial | None = None):
+                 samples: patches.Samples, given: "_Trial | None" = None):
         self.way, self.scores, self.samples = way, np.zeros(0), samples
         self.seen, self.pairs = np.zeros(0, bool), list[tuple[int, int]]()
         cameras = [way.of(camera) for camera in cams]
@@ -262,7 +259,7 @@ class _Trial:
         if self.pairs:
             self.scores = patches.patch_correlation(chosen, greys, self.pairs, self.seen, samples)
 
-    def reading(self, given: _Trial) -> Reading:
+    def reading(self, given: "_Trial") -> Reading:
         compared = int(np.isfinite(self.scores).sum())
         agreement = float(np.nanmedian(self.scores)) if compared >= patches.LEAST else None
         paired = self is not given and self.pairs is given.pairs and agreement is not None

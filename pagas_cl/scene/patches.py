@@ -4,8 +4,6 @@ Right cameras see the same texture at the same place of the surface; wrong ones 
 ray casting are needed: occlusion is judged by a coarse depth buffer of surface samples.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """A photo with its camera, and a scene: what every reader returns and every stage takes."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +12,7 @@ import numpy.typing as npt
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import Loads, as_mask, as_photo, image_size, read_mask, read_photo
+from pagas_cl.scene.names import place_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,15 +117,4 @@ class Scene:
 
     def index(self, name: str) -> int:
         """Place of the view called `name` (whole name, file name or stem)."""
-        for key in (lambda v: v.name, lambda v: Path(v.name).name, lambda v: v.stem):
-            found = [i for i, view in enumerate(self.views) if key(view) == name]
-            if len(found) == 1:
-                return found[0]
-            if found:
-                raise InputError(f"view {name!r} could be any of {', '.join(self.views[i].name for i in found[:5])}: "
-                                 "give the whole name")
-        from difflib import get_close_matches
-
-        near = get_close_matches(name, [v.name for v in self.views] + [v.stem for v in self.views], n=1, cutoff=0.0)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise InputError(f"there is no view {name!r} among the {len(self.views)} of {self.source or 'the scene'}{hint}")
+        return place_of(name, [view.name for view in self.views], self.source or "the scene")

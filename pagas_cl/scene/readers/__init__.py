@@ -7,14 +7,12 @@ numbers, texts and cameras go through `untrusted`, paths through `photos.inside`
 damaged, distorted or unclear ends in one InputError sentence. A new format is a new module and a line in FORMATS.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.readers.photos import tell_links
+from pagas_cl.scene.readers.photos import refuse_shared_masks, tell_links
 from pagas_cl.scene.view import Scene
 
 # In the order of looking: what names its convention and its photos itself comes first.
@@ -37,6 +35,7 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
         module = import_module(f"{__name__}.{FORMATS[name]}")
         if format is not None or module.detect(folder):
             scene: Scene = module.read(folder, **options)
+            refuse_shared_masks(scene.views, folder)
             tell_links(scene.views, folder)
             return scene
     raise InputError(f"scene {str(folder)!r} holds no cameras in a known format ({', '.join(FORMATS)}); expected for "

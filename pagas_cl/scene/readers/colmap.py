@@ -4,8 +4,6 @@ Convention: world-to-camera, OpenCV axes, pixel centres at +0.5. PINHOLE and SIM
 photos of other models are undistorted as they are loaded, by pycolmap's lens models.
 """
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 
@@ -13,7 +11,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene.lens import Lens, ThroughLens
 from pagas_cl.scene.readers import untrusted
 from pagas_cl.scene.readers.colmap_model import Model, ModelImage, read_model
-from pagas_cl.scene.readers.photos import find_mask, first_file, inside
+from pagas_cl.scene.readers.photos import find_mask, inside
 from pagas_cl.scene.view import Scene, View
 
 log = logging.getLogger("pagas_cl")
@@ -65,8 +63,7 @@ def _views_of(model: Model, photos: Path, folder: Path, outside: bool) -> list[V
 
 
 def _view(model: Model, image: ModelImage, path: Path, folder: Path, lenses: dict[int, Lens]) -> View:
-    camera, nested = model.cameras[image.camera_id], (f"{image.name}.png", Path(image.name).with_suffix(".png"))
-    mask = first_file(folder / "masks", nested) or find_mask(folder, path, ("masks",))
+    camera, mask = model.cameras[image.camera_id], find_mask(folder, path, ("masks",), image.name)
     if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
         pinhole = untrusted.pinhole(camera.K, image.world_to_camera, camera.width, camera.height, image.name)
         return View(pinhole, path, mask, image.name)

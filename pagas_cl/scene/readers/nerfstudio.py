@@ -5,8 +5,6 @@ Convention: camera-to-world, OpenGL axes (x right, y up, looking along -z); rays
 meshes that nerfstudio writes beside them, share the file's world.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from pathlib import Path
