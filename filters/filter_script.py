@@ -74,6 +74,8 @@ def _place_of(element, where: str, outside: bool) -> str:
 
 def _checked_step(number: int, element, known: native.Known, where: str, outside: bool) -> Step:
     name, given, values = element.get("name"), [dict(e.attrib) for e in element.iter("Param")], {}
+    if name == FILTER:
+        given = [{**attributes, "name": parameters.in_scripts(attributes.get("name", ""))} for attributes in given]
     if len(given) != len(element):
         raise InputError(f"{where}: holds elements that are not <Param>")
     _check_runs(known, name, where)

@@ -19,6 +19,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from pagas_cl.errors import InputError, need
+from pagas_cl.filters.names import METHOD
 from pagas_cl.runtime.child import end_with_parent
 
 UNKNOWN = "Something really bad happened"  # pymeshlab's words for a filter name that it does not know
@@ -65,7 +66,7 @@ def _plain(name: str) -> str:
 def _names() -> dict[str, str]:
     """MeshLab's names in plain letters -> pymeshlab's names, from the table that pymeshlab brings for old scripts."""
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
-    known = set(pymeshlab.filter_list())
+    known = set(pymeshlab.filter_list()) - {METHOD}
     table = Path(pymeshlab.__file__).with_name("keys.txt")
     names = {name: name for name in known}
     if table.is_file():

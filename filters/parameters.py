@@ -55,6 +55,11 @@ PARAMETERS = (
 TYPES = {parameter.name: parameter.rich for parameter in PARAMETERS}
 
 
+def in_scripts(name: str) -> str:
+    """A parameter's name in .mlx, which may be spelt as in Python."""
+    return {parameter.python: parameter.name for parameter in PARAMETERS}.get(name, name)
+
+
 @dataclass(frozen=True)
 class Request:
     """What one step asks for, checked."""

@@ -5,36 +5,41 @@
 """
 
 import logging
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
+from pagas_cl.commands._console import shown_progress
 from pagas_cl.errors import InputError, need
+from pagas_cl.filters.names import METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
 from pagas_cl.scene.view import Scene, View
 
 log = logging.getLogger("pagas_cl")
 
-METHOD = "apply_pagas_depth_refinement"
 _MOST_FACES = 40_000_000
 
 
 def register(meshes=None):
-    """Add the step as a method `apply_pagas_depth_refinement`; returns the class that has it now.
+    """Add the step as a method `apply_pagas_depth_refinement`, which `apply_filter`, `print_filter_parameter_list` and
+    `search` know too; returns the class that has it now.
 
     Parameters
     ----------
     meshes : pymeshlab.MeshSet, or a class of it, optional
         pymeshlab.MeshSet itself by default. An object's class is extended, since its objects take no attributes.
     """
-    kind = need("pymeshlab", "meshlab", "the MeshLab step").MeshSet
+    pymeshlab = need("pymeshlab", "meshlab", "the MeshLab step")
+    kind = pymeshlab.MeshSet
     if meshes is not None:
         kind = meshes if isinstance(meshes, type) else type(meshes)
     if not hasattr(kind, "current_mesh"):
         raise InputError(f"{kind.__name__} is no pymeshlab.MeshSet: it has no current_mesh")
     setattr(kind, METHOD, apply_pagas_depth_refinement)
+    add_name(pymeshlab, kind, apply_pagas_depth_refinement)
     return kind
 
 
@@ -65,6 +70,8 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
         Any other settings, "stage.field=value; stage.field=value".
     device : str
         Part of an OpenCL device's name.
+    progress : callable of (stage, done, total), or False
+        Shown on standard error where it is left out; False shows none.
 
     Returns
     -------
@@ -77,7 +84,8 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
     values = to_values(locals())
     asked, history = request(values, FILTER), saved_history(self)
     try:
-        counts = refine_layer(self, scene_views(scene), asked, progress=progress)
+        with shown_progress() if progress is None else nullcontext(progress or None) as shown:
+            counts = refine_layer(self, scene_views(scene), asked, progress=shown)
         element = ElementTree.Element("filter", name=FILTER)
         for p in (p for p in PARAMETERS if p.name in values):
             ElementTree.SubElement(element, "Param", type=p.rich, name=p.name, value=values[p.name],

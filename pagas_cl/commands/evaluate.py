@@ -21,7 +21,8 @@ def command(
     held_out: list[str] = typer.Option([], "--held-out", help="With depth maps: a view whose photo is predicted."),
     before: Path = typer.Option(None, "--before", help="With --held-out: depth maps to compare with."),
     depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in depth files."),
-    spacing: float = typer.Option(None, "--spacing", help="Sample meshes, and thin the result, to this distance."),
+    spacing: float = typer.Option(None, "--spacing", help="Sample meshes, and thin the result, to this distance, and "
+                                                          "measure from point to point, as benchmarks do."),
     threshold: list[float] = typer.Option([], "--threshold", help="Distance for precision, recall and F-score."),
     max_distance: float = typer.Option(float("inf"), "--max-distance", help="Chamfer: leave out larger distances."),
     visible: Path = typer.Option(None, "--visible", help="Chamfer: DTU's ObsMask<scan>_10.mat."),
@@ -144,17 +145,32 @@ def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, gr
 
     if truth is None:
         raise InputError("nothing to compare with: give the true mesh or point cloud as the second argument")
-    if spacing is None:
-        spacing = extent(read_shape(truth)[0]) / 1000
-    clouds = [load_points(path, spacing) for path in (result, truth)]
-    figures = {f"Chamfer distance, scene units (points every {spacing:.4g})": {"": chamfer(
-        *clouds, downsample=spacing, max_distance=max_distance,
+    shapes, surfaces = [read_shape(path) for path in (result, truth)], (None, None)
+    if spacing is None:         # with one, distances are those between points that benchmarks define
+        spacing = extent(shapes[1][0]) / 1000
+        surfaces = tuple(None if shape[1] is None else shape for shape in shapes)
+    clouds = [load_points(shape if shape[1] is not None else shape[0], spacing) for shape in shapes]
+    to, floor = _told_floor(clouds, surfaces)
+    figures = {f"Chamfer distance, scene units ({to}; points every {spacing:.4g}){floor}": {"": chamfer(
+        *clouds, surfaces=surfaces, downsample=spacing, max_distance=max_distance,
         visible=None if visible is None else load_visible(visible),
         ground=None if ground is None else load_ground(ground)).as_dict()}}
     if thresholds:
         figures["share of points within a distance"] = {
-            f"{distance:g}": f_score(*clouds, distance, downsample=spacing).as_dict() for distance in thresholds}
+            f"{distance:g}": f_score(*clouds, distance, downsample=spacing, surfaces=surfaces).as_dict()
+            for distance in thresholds}
     return figures
+
+
+def _told_floor(clouds, surfaces) -> tuple[str, str]:
+    """What distances are to, and below what they say nothing: points of one surface are never those of another."""
+    from pagas_cl.evaluate.clouds import floor_of
+
+    floor = max((floor_of(cloud) for cloud, surface in zip(clouds, surfaces) if surface is None), default=0.0)
+    if not floor:
+        return "to the surface", ""
+    to = "to points" if surfaces == (None, None) else "to the surface of one, to the points of the other"
+    return to, f"; below about {floor:.2g} they tell the spacing of the points and no error"
 
 
 def _table(title, rows):

@@ -67,7 +67,7 @@ class VisibleSpace:
 
 
 def chamfer(result, truth, *, downsample=None, max_distance=np.inf, visible: VisibleSpace | None = None,
-            ground=None) -> Chamfer:
+            ground=None, surfaces=(None, None)) -> Chamfer:
     """Chamfer distances between two clouds (n, 3); for meshes see `load_points`.
 
     DTU's own figures: `downsample` 0.2 mm, `max_distance` 20 mm, its ObsMask as `visible`, its Plane as `ground`.
@@ -80,6 +80,9 @@ def chamfer(result, truth, *, downsample=None, max_distance=np.inf, visible: Vis
         Result points outside it do not count as wrong.
     ground : array_like of shape (4,) or None
         Plane (a, b, c, d): only truth points with a x + b y + c z + d > 0 have to be found.
+    surfaces : pair of ((V, 3) vertices, (F, 3) faces) or None
+        The mesh that the result, and the truth, is a cloud of: distances are to its surface then. Distances to a
+        cloud have a floor, see `floor_of`.
     """
     result, truth = _cloud(result, "result"), _cloud(truth, "truth")
     if downsample:
@@ -97,27 +100,43 @@ def chamfer(result, truth, *, downsample=None, max_distance=np.inf, visible: Vis
     for name, cloud in (("result inside the visible space", judged), ("truth above the ground plane", wanted)):
         if not len(cloud):
             raise InputError(f"Chamfer distance: no point of the {name} is left; are both in the same frame and unit?")
-    distances = [d[d < max_distance] for d in (nearest(judged, truth), nearest(wanted, result))]
+    of_result, of_truth = surfaces
+    distances = [d[d < max_distance] for d in (nearest(judged, truth, of_truth), nearest(wanted, result, of_result))]
     means, medians = ([float(f(d)) if len(d) else float("nan") for d in distances] for f in (np.mean, np.median))
     return Chamfer(*means, sum(means) / 2, *medians, len(judged), len(wanted))
 
 
-def f_score(result, truth, threshold: float, *, downsample=None) -> FScore:
-    """Precision, recall and F-score at a distance; Tanks and Temples has `downsample=threshold / 2`."""
+def f_score(result, truth, threshold: float, *, downsample=None, surfaces=(None, None)) -> FScore:
+    """Precision, recall and F-score at a distance; Tanks and Temples has `downsample=threshold / 2`. `surfaces` as in
+    chamfer."""
     if not threshold > 0:
         raise InputError(f"F-score: the threshold is {threshold!r}, expected a length above 0 in scene units")
     result, truth = _cloud(result, "result"), _cloud(truth, "truth")
     if downsample:
         result, truth = (cloud[thin(cloud, downsample)] for cloud in (result, truth))
-    precision = float((nearest(result, truth) < threshold).mean())
-    recall = float((nearest(truth, result) < threshold).mean())
+    precision = float((nearest(result, truth, surfaces[1]) < threshold).mean())
+    recall = float((nearest(truth, result, surfaces[0]) < threshold).mean())
     both = precision + recall
     return FScore(precision, recall, 2 * precision * recall / both if both else 0.0, float(threshold))
 
 
-def nearest(points, cloud) -> np.ndarray:
-    """Distance from each of `points` (n, 3) to the nearest of `cloud` (m, 3): float64 (n,)."""
-    return _tree(cloud).query(points, workers=-1)[0]
+def nearest(points, cloud, surface=None) -> np.ndarray:
+    """Distance from each of `points` (n, 3) to the nearest of `cloud` (m, 3), or of a `surface` (vertices, faces), to
+    float32 of its extent: float64 (n,)."""
+    if surface is None:
+        return _tree(cloud).query(points, workers=-1)[0]
+    o3d = need("open3d", "mesh", "distances to a surface")
+    vertices, faces = (np.asarray(part) for part in surface)
+    middle = vertices.mean(axis=0)
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(np.ascontiguousarray(vertices - middle, np.float32), np.ascontiguousarray(faces, np.uint32))
+    return scene.compute_distance(np.ascontiguousarray(points - middle, np.float32)).numpy().astype(np.float64)
+
+
+def floor_of(cloud) -> float:
+    """What distances to a cloud (n, 3) are at least, on the average, where the surfaces are the same: half of the mean
+    distance from a point to its nearest neighbour, scene units. 0 for a single point."""
+    return float(_tree(cloud).query(cloud, k=2, workers=-1)[0][:, 1].mean() / 2) if len(cloud) > 1 else 0.0
 
 
 def thin(points, radius: float, seed: int = 0) -> np.ndarray:

@@ -165,10 +165,12 @@ def find_finished(folder: Path, task: ViewTask, extras: bool) -> Record | None:
 def records_in(folder: Path) -> list[Record]:
     """Records of views that runs have finished in `folder`; those that cannot be read are left out."""
     found = []
-    for path in sorted(work_folder(folder).rglob("*.json")):
+    for path in sorted((work_folder(folder) / "views").rglob("*.json")):
         try:
-            found.append(Record(**json.loads(path.read_bytes())))
-        except (OSError, ValueError, TypeError):
+            known = json.loads(read_bytes(path))
+            if known.pop("seal", "") == _seal(known):
+                found.append(Record(**known))
+        except (OSError, ValueError, TypeError, AttributeError):
             log.debug("%s is no record", path)
     return found
 

@@ -13,12 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene import patches, verdict
+from pagas_cl.scene import fit as sentences
+from pagas_cl.scene import patches
 from pagas_cl.scene.align import Alignment, align, focus
 from pagas_cl.scene.camera import Camera, inverse_pose
+from pagas_cl.scene.fit import GOOD, Fit, Reading, fitted
 from pagas_cl.scene.inputs import Cameras, Images, as_cameras, as_views
 from pagas_cl.scene.mesh import Mesh, Surface, to_surface
-from pagas_cl.scene.verdict import GOOD, Fit, Reading, fitted
 from pagas_cl.scene.view import View
 
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -201,8 +202,8 @@ def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None, most: 
                    for i, (camera, f, n) in enumerate(zip(cams, given.front, given.inside)))
     told = []
     for mends in ({way.name: f"use {way.mend}" for way in _WAYS}, {way.name: way.in_files for way in _WAYS}):
-        told.append((verdict.half_pixel(halves, fit, mends),
-                     verdict.sentence(readings[0], best, len(cams), fit, halves, mends[best.name])))
+        told.append((sentences.half_pixel(halves, fit, mends),
+                     sentences.sentence(readings[0], best, len(cams), fit, halves, mends[best.name])))
     right = best is readings[0] and best.seeing > 0 and not (fit and fit.apart)
     readings += [replace(half, better=half.better and not (fit and fit.apart)) for half in halves[1:]]
     (half, sentence), at_command_line = told

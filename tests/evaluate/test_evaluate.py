@@ -19,7 +19,7 @@ from pagas_cl.evaluate import (
     predict_photo,
     sample_surface,
 )
-from pagas_cl.evaluate.clouds import VisibleSpace, thin
+from pagas_cl.evaluate.clouds import VisibleSpace, load_points, thin
 from pagas_cl.evaluate.predict import correlate
 from pagas_cl.scene.camera import Camera
 
@@ -247,3 +247,36 @@ def test_command_on_clouds(tmp_path, capsys):
     assert run(["evaluate", str(tmp_path / "result.xyz")]) == 2
     assert run(["evaluate", str(tmp_path)]) == 2
     assert "--scene" in capsys.readouterr().err
+
+
+def test_a_mesh_against_itself_and_a_shifted_one(tmp_path, capsys):
+    """Distances between meshes are to their surfaces; between points they have a floor, which is told."""
+    pytest.importorskip("open3d")
+    from pagas_cl.__main__ import run
+    from pagas_cl.scene.mesh import Surface
+    from pagas_cl.scene.mesh_file import write_mesh
+
+    x, y = np.meshgrid(np.arange(11.0), np.arange(11.0))
+    vertices = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()]) + [5e5, 4e6, 0]
+    k = (np.arange(10)[:, None] * 11 + np.arange(10)).ravel()
+    faces = np.concatenate([np.column_stack([k, k + 1, k + 11]), np.column_stack([k + 1, k + 12, k + 11])])
+    for name, up in (("a", 0.0), ("b", 0.01)):
+        write_mesh(tmp_path / f"{name}.ply", Surface(vertices + [0, 0, up], faces))
+    np.save(tmp_path / "cloud.npy", load_points((vertices, faces), 0.1))
+
+    def figures(result, truth, *more):
+        status = run(["evaluate", str(tmp_path / result), str(tmp_path / truth), "--json", str(tmp_path / "f.json"),
+                      "--threshold", "0.005", *more])
+        assert status == 0
+        title, (first, shares) = capsys.readouterr().out, json.loads((tmp_path / "f.json").read_text()).values()
+        return title, first[""], shares["0.005"]["f_score"]
+
+    title, same, share = figures("a.ply", "a.ply")
+    assert same["overall"] < 1e-5 and share == 1 and "to the surface;" in title and "below about" not in title
+    _, shifted, share = figures("b.ply", "a.ply")
+    assert shifted["overall"] == pytest.approx(0.01, rel=0.01) and share == 0
+    title, points, _ = figures("a.ply", "cloud.npy")
+    floor = float(title.split("below about ")[1].split()[0])
+    assert "to the surface of one, to the points of the other" in title and 0.3 * floor < points["accuracy"] < 3 * floor
+    title, points, _ = figures("a.ply", "a.ply", "--spacing", "0.1")
+    assert "(to points; points every 0.1)" in title and points["overall"] > 0.001 and "below about" in title

@@ -94,7 +94,7 @@ def fitted(alignment: Alignment, start: Alignment, middle: np.ndarray, old: np.n
 
 
 def sentence(given: Reading, best: Reading, count: int, fit: Fit | None, halves: Sequence[Reading], mend: str) -> str:
-    """The verdict; `mend`: what mends the reading `best`; `halves`: as `half_pixel` takes them."""
+    """The answer; `mend`: what mends the reading `best`; `halves`: as `half_pixel` takes them."""
     behind = "; the mesh lies behind them" if given.front < 0.05 else ""
     sees = f"{given.seeing} of {count} cameras see the mesh{behind}"
     if best is not given and best.seeing and not given.seeing:
