@@ -70,7 +70,7 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
                for view, map in zip(views, held)]
     have = [k for k, map in enumerate(held) if map is not None and (map > 0).any()]
     factors, shifts, said = np.ones(len(views)), np.zeros(len(views)), list[str]()
-    if len(have) < 2:
+    if not have or len(views) < 2:
         return Together(factors, shifts)
     unit, agreement, given = (1.0, float("nan"), float("nan")) if unit_is_known else find_unit(views, cameras, held)
     if unit != 1:
@@ -80,7 +80,7 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
         factors[have] /= unit
     held = [None if map is None else map / np.float32(unit) for map in held]
     small = [alignment.reduced(cameras[k], map) for k in have if (map := held[k]) is not None]
-    x, before, after, left = _aligned(small)
+    x, before, after, left = _aligned(small) if len(small) > 1 else (None, 0.0, 0.0, list[int]())
     if x is not None:
         own = np.exp(x[:, 0])
         shift = x[:, 1] * [view.middle for view in small]
@@ -94,10 +94,11 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
     common = find_common_scale(views, cameras, held)
     if common.factor != 1:
         factors[have] *= common.factor
-        shifts *= common.factor
-        said.append(f"all depths are multiplied by {common.factor:.4f}: photos agree {common.agreement:.2f} over them "
-                    f"then, {common.given:.2f} before")
-        held = [None if map is None else map * np.float32(common.factor) for map in held]
+        shifts[have] = shifts[have] * common.factor + common.shift
+        more = f", and {common.shift:.4g} is added" if common.shift else ""
+        said.append(f"all depths are multiplied by {common.factor:.4f}{more}: photos agree {common.agreement:.2f} over "
+                    f"them then, {common.given:.2f} before")
+        held = [None if map is None else adjusted(map, common.factor, common.shift) for map in held]
     off = cameras_off(views, cameras, held) if common.agreement < _LOOKED_AT else 0.0
     said += _doubts([views[have[k]].name for k in left], common, off)
     return Together(factors, shifts, unit, (before, after), common.agreement, off, tuple(said))

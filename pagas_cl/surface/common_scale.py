@@ -1,12 +1,13 @@
-"""The factor that all depth maps share, which depth maps alone hardly show: the one under which photos agree best.
+"""The factor (and shift) that all depth maps share, which maps alone hardly show: under which photos agree best.
 
 Patches of a view are carried to its neighbours by their depths times s and correlated there; s is swept around 1, first
-on small photos and widely, then on larger ones around the best.
+on small photos and widely, then on larger ones around the best. Where depths differ enough for a shift to show, they
+are stretched about their median likewise, which is another factor and a shift.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,15 +19,17 @@ from pagas_cl.scene.images import bilinear, photo_to
 from pagas_cl.scene.patches import evenly, grey_of
 from pagas_cl.scene.view import View
 
-RANGE = 0.25            # largest |log s|
+RANGE = 0.35            # largest |log s|
 _SIDES = 160, 400       # pixels of the longer side of the photos compared, coarse and fine
 _VIEWS, _OTHERS, _PATCHES, _HALF = 8, 3, 200, 3
 _STEP, _FINER = 0.5, 3.0        # pixels of parallax between two s; steps to each side that the finer sweep covers
 _LEAST = 30             # patches that say something
 _FLAT = 2.0             # grey levels of 255: patches of less texture are not compared
-CLEAR = 0.01            # by so much patches must correlate better than under the depths as given
+_BENDABLE = 0.3         # largest stretch of depths about their middle
+CLEAR = 0.02            # by so much patches must correlate better than under the depths as given
 _MOST = 241             # values of s in a sweep
 _ACROSS, _SOME = 10.0, 0.3      # pixels of the small photos searched to each side; least correlation at the best
+_GAIN = 0.04            # of correlation, without which photos are not said to be off
 AGREE = 0.5             # mean correlation from which on photos are said to agree over the depth
 UNITS = (1e3, 1e-3, 1e2, 1e-2, 1e1, 1e-1, 1e4, 1e-4, 5e3)      # numbers for one scene unit that are tried
 
@@ -43,34 +46,35 @@ class _Patches:
 
 @dataclass(frozen=True)
 class CommonScale:
-    """The factor, and the mean correlation of patches with it and without."""
+    """The factor, the shift (scene units), and the mean correlation of patches with both and without."""
 
     factor: float
+    shift: float
     agreement: float
     given: float
 
 
 def find_common_scale(views: Sequence[View], cameras: Sequence[Camera],
                       depths: Sequence[np.ndarray | None]) -> CommonScale:
-    """The factor by which all depth maps (None where a view has none) are to be multiplied; 1 where photos do not
-    clearly ask for another. `cameras` are the views', of the depth maps' size."""
+    """The factor by which all depth maps (None where a view has none) are to be multiplied, and the shift added then;
+    1 and 0 where photos do not clearly ask for others. `cameras` are the views', of the depth maps' size."""
     pairs = _pairs(cameras, depths)
     if not pairs:
-        return CommonScale(1.0, float("nan"), float("nan"))
-    low, high, best, found = -RANGE, RANGE, 0.0, []
+        return CommonScale(1.0, 0.0, float("nan"), float("nan"))
+    best, span, bent, found = 0.0, RANGE, 0.0, []
     for side in _SIDES:
         sweep = _Sweep(views, depths, pairs, side)
-        step = max(_STEP * sweep.parallax, (high - low) / (_MOST - 1))
-        tried = np.union1d(np.arange(low, high + step / 2, step), [best])
-        scores = np.array([sweep.score(value) for value in tried])
-        if not np.isfinite(scores).any():
-            return CommonScale(1.0, float("nan"), float("nan"))
-        best = _peak(tried, scores)
-        low, high = best - _FINER * step, best + _FINER * step
-        found.append((sweep.score(best), sweep.score(0.0)))
-    agreement, given = found[-1]
-    clear = agreement > given + CLEAR and abs(best) < 0.98 * RANGE
-    return CommonScale(float(np.exp(best)) if clear else 1.0, agreement, given)
+        best = sweep.best(best, span, sweep.parallax, lambda value: sweep.score(value, bent))      # noqa: B023
+        span, range_ = _FINER * _STEP * sweep.parallax, sweep.range
+        if sweep.parallax / range_ < _BENDABLE:      # else depths that bend look as they did
+            trial = sweep.best(bent, _BENDABLE, sweep.parallax / range_, lambda value: sweep.score(best, value))  # noqa: B023
+            bent = trial if sweep.score(best, trial) > sweep.score(best, 0.0) + CLEAR else 0.0
+            best = sweep.best(best, span, sweep.parallax, lambda value: sweep.score(value, bent))      # noqa: B023
+        found = [sweep.score(best, bent), sweep.score(0.0, 0.0)]
+    if not found[0] > found[1] + CLEAR or abs(best) > 0.98 * RANGE:
+        return CommonScale(1.0, 0.0, found[1], found[1])
+    factor = float(np.exp(best))
+    return CommonScale(factor * (1 + bent), -factor * bent * sweep.middle, *found)
 
 
 def _peak(x: np.ndarray, y: np.ndarray) -> float:
@@ -124,17 +128,21 @@ def _best_agreement(views: Sequence[View], cameras: Sequence[Camera], depths: Se
 
 def cameras_off(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None]) -> float:
     """How far photos are off across the direction in which depth moves them, which no depth explains: the root mean
-    square over pairs of views, pixels of the photos; NaN where no pair can be compared. Up to some 6 % of a side."""
+    square over pairs of views, pixels of the photos; 0 where moving them gains nothing, NaN where no pair can be
+    compared. Up to some 6 % of a side."""
     pairs = _pairs(cameras, depths)
     if not pairs:
         return float("nan")
     sweep = _Sweep(views, depths, pairs, _SIDES[0])
-    tried, found = np.arange(-_ACROSS, _ACROSS + 0.25, 0.5), []
+    tried, found, gains = np.arange(-_ACROSS, _ACROSS + 0.25, 0.5), [], []
     for pair in pairs:
         scores = sweep.scores_across(*pair, tried)
         if np.isfinite(scores).all() and scores.max() > _SOME:
             found.append(_peak(tried, scores) * views[pair[0]].camera.width / sweep.cameras[pair[0]].width)
-    return float(np.sqrt(np.mean(np.square(found)))) if found else float("nan")
+            gains.append(scores.max() - scores[len(tried) // 2])
+    if not found:
+        return float("nan")
+    return float(np.sqrt(np.mean(np.square(found)))) if np.mean(gains) > _GAIN else 0.0
 
 
 class _Sweep:
@@ -154,7 +162,18 @@ class _Sweep:
             if depth is not None and any(k == i for i, _ in pairs):
                 resized = depth_down if depth.shape[1] >= size[0] else depth_up
                 self.patches[k] = _patches(self.cameras[k], self.greys[k], resized(depth, *size))
+        every = np.concatenate([patches.depth.ravel() for patches in self.patches.values()])
+        self.middle = float(np.median(every)) if len(every) else 1.0
+        self.range = float(np.median(np.abs(every / self.middle - 1))) if len(every) else 0.0
+        self.range = max(self.range, 1e-9)
         self.parallax = self._parallax()
+
+    def best(self, start: float, span: float, parallax: float, score: Callable[[float], float]) -> float:
+        """Where `score` is largest within `span` of `start`, which stays where nothing can be compared."""
+        step = max(_STEP * parallax, 2 * span / (_MOST - 1))
+        tried = np.union1d(np.arange(start - span, start + span + step / 2, step), [start])
+        scores = np.array([score(float(value)) for value in tried])
+        return _peak(tried, scores) if np.isfinite(scores).any() else start
 
     def _parallax(self) -> float:
         """Relative change of depth that moves a patch by a pixel, median over the pairs."""
@@ -165,20 +184,25 @@ class _Sweep:
             changes.append(1e-3 / max(float(np.nanmedian(moved)) if moved.size else 0.0, 1e-6))
         return float(np.median(changes))
 
-    def _place(self, i: int, j: int, log_scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _place(self, i: int, j: int, log_scale: float, bent: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         patches, camera = self.patches[i], self.cameras[j]
         rotation, tau = camera.relative_to(patches.camera)
-        x, y, z = np.moveaxis(patches.rays * (np.exp(log_scale) * patches.depth)[..., None] @ rotation.T + tau, -1, 0)
+        x, y, z = np.moveaxis(patches.rays * self._depth(patches, log_scale, bent)[..., None] @ rotation.T + tau, -1, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
             good = ((z > 0) & (u > 1) & (v > 1) & (u < camera.width - 1) & (v < camera.height - 1)).all(axis=1)
         return u, v, good
 
-    def score(self, log_scale: float) -> float:
+    def _depth(self, patches: _Patches, log_scale: float, bent: float) -> np.ndarray:
+        """Depths times the factor, their distance from the middle stretched by 1 + `bent`."""
+        moved: np.ndarray = np.exp(log_scale) * (patches.depth + bent * (patches.depth - self.middle))
+        return moved
+
+    def score(self, log_scale: float, bent: float = 0.0) -> float:
         """Mean correlation (at least 0) of all patches that stay inside, over all pairs."""
         total, count = 0.0, 0
         for i, j in self.pairs:
-            u, v, good = self._place(i, j, log_scale)
+            u, v, good = self._place(i, j, log_scale, bent)
             if good.any():
                 other = _unit(bilinear(self.greys[j], u[good], v[good]))[0]
                 values = np.maximum((other * self.patches[i].grey[good]).sum(axis=1), 0)

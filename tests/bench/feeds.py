@@ -24,9 +24,9 @@ from pagas_cl.synthetic.examples import METRES, as_network, frames_of
 from pagas_cl.synthetic.exports_depth import EXPORTS
 
 # size of the depth maps: forms of one kind share their perfect input
-KIND = {"scannet": "half", "vggt": "square", **dict.fromkeys(
-    ("7scenes", "tum", "dvmvs", "open3d", "nerfstudio", "cameras", "colmap", "mvsnet", "neus", "bundler", "meshlab",
-     "da3-colmap", "vggt-colmap", "mapanything-colmap"), "full")}
+KIND = {"scannet": "half", "vggt": "square", "vggt-colmap": "middle", "bundler": "one focal length", **dict.fromkeys(
+    ("7scenes", "tum", "dvmvs", "open3d", "nerfstudio", "cameras", "colmap", "mvsnet", "neus", "meshlab",
+     "da3-colmap", "mapanything-colmap"), "full")}
 HEAD = ("| form | as read | brought together | refined | of what was read (bar 0.2) | of perfect input (bar 1.15) "
         "| processor, s |\n|---|---|---|---|---|---|---|\n")
 
