@@ -31,8 +31,8 @@ class Stage:
     free: bool = True
 
 
-FINE = (Stage(0.5, 0.7, 3), Stage(1.0, 0.7, 6))
-COARSE = (Stage(0.125, 0.7, 8), Stage(0.25, 0.7, 6), Stage(0.5, 0.7, 6), Stage(1.0, 0.7, 6))
+FINE = (Stage(0.5, 0.7, 4), Stage(1.0, 0.7, 10))
+COARSE = (Stage(0.125, 0.7, 8), Stage(0.25, 0.7, 6), Stage(0.5, 0.7, 6), Stage(1.0, 0.7, 10))
 MAPS = (Stage(0.0625, 0.7, 8, False), Stage(0.125, 0.7, 8, False), Stage(0.25, 0.7, 6, False))
 
 
