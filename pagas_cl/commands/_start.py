@@ -45,8 +45,8 @@ def load_scene(scene, format, outside: bool):
     return read_scene(scene, format, **({"outside": True} if outside else {}))
 
 
-def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None) -> list:
-    """Initial depth of every view, from the mesh or from files; None for a view without a file, which `names` must
+def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None, device=None) -> list:
+    """Initial depth of every view, from the mesh (drawn on `device`) or from files; None for a view without a file, which `names` must
     have. With a folder for the run they stay on disk, and what stands for them is given instead."""
     from pagas_cl.jobs.finished import work_folder
     from pagas_cl.jobs.store import DepthFile, Store
@@ -56,7 +56,7 @@ def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, n
         from pagas_cl.scene.mesh import to_surface
 
         keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
-        return refine.initial_depths(to_surface(mesh), found.views, progress, keep)
+        return refine.initial_depths(to_surface(mesh), found.views, progress, keep, device)
     from pagas_cl.scene.depthmap import find_depth
 
     files = [find_depth(depth_dir, view.name) for view in found.views]

@@ -73,7 +73,8 @@ def command(
     place = _place(device, devices, scheduler)
     names = [found.views[found.index(name)].name for name in views] or None
     with shown_progress(quiet) as progress, _report(report, found, preset, settings, place) as page:
-        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder, names)
+        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder, names,
+                                place["device"])
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
@@ -81,7 +82,8 @@ def command(
                                progress=progress, on_view=page and partial(_add_pictures, page),
                                extras=page is not None or keep_mesh or config.fusion.least_weight < 1)
         if output is not None and keep_mesh:
-            write_whole(output, displaced_mesh(mesh, found.views, depths, results, config, subdivide))
+            write_whole(output, displaced_mesh(mesh, found.views, depths, results, config, subdivide,
+                                               device=place["device"]))
         elif output is not None:
             write_mesh(output, fuse_results(found.views, results, config, progress, memory, page and page.note,
                                             device=place["device"]))
