@@ -4,39 +4,42 @@
     meshes.apply_pagas_depth_refinement("SCENE")     # refines the current layer with the photos of SCENE
 """
 
-from __future__ import annotations
-
 import logging
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
+from pagas_cl.commands._console import shown_progress
 from pagas_cl.errors import InputError, need
+from pagas_cl.filters.names import METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
 from pagas_cl.scene.view import Scene, View
 
 log = logging.getLogger("pagas_cl")
 
-METHOD = "apply_pagas_depth_refinement"
 _MOST_FACES = 40_000_000
 
 
 def register(meshes=None):
-    """Add the step as a method `apply_pagas_depth_refinement`; returns the class that has it now.
+    """Add the step as a method `apply_pagas_depth_refinement`, which `apply_filter`, `print_filter_parameter_list` and
+    `search` know too; returns the class that has it now.
 
     Parameters
     ----------
     meshes : pymeshlab.MeshSet, or a class of it, optional
         pymeshlab.MeshSet itself by default. An object's class is extended, since its objects take no attributes.
     """
-    kind = need("pymeshlab", "meshlab", "the MeshLab step").MeshSet
+    pymeshlab = need("pymeshlab", "meshlab", "the MeshLab step")
+    kind = pymeshlab.MeshSet
     if meshes is not None:
         kind = meshes if isinstance(meshes, type) else type(meshes)
     if not hasattr(kind, "current_mesh"):
         raise InputError(f"{kind.__name__} is no pymeshlab.MeshSet: it has no current_mesh")
     setattr(kind, METHOD, apply_pagas_depth_refinement)
+    add_name(pymeshlab, kind, apply_pagas_depth_refinement)
     return kind
 
 
@@ -67,6 +70,8 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
         Any other settings, "stage.field=value; stage.field=value".
     device : str
         Part of an OpenCL device's name.
+    progress : callable of (stage, done, total), or False
+        Shown on standard error where it is left out; False shows none.
 
     Returns
     -------
@@ -79,7 +84,8 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
     values = to_values(locals())
     asked, history = request(values, FILTER), saved_history(self)
     try:
-        counts = refine_layer(self, scene_views(scene), asked, progress=progress)
+        with shown_progress() if progress is None else nullcontext(progress or None) as shown:
+            counts = refine_layer(self, scene_views(scene), asked, progress=shown)
         element = ElementTree.Element("filter", name=FILTER)
         for p in (p for p in PARAMETERS if p.name in values):
             ElementTree.SubElement(element, "Param", type=p.rich, name=p.name, value=values[p.name],
@@ -111,6 +117,7 @@ def scene_views(scene) -> list[View]:
 
 def refine_layer(meshes, views: list[View], asked: Request, *, device=None, progress=None) -> dict:
     """Refine the current layer of a MeshSet; what the method and the script share."""
+    from pagas_cl.cameras.effect import settle_cameras
     from pagas_cl.refine import fuse_results, initial_depths, refine_views
     from pagas_cl.scene.mesh import to_surface
 
@@ -119,14 +126,15 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
     surface = to_surface(layer)  # the layer's matrix applied
     if asked.output == "displace":
         surface = replace(surface, quality=None, colors=None, normals=None)
+    views, config, _ = settle_cameras(views, surface, asked.config, device or asked.device, progress)
     depths = initial_depths(surface, views, progress)
     if asked.output == "displace" and asked.subdivide is not None:
         surface = _subdivided(meshes, surface, views, depths, asked.subdivide, matrix)
-    results = refine_views(views, depths, config=asked.config, device=device or asked.device, progress=progress)
+    results = refine_views(views, depths, config=config, device=device or asked.device, progress=progress)
     if asked.output == "displace":
         _displace_layer(meshes, surface, views, depths, results, asked, matrix)
     else:
-        fused = fuse_results(views, results, asked.config, progress, device=device or asked.device)
+        fused = fuse_results(views, results, config, progress, device=device or asked.device)
         _add_layer(meshes, fused, results, f"{label} refined", matrix)
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
 

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
-from difflib import get_close_matches
 from typing import Any
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, nearest_of
 
 # cameras of a view, its contexts and held-out views, lie in 64 kB of constant memory, which every device has
 MOST_CONTEXTS, MOST_WEIGHT = 800, 100.0
@@ -269,11 +268,13 @@ class Effects(_Stage):
     noise: str = _effect()
     pyramid: str = _effect()
     consistency: str = _effect()
+    cameras: str = _effect()
 
     @property
     def measured(self) -> bool:
-        """Whether a view is measured for them; the consistency check rests on other measurements."""
-        return any(getattr(self, f.name) not in ("set", "off") for f in fields(self) if f.name != "consistency")
+        """Whether a view is measured for them; the consistency check and the cameras are of a whole scene."""
+        return any(getattr(self, f.name) not in ("set", "off") for f in fields(self)
+                   if f.name not in ("consistency", "cameras"))
 
     @classmethod
     def every(cls, choice: str) -> Effects:
@@ -312,8 +313,8 @@ class Config:
         for key, value in settings.items():
             key = key.replace("__", ".")
             if key not in setting_names():
-                nearest, = get_close_matches(key, setting_names(), n=1, cutoff=0.0)
-                raise InputError(f"unknown setting {key!r}; the nearest known one is {nearest!r}")
+                raise InputError(f"unknown setting {key!r}; " + (nearest_of(key, setting_names()) or (
+                    f"expected stage.field, of the stages {', '.join(stage.name for stage in fields(self))}")))
             stage, _, name = key.partition(".")
             by_stage.setdefault(stage, {})[name] = value
         return replace(self, **{stage: replace(getattr(self, stage), **values) for stage, values in by_stage.items()})

@@ -1,8 +1,6 @@
 """Simulate only what the scene calls for (method section 8): from the measurements of a view, decide, and say why; and
 whether refined views that contradict each other are cleaned before they are fused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
+import glob
 import logging
-import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,8 +15,10 @@ import numpy as np
 from pagas_cl.config import Config
 from pagas_cl.errors import DeviceMemoryError, InputError
 from pagas_cl.result import joined
+from pagas_cl.scene.files import differing, replaced_with_others
 from pagas_cl.scene.mesh import Surface, to_surface
 from pagas_cl.scene.mesh_attributes import load_whole, with_vertices
+from pagas_cl.scene.mesh_losses import losses
 from pagas_cl.scene.view import View
 
 log = logging.getLogger("pagas_cl")
@@ -136,14 +138,38 @@ def write_whole(path, mesh) -> None:
     from pagas_cl.scene.mesh_file import write_mesh
 
     path = Path(path)
-    if path.suffix.lower() != ".obj" or not hasattr(mesh, "has_triangle_uvs") or not mesh.has_triangle_uvs():
+    if not _with_textures(path, mesh):
         write_mesh(path, to_surface(mesh))
         return
+    with replaced_with_others(path) as new:
+        _write_open3d(new, mesh)
+
+
+def check_kept(path, mesh, allow_loss: bool = False) -> None:
+    """Before the work: raise InputError where the mesh of the file `mesh` would lose what `path` cannot keep, or where
+    files that belong to others have the names of its materials and textures."""
+    lost = losses(mesh, path) if Path(mesh).is_file() else []
+    if lost and not allow_loss:
+        raise InputError(f"--keep-mesh would lose of mesh {str(mesh)!r}: {', '.join(lost)}; pass --allow-loss to go on "
+                         "without them" + (", or write an .obj file" if lost == ["texture coordinates"] else ""))
+    path = Path(path)
+    if path.suffix.lower() == ".obj" and any(path.parent.glob(f"{glob.escape(path.stem)}[._]*")):
+        whole = load_whole(mesh)
+        with tempfile.TemporaryDirectory() as folder:
+            if _with_textures(path, whole):
+                _write_open3d(Path(folder) / path.name, whole)
+            taken = differing(Path(folder).iterdir(), path)
+        if taken:
+            raise InputError(f"--output {str(path)!r}: its materials and textures would replace {taken[0]}, which is "
+                             "not ours; choose another name or folder")
+
+
+def _with_textures(path: Path, mesh) -> bool:
+    return path.suffix.lower() == ".obj" and hasattr(mesh, "has_triangle_uvs") and mesh.has_triangle_uvs()
+
+
+def _write_open3d(path: Path, mesh) -> None:
     import open3d as o3d
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".", suffix=".part", dir=path.parent) as beside:
-        if not o3d.io.write_triangle_mesh(str(Path(beside) / path.name), mesh):
-            raise InputError(f"Open3D could not write {str(path)!r}")
-        for file in sorted(Path(beside).iterdir(), key=lambda f: f.name == path.name):  # the mesh itself last
-            os.replace(file, path.parent / file.name)
+    if not o3d.io.write_triangle_mesh(str(path), mesh):
+        raise InputError(f"Open3D could not write {str(path)!r}")

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.acceptance import rejection_reason
+from pagas_cl.acceptance import moved_by_evidence, nothing_reason, rejection_reason
+from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide, decide_consistency
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.keep_mesh import DETAIL, FLAT, check_flat, check_subdivide, displaced_mesh, polished
 from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import settings_of
@@ -22,8 +23,9 @@ from pagas_cl.progress import Progress, ViewProgress
 from pagas_cl.result import DepthResult, OnDisk, joined
 from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.images import Loads
-from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth
+from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth, depth_maps
 from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
+from pagas_cl.scene.reasons import warn_of_nothing
 from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:
@@ -33,8 +35,6 @@ if TYPE_CHECKING:
     from pagas_cl.splat import NormalizedDepth, PhotoStore
     from pagas_cl.splat.view import Refinement
 
-log = logging.getLogger("pagas_cl")
-
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
                 config: Config | None = None, device: str | Device | list[str] | tuple[str, ...] | None = None,
@@ -42,8 +42,8 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
                 flat: float = FLAT, executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
     """Refine a mesh with calibrated photos.
 
-    mesh -> depth of every view -> refine each view by itself -> all vertices onto what views agree on (method
-    sections 7 and 10).
+    mesh -> cameras, where they are off -> depth of every view -> refine each view by itself -> all vertices onto what
+    views agree on (method sections 7, 9 and 10).
 
     Parameters
     ----------
@@ -89,6 +89,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     config = settings_of(preset, config)
     views = as_views(cams, images, masks)
     surface = to_surface(mesh)
+    views, config, _ = settle_cameras(views, surface, config, device, progress)
     depths = initial_depths(surface, views, progress, device=device)
     results = refine_views(views, depths, config=config, device=device, progress=progress, executor=executor,
                            folder=folder)
@@ -130,7 +131,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     """
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import NormalizedDepth, PhotoStore, refine_levels
-    from pagas_cl.splat.fit import fit_memory
+    from pagas_cl.splat.budget import fit_memory
 
     config, depth, device = settings_of(preset, config), checked_depth(depth, target), open_device(device)
     if not contexts:
@@ -151,12 +152,12 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
               "planned_bytes": refined.planned_bytes, "seconds": time.perf_counter() - start}
-    reason = rejection_reason(refined, depth, len(contexts), held_out, measured)
+    moved, status = moved_by_evidence(refined, depth)
+    reason = rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined, status)
     if reason:
         log.warning("view %s is kept as it came: %s", target.name, reason)
         return DepthResult.unrefined(target.camera, depth, reason, report, target.name)
-    return DepthResult(target.camera, refined.depth, refined.status, refined.deviation, refined.parallax, "", report,
-                       target.name)
+    return DepthResult(target.camera, moved, status, refined.deviation, refined.parallax, "", report, target.name)
 
 
 def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names: Collection[str] | None = None,
@@ -165,7 +166,8 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
                  on_view: Callable[[View, Depth, DepthResult], Any] | None = None,
                  executor: Executor | str | None = None, folder: str | Path | None = None,
                  extras: bool = True) -> list[DepthResult]:
-    """Refine the depth maps of many views, each by itself.
+    """Refine the depth maps of many views, each by itself; where cameras are off, these first (effects.cameras): each
+    result has the camera that its depth map belongs to.
 
     Parameters
     ----------
@@ -195,7 +197,9 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import PhotoStore
 
-    config, asked = settings_of(preset, config), asked_views(views, depths, names)
+    config, depths = settings_of(preset, config), depth_maps(views, depths)
+    asked = asked_views(views, depths, names)
+    views, config, cameras = settle_cameras(views, depths, config, device, progress)
     if executor is not None or folder is not None or device == "all" or isinstance(device, (list, tuple)):
         from pagas_cl.jobs import refine_all
 
@@ -210,11 +214,14 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
         view_progress.at(done)
         result = refine_one(views, chooser.choose(index), arrays[index], config, device, photos,
                             progress=view_progress.inside(done))
+        if cameras is not None:
+            result.report["camera"] = {"moved": float(cameras.moved[index]), "accepted": cameras.accepted}
         results.append(result)
         if on_view:
             on_view(views[index], arrays[index], result)
     photos.clear()
     view_progress.at(len(asked))
+    warn_of_nothing(views, depths, results)
     return results
 
 
@@ -284,7 +291,9 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     from pagas_cl.surface.fuse import weights_of
 
     device, pairs = comparison_device(device), sorted(joined(views, results), key=lambda pair: pair[0])
-    used, results = [views[place] for place, _ in pairs], [result for _, result in pairs]
+    used = [views[place] if result.camera is views[place].camera else replace(views[place], camera=result.camera)
+            for place, result in pairs]      # a result's camera may have been refined with it
+    results = [result for _, result in pairs]
     cameras = [view.camera for view in used]
     config, decision = decide_consistency(cameras, results, config, device)
     if decision is not None:

@@ -1,16 +1,14 @@
 """Which views go together, and in what order: neighbours share photos."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.jobs.finished import stems
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch, ViewTask, task_key, view_digest
 from pagas_cl.scene.choice import PartnerChooser
+from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.view import View
 
 _BATCH = 16      # most views in a batch
@@ -29,13 +27,13 @@ class Planner:
     def __init__(self, views: list[View], depths: list, samples: list, config: Config, work):
         self.views, self._depths, self._config, self._work = views, depths, config, work
         self._chooser = PartnerChooser([view.camera for view in views], samples, config.context)
-        self._stems, self._digests = stems(views), {}
+        self.stems, self._digests = file_stems([view.name for view in views]), {}
 
     def task(self, index: int) -> ViewTask:
         """The task of the view `index`."""
         partners, depth = self._chooser.choose(index), self._depths[index]
         key = task_key(partners, {k: self.digest(k) for k in partners.all}, depth.digest, self._config, self._work)
-        return ViewTask(self.views[index].name, self._stems[index], partners, depth, key)
+        return ViewTask(self.views[index].name, self.stems[index], partners, depth, key)
 
     def digest(self, index: int) -> str:
         """Hash of a view's photo, mask and camera; read once."""

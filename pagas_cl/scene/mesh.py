@@ -1,7 +1,5 @@
 """A triangle mesh in float64, and its ways to and from Open3D, pymeshlab, arrays and files."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -123,14 +121,12 @@ def _checked(vertices: Any, faces: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def from_legacy(mesh: Any) -> Surface:
-    """Surface of an Open3D legacy TriangleMesh."""
     return Surface(np.asarray(mesh.vertices), np.asarray(mesh.triangles),
                    np.array(mesh.vertex_normals) if mesh.has_vertex_normals() else None,
                    np.array(mesh.vertex_colors) if mesh.has_vertex_colors() else None)
 
 
 def to_legacy(surface: Surface, like: Mesh = None) -> Mesh:
-    """A new Open3D legacy TriangleMesh."""
     o3d = need("open3d", "mesh", "making an Open3D mesh")
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(surface.vertices),
                                      o3d.utility.Vector3iVector(surface.faces))

@@ -3,10 +3,7 @@
 Beside `scene.mesh`, whose `Surface` carries no texture coordinates. Normals are the only thing made anew.
 """
 
-from __future__ import annotations
-
 import copy
-import logging
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -14,11 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.errors import need
+from pagas_cl.errors import log, need
 from pagas_cl.scene.mesh import Mesh, Surface, eight_bits, mesh_kind, positions
 from pagas_cl.scene.mesh_file import read_open3d
-
-log = logging.getLogger("pagas_cl")
 
 
 def load_whole(mesh: Mesh) -> Mesh:

@@ -1,7 +1,5 @@
 """Mesh files: read through Open3D; .ply written by NumPy alone with everything that a Surface has, others by Open3D."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any
@@ -9,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, need
-from pagas_cl.scene.files import replaced
+from pagas_cl.scene.files import replaced, replaced_with_others
 from pagas_cl.scene.mesh import Surface, from_legacy, to_legacy
 
 SUFFIXES = (".ply", ".obj", ".stl", ".off")
@@ -99,7 +97,8 @@ def write_mesh(path: str | Path, surface: Surface) -> None:
     """
     path = Path(path)
     check_mesh_path(path)
-    with replaced(path, path.suffix) as beside:
+    # what is not NumPy's work may write the file's name into it, or other files beside it
+    with replaced(path) if path.suffix.lower() == ".ply" else replaced_with_others(path) as beside:
         if path.suffix.lower() == ".ply":
             _write_ply(beside, surface)
             return

@@ -44,7 +44,7 @@ def solve_mesh(surface: Surface, views: Sequence[Observed], device: Device, *, l
     Vertices at the very same place stay together. Without evidence a vertex follows its neighbours over two or three
     edges and stays beyond.
     """
-    from pagas_cl.runtime.faults import translate_cl_errors
+    from pagas_cl.runtime.device import translate_cl_errors
 
     points, welded = np.unique(surface.vertices, axis=0, return_inverse=True)
     welded = welded.reshape(-1)

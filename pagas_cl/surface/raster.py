@@ -115,7 +115,7 @@ class Drawing:
 
     def depth(self, camera: Camera) -> np.ndarray:
         """Depth map (H, W) float32 in scene units, 0 = no surface."""
-        from pagas_cl.runtime.faults import translate_cl_errors
+        from pagas_cl.runtime.device import translate_cl_errors
         from pagas_cl.runtime.memory import download
 
         with translate_cl_errors(self.device, f"the drawing of the mesh in view {camera.name!r}"):
