@@ -88,14 +88,14 @@ def displaced_mesh(mesh, views: list[View], depths, results, config: Config, sub
 
 def polished(surface: Surface, results, config: Config, device) -> Surface:
     """A fused mesh with its vertices where the depth maps agree: neither ripples nor fringes. As it is where the device
-    has no room for it."""
+    has no room for it, or the results have no deviations."""
     from pagas_cl.surface.mesh_solve import solve_mesh
 
     try:
         solved = solve_mesh(surface, Observations(results), device, rounds=_POLISH,
                             least_views=max(1, config.fusion.agree_views) + 1)
-    except DeviceMemoryError as error:
-        log.warning("%s: the fused mesh is left as it is", error)
+    except (DeviceMemoryError, InputError) as error:      # InputError: results that were kept without their deviations
+        log.warning("the fused mesh is not polished: %s", error)
         return surface
     return replace(surface, vertices=solved.vertices,
                    attributes={"deviation": solved.deviation, "views": solved.seen.astype(np.float64)})

@@ -82,9 +82,9 @@ def without(found, hold_out: list[str], asked: list[str]):
     return replace(found, views=[view for place, view in enumerate(found.views) if place not in out])
 
 
-def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None) -> list:
-    """Initial depth of every view, from the mesh or from files; None for a view without a file, which `names` must
-    have. With a folder for the run they stay on disk, and what stands for them is given instead."""
+def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None, device=None) -> list:
+    """Initial depth of every view, from the mesh (drawn on `device`) or from files; None for a view without a file,
+    which `names` must have. With a folder for the run they stay on disk, and what stands for them is given instead."""
     from pagas_cl.jobs.finished import work_folder
     from pagas_cl.jobs.store import Store
 
@@ -93,7 +93,7 @@ def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, n
         from pagas_cl.scene.mesh import to_surface
 
         keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
-        return refine.initial_depths(to_surface(mesh), found.views, progress, keep)
+        return refine.initial_depths(to_surface(mesh), found.views, progress, keep, device)
     sources = depth_files(found, depth_dir, depth_scale, names, as_numbers=False)[0]
     return sources if folder is not None else loaded(sources)
 

@@ -107,7 +107,8 @@ def command(
           _report(report, found, config_words, place, asked.obj) as page):
         found, config = _settled_cameras(found, mesh, config, place["device"], progress, page)
         if mesh is not None:
-            depths = initial_depths(found, mesh, None, None, progress, None if keep_mesh else folder, names)
+            depths = initial_depths(found, mesh, None, None, progress, None if keep_mesh else folder, names,
+                                    place["device"])
         else:
             depths = together(given, align)
             depths = depths if folder is not None else loaded(depths)
@@ -120,7 +121,7 @@ def command(
                                    progress=progress, on_view=page and partial(_add_pictures, page))
         made = None
         if output is not None and keep_mesh:
-            made = displaced_mesh(mesh, found.views, depths, results, config, subdivide)
+            made = displaced_mesh(mesh, found.views, depths, results, config, subdivide, device=place["device"])
             write_whole(output, made)
         elif output is not None:
             made = fuse_results(found.views, results, config, progress, memory, page and page.note,

@@ -200,5 +200,6 @@ def test_a_mesh_run_hands_its_executor_on_to_the_boxes(photos, wanted, tmp_path,
     monkeypatch.setattr(blocks, "fuse_within", lambda *_, **more: given.update(more))
     with ThreadPoolExecutor(1) as pool:
         refine.fuse_results([view], [SimpleNamespace(name="a.png", camera=camera, file=tmp_path / "a.npz")],
-                            Config().with_settings(effects__consistency="off"), executor=pool, folder=tmp_path)
+                            Config().with_settings(effects__consistency="off", fusion__polish=False), executor=pool,
+                            folder=tmp_path)
         assert (given["executor"] is pool) == wanted and given["folder"] == tmp_path
