@@ -19,6 +19,7 @@ from pagas_cl.splat.constants import define
 HUBER, CUT = 0.3, 2.5     # residuals beyond the first count linearly, beyond the second not at all
 BORDER = 5.0              # pixels along a photo's edges that are not used: its windows are cut there
 CHUNK, COST_CHUNK = 256, 64      # pixels that one work-item adds up
+DEFINES = define(NEAR=NEAR, HUBER=HUBER, CUT=CUT, BORDER=BORDER, CHUNK=CHUNK, COST_CHUNK=COST_CHUNK)
 SMOOTHED = 1.5            # pixels over which steps of depths are averaged
 PRIOR = 1e-3              # of the residual, a squared pixel of parallax: holds depths that no photo fixes
 
@@ -57,9 +58,7 @@ class Adjuster:
         self.device, self.scene_scale, self.intrinsics = device, scene_scale, intrinsics
         self.columns, self._row = (14, 16) if intrinsics else (6, 8)
         self.normalizer = Normalizer(device)
-        self.program = build(device, "adjust.cl", (*define(
-            NEAR=NEAR, HUBER=HUBER, CUT=CUT, BORDER=BORDER, CHUNK=CHUNK, COST_CHUNK=COST_CHUNK),
-            *(["INTRINSICS"] if intrinsics else [])))
+        self.program = build(device, "adjust.cl", (*DEFINES, *(["INTRINSICS"] if intrinsics else [])))
 
     def block(self, target: Frame, others: Sequence[Frame], prior: float, tolerance: float,
               limit: float = 0.0) -> Block:

@@ -12,6 +12,7 @@ from pagas_cl.splat.constants import define
 
 WINDOW = 4                # pixels to each side over which mean and deviation are taken
 SOFTENING = 4.0           # grey levels added to the deviation: what is weaker than that is no texture
+DEFINES = define(WINDOW=WINDOW, SOFTENING=SOFTENING)
 
 
 class Normalizer:
@@ -19,7 +20,7 @@ class Normalizer:
 
     def __init__(self, device):
         self.device = device
-        self.program = build(device, "normalize.cl", define(WINDOW=WINDOW, SOFTENING=SOFTENING))
+        self.program = build(device, "normalize.cl", DEFINES)
         self._taps: dict[float, tuple[cl.Buffer, int]] = {}
 
     def photo(self, photo: cl.Buffer, size: Size, sigma: float, out: cl.Buffer) -> None:

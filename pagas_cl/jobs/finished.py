@@ -170,7 +170,7 @@ def records_in(folder: Path) -> list[Record]:
             known = json.loads(read_bytes(path))
             if known.pop("seal", "") == _seal(known):
                 found.append(Record(**known))
-        except (OSError, ValueError, TypeError, AttributeError):
+        except (*DAMAGE, TypeError, AttributeError):
             log.debug("%s is no record", path)
     return found
 

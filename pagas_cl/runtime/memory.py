@@ -141,4 +141,4 @@ def limit_of(total: int, processes: int = 1) -> int:
 
 
 def _mb(nbytes: int) -> str:
-    return f"{nbytes / 1e6:,.0f}" if nbytes >= 10e6 or not nbytes else f"{nbytes / 1e6:.2g}"
+    return f"{nbytes / 1e6:.2g}" if 1e5 <= nbytes < 10e6 else f"{nbytes / 1e6:,.0f}"

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 SLOTS = 12              # words of views that are kept for a vertex, the weightiest
 MOST_WEIGHT = 4.0       # of a vertex' evidence, where 1 is one view that is as sure as can be
 WEIGHT_SHARE = 0.01     # (a tenth of a footprint)^2
+DEFINES = (f"SLOTS={SLOTS}", f"MOST_WEIGHT={MOST_WEIGHT!r}f", f"WEIGHT_SHARE={WEIGHT_SHARE!r}f")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +52,7 @@ class Words:
         from pagas_cl.runtime.program import build
 
         self.device, self.count, self.known = device, count, dict(known)
-        self.program = build(device, "mesh_evidence.cl", (f"SLOTS={SLOTS}", f"MOST_WEIGHT={MOST_WEIGHT!r}f",
-                                                          f"WEIGHT_SHARE={WEIGHT_SHARE!r}f"))
+        self.program = build(device, "mesh_evidence.cl", DEFINES)
         for name, size in (("words", 8 * SLOTS), ("unit", 4), ("target", 4), ("weight", 4), ("seen", 4), ("sigma", 4)):
             self.known[name] = device.memory.buffer(device.context, size * count, name)
         cl.enqueue_fill_buffer(device.queue, self.known["words"], np.float32(0), 0, 8 * SLOTS * count)

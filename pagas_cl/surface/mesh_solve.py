@@ -22,6 +22,7 @@ LAMBDA, STAY, CREASE, JUMP = 2.0, 0.02, 0.1, 0.5
 ROUNDS, LINKINGS, STEPS = 3, 2, 60      # of evidence, of links between neighbours, of conjugate gradients
 _HOLDS = 8                              # times that ways are halved where triangles would turn over
 _GROUP = 128
+DEFINES = (f"GROUP={_GROUP}",)
 _SAMPLES, _ASKED = 20_000, 8            # triangles and views that tell which way normals point
 
 
@@ -119,7 +120,7 @@ class _Gradients:
 
         self.device, self.count = device, count
         self.groups = -(-count // _GROUP)
-        self.program = build(device, "mesh_solve.cl", (f"GROUP={_GROUP}",))
+        self.program = build(device, "mesh_solve.cl", DEFINES)
         self._own = {name: device.memory.buffer(device.context, 4 * size, name) for name, size in
                      (("links", 2 * corners), ("sums", count), ("inverse_diagonal", count), ("residual", count),
                       ("p", count), ("q", count), ("y", count), ("partial", self.groups), ("scalars", 3))}
@@ -166,7 +167,7 @@ def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> in
     from pagas_cl.runtime.memory import download
     from pagas_cl.runtime.program import bind, build, run_once
 
-    program = build(device, "mesh_solve.cl", (f"GROUP={_GROUP}",))
+    program = build(device, "mesh_solve.cl", DEFINES)
     cl.enqueue_fill_buffer(device.queue, known["held"], np.int32(0), 0, 4 * count)
     move = {name: known[name] for name in ("positions", "normals", "unit", "weight", "delta", "moved")}
     hold = {name: known[name] for name in ("positions", "moved", "first", "pairs", "delta", "held")}

@@ -68,9 +68,55 @@ def inside() -> None:
         else:
             refine_levels(scene.target, scene.contexts, scene.depth, config, device)
     scene = make.base(size=(18, 16))
+    adjust_cameras(scene, device)
+    solve_a_mesh(scene, device)
     counts(scene.target.camera, scene.depth, [view.camera for view in scene.contexts], [scene.depth, scene.depth],
            device=device)
     sys.stdout.write(f"kernels: {' '.join(sorted(launched))}\n")
+
+
+def adjust_cameras(scene, device) -> None:
+    """Every kernel of the refinement of cameras."""
+    from pagas_cl.cameras.adjust import Adjuster, Frame
+    from pagas_cl.cameras.normalize import Normalizer
+    from pagas_cl.runtime.memory import upload
+    from pagas_cl.splat.buffers import Size
+    from pagas_cl.splat.photos import rgba
+
+    frames = []
+    for view in (scene.target, *scene.contexts):
+        size = Size(view.camera.width, view.camera.height)
+        normal = device.memory.buffer(device.context, 4 * size.pixels)
+        Normalizer(device).photo(upload(device, rgba(view.load_image(), None)), size, 0.7, normal)
+        frames.append(Frame(view.camera, normal, upload(device, scene.depth)))
+    for intrinsics in (False, True):
+        adjuster = Adjuster(device, 1.0, intrinsics)
+        adjuster.block(frames[0], frames[1:], 1e-3, 0.1, limit=0.01)
+    adjuster.costs(frames[0], frames[1:], 0.1)
+    adjuster.carry(frames[1], upload(device, scene.depth), frames[0])
+    adjuster.rescale(frames[0], 1.01, 0.0)
+
+
+def solve_a_mesh(scene, device) -> None:
+    """Every kernel of drawing and solving a mesh: that of the depth map, and a triangle larger than the picture."""
+    import numpy as np
+
+    from pagas_cl.scene.mesh import Surface
+    from pagas_cl.surface.mesh_evidence import Observed
+    from pagas_cl.surface.mesh_solve import solve_mesh
+
+    camera, depth = scene.target.camera, scene.depth
+    points = (camera.rays() * depth[..., None]) @ camera.world_to_camera[:3, :3] + camera.center
+    points = points.reshape(-1, 3)
+    height, width = depth.shape
+    at = np.arange(height * width).reshape(height, width)
+    corners = [at[:-1:3, :-1:3], at[:-1:3, 1::3], at[1::3, :-1:3]]
+    faces = np.stack([corner.ravel() for corner in corners], 1)
+    behind = points[[0, width - 1, -1]] + 3 * camera.world_to_camera[2, :3]
+    surface = Surface(np.concatenate([points, behind]), np.concatenate([faces, np.array([[0, 1, 2]]) + at.size]))
+    deviation = np.full(depth.shape, 1e-3, np.float32)
+    solve_mesh(surface, [Observed(view.camera, depth, deviation) for view in (scene.target, *scene.contexts)], device,
+               rounds=1)
 
 
 def main() -> int:

@@ -14,10 +14,12 @@ import pyopencl as cl
 import pytest
 from oclgrind import command
 
+from pagas_cl.cameras import adjust, normalize
 from pagas_cl.runtime import arena, program
 from pagas_cl.selftest import BLENDS, device_gradient, normalized
 from pagas_cl.selftest import scenes as make
 from pagas_cl.splat import measure, options, tile
+from pagas_cl.surface import mesh_evidence, mesh_solve
 
 KERNELS = Path(program.files("pagas_cl.cl_kernels").joinpath("loss.cl")).parent
 FILES = sorted(path.name for path in KERNELS.glob("*.cl"))
@@ -26,7 +28,9 @@ VARIANTS = {
     "grey": dict(loss__grey=True, loss__robust=0.5, loss__structure=True, loss__exposure=True),
 }
 TILE_OF = {"ssim.cl": tile.SCALAR[0], "loss.cl": tile.SCALAR[1]}
-MORE = {"measure.cl": measure._ROW_NUMBERS}        # of a file alone
+MORE = {"measure.cl": measure._ROW_NUMBERS}        # of a file alone, beside those of the settings
+OWN = {"adjust.cl": adjust.DEFINES, "normalize.cl": normalize.DEFINES, "mesh_evidence.cl": mesh_evidence.DEFINES,
+       "mesh_solve.cl": mesh_solve.DEFINES}        # no others
 NEWER = r"\bdouble|\bhalf\b|atomic_fetch|work_group_(?:all|any|reduce|scan|broadcast|barrier)|generic\b"
 NO_DOUBLE = "#pragma OPENCL EXTENSION cl_khr_fp64 : disable\n"
 
@@ -40,10 +44,12 @@ ORDER_FREE_ONLY = ("composite.cl",)       # never built with the alpha blend
 
 @pytest.mark.kernels
 @pytest.mark.parametrize("file, name", [(file, name) for file, name in itertools.product(FILES, VARIANTS)
-                                        if not (file in ORDER_FREE_ONLY and name.startswith("alpha"))])
+                                        if not (file in ORDER_FREE_ONLY and name.startswith("alpha"))
+                                        and not (file in OWN and name != "grey")])
 def test_kernels_fit_any_device_of_opencl_1_2(device, file, name):
     """Without double precision, within 32 kB of local memory and 256 work-items."""
     given = options.defines(variant(name).with_settings(solver__gradient_filter=2), device, 64) + MORE.get(file, ())
+    given = OWN.get(file, given)
     for part in tile.SCALAR:
         built = cl.Program(device.context, NO_DOUBLE + program.source(file)).build(
             [*program.OPTIONS, *(f"-D{define}" for define in (*given, *part.defines))])
