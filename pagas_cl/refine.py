@@ -13,13 +13,14 @@ import numpy.typing as npt
 
 from pagas_cl.acceptance import rejection_reason
 from pagas_cl.config import Config
-from pagas_cl.effects import Decision, decide, decide_consistency
+from pagas_cl.effects import Decision, decide_consistency, settle
 from pagas_cl.errors import InputError
 from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
-from pagas_cl.measurements import Measurements, measure
+from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
 from pagas_cl.result import DepthResult, OnDisk, joined
+from pagas_cl.rounds import later_rounds, neighbours
 from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth
@@ -198,15 +199,25 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
               for place, depth in enumerate(depths) if depth is not None}
     photos, chooser = PhotoStore(device), PartnerChooser([view.camera for view in views],
                                                          [arrays.get(k) for k in range(len(views))], config.context)
+    later, partners = later_rounds(config, len(asked)), {index: chooser.choose(index) for index in asked}
     for done, index in enumerate(asked):
         view_progress.at(done)
-        result = refine_one(views, chooser.choose(index), arrays[index], config, device, photos,
-                            progress=view_progress.inside(done))
-        results.append(result)
-        if on_view:
-            on_view(views[index], arrays[index], result)
-    photos.clear()
+        results.append(refine_one(views, partners[index], arrays[index], config, device, photos,
+                                  progress=view_progress.inside(done)))
+        if on_view and not later:
+            on_view(views[index], arrays[index], results[-1])
     view_progress.at(len(asked))
+    for number, work in enumerate(later, start=1):
+        view_progress, before = ViewProgress(progress, len(asked), f"agree, round {number}"), dict(zip(asked, results))
+        for done, index in enumerate(asked):
+            view_progress.at(done)
+            given = [before[k] for k in neighbours(partners[index], asked)]
+            results[done] = work(views, partners[index], given, config, device, photos,
+                                 progress=view_progress.inside(done))
+            if on_view and number == len(later):
+                on_view(views[index], arrays[index], results[done])
+        view_progress.at(len(asked))
+    photos.clear()
     return results
 
 
@@ -222,20 +233,6 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
         return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
     return refine_depth(target, [views[k] for k in partners.contexts], depth, config=config, device=device,
                         progress=progress, photos=photos, held_out=[views[k] for k in partners.held_out])
-
-
-def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
-           photos: PhotoStore, *,
-           normalized: NormalizedDepth | None = None) -> tuple[Config, list[Decision], Measurements | None]:
-    """Decide which effects this view calls for: the settings that follow, the decisions, and what they rest on."""
-    if not config.effects.measured:
-        return *decide(config, None), None
-    measured = measure(target, contexts, depth, config, device, photos, normalized=normalized)
-    config, decisions = decide(config, measured)
-    for decision in decisions:
-        log.debug("view %s: %s %s (%.4g, threshold %.4g)", target.name, decision.effect, "on" if decision.on else "off",
-                  decision.evidence, decision.threshold)
-    return config, decisions, measured
 
 
 def initial_depths(surface: Surface, views: Sequence[View], progress: Progress | None = None,
