@@ -20,7 +20,7 @@ from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
 from pagas_cl.result import DepthResult, OnDisk, joined
-from pagas_cl.rounds import later_rounds, neighbours
+from pagas_cl.rounds import later_rounds
 from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth
@@ -193,7 +193,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
         from pagas_cl.jobs import refine_all
 
         return refine_all(refine_one, views, depths, asked, config, device=device, executor=executor, folder=folder,
-                          extras=extras, progress=progress, on_view=on_view)
+                          extras=extras, progress=progress, on_view=on_view, later=later_rounds(config, len(asked)))
     device, results, view_progress = open_device(device), [], ViewProgress(progress, len(asked))
     arrays = {place: depth.load() if isinstance(depth, Loads) else depth
               for place, depth in enumerate(depths) if depth is not None}
@@ -207,13 +207,13 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
         if on_view and not later:
             on_view(views[index], arrays[index], results[-1])
     view_progress.at(len(asked))
-    for number, work in enumerate(later, start=1):
+    for number, later_round in enumerate(later, start=1):
         view_progress, before = ViewProgress(progress, len(asked), f"agree, round {number}"), dict(zip(asked, results))
         for done, index in enumerate(asked):
             view_progress.at(done)
-            given = [before[k] for k in neighbours(partners[index], asked)]
-            results[done] = work(views, partners[index], given, config, device, photos,
-                                 progress=view_progress.inside(done))
+            given = [before[k] for k in partners[index].refined(before)]
+            results[done] = later_round.work(views, partners[index], given, config, device, photos,
+                                             progress=view_progress.inside(done))
             if on_view and number == len(later):
                 on_view(views[index], arrays[index], results[done])
         view_progress.at(len(asked))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,20 +29,19 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pagas_cl")
 
-Round = Callable[..., DepthResult]
+
+@dataclass(frozen=True)
+class Round:
+    """One round: `work`, a function of a module as below, which any process finds; whether it looks at `photos`."""
+
+    work: Callable[..., DepthResult]
+    photos: bool
 
 
 def later_rounds(config: Config, views: int) -> list[Round]:
-    """What is done with each of so many views after all of them were refined: functions of a module, as below."""
+    """What is done with each of so many views after all of them were refined."""
     rounds = agreement_rounds(config, views)
-    return [average_and_step] * (rounds - 1) + [average_depths] * (rounds > 0)
-
-
-def neighbours(partners: Partners, refined: Sequence[int]) -> list[int]:
-    """Places of the views whose results a round of one view takes: its own, then its context views', as far as they
-    are among the `refined`."""
-    there = set(refined)
-    return [partners.target, *(k for k in partners.contexts if k in there)]
+    return [Round(average_and_step, True)] * (rounds - 1) + [Round(average_depths, False)] * (rounds > 0)
 
 
 def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partners, results: Sequence[DepthResult],

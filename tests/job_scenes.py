@@ -19,7 +19,8 @@ from pagas_cl.scene.readers import read_scene
 from pagas_cl.synthetic.scene import write_scene
 
 TESTS = Path(__file__).resolve().parent
-QUICK = preset("balanced").with_settings(pyramid__steps=(3,), context__number=3)
+# one round, whose files are final as they come; more of them: tests/test_agreement.py, and what kill_trials.py kills
+QUICK = preset("balanced").with_settings(pyramid__steps=(3,), context__number=3, effects__agreement="off")
 
 
 def write_small_scene(folder, views=8) -> Path:

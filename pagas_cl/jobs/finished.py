@@ -4,6 +4,7 @@
     FOLDER/.work/<stem>.npz         status, deviation, parallax
     FOLDER/.work/<stem>.json        the Record, written last: a view is finished when it is there and fits
     FOLDER/.work/journal/           what each worker began and ended, one file a process
+    FOLDER/.work/round_0/, ...      the same of each round before the last one; removed when all views are done
     FOLDER/.work/inputs/            arrays that came from memory; removed when all views are done
 """
 
@@ -32,6 +33,11 @@ _EXTRAS = ("status", "deviation", "parallax")
 def work_folder(folder: Path) -> Path:
     """Where a run keeps what only it needs, inside its folder of results."""
     return Path(folder) / ".work"
+
+
+def round_folder(folder: Path, number: int) -> Path:
+    """Where the results of a round (0 is the first) are kept until the last one is done."""
+    return work_folder(folder) / f"round_{number}"
 
 
 def stems(views) -> list[str]:
@@ -81,6 +87,23 @@ def find_finished(folder: Path, task: ViewTask, extras: bool) -> Record | None:
     return None if torn else record
 
 
+@dataclass(frozen=True)
+class EarlierResults:
+    """Stands for a depth map in the task of a later round: results of the round before, in `folder`, each by camera,
+    stem and key; the view's own comes first."""
+
+    folder: Path
+    results: tuple[tuple[Camera, str, str], ...]
+
+    @property
+    def digest(self) -> str:
+        """What they are is told by the keys of their tasks."""
+        return " ".join(key for _, _, key in self.results)
+
+    def load(self) -> list[DepthResult]:
+        return [StoredResult.found(camera, self.folder, stem, key).loaded() for camera, stem, key in self.results]
+
+
 @dataclass(frozen=True, eq=False)
 class StoredResult:
     """As a DepthResult, with the arrays read from disk when they are asked for; nothing of it stays in memory."""
@@ -105,6 +128,20 @@ class StoredResult:
         """Everything in memory."""
         return DepthResult(self.camera, self.depth, self.status, self.deviation, self.parallax, self.reason,
                            self.report, self.name)
+
+    @classmethod
+    def found(cls, camera: Camera, folder: Path, stem: str, key: str) -> StoredResult:
+        """The finished view that the round before has left; InputError where it is not there, or of another key."""
+        path = work_folder(folder) / f"{stem}.json"
+        try:
+            record = Record(**json.loads(path.read_bytes()))
+        except (OSError, ValueError, TypeError) as error:
+            raise InputError(f"record {str(path)!r} of the round before cannot be read ({error}): start the same "
+                             "command again") from error
+        if record.key != key:
+            raise InputError(f"record {str(path)!r} is of another run, expected that of the round before: start the "
+                             "same command again, and no other one in its folder")
+        return cls(camera, folder, record)
 
     def _extra(self, name: str) -> np.ndarray:
         path = work_folder(self.folder) / f"{self.record.stem}.npz"
