@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from pagas_cl.runtime.device import Device
-    from pagas_cl.splat import NormalizedDepth, PhotoStore
+    from pagas_cl.splat import PhotoStore
     from pagas_cl.splat.view import Refinement
 
 log = logging.getLogger("pagas_cl")

@@ -86,7 +86,7 @@ def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partn
 
 
 def _few(config: Config, steps: int, contexts: int) -> Config:
-    """The settings for so few steps from a depth that is nearly right: at full size, smoothness as raised as it ends."""
+    """The settings for so few steps from a depth that is nearly right: at full size, smoothness raised at once."""
     return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__early_damping=1.0,
                                 smoothness__weight=config.smoothness.weight_with(contexts), smoothness__full_views=1,
                                 effects__pyramid="set")

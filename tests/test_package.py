@@ -25,8 +25,8 @@ ALLOWED = {
     "acceptance": {"result"},
     "effects": {"measurements", "runtime", "scene", "splat", "surface"}, "measurements": {"splat"},
     "rounds": {"scene", "runtime", "surface", "splat", "result", "effects", "progress"},
-    "refine": {"rounds", "acceptance", "jobs", "scene", "runtime", "surface", "splat", "result", "measurements", "effects",
-               "keep_mesh", "progress"},
+    "refine": {"acceptance", "jobs", "scene", "runtime", "surface", "splat", "result", "measurements", "effects",
+               "keep_mesh", "progress", "rounds"},
     "evaluate": {"scene"}, "synthetic": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
     "selftest": {"scene", "runtime", "splat", "reference", "refine"},
 }

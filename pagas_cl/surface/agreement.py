@@ -77,8 +77,9 @@ class Agreement:
         self._run("average", size=(count,), count=count, scale=self.scale, spread=spread, sums=sums, depth=depth,
                   depth_per_parallax=self._parallax, deviation=deviation, status=status, averaged=averaged)
         shape = own.depth.shape
-        return DepthEvidence(own.camera, download(self.device, averaged, shape), download(self.device, deviation, shape),
-                             download(self.device, status, shape, np.uint8), own.parallax)
+        return DepthEvidence(own.camera, download(self.device, averaged, shape),
+                             download(self.device, deviation, shape), download(self.device, status, shape, np.uint8),
+                             own.parallax)
 
     def _each(self) -> Iterator[dict[str, Any]]:
         """Arguments of a comparison with each other view."""
