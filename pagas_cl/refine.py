@@ -158,7 +158,8 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
                  on_view: Callable[[View, Depth, DepthResult], Any] | None = None,
                  executor: Executor | str | None = None, folder: str | Path | None = None,
                  extras: bool = True) -> list[DepthResult]:
-    """Refine the depth maps of many views, each by itself.
+    """Refine the depth maps of many views, each by itself; then, where the effect `agreement` is called for, in rounds
+    in which depth maps of views that see the same surface are evidence for one another (method section 8.1).
 
     Parameters
     ----------
@@ -168,7 +169,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     names : collection of str, optional
         Views to refine; all that have a depth map by default. The others are context views still.
     on_view : callable of (view, initial depth, DepthResult), optional
-        Called as soon as a view is finished; what it returns is dropped.
+        Called as soon as a view is finished, which is in the last round; what it returns is dropped.
     executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
         Where the views are refined instead of in this process; see pagas_cl.jobs.
     folder : path, optional

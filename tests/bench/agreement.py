@@ -16,12 +16,13 @@ import io
 import time
 import zlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from pagas_cl.config import Config
-from pagas_cl.evaluate import compare_depth
+from pagas_cl.evaluate import compare_depth, compare_predictions
 from pagas_cl.presets import BALANCED
 from pagas_cl.refine import refine_views
 from pagas_cl.rounds import later_rounds
@@ -29,6 +30,7 @@ from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.splat import PhotoStore
+from pagas_cl.surface.agree import counts
 from pagas_cl.synthetic import relief_scene
 
 VIEWS, OFF = 6, 0.35      # views; pixels by which a camera is turned
@@ -113,14 +115,20 @@ def errors(made, depths) -> np.ndarray:
 
 
 def run(kind: str, width: int, config: Config, device):
-    """Errors of the input, of views by themselves and after each round; share of rejected depths before and after; CPU
+    """Errors of the input, of views by themselves and after the rounds; share of rejected depths before and after; CPU
     seconds of both parts."""
     made, views = scene_of(kind, width)
     depths = [made.initial_depth(camera) for camera in made.cameras]
+    alone, agreed, seconds = both(views, depths, config, device)
+    rows = [errors(made, maps) for maps in (depths, depths_of(alone), depths_of(agreed))]
+    return rows, [share_rejected(results) for results in (alone, agreed)], seconds
+
+
+def both(views, depths, config: Config, device):
+    """Results of views by themselves, and after the rounds; CPU seconds of both parts."""
     start = time.process_time()
-    results = refine_views(views, depths, config=config.with_settings(effects__agreement="off"), device=device)
-    seconds, rejected = [time.process_time() - start], [share_rejected(results)]
-    rows = [errors(made, depths), errors(made, [result.depth for result in results])]
+    results = alone = refine_views(views, depths, config=config.with_settings(effects__agreement="off"), device=device)
+    seconds = [time.process_time() - start]
     chooser = PartnerChooser([view.camera for view in views], depths, config.context)
     partners, photos = [chooser.choose(k) for k in range(len(views))], PhotoStore(device)
     start = time.process_time()
@@ -128,9 +136,48 @@ def run(kind: str, width: int, config: Config, device):
         before = dict(enumerate(results))
         results = [step.work(views, partner, [before[k] for k in partner.refined(before)], config, device, photos)
                    for partner in partners]
-    seconds.append(time.process_time() - start)
-    rows.append(errors(made, [result.depth for result in results]))
-    return rows, [*rejected, share_rejected(results)], seconds
+    return alone, results, [*seconds, time.process_time() - start]
+
+
+def depths_of(results) -> list[np.ndarray]:
+    return [result.depth for result in results]
+
+
+def real(scene: Path, mesh: Path, share: float, config: Config, device, most: int) -> str:
+    """What real photos without truth tell: depths that context views confirm within half a pixel of parallax, of those
+    that they should see; photos that took no part at all, predicted through the depth maps (correlation of patches,
+    view by view: median, and in how many of the pairs it rose)."""
+    from real import load
+
+    views, depths = load(scene, mesh, None, share)
+    views, depths = views[:most], depths[:most]
+    used, kept_out = [k for k in range(len(views)) if k % 5 != 2], [k for k in range(len(views)) if k % 5 == 2]
+    alone, agreed, seconds = both([views[k] for k in used], [depths[k] for k in used], config, device)
+    maps = [[depths[k] for k in used], depths_of(alone), depths_of(agreed)]
+    shares = [confirmed_share([views[k].camera for k in used], each, device) for each in maps]
+    pairs = []
+    for place, k in enumerate(used):
+        nearest = min(kept_out, key=lambda j: np.linalg.norm(views[j].camera.center - views[k].camera.center))
+        found = compare_predictions(views[k], [each[place] for each in maps], views[nearest], depths[nearest])
+        pairs.append([prediction.median for prediction in found])
+    pairs = np.array(pairs)
+    told = " | ".join(f"{a:.1%}, {b:.4f}" for a, b in zip(shares, np.median(pairs, axis=0)))
+    return (f"| {scene.name}, {len(used)} views of {views[0].camera.width} x {views[0].camera.height} | {told} | "
+            f"{int((pairs[:, 2] >= pairs[:, 1]).sum())} of {len(pairs)}, least {np.min(pairs[:, 2] - pairs[:, 1]):+.4f} | "
+            f"{share_rejected(alone):.1%}, {share_rejected(agreed):.1%} | {seconds[1] / seconds[0]:.0%} |")
+
+
+def confirmed_share(cameras, maps, device) -> float:
+    """Of the depths that other views should see, those that two of them (one, where one alone sees it) confirm to half
+    a pixel of parallax; the nearest four are asked."""
+    seen, confirmed = 0, 0
+    for k, (camera, depth) in enumerate(zip(cameras, maps)):
+        near = sorted((j for j in range(len(cameras)) if j != k),
+                      key=lambda j: np.linalg.norm(cameras[j].center - camera.center))[:4]
+        by, expected = counts(camera, depth, [cameras[j] for j in near], [maps[j] for j in near], 0.5, device)
+        seen += int((expected > 0).sum())
+        confirmed += int(((expected > 0) & (by >= np.minimum(2, expected))).sum())
+    return confirmed / seen
 
 
 def share_rejected(results) -> float:
@@ -142,6 +189,10 @@ def main():
     from pagas_cl.commands._settings import build_config
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scene", type=Path, help="real photos, instead of made ones, with --mesh at --share of size")
+    parser.add_argument("--mesh", type=Path)
+    parser.add_argument("--share", type=float, default=0.125)
+    parser.add_argument("--most", type=int, default=100, help="views of --scene")
     parser.add_argument("--width", type=int, default=256)
     parser.add_argument("--kinds", nargs="*", default=list(KINDS))
     parser.add_argument("--set", nargs="*", default=[], dest="settings")
@@ -149,6 +200,9 @@ def main():
     parser.add_argument("--out", default=None)
     given = parser.parse_args()
     device, config = open_device(given.device), build_config("balanced", given.settings) if given.settings else BALANCED
+    if given.scene:
+        print(real(given.scene, given.mesh, given.share, config, device, given.most))
+        return
     lines = [f"| mismatch | initial: {MEASURES} | views by themselves | after the rounds | ratio | rejected | "
              "time of the rounds |", "|---|---|---|---|---|---|---|"]
     print(*lines, sep="\n", flush=True)
