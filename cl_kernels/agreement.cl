@@ -81,15 +81,16 @@ __kernel void add_view(__global const float *depth, __global const float *depth_
     vstore4(vload4(i, sums) + (float4)(w * change, w, w * w * v, w * v), i, sums);
 }
 
-// status: of the depth as it is; one that was rejected has no weight of its own, and is refined where others replace it.
-__kernel void average(int count, float scale, float spread, __global const float *sums, __global const float *depth,
+// status: of the depth as it is; one that was rejected has no weight of its own, and where the others are to `propose`
+// another one that is refined from then on.
+__kernel void average(int count, float scale, float spread, int propose, __global const float *sums, __global const float *depth,
                       __global const float *depth_per_parallax, __global float *deviation, __global uchar *status,
                       __global float *averaged)                    // [H, W] scene units
 {
     EACH(i, count)
     const float4 sum = vload4(i, sums);
     averaged[i] = depth[i];
-    if (!(sum.s1 > 0.0f))
+    if (!(sum.s1 > 0.0f) || (status[i] != REFINED && !propose))
         return;
     const float u = depth_per_parallax[i] * scale, s = deviation[i] * scale;
     const bool own = status[i] == REFINED && s < INFINITY;

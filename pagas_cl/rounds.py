@@ -6,7 +6,6 @@ its context views: rounds may be worked on by anybody, in any order of the views
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
     from pagas_cl.splat import PhotoStore
 
-log = logging.getLogger("pagas_cl")
+_BYTES = 64     # a pixel: more than a comparison takes beside the photos that wait on the device
 
 
 @dataclass(frozen=True)
@@ -46,14 +45,22 @@ def later_rounds(config: Config, views: int) -> list[Round]:
 
 def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partners, results: Sequence[DepthResult],
                    config: Config, device: Device, photos: PhotoStore, progress: Progress | None = None) -> DepthResult:
-    """One view's depths averaged with those of other views, where they see the same surface.
+    """One view's depths averaged with those of other views, where they see the same surface. What photos refused stays
+    as it is: none is asked again.
 
     `results`: of the round before, the view's own first, then those of others. The others are as in refine.refine_one.
     """
+    return _averaged(results, config, device, photos, propose=False)
+
+
+def _averaged(results: Sequence[DepthResult], config: Config, device: Device, photos: PhotoStore,
+              propose: bool) -> DepthResult:
+    """`propose`: also in place of depths that photos refused."""
     own, start = results[0], time.perf_counter()
     others = [_evidence(result) for result in results[1:] if not result.reason]
     if own.reason or not others:
         return own
+    photos.trim(_BYTES * max(result.depth.size for result in results))
     comparison = Agreement(_evidence(own), others, device)
     spread = comparison.spread()
     decision = decide_agreement(spread, config)
@@ -61,7 +68,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     report = {**own.report, "effects": [*effects, decision.as_dict()]}
     if not decision.on:
         return replace(own, report=report)
-    found = comparison.average(spread, config.agreement.pixels)
+    found = comparison.average(spread, config.agreement.pixels, propose)
     report["differences"] = [*own.report.get("differences", ()), spread]
     report["seconds"] = own.report.get("seconds", 0.0) + time.perf_counter() - start
     return replace(own, depth=found.depth, status=found.status, deviation=found.deviation, report=report)
@@ -70,30 +77,32 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
 def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partners, results: Sequence[DepthResult],
                      config: Config, device: Device, photos: PhotoStore,
                      progress: Progress | None = None) -> DepthResult:
-    """The same, and then some steps of the photos, from there."""
-    averaged = average_depths(views, partners, results, config, device, photos)
+    """The same, and then some steps of the photos, from there, which refuse what matches worse than it did."""
     steps = max(1, round(config.agreement.steps * config.pyramid.steps[-1])) if config.agreement.steps else 0
+    averaged = _averaged(results, config, device, photos, propose=steps > 0)
     if averaged.depth is results[0].depth or not steps:
         return averaged
     start, target, contexts = time.perf_counter(), views[partners.target], [views[k] for k in partners.contexts]
-    stepped = _steps(target, contexts, averaged.depth, _few(config, steps, len(contexts)), device, photos, progress)
-    # what the photos refuse of these steps stays where the average has put it
-    settled = (averaged.status == REFINED) & (stepped.status != REFINED)
+    stepped = _steps(target, contexts, results[0].depth, averaged.depth, _few(config, steps, len(contexts)), device,
+                     photos, [views[k] for k in partners.held_out], progress)
+    # what no view has spoken for, or the photos speak against, is as it was
+    kept, refined = results[0], (averaged.status == REFINED) & (stepped.status == REFINED)
     report = {**averaged.report, "seconds": averaged.report["seconds"] + time.perf_counter() - start}
-    return replace(averaged, depth=stepped.depth, status=np.where(settled, REFINED, stepped.status).astype(np.uint8),
-                   deviation=np.where(settled, averaged.deviation, stepped.deviation), parallax=stepped.parallax,
-                   report=report)
+    return replace(averaged, depth=np.where(refined, stepped.depth, kept.depth), parallax=stepped.parallax,
+                   status=np.where(refined, stepped.status, kept.status),
+                   deviation=np.where(refined, stepped.deviation, kept.deviation), report=report)
 
 
 def _few(config: Config, steps: int, contexts: int) -> Config:
-    """The settings for so few steps from a depth that is nearly right: at full size, smoothness raised at once."""
+    """The settings for so few steps from a depth that is nearly right: at full size, smoothness raised at once. Photos
+    that do not match anywhere around (mismatch) do not tell one depth from another."""
     return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__early_damping=1.0,
                                 smoothness__weight=config.smoothness.weight_with(contexts), smoothness__full_views=1,
-                                effects__pyramid="set")
+                                effects__pyramid="set", solver__mismatch=2.0)
 
 
-def _steps(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
-           photos: PhotoStore, progress: Progress | None) -> Any:
+def _steps(target: View, contexts: Sequence[View], depth: np.ndarray, start: np.ndarray, config: Config,
+           device: Device, photos: PhotoStore, held_out: Sequence[View], progress: Progress | None) -> Any:
     from pagas_cl.splat import NormalizedDepth, refine_levels
     from pagas_cl.splat.fit import fit_memory
 
@@ -105,9 +114,9 @@ def _steps(target: View, contexts: Sequence[View], depth: np.ndarray, config: Co
         if len(settled.pyramid.scales) > 1:      # asked for by noise, for a depth that is far off
             settled = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps)
         return refine_levels(target, contexts, depth, settled, device, photos, progress=told, measured=measured,
-                             normalized=normalized)
+                             normalized=normalized, start=start, held_out=held_out)
 
-    return fit_memory(attempt, target, contexts, config, device, photos)
+    return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)
 
 
 def _evidence(result: DepthResult) -> DepthEvidence:

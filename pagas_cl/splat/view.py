@@ -8,6 +8,7 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
+from pagas_cl.runtime.memory import download
 from pagas_cl.scene.rig import viewing_distance
 from pagas_cl.splat.budget import plan_for
 from pagas_cl.splat.buffers import Size, level_size
@@ -48,7 +49,8 @@ class Refinement:
 
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
-                  progress=None, held_out=(), measured=None, normalized: NormalizedDepth | None = None) -> Refinement:
+                  progress=None, held_out=(), measured=None, normalized: NormalizedDepth | None = None,
+                  start: np.ndarray | None = None) -> Refinement:
     """Run the pyramid on one view.
 
     Parameters
@@ -67,6 +69,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
         Evidence and deviations depend on it.
     normalized : NormalizedDepth, optional
         `depth`, where it is on the device already; used up.
+    start : ndarray of shape (H, W), optional
+        Where the steps of a full-size level alone start from, in place of `depth`, which the evidence compares with.
 
     DeviceMemoryError comes before the first step, where the device may not hold what is planned.
     """
@@ -81,7 +85,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
                specularity=measured.local_specularity if measured else None)
     before, done, losses = None, [], []
     for number, (scale, steps) in enumerate(zip(config.pyramid.scales, config.pyramid.steps)):
-        level = run.level(scale, before)
+        level = run.level(scale, before, start)
         done.append(level.run(steps, _of_all(progress, config.pyramid.steps, number)))
         if level.buffers.history is not None:
             losses += level.read("history", max(config.pyramid.steps))[:done[-1]].tolist()
@@ -142,7 +146,7 @@ class _Run:
         """The initial depth at `size`."""
         self.resampler.shrink_depth(self.normalized.buffer, self.full, out, size)
 
-    def level(self, scale: float, before: tuple[cl.Buffer, Size] | None = None) -> Level:
+    def level(self, scale: float, before: tuple[cl.Buffer, Size] | None = None, start=None) -> Level:
         """The level at `scale`, ready for its first step from the initial depth, or from that of the level `before`, of
         its size."""
         level = Level(self.device, self.config, self.at(scale))
@@ -153,6 +157,9 @@ class _Run:
             at_size = self.device.memory.buffer(self.device.context, 4 * size.pixels)
             self.write_initial(at_size, size)
             self.resampler.enlarge_depth(*before, at_size, out, size)
+        if start is not None:
+            valid = download(self.device, out, start.shape) > 0
+            cl.enqueue_copy(self.device.queue, out, np.where(valid, start / self.scene_scale, 0).astype(np.float32))
         level.start()
         return level
 

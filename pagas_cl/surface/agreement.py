@@ -65,8 +65,9 @@ class Agreement:
             return float("nan")
         return float((np.searchsorted(found, found[-1] / 2) + 0.5) / _PER_PIXEL / _NORMAL / np.sqrt(2))
 
-    def average(self, spread: float, pixels: float) -> DepthEvidence:
-        """What follows for `own`: each depth averaged with what the others say of it within `pixels` of parallax."""
+    def average(self, spread: float, pixels: float, propose: bool = True) -> DepthEvidence:
+        """What follows for `own`: each depth averaged with what the others say of it within `pixels` of parallax.
+        `propose`: in place of rejected depths too, which have no weight of their own and are REFINED from then on."""
         from pagas_cl.runtime.memory import download, upload
 
         own, count = self.own, self.own.depth.size
@@ -74,8 +75,9 @@ class Agreement:
         for given in self._each():
             self._run("add_view", depth=depth, spread=spread, pixels=pixels, sums=sums, **given)
         deviation, status = upload(self.device, own.deviation), upload(self.device, own.status)
-        self._run("average", size=(count,), count=count, scale=self.scale, spread=spread, sums=sums, depth=depth,
-                  depth_per_parallax=self._parallax, deviation=deviation, status=status, averaged=averaged)
+        self._run("average", size=(count,), count=count, scale=self.scale, spread=spread, propose=int(propose),
+                  sums=sums, depth=depth, depth_per_parallax=self._parallax, deviation=deviation, status=status,
+                  averaged=averaged)
         shape = own.depth.shape
         return DepthEvidence(own.camera, download(self.device, averaged, shape),
                              download(self.device, deviation, shape), download(self.device, status, shape, np.uint8),

@@ -163,8 +163,8 @@ def real(scene: Path, mesh: Path, share: float, config: Config, device, most: in
     pairs = np.array(pairs)
     told = " | ".join(f"{a:.1%}, {b:.4f}" for a, b in zip(shares, np.median(pairs, axis=0)))
     return (f"| {scene.name}, {len(used)} views of {views[0].camera.width} x {views[0].camera.height} | {told} | "
-            f"{int((pairs[:, 2] >= pairs[:, 1]).sum())} of {len(pairs)}, least {np.min(pairs[:, 2] - pairs[:, 1]):+.4f} | "
-            f"{share_rejected(alone):.1%}, {share_rejected(agreed):.1%} | {seconds[1] / seconds[0]:.0%} |")
+            f"{int((pairs[:, 2] >= pairs[:, 1]).sum())} of {len(pairs)}, least {(pairs[:, 2] - pairs[:, 1]).min():+.4f}"
+            f" | {share_rejected(alone):.1%}, {share_rejected(agreed):.1%} | {seconds[1] / seconds[0]:.0%} |")
 
 
 def confirmed_share(cameras, maps, device) -> float:
