@@ -112,6 +112,17 @@ def test_other_surfaces_say_nothing(planes, device):
     assert not np.array_equal(changed().depth[middle], before[middle])
 
 
+def test_what_photos_refused_is_replaced_where_they_judge_it_anew(planes, device):
+    status = planes[3].status.copy()
+    status[50:70, 70:90] = REJECTED
+    own = replace(planes[3], depth=planes[3].depth + np.float32(0.5) * PIXEL, status=status)
+    comparison = Agreement(own, planes[:3], device)
+    last, earlier = (comparison.average(0.1, 2.0, propose) for propose in (False, True))
+    assert (last.status == status).all() and (last.depth == own.depth)[50:70, 70:90].all()
+    assert (earlier.status == REFINED).all() and (earlier.depth == last.depth)[status == REFINED].all()
+    assert np.abs(earlier.depth - planes[3].depth)[50:70, 70:90].max() < 2e-5
+
+
 def test_what_has_no_parallax_is_left_alone(planes, device):
     own = replace(planes[3], parallax=np.zeros_like(planes[3].parallax), status=np.full_like(planes[3].status, KEPT))
     comparison = Agreement(own, planes[:3], device)
