@@ -1,7 +1,5 @@
 // Which depths other views confirm, and which they should see (method section 7). Lengths in units; `scale` is units
 // per scene unit, in which the depth maps come.
-//   parallax       depth that moves a point of the target by one pixel, over the views that see it
-//   count_view     adds what one other view says of each depth
 #define CAMERA_SPACE __global const      // all views of a scene at once, more than constant memory may hold
 #include "camera.clh"
 
@@ -15,6 +13,7 @@ bool land(const Camera target, const Camera other, int column, int row, float d,
     return mean->z > FRONT * d && in_image(other, *mean);
 }
 
+// Depth that moves a point of the target by one pixel, over the views that see it.
 __kernel void parallax(__global const float *depth,                // [H, W] scene units, 0 = no surface
                        CAMERA_SPACE float *cameras, int views, float scale,
                        __global float *depth_per_parallax)         // [H, W] units, 0 = not known
@@ -54,7 +53,7 @@ float difference(__global const float *map, const Camera other, float3 mean, flo
     return fmin(best, fabs(1.0f / inverse - mean.z));
 }
 
-// counts: views that confirm a depth to within `pixels` of parallax, views that should see it.
+// Add what one other view says of each depth: whether it confirms it to within `pixels` of parallax, and should see it.
 __kernel void count_view(__global const float *depth,              // [H, W] scene units
                          CAMERA_SPACE float *cameras, int view, float scale,
                          __global const float *map,                // [H', W'] scene units

@@ -17,10 +17,9 @@ __kernel void link_bins(__global const float *depth, __constant float *cameras, 
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     EACH_PIXEL(column, row, i, target.width, target.height)
     const int count = target.width * target.height;
-    const float d = depth[i];
     Splat s;
     SplatDerivative dsplat_ddepth;
-    if (!project_gaussian(target, context, column, row, d, RADIUS, low_pass, &s, &dsplat_ddepth))
+    if (!project_gaussian(target, context, column, row, depth[i], RADIUS, low_pass, &s, &dsplat_ddepth))
         return;
     const int x = (int)floor(s.x), y = (int)floor(s.y);
     for (int v = -REACH; v <= REACH; ++v)
@@ -74,10 +73,9 @@ __kernel void gather_alpha(__global const float *depth, __constant float *camera
     const int count = target.width * target.height;
     for (int bin = i; bin < bins; bin += count)
         heads[bin] = -1;
-    const float d = depth[i];
     Splat s;
     SplatDerivative dsplat_ddepth;
-    if (!project_gaussian(target, context, column, row, d, RADIUS, low_pass, &s, &dsplat_ddepth))
+    if (!project_gaussian(target, context, column, row, depth[i], RADIUS, low_pass, &s, &dsplat_ddepth))
         return;
     const int x = (int)floor(s.x), y = (int)floor(s.y);
     const LogSlope slope = log_slope(s, dsplat_ddepth);

@@ -1,6 +1,7 @@
 // Gradient of the loss by each Gaussian's depth, order-free blend: a gather, since what a pixel passes back is the
 // same affine function of colour for all that take part in it: dL/dalpha_i = G . c_i + h.
 #include "splat.clh"
+#include "exposed.clh"
 
 // G . c + h of the pixels that are taken; whatever for the others.
 #if ONE_PIXEL

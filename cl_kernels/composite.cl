@@ -2,6 +2,7 @@
 //
 // sums holds, per context pixel, fixed-point [weight, red, green, blue] ([weight, grey] with GREY).
 #include "box.clh"
+#include "exposed.clh"
 
 #ifdef INT64_ATOMICS
 #pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable

@@ -1,7 +1,6 @@
 // How sure each depth is (method section 7).
-//   bends        second differences of the depth, in pixels of parallax
-//   deviate      the standard deviation of each depth
-#include "splat.clh"
+#include "camera.clh"
+#include "photo.clh"
 
 #define AROUND 2                     // half the width of the surroundings of a pixel
 #define MOST_BENT 1.4f    // pixels of parallax: as much as counts, at a discontinuity or where the surface ends

@@ -6,7 +6,8 @@
 //   sum_window   1 - correlation and views of one line of pixels around each pixel, by rows and then by columns
 //   decide       which refined depths are kept
 //   feather      no seams between those and the others
-#include "splat.clh"
+#include "camera.clh"
+#include "photo.clh"
 
 #define PATCH 2                      // half the width of a patch
 #define LEAST_PIXELS 6               // of a patch must be visible
@@ -56,11 +57,11 @@ __kernel void warp_photo(__global const float *depth, __constant float *cameras,
 __kernel void weigh(__global const float2 *warped, __global const uchar4 *target_photo, int width, int height,
                     float noise_variance, __global float *evidence)     // [H, W, 3], added
 {
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= width || row >= height || warped[row * width + column].x == UNSEEN)
+    EACH_PIXEL(column, row, i, width, height)
+    if (warped[i].x == UNSEEN)
         return;
     float n = 0.0f, w = 0.0f, t = 0.0f, s = 0.0f, ww = 0.0f, tt = 0.0f, wt = 0.0f, ss = 0.0f;
-    const float origin = warped[row * width + column].x, middle = grey_of(target_photo[row * width + column]);
+    const float origin = warped[i].x, middle = grey_of(target_photo[i]);
     for (int y = max(row - PATCH, 0); y <= min(row + PATCH, height - 1); ++y)
         for (int x = max(column - PATCH, 0); x <= min(column + PATCH, width - 1); ++x) {
             const float2 seen = warped[y * width + x];
@@ -88,7 +89,6 @@ __kernel void weigh(__global const float2 *warped, __global const uchar4 *target
     const float correlation = (cov + flat) / sqrt((var_w + flat) * (var_t + flat)) / possible;
     const float share = fmin(fmax(cov, 0.0f) / sqrt(fmax(var_w * var_t, noise * noise)), 1.0f);
     const float explained = share * share, unexplained = var_w * (1.0f - explained) + noise;
-    const int i = row * width + column;
     float3 e = vload3(i, evidence);
     e.x += 1.0f - correlation;
     e.y += 1.0f;
@@ -112,7 +112,7 @@ __kernel void sum_window(__global const float *values, int stride, int width, in
             sum += (float2)(e[0], e[1]);
         }
     }
-    vstore2(sum, row * width + column, sums);
+    vstore2(sum, i, sums);
 }
 
 // before, after: evidence under the initial and the refined depth; around: that of the surroundings. A depth goes back
@@ -227,7 +227,7 @@ __kernel void worse_costs(__global const float *before, __global const float *af
 // A refined depth is rejected where a photo that took no part matches worse around it.
 __kernel void refuse(int count, __global const float *worse, __global uchar *status)
 {
-    const int i = get_global_id(0);
-    if (i < count && status[i] == REFINED && worse[2 * i] > 0.0f)
+    EACH(i, count)
+    if (status[i] == REFINED && worse[2 * i] > 0.0f)
         status[i] = REJECTED;
 }

@@ -4,7 +4,6 @@
 //
 // One match is 8 floats: colour of the target, state, colour of the context photo, 0. State: 0 not seen, 1 seen,
 // 2 seen and nowhere near black or saturated.
-#include "splat.clh"
 #include "lookup.clh"
 #include "sums.clh"
 

@@ -26,7 +26,7 @@ __kernel void sample_noise(__global const uchar4 *photo, int width, int step_x, 
 // summary: of the row SLOPE, with the quantile up to which pixels are smooth.
 __kernel void keep_smooth(__global const float4 *summary, int count, __global float *rows)
 {
-    const int k = get_global_id(0);
-    if (k < count && rows[SLOPE * count + k] > floor(summary[SLOPE].z + 0.5f))
+    EACH(k, count)
+    if (rows[SLOPE * count + k] > floor(summary[SLOPE].z + 0.5f))
         rows[ROUGHNESS * count + k] = NAN;
 }

@@ -13,7 +13,7 @@
 //   EPIPOLAR_OFFSET   pixels that the photo is off across the direction of depth, by the target's quadrant
 //   SPECULARITY       what the exposure fit leaves, averaged over neighbouring samples
 //   LIKE              0 where the photos show other things there, or show that the depth is wrong; else 1
-#include "splat.clh"
+#include "gaussian.clh"
 #include "lookup.clh"
 
 #define TOTALS (SHIFTS + 2)      // of a sample: views that see it, views that can tell, their costs by shift

@@ -1,7 +1,4 @@
-// Per-Gaussian passes over the target that need only the projection (method section 3):
-//   nearest        z_first of every context pixel
-//   mark_seen      which context pixels the initial depth reaches
-//   find_depth_per_parallax  depth that moves a Gaussian by one pixel
+// Per-Gaussian passes over the target that need only the projection (method section 3).
 #include "splat.clh"
 
 // With many lanes a look before the atomic saves most of them; on a GPU it is one more trip to memory.
@@ -39,12 +36,13 @@ __kernel void nearest(__global const float *depth, __constant float *cameras, in
     }
 }
 
+// Which context pixels the initial depth reaches.
 __kernel void mark_seen(__global const float *depth, __constant float *cameras, int view,
                         __global volatile uint *seen)              // [H' W' / 32] a bit a pixel
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     EACH_PIXEL(column, row, i, target.width, target.height)
-    const float d = depth[row * target.width + column];
+    const float d = depth[i];
     if (!(d > 0.0f))
         return;
     const float3 m = project_mean(target, context, column, row, d);

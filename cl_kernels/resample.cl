@@ -1,5 +1,6 @@
 // Pyramid levels (method section 6): photos and depth maps to another size.
-#include "splat.clh"
+#include "camera.clh"
+#include "photo.clh"
 
 // Share of pixel (u, v) of the source inside a box of it, at most 1.
 float covered(int u, int v, float left, float right, float top, float bottom)

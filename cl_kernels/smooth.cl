@@ -3,7 +3,8 @@
 //   normal_map, normal_slope, normal_vjp   the paper's angle between neighbouring normals
 //   raise_weights                          more where a surface is specular
 //   planar_loss, normal_loss               their penalties, summed for the schedule
-#include "splat.clh"
+#include "camera.clh"
+#include "photo.clh"
 #include "sums.clh"
 
 // w_grad of one pixel.
@@ -109,10 +110,8 @@ float3 point_at(__global const float *depth, const Camera camera, int x, int y)
 __kernel void normal_map(__global const float *depth, __constant float *cameras, __global float *normals)  // [H, W, 4]
 {
     const Camera camera = load_camera(cameras, 0);
-    const int x = get_global_id(0), y = get_global_id(1), width = camera.width, height = camera.height;
-    if (x >= width || y >= height)
-        return;
-    const int i = y * width + x;
+    const int width = camera.width, height = camera.height;
+    EACH_PIXEL(x, y, i, width, height)
     float4 out = 0.0f;
     if (x > 0 && y > 0 && x < width - 1 && y < height - 1 && depth[i] > 0.0f && depth[i - 1] > 0.0f
         && depth[i + 1] > 0.0f && depth[i - width] > 0.0f && depth[i + width] > 0.0f) {
@@ -152,10 +151,8 @@ __kernel void normal_vjp(__global const float *depth, __constant float *cameras,
                          __global float *gradient)
 {
     const Camera camera = load_camera(cameras, 0);
-    const int x = get_global_id(0), y = get_global_id(1), width = camera.width, height = camera.height;
-    if (x >= width || y >= height)
-        return;
-    const int i = y * width + x;
+    const int width = camera.width, height = camera.height;
+    EACH_PIXEL(x, y, i, width, height)
     float3 v = 0.0f;
     for (int side = -1; side <= 1; side += 2) {
         const int u = x - side, w = y - side;

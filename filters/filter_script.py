@@ -5,8 +5,6 @@ defaults for values that it does not understand. Stretches of MeshLab's filters 
 between them, and the history keeps every step, so that saving the script keeps ours.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 import tempfile
@@ -76,6 +74,8 @@ def _place_of(element, where: str, outside: bool) -> str:
 
 def _checked_step(number: int, element, known: native.Known, where: str, outside: bool) -> Step:
     name, given, values = element.get("name"), [dict(e.attrib) for e in element.iter("Param")], {}
+    if name == FILTER:
+        given = [{**attributes, "name": parameters.in_scripts(attributes.get("name", ""))} for attributes in given]
     if len(given) != len(element):
         raise InputError(f"{where}: holds elements that are not <Param>")
     _check_runs(known, name, where)
@@ -96,7 +96,8 @@ def _checked_step(number: int, element, known: native.Known, where: str, outside
 def _check_runs(known: native.Known, name: str, where: str) -> None:
     """Refuse a filter that pymeshlab has not, or that would end the process."""
     if not known.exists:
-        raise InputError(f"{where} is neither ours nor pymeshlab's; did you mean {_nearest(name)!r}?")
+        near = _nearest(name)
+        raise InputError(f"{where} is neither ours nor pymeshlab's" + (f"; did you mean {near!r}?" if near else ""))
     if known.crash == "SIGABRT":
         raise InputError(f"{where} ends the whole Python process here ({known.crash}): MeshLab's filters that draw "
                          "need OpenGL, which this Python has not")
@@ -106,10 +107,12 @@ def _check_runs(known: native.Known, name: str, where: str) -> None:
 
 
 def _nearest(name: str) -> str:
+    """The filter whose name is most like `name`; empty where none is."""
     from difflib import SequenceMatcher
 
     theirs = native.nearest(name)
-    return max((FILTER, theirs), key=lambda near: SequenceMatcher(None, name.lower(), near.lower()).ratio())
+    ratio, near = max((SequenceMatcher(None, name.lower(), near.lower()).ratio(), near) for near in (FILTER, theirs))
+    return near if ratio > 0.5 else ""
 
 
 def run_script(meshes, path, scene=None, *, outside: bool = False, device: str | None = None,

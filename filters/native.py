@@ -5,8 +5,6 @@ Each question is [MeshLab name, pymeshlab name or null]. Each answer is a line: 
 {"name", "known", "written"}: `written` is the filter as pymeshlab itself writes it, with all parameters and types.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -21,6 +19,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from pagas_cl.errors import InputError, need
+from pagas_cl.filters.names import METHOD
+from pagas_cl.runtime.child import end_with_parent
 
 UNKNOWN = "Something really bad happened"  # pymeshlab's words for a filter name that it does not know
 _SECONDS = 60.0  # for one child process; a filter with default values on a small sphere takes milliseconds
@@ -66,7 +66,7 @@ def _plain(name: str) -> str:
 def _names() -> dict[str, str]:
     """MeshLab's names in plain letters -> pymeshlab's names, from the table that pymeshlab brings for old scripts."""
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
-    known = set(pymeshlab.filter_list())
+    known = set(pymeshlab.filter_list()) - {METHOD}
     table = Path(pymeshlab.__file__).with_name("keys.txt")
     names = {name: name for name in known}
     if table.is_file():
@@ -188,4 +188,5 @@ def _is_known(pymeshlab, name: str, path: Path) -> bool:
 
 
 if __name__ == "__main__":
+    end_with_parent()
     main(*sys.argv[1:])

@@ -1,7 +1,5 @@
 """Open3D's RGB-D frames, in any of the forms in which people hold them, as views and depth maps, and back."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +9,7 @@ import numpy as np
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import clean_depth
-from pagas_cl.scene.images import as_photo, read_photo
+from pagas_cl.scene.images import as_photo, image_size, read_photo
 from pagas_cl.scene.view import View
 
 
@@ -32,7 +30,7 @@ def read_frames(frames, intrinsics, extrinsics=None, *, depth_scale=None, depth_
     frames = list(frames)
     if not frames:
         raise InputError("no frames were given, expected a list of RGBDImage or of pairs (color, depth)")
-    sizes = [_pixels(_parts(frame)[1], f"depth of frame {k}").shape[1::-1] for k, frame in enumerate(frames)]
+    sizes = [_size(_parts(frame), k) for k, frame in enumerate(frames)]
     cameras = read_cameras(intrinsics, extrinsics, sizes, pixel_center=pixel_center)
     for name, value in (("depth_scale", depth_scale), ("depth_trunc", depth_trunc)):
         if value is not None and not (np.isfinite(value) and value > 0):
@@ -61,10 +59,18 @@ def _frame(given, camera: Camera, depth_scale, depth_trunc) -> Frame:
         if photo.dtype.kind == "f" and photo.max(initial=0) < 1.01:
             photo = np.clip(photo, 0, 1)    # floating point colours as Open3D makes them can pass 1 by rounding
         photo = as_photo(photo, who)
-    if photo.shape[:2] != depth.shape:
-        raise InputError(f"frame {camera.name}: color is {photo.shape[1]} x {photo.shape[0]} and depth "
-                         f"{depth.shape[1]} x {depth.shape[0]}; register the depth to the color first")
     return Frame(View(camera, photo, None, camera.name), depth, given, form, float(depth_scale))
+
+
+def _size(parts: tuple, number: int) -> tuple[int, int]:
+    """(width, height) of a frame's colour and depth, which must be the same."""
+    color, depth = (image_size(part) if isinstance(part, (str, Path)) else
+                    _pixels(part, f"{what} of frame {number:05d}").shape[1::-1]
+                    for part, what in zip(parts, ("color", "depth")))
+    if color != depth:
+        raise InputError(f"frame {number:05d}: color is {color[0]} x {color[1]} and depth {depth[0]} x {depth[1]}; "
+                         "register the depth to the color first")
+    return color
 
 
 def _parts(given) -> tuple:
@@ -81,12 +87,9 @@ def _parts(given) -> tuple:
 def _pixels(image, who: str) -> np.ndarray:
     """(H, W) or (H, W, C) array of a legacy or tensor Image, an array, or a file."""
     if isinstance(image, (str, Path)):
-        from PIL import Image
+        from pagas_cl.scene.images import open_image
 
-        from pagas_cl.scene.images import image_size
-
-        image_size(image)  # a sentence for what is no image
-        with Image.open(image) as file:
+        with open_image(Path(image)) as file:
             pixels = np.asarray(file)
         return pixels.astype(np.uint16) if pixels.dtype == np.int32 else pixels
     pixels = _numpy(image)

@@ -8,8 +8,6 @@ VoxelBlockGrid at +0.5. Intrinsics are read with `pixel_center` (0, as the legac
 VoxelBlockGrid here is shifted as a measurement of the installed Open3D says (surface.grid).
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 
@@ -83,8 +81,8 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
     """
     from pagas_cl.refine import fuse_results
     from pagas_cl.scene.mesh import from_surface
-    from pagas_cl.surface.displace import vertex_confidence
     from pagas_cl.surface.fuse import fusion_plan
+    from pagas_cl.surface.on_vertices import vertex_confidence
 
     config = settings_of(preset, config)
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,
@@ -125,6 +123,8 @@ def _refined(read: list[Frame], config: Config, device, progress) -> list:
     views, depths = [frame.view for frame in read], [frame.depth if (frame.depth > 0).any() else None for frame in read]
     if not any(depth is not None for depth in depths):
         raise InputError(f"none of the {len(read)} frames has a valid depth: are depth_scale and depth_trunc right?")
+    if config.effects.cameras == "auto":      # the pipeline goes on with cameras of its own: they stay
+        config = config.with_settings(effects__cameras="set")
     refined, results = iter(refine_views(views, depths, config=config, device=device, progress=progress)), []
     for frame, depth in zip(read, depths):
         result = None if depth is None else next(refined)

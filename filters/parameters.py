@@ -3,15 +3,12 @@
 A MeshLab script would store a length as an absolute number and apply it to the next mesh, whatever its size.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 from pagas_cl.commands._settings import build_config, effect_settings
 from pagas_cl.config import Config
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, nearest_of
 from pagas_cl.scene.readers.untrusted import short, whole, word
 
 FILTER = "PAGaS Depth Refinement"
@@ -58,6 +55,11 @@ PARAMETERS = (
 TYPES = {parameter.name: parameter.rich for parameter in PARAMETERS}
 
 
+def in_scripts(name: str) -> str:
+    """A parameter's name in .mlx, which may be spelt as in Python."""
+    return {parameter.python: parameter.name for parameter in PARAMETERS}.get(name, name)
+
+
 @dataclass(frozen=True)
 class Request:
     """What one step asks for, checked."""
@@ -74,9 +76,8 @@ def check_parameter(attributes: dict, types: dict | None, seen, where: str) -> N
     if name in seen:
         raise InputError(f"{where}: parameter {name!r} is there twice")
     if types is not None and name not in types:
-        near = get_close_matches(name, types, n=1, cutoff=0.0)
-        raise InputError(f"{where}: unknown parameter {name!r}; "
-                         + (f"the nearest known one is {near[0]!r}" if near else "it takes none"))
+        raise InputError(f"{where}: unknown parameter {name!r}; " + (nearest_of(name, types) or (
+            f"expected one of {', '.join(types)}" if types else "it takes none")))
     if types is not None and kind != types[name]:
         raise InputError(f"{where}: parameter {name!r} has type {kind!r}, expected {types[name]!r}")
 
@@ -101,14 +102,14 @@ def request(values: dict[str, str], where: str) -> Request:
         check_value(TYPES[name], value, f"{where}: {name}")
     values = {**{p.name: p.default for p in PARAMETERS if p.default is not None}, **values}
     assignments = [f"{p.setting}={values[p.name]}" for p in PARAMETERS if p.setting and p.name in values]
-    assignments += effect_settings(_parts(values["effects"])) + _parts(values["settings"])
     if values["output"] not in ("tsdf", "displace"):
         raise InputError(f"{where}: output is {values['output']!r}, expected 'tsdf' or 'displace'")
     subdivide = float(values["subdivide"]) or None
     if subdivide is not None and subdivide < 0.25:
         raise InputError(f"{where}: subdivide is {subdivide:g}, expected 0 or at least 0.25 pixel footprints")
     try:
-        config = build_config(values["preset"], assignments)
+        assignments += effect_settings(_parts(values["effects"]), "effects:") + _parts(values["settings"])
+        config = build_config(values["preset"], assignments, "settings:")
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
     return Request(config, values["output"], subdivide, values["device"] or None)

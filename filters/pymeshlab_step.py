@@ -4,39 +4,42 @@
     meshes.apply_pagas_depth_refinement("SCENE")     # refines the current layer with the photos of SCENE
 """
 
-from __future__ import annotations
-
 import logging
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
+from pagas_cl.commands._console import shown_progress
 from pagas_cl.errors import InputError, need
+from pagas_cl.filters.names import METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
 from pagas_cl.scene.view import Scene, View
 
 log = logging.getLogger("pagas_cl")
 
-METHOD = "apply_pagas_depth_refinement"
 _MOST_FACES = 40_000_000
 
 
 def register(meshes=None):
-    """Add the step as a method `apply_pagas_depth_refinement`; returns the class that has it now.
+    """Add the step as a method `apply_pagas_depth_refinement`, which `apply_filter`, `print_filter_parameter_list` and
+    `search` know too; returns the class that has it now.
 
     Parameters
     ----------
     meshes : pymeshlab.MeshSet, or a class of it, optional
         pymeshlab.MeshSet itself by default. An object's class is extended, since its objects take no attributes.
     """
-    kind = need("pymeshlab", "meshlab", "the MeshLab step").MeshSet
+    pymeshlab = need("pymeshlab", "meshlab", "the MeshLab step")
+    kind = pymeshlab.MeshSet
     if meshes is not None:
         kind = meshes if isinstance(meshes, type) else type(meshes)
     if not hasattr(kind, "current_mesh"):
         raise InputError(f"{kind.__name__} is no pymeshlab.MeshSet: it has no current_mesh")
     setattr(kind, METHOD, apply_pagas_depth_refinement)
+    add_name(pymeshlab, kind, apply_pagas_depth_refinement)
     return kind
 
 
@@ -67,6 +70,8 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
         Any other settings, "stage.field=value; stage.field=value".
     device : str
         Part of an OpenCL device's name.
+    progress : callable of (stage, done, total), or False
+        Shown on standard error where it is left out; False shows none.
 
     Returns
     -------
@@ -79,7 +84,8 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
     values = to_values(locals())
     asked, history = request(values, FILTER), saved_history(self)
     try:
-        counts = refine_layer(self, scene_views(scene), asked, progress=progress)
+        with shown_progress() if progress is None else nullcontext(progress or None) as shown:
+            counts = refine_layer(self, scene_views(scene), asked, progress=shown)
         element = ElementTree.Element("filter", name=FILTER)
         for p in (p for p in PARAMETERS if p.name in values):
             ElementTree.SubElement(element, "Param", type=p.rich, name=p.name, value=values[p.name],
@@ -111,6 +117,7 @@ def scene_views(scene) -> list[View]:
 
 def refine_layer(meshes, views: list[View], asked: Request, *, device=None, progress=None) -> dict:
     """Refine the current layer of a MeshSet; what the method and the script share."""
+    from pagas_cl.cameras.effect import settle_cameras
     from pagas_cl.refine import fuse_results, initial_depths, refine_views
     from pagas_cl.scene.mesh import to_surface
 
@@ -119,14 +126,15 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
     surface = to_surface(layer)  # the layer's matrix applied
     if asked.output == "displace":
         surface = replace(surface, quality=None, colors=None, normals=None)
+    views, config, _ = settle_cameras(views, surface, asked.config, device or asked.device, progress)
     depths = initial_depths(surface, views, progress)
     if asked.output == "displace" and asked.subdivide is not None:
         surface = _subdivided(meshes, surface, views, depths, asked.subdivide, matrix)
-    results = refine_views(views, depths, config=asked.config, device=device or asked.device, progress=progress)
+    results = refine_views(views, depths, config=config, device=device or asked.device, progress=progress)
     if asked.output == "displace":
         _displace_layer(meshes, surface, views, depths, results, asked, matrix)
     else:
-        fused = fuse_results(views, results, asked.config, progress, device=device or asked.device)
+        fused = fuse_results(views, results, config, progress, device=device or asked.device)
         _add_layer(meshes, fused, results, f"{label} refined", matrix)
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
 
@@ -139,7 +147,7 @@ def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 def _add_layer(meshes, surface, results, label: str, matrix: np.ndarray) -> None:
     """The fused mesh as a new current layer with the old one's matrix, confidence as quality, unit normals."""
     from pagas_cl.scene.mesh import from_surface
-    from pagas_cl.surface.displace import vertex_confidence
+    from pagas_cl.surface.on_vertices import vertex_confidence
 
     quality = vertex_confidence(surface.vertices, results)
     surface = replace(surface, vertices=_local(surface.vertices, matrix), quality=quality, normals=None)
@@ -152,16 +160,19 @@ def _add_layer(meshes, surface, results, label: str, matrix: np.ndarray) -> None
 def _displace_layer(meshes, surface, views, depths, results, asked: Request, matrix: np.ndarray) -> None:
     """Move the current layer's vertices where they are: pymeshlab's meshes take no new positions from outside, but its
     filters can copy vertex attributes, exactly, into positions and quality."""
-    from pagas_cl.keep_mesh import observed_views
-    from pagas_cl.surface.displace import displace
+    from pagas_cl.keep_mesh import Observations, coarseness, solve_device
+    from pagas_cl.surface.mesh_solve import solve_mesh
+    from pagas_cl.surface.on_vertices import footprints, vertex_confidence
 
-    fusion = asked.config.fusion
-    moved = displace(surface, observed_views(views, depths, results), agree_views=fusion.agree_views,
-                     agree_pixels=fusion.agree_pixels)
+    finest = footprints(surface.vertices, [view.camera for view in views], depths)
+    solved = solve_mesh(surface, Observations(results, coarseness(surface, finest, None)), solve_device(asked.device),
+                        least_views=max(1, asked.config.fusion.agree_views) + 1)
+    moved = (solved.vertices != surface.vertices).any(axis=1)
+    quality = np.where(moved, vertex_confidence(solved.vertices, results), 0)
     # vertices that stayed keep their bits: they are not sent through the matrix and back
-    local = np.where(moved.moved[:, None], _local(moved.vertices, matrix), meshes.current_mesh().vertex_matrix())
+    local = np.where(moved[:, None], _local(solved.vertices, matrix), meshes.current_mesh().vertex_matrix())
     names = _attribute_names(meshes.current_mesh())
-    for name, values in zip(names, (*local.T, moved.quality)):
+    for name, values in zip(names, (*local.T, quality)):
         meshes.current_mesh().add_vertex_custom_scalar_attribute(np.ascontiguousarray(values), name)
     meshes.compute_coord_by_function(x=names[0], y=names[1], z=names[2], onselected=False)
     meshes.compute_scalar_by_function_per_vertex(q=names[3], onselected=False)
@@ -188,7 +199,7 @@ def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: 
     import pymeshlab
 
     from pagas_cl.scene.mesh import to_surface
-    from pagas_cl.surface.displace import footprints
+    from pagas_cl.surface.on_vertices import footprints
 
     finest = footprints(surface.vertices, [view.camera for view in views], depths)
     if not np.isfinite(finest).any():

@@ -9,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pagas_cl.cameras.refine import CameraRefinement, refine_cameras
     from pagas_cl.config import Config
     from pagas_cl.errors import DeviceError, InputError, KernelBuildError, MissingExtraError, PagasError
     from pagas_cl.presets import preset
@@ -20,15 +21,18 @@ if TYPE_CHECKING:
     from pagas_cl.scene.mesh import Surface
     from pagas_cl.scene.readers import read_scene
     from pagas_cl.scene.view import Scene, View
+    from pagas_cl.surface.bring_together import Together, bring_together
     from pagas_cl.tradeoffs import tradeoff
 
 __all__ = [
-    "Camera", "Config", "DepthResult", "DeviceError", "InputError", "KernelBuildError", "MissingExtraError",
-    "PagasError", "Scene", "Surface", "View", "check_cameras", "find_depth", "load_depth", "preset", "read_scene",
-    "refine_depth", "refine_mesh", "refine_views", "save_depth", "tradeoff",
+    "Camera", "CameraRefinement", "Config", "DepthResult", "DeviceError", "InputError", "KernelBuildError",
+    "MissingExtraError", "PagasError", "Scene", "Surface", "Together", "View", "bring_together", "check_cameras",
+    "find_depth", "load_depth", "preset", "read_scene", "refine_cameras", "refine_depth", "refine_mesh",
+    "refine_views", "save_depth", "tradeoff",
 ]
 
 _HOME = {  # as the imports above
+    "cameras.refine": ["CameraRefinement", "refine_cameras"],
     "config": ["Config"],
     "errors": ["DeviceError", "InputError", "KernelBuildError", "MissingExtraError", "PagasError"],
     "presets": ["preset"],
@@ -40,6 +44,7 @@ _HOME = {  # as the imports above
     "scene.mesh": ["Surface"],
     "scene.readers": ["read_scene"],
     "scene.view": ["Scene", "View"],
+    "surface.bring_together": ["Together", "bring_together"],
     "tradeoffs": ["tradeoff"],
 }
 

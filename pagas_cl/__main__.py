@@ -1,22 +1,29 @@
 """The command line: finds the command, runs it, and turns what went wrong into an exit status and one sentence.
 
-Exit status: 0 done; 2 bad input, bad usage, or an optional package or an OpenCL device that is missing; 1 anything
-else; 130 interrupted.
+Exit status: 0 done; 2 bad input, bad usage, or an optional package or an OpenCL device that is missing; 3 done, but
+nothing was refined; 1 anything else; 130 interrupted.
 """
 
-from __future__ import annotations
-
 import pkgutil
+import shlex
+import signal
 import sys
 from importlib import import_module
 
 import typer
 
 from pagas_cl import __version__, commands
-from pagas_cl.commands._console import log_to_stderr
-from pagas_cl.errors import InputError, MissingExtraError, NoDeviceError, PagasError
+from pagas_cl.commands._console import log_to_stderr, make_streams_safe
+from pagas_cl.errors import (
+    InputError,
+    InterruptedRunError,
+    MissingExtraError,
+    NoDeviceError,
+    NothingRefinedError,
+    PagasError,
+)
 
-INTERRUPTED = 130
+INTERRUPTED, NOTHING_REFINED = 130, 3
 
 
 def command_names() -> list[str]:
@@ -54,8 +61,15 @@ def _module(name: str):
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and end the process with its status."""
-    raise SystemExit(run(sys.argv[1:] if arguments is None else arguments))
+    """Run the command line and end the process with its status; being asked to end (SIGTERM) is a Ctrl-C."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    make_streams_safe()
+    status = run(sys.argv[1:] if arguments is None else arguments)
+    sys.stdout.flush()
+    fault = getattr(sys.stdout, "fault", "")
+    if fault:
+        sys.stderr.write(f"pagas-cl: standard output cannot be written: {fault}\n")
+    raise SystemExit(status or int(bool(fault)))
 
 
 def run(arguments: list[str]) -> int:
@@ -71,7 +85,8 @@ def _run(arguments: list[str], debug: bool) -> int:
     try:
         one = wanted if wanted and wanted[0] in known else []
         many = getattr(_module(one[0]), "MANY", ()) if one else ()      # options that take several words
-        status = build_app(one or known)(expand_lists(arguments, many), prog_name="pagas-cl", standalone_mode=False)
+        status = build_app(one or known)(expand_lists(arguments, many), prog_name="pagas-cl", standalone_mode=False,
+                                         obj=shlex.join(["pagas-cl", *arguments]))  # what was asked, for reports
         if status == INTERRUPTED:  # typer has caught it
             raise KeyboardInterrupt
         return status if isinstance(status, int) else 0
@@ -89,7 +104,13 @@ def _explain(error: Exception) -> int:
     if hasattr(error, "format_message"):  # typer's own errors: unknown option, missing argument
         text, status = f"{error.format_message().rstrip('.')}; see 'pagas-cl --help'", 2
     elif isinstance(error, PagasError):
-        text, status = str(error), 2 if isinstance(error, (InputError, MissingExtraError, NoDeviceError)) else 1
+        text = getattr(error, "at_command_line", "") or str(error)
+        status = 2 if isinstance(error, (InputError, MissingExtraError, NoDeviceError)) else 1
+        status = {NothingRefinedError: NOTHING_REFINED, InterruptedRunError: INTERRUPTED}.get(type(error), status)
+    elif isinstance(error, OSError) and error.errno is not None:
+        what = repr(str(error.filename)) if error.filename else "a file"
+        text, status = (f"{what} cannot be written or read: {error.strerror or error}; see to its disk and permissions "
+                        "(with --debug: where)"), 1
     elif type(error).__module__.startswith("pyopencl"):
         text, status = (f"the OpenCL device failed ({error}): start the same command again; where it fails again, "
                         "update its driver or choose another device (pagas-cl devices)"), 1

@@ -1,15 +1,59 @@
-"""Whether a refined view is to be trusted as a whole, or returned as it came."""
-
-from __future__ import annotations
+"""Which depths of a refined view evidence has moved; whether it is to be trusted as a whole, or returned as it came."""
 
 import numpy as np
 
-from pagas_cl.result import REFINED, REJECTED
+from pagas_cl.result import KEPT, REFINED, REJECTED
 
 MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not to be trusted as a whole
 LEAST_GAIN = 0.01        # of 1 - correlation in photos that took no part: less may be chance
 MISALIGNED = 0.2         # pixels; only photos that are off by more raise the question whether the cameras are right
 ENOUGH = 3               # photos that took no part: cameras that are off agree by chance, n of them one time in 2^n
+
+AROUND = 7               # pixels to each side of a depth in which photos must show something, as far as they move it
+ENOUGH_AROUND = 60       # pixels there that photos speak for; with fewer a depth moves less, without any it stays
+
+
+def moved_by_evidence(refined, depth) -> tuple[np.ndarray, np.ndarray]:
+    """Depth and status of a view in which REFINED is only what moved from `depth`, with photos that speak for it or for
+    depths around it. What smoothness alone moved, where photos show nothing far and wide, is KEPT, as it came."""
+    depth, given, status = refined.depth, np.asarray(depth, np.float32), refined.status
+    silent = (status == REFINED) & np.isinf(refined.deviation)
+    if _has_blocks(silent):
+        around = _number_around((status == REFINED) & ~silent)
+        share = np.minimum(1, around[silent] / np.float32(ENOUGH_AROUND))
+        depth = depth.copy()
+        depth[silent] = np.where(share < 1, given[silent] + share * (depth[silent] - given[silent]), depth[silent])
+    return depth, np.where((status == REFINED) & (depth == given), np.uint8(KEPT), status)
+
+
+def _has_blocks(silent: np.ndarray) -> bool:
+    """Whether any aligned block of 8 x 8 pixels is silent throughout, as any 15 x 15 pixels hold one."""
+    rows, columns = (n // 8 * 8 for n in silent.shape)
+    blocks = silent[:rows, :columns].reshape(rows // 8, 8, columns // 8, 8)
+    return bool(blocks.all(axis=(1, 3)).any()) or bool(silent.all())
+
+
+def _number_around(which: np.ndarray) -> np.ndarray:
+    """How many are true within AROUND pixels of each, int32 (H, W)."""
+    sums = which.astype(np.int32)
+    for axis in (0, 1):
+        size = sums.shape[axis]
+        total = np.insert(np.cumsum(sums, axis=axis), 0, 0, axis=axis)
+        place = np.arange(size)
+        sums = (np.take(total, np.minimum(place + AROUND + 1, size), axis)
+                - np.take(total, np.maximum(place - AROUND, 0), axis))
+    return sums
+
+
+def nothing_reason(refined, status) -> str:
+    """Why no depth of a view was refined, by the `status` of `moved_by_evidence`; empty where one was."""
+    if (status == REFINED).any():
+        return ""
+    if (status == REJECTED).any():
+        return "the photos confirm no refined depth"
+    if (refined.status == REFINED).any():
+        return "no depth moved by what the photos show (are they black, or of one colour?)"
+    return "no other photo sees a depth of it that its mask leaves"
 
 
 def rejection_reason(refined, depth, contexts: int, held_out, measured) -> str:

@@ -1,15 +1,15 @@
 """What a scene calls for, view by view, before anything is refined, and what each effect costs on this device."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
+from pagas_cl.bench import time_step
+from pagas_cl.cameras.effect import FEWEST, MOST, decide_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import EFFECTS, Decision, decide, decide_consistency
 from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import preset
 from pagas_cl.scene.choice import PartnerChooser
-from pagas_cl.scene.inputs import asked_views, checked_depth, depth_array
+from pagas_cl.scene.inputs import asked_views, checked_depth, depth_array, depth_maps
 
 _NOT_TOLD = ("gains", "local_specularity")  # of what is measured: arrays, no figures
 
@@ -43,9 +43,9 @@ class Analysis:
     timed: str
     device: str
     consistency: Decision | None = None
+    cameras: Decision | None = None
 
     def as_dict(self) -> dict:
-        """Plain nested dictionary, ready for JSON."""
         views = [{"view": view.view, "contexts": list(view.contexts), "reason": view.reason,
                   "measured": {name: value for name, value in vars(view.measured).items() if name not in _NOT_TOLD}
                   if view.measured else {}, "effects": [decision.as_dict() for decision in view.decisions]}
@@ -53,7 +53,8 @@ class Analysis:
         costs = {name: {"seconds_on": cost.on, "seconds_off": cost.off, "device_bytes": cost.device_bytes}
                  for name, cost in self.costs.items()}
         return {"device": self.device, "timed": self.timed, "costs": costs,
-                "consistency": self.consistency and self.consistency.as_dict(), "views": views}
+                "consistency": self.consistency and self.consistency.as_dict(),
+                "cameras": self.cameras and self.cameras.as_dict(), "views": views}
 
 
 def analyze(views, depths, *, names=None, config: Config | None = None, device=None, costs: bool = True,
@@ -66,9 +67,10 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
     from pagas_cl.splat import PhotoStore
 
     config, device = config or preset("balanced"), open_device(device)
+    depths = depth_maps(views, depths)
     asked, photos = asked_views(views, depths, names), PhotoStore(device)
     chooser = PartnerChooser([view.camera for view in views], depths, config.context)
-    found, timed, measured_costs, tell = [], "", {}, progress or _silent
+    found, timed, measured_costs, tell = [], "", {}, progress or (lambda stage, done, total: None)
     for done, index in enumerate(asked):
         tell("analyze", done, len(asked))
         target, partners = views[index], chooser.choose(index)
@@ -84,14 +86,15 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
                                                               tell)
     tell("analyze", len(asked), len(asked))
     agreement = decide_consistency([view.camera for view in views], depths, config, device)[1]
-    return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement)
+    cameras = None
+    if config.effects.cameras != "set" and FEWEST <= len(views) <= MOST:
+        cameras = decide_cameras(views, depths, config, device)[0]
+    return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement, cameras)
 
 
 def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device, photos,
                  tell) -> dict[str, EffectCost]:
     """Steps of one view with each effect on and off, the others as decided."""
-    from pagas_cl.splat.step_time import time_step
-
     known, costs = {}, {}
 
     def cost(settled):
@@ -107,7 +110,3 @@ def effect_costs(target, contexts, depth, config: Config, measured: Measurements
         costs[name] = EffectCost(on[0], off[0], on[1] - off[1])
     tell("time the effects", len(names), len(names))
     return costs
-
-
-def _silent(stage: str, done: int, total: int) -> None:
-    """The progress of who asks for none."""

@@ -1,6 +1,5 @@
-"""What a step costs, stage by stage, against what the device's memory allows: `pagas-cl bench`."""
-
-from __future__ import annotations
+"""What a step costs, stage by stage, against what the device's memory allows (`pagas-cl bench`); and how long one takes
+on the whole: what an effect costs is the difference of two of these."""
 
 import time
 from dataclasses import asdict, dataclass
@@ -10,6 +9,7 @@ import numpy as np
 
 from pagas_cl.config import Config
 
+_ROUNDS = 3
 _COPY_BYTES = 128 * 2**20      # of a copy that measures bandwidth; less where the device allows no such buffer
 
 
@@ -50,11 +50,9 @@ class BenchResult:
     device_mb: float
 
     def as_dict(self) -> dict:
-        """Plain, ready for JSON."""
         return asdict(self)
 
     def table(self) -> str:
-        """The figures as text."""
         stages = "".join(
             f"{s.name:<22}{s.launches:>9}{s.ms:>11.3f}"
             + (f"{s.megabytes:>9.1f}{100 * s.share:>18.0f}%" if s.megabytes else "") + "\n" for s in self.stages)
@@ -139,3 +137,35 @@ def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:
         "ssim_forward": (image + 4 + partials) * m, "loss_backward": (2 * image + 4 + partials) * m,
         "smoothness_planar": 20 * n, "filter_across": 12 * n, "filter_down": 12 * n, "adam": 36 * n,
     }
+
+
+@dataclass(frozen=True)
+class StepTime:
+    """`seconds` of one step at full size, the best of some rounds; `device_bytes` of the level, photos not counted."""
+
+    seconds: float
+    device_bytes: int
+
+    def view_seconds(self, config: Config) -> float:
+        """Of all steps of a view: work is proportional to the pixels of a level."""
+        return self.seconds * sum(scale**2 * steps for scale, steps in zip(config.pyramid.scales, config.pyramid.steps))
+
+
+def time_step(target, contexts, depth: np.ndarray, config: Config, device, photos=None, steps: int = 5) -> StepTime:
+    """Time some steps of the full-size level; parameters as in refine_levels, every effect settled."""
+    from pagas_cl.splat.level import Schedule
+    from pagas_cl.splat.view import full_level
+
+    # a level has room for the losses of as many steps as it is made for
+    config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,))
+    level = full_level(target, contexts, depth, config, device, photos)
+    best, settled = np.inf, Schedule.of(config, steps).settled        # fits are a few of all steps, not of these
+    for _ in range(1 + _ROUNDS):          # the first one compiles
+        device.queue.finish()
+        start = time.perf_counter()
+        level.run(steps, schedule=settled)
+        device.queue.finish()
+        best = min(best, time.perf_counter() - start)
+    needed = sum(buffer.size for buffer in level.buffers.held())
+    level.release()
+    return StepTime(best / steps, needed)

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
-from difflib import get_close_matches
 from typing import Any
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, nearest_of
 
 # cameras of a view, its contexts and held-out views, lie in 64 kB of constant memory, which every device has
 MOST_CONTEXTS, MOST_WEIGHT = 800, 100.0
@@ -247,6 +246,9 @@ class Fusion(_Stage):
     least_weight: float = _number(1.0, 0, 1)
     """What a depth counts, in thirds, however unsure it is: below 1 depths are weighted by their confidence, at 0 those
     that no photo speaks for are left out. A view that is sure then counts three times for `min_views`."""
+    polish: bool = _switch(True)
+    """Whether the vertices of the fused mesh are put where the depth maps agree (method section 10): no ripples of
+    voxels. Needs an OpenCL device."""
     min_component: float = _number(0.05, 0, 1)
     """Pieces with fewer triangles than this share of the largest one are dropped; 0 keeps all."""
 
@@ -279,12 +281,14 @@ class Effects(_Stage):
     pyramid: str = _effect()
     consistency: str = _effect()
     agreement: str = _effect()
+    cameras: str = _effect()
 
     @property
     def measured(self) -> bool:
-        """Whether a view is measured for them before it is refined; the last two rest on refined depth maps."""
+        """Whether a view is measured for them before it is refined: consistency and agreement rest on refined depth
+        maps, the cameras are of a whole scene."""
         return any(getattr(self, f.name) not in ("set", "off") for f in fields(self)
-                   if f.name not in ("consistency", "agreement"))
+                   if f.name not in ("consistency", "agreement", "cameras"))
 
     @classmethod
     def every(cls, choice: str) -> Effects:
@@ -324,8 +328,8 @@ class Config:
         for key, value in settings.items():
             key = key.replace("__", ".")
             if key not in setting_names():
-                nearest, = get_close_matches(key, setting_names(), n=1, cutoff=0.0)
-                raise InputError(f"unknown setting {key!r}; the nearest known one is {nearest!r}")
+                raise InputError(f"unknown setting {key!r}; " + (nearest_of(key, setting_names()) or (
+                    f"expected stage.field, of the stages {', '.join(stage.name for stage in fields(self))}")))
             stage, _, name = key.partition(".")
             by_stage.setdefault(stage, {})[name] = value
         return replace(self, **{stage: replace(getattr(self, stage), **values) for stage, values in by_stage.items()})

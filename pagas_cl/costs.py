@@ -9,9 +9,6 @@ seconds: work is linear in pixels, in steps and in the context views of a step; 
 1 where many views share theirs.
 """
 
-from __future__ import annotations
-
-import logging
 import time
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,9 +20,8 @@ from pagas_cl.errors import InputError
 from pagas_cl.presets import preset
 from pagas_cl.scene.choice import MOST_HELD_OUT, ContextChooser, shared_out
 from pagas_cl.scene.inputs import depth_array
+from pagas_cl.scene.names import place_of
 from pagas_cl.scene.sampling import sample_depth
-
-log = logging.getLogger("pagas_cl")
 
 _SHORT, _MOST = 8, 4000   # steps of the short run, enough that colours are fitted as often; and most of the long one
 _FEW = 64                 # views that are looked at one by one
@@ -87,7 +83,7 @@ def rungs() -> list[tuple[str, Config]]:
 
 def probe(target, contexts, depth, config: Config, device, *, photo: float, held_out=()) -> Cost:
     """Measure the cost of `config`'s kind of settings on one view by short runs; `photo` as `photo_seconds` found."""
-    from pagas_cl.refine import settle
+    from pagas_cl.effects import settle
     from pagas_cl.splat import PhotoStore, refine_levels
 
     photos = PhotoStore(device)
@@ -144,8 +140,9 @@ class Costs:
 
     def __init__(self, views, depths, device, names=None):
         samples = [None if depth is None else sample_depth(depth_array(depth)) for depth in depths]
+        wanted = {place_of(name, [view.name for view in views]) for name in names or ()}
         asked = [k for k, sample in enumerate(samples) if sample is not None and len(sample.rows)
-                 and (names is None or views[k].name in names or views[k].stem in names)]
+                 and (names is None or k in wanted)]
         if not asked:
             raise InputError("no view to be refined has a depth map with a valid pixel: nothing to time")
         self.device, self._known, self._measured = device, {}, None

@@ -1,18 +1,15 @@
 """A synthetic scene refined and judged against its exact truth: what `pagas-cl demo` runs."""
 
-from __future__ import annotations
-
-import logging
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from pagas_cl import __version__
+from pagas_cl.errors import log
 from pagas_cl.evaluate import DepthReport, compare_depth, compare_predictions
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import ViewProgress
 from pagas_cl.synthetic.scene import SyntheticScene, relief_scene, write_scene
-
-_log = logging.getLogger("pagas_cl")
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +24,6 @@ class DemoResult:
     seconds: float                      # spent on refining, the device's compiler included
 
     def table(self) -> str:
-        """The errors as text."""
         head = (f"{'':<12}{'mean depth error':>24}{'median':>20}{'normals':>20}{'near edges':>20}\n"
                 f"{'view':<12}{'(pixels of parallax)':>24}{'':>20}{'(degrees)':>20}{'(px of parallax)':>20}\n")
         rows = []
@@ -66,14 +62,27 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = 
     notes = [f"A synthetic relief, {relief.width} x {relief.height} pixels, {len(synthetic.views)} views "
              f"{relief.spacing:g} degrees apart; the initial depth has the fine detail smoothed away.",
              f"One pixel of parallax is {relief.parallax:.3g} scene units.", f"Refined in {seconds:.1f} s."]
-    with Report(folder / "report", "pagas-cl demo", notes) as report:
+    facts = [("version", f"pagas_cl {__version__}"), ("device", str(getattr(device, "info", device or "the default")))]
+    with Report(folder / "report", "pagas-cl demo", notes, facts) as report:
         for view, old, result in zip(synthetic.views, initial, results):
             report.add(view, old, result.depth, contexts=[v.camera for v in synthetic.views if v is not view],
                        confidence=result.confidence, counts=result.counts)
+        mesh = _mesh(synthetic, depths, folder, progress, report, device)
     target, other = synthetic.views[0], synthetic.held_out[0]
     predicted = compare_predictions(target, [initial[0], depths[0]], other, synthetic.true_depth(other.camera))
     return DemoResult(_errors(synthetic, initial), _errors(synthetic, depths), tuple(p.median for p in predicted),
-                      folder / "report" / "index.html", _mesh(synthetic, depths, folder, progress), seconds)
+                      folder / "report" / "index.html", mesh, seconds)
+
+
+def make_example(folder, format: str, width: int = 288, height: int = 216, contexts: int = 4) -> str:
+    """A small scene as the program called `format` leaves it; returns what to do with it, as lines of text."""
+    from pagas_cl.synthetic.examples import write_example
+
+    folder = write_example(Path(folder), format, relief_scene(width, height, contexts, held_out=0))
+    more = f" --photos {folder / 'photos'}" if format == "mapanything-colmap" else ""
+    return (f"{folder}: {contexts + 1} photos of {width} x {height} as {format} leaves them; exact depth in "
+            f"{folder / 'depth_true'}\ntry: pagas-cl refine {folder}{more} --save-depth {folder}_refined "
+            f"--output {folder}_fine.ply\n")
 
 
 def _refined(synthetic: SyntheticScene, config, device, progress):
@@ -96,18 +105,23 @@ def _errors(synthetic, depths):
             for view, depth in zip(synthetic.views, depths)}
 
 
-def _mesh(synthetic, depths, folder, progress):
+def _mesh(synthetic, depths, folder, progress, report, device):
     try:
         import open3d  # noqa: F401
     except ImportError as error:  # absent, or one of the system libraries that it needs is
-        _log.warning('no mesh is made, since Open3D cannot be loaded (%s): pip install "pagas-cl[mesh]"', error)
+        log.warning('no mesh is made, since Open3D cannot be loaded (%s): pip install "pagas-cl[mesh]"', error)
         return None
 
     from pagas_cl.scene.mesh_file import write_mesh
+    from pagas_cl.surface.agree import comparison_device
     from pagas_cl.surface.fuse import fuse
+    from pagas_cl.surface.raster import each_depth
 
     surface = fuse(synthetic.views, depths, progress=progress)
     path = folder / "mesh_refined.ply"
     write_mesh(path, surface)
-    _log.info("%s: %d vertices, %d triangles", path, len(surface.vertices), len(surface.faces))
+    view = synthetic.views[0]
+    made = next(each_depth(surface, [view.camera], comparison_device(device)))
+    report.add_mesh(synthetic.initial_mesh(), surface, view=view, depths=(synthetic.initial_depth(view.camera), made))
+    log.info("%s: %d vertices, %d triangles", path, len(surface.vertices), len(surface.faces))
     return path

@@ -3,7 +3,6 @@ whether refined views that contradict each other are cleaned before they are fus
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pagas_cl.config import MOST_WEIGHT, Config
+from pagas_cl.errors import log
 from pagas_cl.measurements import FAR_OFF, Measurements, measure
 from pagas_cl.splat.constants import SPECULAR_VIEW
 
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
     from pagas_cl.scene.view import View
     from pagas_cl.splat import NormalizedDepth, PhotoStore
-
-log = logging.getLogger("pagas_cl")
 
 DIFFERENT = 0.02         # pixels of parallax by which refined depth maps differ, from which on they are averaged: less
                          # no photo resolves

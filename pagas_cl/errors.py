@@ -1,4 +1,19 @@
-"""What can go wrong, one small family: every message says what, where, got, expected, and what to do."""
+"""What can go wrong, one small family: every message says what, where, got, expected, and what to do; and the log that
+every part writes to."""
+
+import logging
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+log = logging.getLogger("pagas_cl")
+
+
+def nearest_of(word: str, known: Iterable[str]) -> str:
+    """What a sentence ends with where one of `known`, or what follows its last dot, is nearly `word`; else empty."""
+    known = list(known)
+    ends = {name.rpartition(".")[2].lower(): name for name in known} | {name.lower(): name for name in known}
+    near = get_close_matches(word.lower(), ends, n=1)
+    return f"the nearest known one is {ends[near[0]]!r}" if near else ""
 
 
 class PagasError(Exception):
@@ -6,7 +21,23 @@ class PagasError(Exception):
 
 
 class InputError(PagasError, ValueError):
-    """The caller's data or settings cannot be used. The command line ends with status 2."""
+    """The caller's data or settings cannot be used. The command line ends with status 2, and says `at_command_line`
+    where the message is one for Python."""
+
+    at_command_line = ""
+
+
+class InterruptedRunError(PagasError):
+    """Ctrl-C; the message says what is kept and how to go on. The command line ends with status 130."""
+
+
+class NothingRefinedError(PagasError):
+    """The work is done and nothing was refined: what was written is what came in. The command line ends with
+    status 3."""
+
+
+class NothingRefinedWarning(UserWarning):
+    """Of many views no depth was refined, or hardly one; the message names the likeliest reason."""
 
 
 class DeviceError(PagasError, RuntimeError):

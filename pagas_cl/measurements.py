@@ -1,7 +1,5 @@
 """What is measured of one view before it is refined (method section 8); what calls for which effect: effects.py."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,33 +18,24 @@ _LEAST = 50              # samples from which a share or a median is taken
 class Measurements:
     """Evidence of one view, from samples of its context views under the initial depth; colours are 0 to 1."""
 
-    overlap: float
-    """Share of the target's surface that at least one context view sees."""
-    hidden: float
-    """Share of the projected Gaussians that a nearer surface hides by more than the depth threshold."""
-    unseen: float
-    """Share of a context photo, at least, that the target's surface does not reach."""
-    exposure_change: float
-    """Largest median difference of colour between the target's photo and a context photo."""
+    overlap: float              # share of the target's surface that at least one context view sees
+    hidden: float               # share of the Gaussians that a nearer surface hides by more than the depth threshold
+    unseen: float               # share of a context photo, at least, that the target's surface does not reach
+    exposure_change: float      # largest median difference of colour between the target's photo and a context photo
     specularity: float
     """95th percentile of the residual that stays after the exposure fit and after averaging over neighbouring samples:
     what neither texture nor a depth error explains."""
     smallest: float
     """Smallest median standard deviation of the projected Gaussians over the context views, pixels (0.5 at the target's
     own resolution)."""
-    textureless: float
-    """Share of the target's pixels with little texture."""
-    noise: float
-    """Standard deviation of the target's noise."""
-    far_off: float
-    """Share of the textured samples whose patches match clearly better two or more pixels of parallax away."""
+    textureless: float          # share of the target's pixels with little texture
+    noise: float                # standard deviation of the target's
+    far_off: float              # share of textured samples that match clearly better two or more pixels away
     misaligned: float
     """How far the context photos are off across the direction that depth moves a point in, pixels: root mean square
     over views and quadrants of the target. No depth explains it: cameras, or lenses, are off by about as much."""
-    masked: bool
-    """Whether masks were given."""
-    gains: tuple
-    """Gain and offset of each channel for each context view."""
+    masked: bool                # whether masks were given
+    gains: tuple                # gain and offset of each channel for each context view
     local_specularity: np.ndarray | None = field(default=None, compare=False, repr=False)
     """Residual as in `specularity`, mean over the context views, float32 (down, across) on a grid of samples over the
     target; NaN = unknown."""

@@ -1,7 +1,5 @@
 """The presets; what each setting means is said in config.py."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 from pagas_cl.config import Config, Effects, Loss, Pyramid, Smoothness, Solver, Splatting

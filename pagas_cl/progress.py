@@ -1,7 +1,5 @@
 """What a run of many views tells its caller: views that are done, and the part of one that is under way."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, TypeAlias
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.acceptance import rejection_reason
+from pagas_cl.acceptance import moved_by_evidence, nothing_reason, rejection_reason
+from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide_consistency, settle
-from pagas_cl.errors import InputError
-from pagas_cl.keep_mesh import check_subdivide, displaced_mesh
+from pagas_cl.errors import InputError, log
+from pagas_cl.keep_mesh import DETAIL, FLAT, check_flat, check_subdivide, displaced_mesh, polished
 from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
@@ -23,8 +24,9 @@ from pagas_cl.result import DepthResult, OnDisk, joined
 from pagas_cl.rounds import later_rounds
 from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.images import Loads
-from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth
+from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth, depth_maps
 from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
+from pagas_cl.scene.reasons import warn_of_nothing
 from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:
@@ -34,17 +36,15 @@ if TYPE_CHECKING:
     from pagas_cl.splat import PhotoStore
     from pagas_cl.splat.view import Refinement
 
-log = logging.getLogger("pagas_cl")
-
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
                 config: Config | None = None, device: str | Device | list[str] | tuple[str, ...] | None = None,
-                progress: Progress | None = None, output: str = "tsdf", subdivide: float | None = None,
-                executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
+                progress: Progress | None = None, output: str = "mesh", subdivide: float | None = None,
+                flat: float = FLAT, executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
     """Refine a mesh with calibrated photos.
 
-    mesh -> depth of every view -> refine each view by itself -> keep what other views confirm -> TSDF -> mesh
-    (method section 7).
+    mesh -> cameras, where they are off -> depth of every view -> refine each view by itself -> all vertices onto what
+    views agree on (method sections 7, 9 and 10).
 
     Parameters
     ----------
@@ -63,33 +63,42 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     progress : callable of (stage, done, total), optional
         `done` is a fraction within a view.
     output : str
-        "tsdf": a new mesh, fused from the refined depth maps. "displace": the given mesh with its vertices moved onto
-        depths that at least two views agree on; topology, texture coordinates and attributes stay.
+        "mesh": the given mesh with as many triangles as the detail that photos show needs; what no photo sees stays,
+        and so do texture coordinates and attributes. "displace": the same with the given triangles; a path gives an
+        Open3D mesh with its textures. "tsdf": a new mesh, fused from the refined depth maps: where the given one's
+        topology is wrong.
     subdivide : float, optional
-        With "displace": first split edges longer than this many pixel footprints.
+        First split edges longer than this many pixel footprints; with "mesh" 1.5 where it is left out.
+    flat : float
+        With "mesh": splits are undone where the surface stays true to within this many pixel footprints.
     executor, folder
         As in refine_views.
 
     Returns
     -------
-    A mesh of the kind that came in; with "tsdf", new colours and normals. (A path gives a Surface, with "displace" an
-    Open3D mesh.)
+    A mesh of the kind that came in (a path gives a Surface, with "displace" an Open3D mesh); with "tsdf", new colours
+    and normals, else the vertices' "deviation" (scene units) and "views" where the kind has attributes.
 
     Raises
     ------
     InputError, DeviceError, MissingExtraError
     """
-    if output not in ("tsdf", "displace"):
-        raise InputError(f"output is {output!r}, expected 'tsdf' or 'displace'")
+    if output not in ("mesh", "tsdf", "displace"):
+        raise InputError(f"output is {output!r}, expected 'mesh', 'tsdf' or 'displace'")
     check_subdivide(subdivide)
+    check_flat(flat)
     config = settings_of(preset, config)
     views = as_views(cams, images, masks)
     surface = to_surface(mesh)
-    depths = initial_depths(surface, views, progress)
+    views, config, _ = settle_cameras(views, surface, config, device, progress)
+    depths = initial_depths(surface, views, progress, device=device)
     results = refine_views(views, depths, config=config, device=device, progress=progress, executor=executor,
                            folder=folder)
     if output == "displace":
-        return displaced_mesh(mesh, views, depths, results, config, subdivide)
+        return displaced_mesh(mesh, views, depths, results, config, subdivide, device=device)
+    if output == "mesh":
+        given = surface if isinstance(mesh, (str, Path)) else mesh
+        return displaced_mesh(given, views, depths, results, config, subdivide or DETAIL, flat, device)
     fused = fuse_results(views, results, config, progress, executor=executor, folder=folder, device=device)
     return from_surface(fused, like=mesh)
 
@@ -123,7 +132,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     """
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import NormalizedDepth, PhotoStore, refine_levels
-    from pagas_cl.splat.fit import fit_memory
+    from pagas_cl.splat.budget import fit_memory
 
     config, depth, device = settings_of(preset, config), checked_depth(depth, target), open_device(device)
     if not contexts:
@@ -144,12 +153,12 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
               "planned_bytes": refined.planned_bytes, "seconds": time.perf_counter() - start}
-    reason = rejection_reason(refined, depth, len(contexts), held_out, measured)
+    moved, status = moved_by_evidence(refined, depth)
+    reason = rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined, status)
     if reason:
         log.warning("view %s is kept as it came: %s", target.name, reason)
         return DepthResult.unrefined(target.camera, depth, reason, report, target.name)
-    return DepthResult(target.camera, refined.depth, refined.status, refined.deviation, refined.parallax, "", report,
-                       target.name)
+    return DepthResult(target.camera, moved, status, refined.deviation, refined.parallax, "", report, target.name)
 
 
 def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names: Collection[str] | None = None,
@@ -158,8 +167,9 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
                  on_view: Callable[[View, Depth, DepthResult], Any] | None = None,
                  executor: Executor | str | None = None, folder: str | Path | None = None,
                  extras: bool = True) -> list[DepthResult]:
-    """Refine the depth maps of many views, each by itself; then, where the effect `agreement` is called for, in rounds
-    in which depth maps of views that see the same surface are evidence for one another (method section 8.1).
+    """Refine the depth maps of many views, each by itself; where cameras are off, these first (effects.cameras): each
+    result has the camera that its depth map belongs to. Then, where the effect `agreement` is called for, in rounds in
+    which depth maps of views that see the same surface are evidence for one another (method section 8.1).
 
     Parameters
     ----------
@@ -189,7 +199,9 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import PhotoStore
 
-    config, asked = settings_of(preset, config), asked_views(views, depths, names)
+    config, depths = settings_of(preset, config), depth_maps(views, depths)
+    asked = asked_views(views, depths, names)
+    views, config, cameras = settle_cameras(views, depths, config, device, progress)
     if executor is not None or folder is not None or device == "all" or isinstance(device, (list, tuple)):
         from pagas_cl.jobs import refine_all
 
@@ -205,6 +217,8 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
         view_progress.at(done)
         results.append(refine_one(views, partners[index], arrays[index], config, device, photos,
                                   progress=view_progress.inside(done)))
+        if cameras is not None:
+            results[-1].report["camera"] = {"moved": float(cameras.moved[index]), "accepted": cameras.accepted}
         if on_view and not later:
             on_view(views[index], arrays[index], results[-1])
     view_progress.at(len(asked))
@@ -219,6 +233,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
                 on_view(views[index], arrays[index], results[done])
         view_progress.at(len(asked))
     photos.clear()
+    warn_of_nothing(views, depths, results)
     return results
 
 
@@ -237,17 +252,20 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
 
 
 def initial_depths(surface: Surface, views: Sequence[View], progress: Progress | None = None,
-                   keep: Callable[[np.ndarray], Any] | None = None) -> list[Any]:
-    """Depth of every view from the surface, by ray casting: float32 of shape (H, W), 0 = no surface.
+                   keep: Callable[[np.ndarray], Any] | None = None,
+                   device: str | Device | list[str] | tuple[str, ...] | None = None) -> list[Any]:
+    """Depth of every view from the surface, float32 of shape (H, W), 0 = no surface: drawn on `device` (as in
+    refine_mesh), by Open3D's ray casting where there is none.
 
     `keep` replaces each by what stands for it, such as the place where it put it.
     """
     from pagas_cl.scene.check import check_seen
+    from pagas_cl.surface.agree import comparison_device
     from pagas_cl.surface.raster import each_depth
 
     cameras, depths = [view.camera for view in views], []
     check_seen(surface, cameras)
-    for depth in each_depth(surface, cameras):
+    for depth in each_depth(surface, cameras, comparison_device(device)):
         depths.append(keep(depth) if keep else depth)
         if progress:
             progress("render the mesh", len(depths), len(cameras))
@@ -271,7 +289,9 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     from pagas_cl.surface.fuse import weights_of
 
     device, pairs = comparison_device(device), sorted(joined(views, results), key=lambda pair: pair[0])
-    used, results = [views[place] for place, _ in pairs], [result for _, result in pairs]
+    used = [views[place] if result.camera is views[place].camera else replace(views[place], camera=result.camera)
+            for place, result in pairs]      # a result's camera may have been refined with it
+    results = [result for _, result in pairs]
     cameras = [view.camera for view in used]
     config, decision = decide_consistency(cameras, results, config, device)
     if decision is not None:
@@ -283,5 +303,6 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     agreed = confirmed(cameras, depths, config.fusion, device=device)
     files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
     elsewhere = executor if files and hasattr(executor, "map") else None      # not where it is an address
-    return fuse_within(used, agreed, config.fusion, memory_mb, weights=weights_of(results, config.fusion.least_weight),
-                       progress=progress, executor=elsewhere, folder=folder)
+    fused = fuse_within(used, agreed, config.fusion, memory_mb, weights=weights_of(results, config.fusion.least_weight),
+                        progress=progress, executor=elsewhere, folder=folder)
+    return polished(fused, results, config, device) if config.fusion.polish and device is not None else fused

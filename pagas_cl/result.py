@@ -1,7 +1,5 @@
 """What the refinement of one view gives back."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,11 +11,19 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED, surface_depth
+from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED, central_normals, surface_depth
 from pagas_cl.scene.view import View
 
 
-@dataclass(frozen=True, eq=False)
+def in_short(result: Any) -> str:
+    """A result in a line: view, size, what became of its depths."""
+    counts = ", ".join(f"{number:,} {what}" for what, number in result.counts.items() if number)
+    came = f"; as it came: {result.reason}" if result.reason else ""
+    camera = result.camera
+    return f"{type(result).__name__}({result.name!r}, {camera.width} x {camera.height}: {counts or 'nothing'}{came})"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class DepthResult:
     """A refined depth map and how far to trust it. Arrays have the shape (H, W) of the target's photo."""
 
@@ -26,8 +32,9 @@ class DepthResult:
     depth: npt.NDArray[np.float32]
     """z-depth in scene units, 0 = no surface."""
     status: npt.NDArray[np.uint8]
-    """NO_SURFACE (0), REFINED (1), KEPT (2: no other view sees it, or it is masked out), REJECTED (3: the photos speak
-    against the new depth); in the last two the depth is the input's, bit for bit."""
+    """NO_SURFACE (0), REFINED (1: moved, and photos speak for it there or close by), KEPT (2: no other view sees it, it
+    is masked out, the photos show nothing around it, or nothing moved it), REJECTED (3: the photos speak against the
+    new depth); in the last two the depth is the input's, bit for bit."""
     deviation: npt.NDArray[np.float32]
     """Standard deviation of the depth in scene units; infinite where the photos say nothing, 0 without a surface."""
     parallax: npt.NDArray[np.float32]
@@ -41,6 +48,8 @@ class DepthResult:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", self.name or self.camera.name)
+
+    __repr__ = in_short
 
     @property
     def counts(self) -> dict[str, int]:
@@ -62,14 +71,14 @@ class DepthResult:
         return normals_of(self.depth, self.camera)
 
     @classmethod
-    def missing(cls, camera: Camera, reason: str, name: str = "") -> DepthResult:
+    def missing(cls, camera: Camera, reason: str, name: str = "") -> "DepthResult":
         """No surface anywhere, of a view that could not be refined."""
         nothing = np.zeros((camera.height, camera.width), np.float32)
         return cls(camera, nothing, nothing.astype(np.uint8), nothing, nothing, reason, {"failed": reason}, name)
 
     @classmethod
     def unrefined(cls, camera: Camera, depth: npt.ArrayLike, reason: str, report: dict[str, Any] | None = None,
-                  name: str = "") -> DepthResult:
+                  name: str = "") -> "DepthResult":
         """The input as it came, with the reason."""
         depth = surface_depth(np.asarray(depth))
         status = np.where(depth > 0, KEPT, NO_SURFACE).astype(np.uint8)
@@ -123,12 +132,4 @@ def confidence_of(depth: np.ndarray, deviation: np.ndarray, parallax: np.ndarray
 
 def normals_of(depth: np.ndarray, camera: Camera) -> npt.NDArray[np.float32]:
     """Normals of a depth map; see DepthResult.normals."""
-    points = camera.rays() * depth.astype(np.float64)[..., None]
-    normals = np.zeros(points.shape, np.float32)
-    across = np.cross(points[2:, 1:-1] - points[:-2, 1:-1], points[1:-1, 2:] - points[1:-1, :-2])
-    valid = depth > 0
-    whole = (valid[1:-1, 1:-1] & valid[2:, 1:-1] & valid[:-2, 1:-1] & valid[1:-1, 2:] & valid[1:-1, :-2])
-    length = np.linalg.norm(across, axis=-1, keepdims=True)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        normals[1:-1, 1:-1] = np.where(whole[..., None] & (length > 0), across / length, 0)
-    return normals
+    return np.nan_to_num(central_normals(depth, camera)).astype(np.float32)

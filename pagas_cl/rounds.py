@@ -104,7 +104,7 @@ def _few(config: Config, steps: int, contexts: int) -> Config:
 def _steps(target: View, contexts: Sequence[View], depth: np.ndarray, start: np.ndarray, config: Config,
            device: Device, photos: PhotoStore, held_out: Sequence[View], progress: Progress | None) -> Any:
     from pagas_cl.splat import NormalizedDepth, refine_levels
-    from pagas_cl.splat.fit import fit_memory
+    from pagas_cl.splat.budget import fit_memory
 
     told = (lambda done, total: progress(f"agree {target.name}", done, total)) if progress else None
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from acceptance_scenes import figures, moving, textureless, turned, wrong_poses
+from support.acceptance_scenes import figures, moving, textureless, turned, wrong_poses
 
 from pagas_cl.refine import refine_depth, refine_views
 from pagas_cl.result import KEPT, NO_SURFACE, REJECTED

@@ -51,6 +51,25 @@ def test_the_command_follows_what_is_asked_for(scene, capsys):
     assert "asked for: off" in capsys.readouterr().out
 
 
+def test_a_summary_comes_first_and_the_table_on_demand(scene, capsys):
+    """Nothing is wider than 80 columns, one row of the table is one line, times and sizes are as people say them."""
+    asked = ["analyze", str(scene), "--depth-dir", str(scene / "depth_initial"), "--quiet"]
+    assert run([*asked, "--no-costs"]) == 0
+    short = capsys.readouterr().out
+    assert run([*asked, "--table", "--views", "target", "context_00"]) == 0
+    long = capsys.readouterr().out
+    assert all(len(line) <= 80 and not set(line) & set("┃│") for line in (short + long).splitlines())
+    assert short.startswith("4 views\n\nCalled for:\n") and "Not called for:" in short and "evidence" not in short
+    exposure = short[short.index("  exposure "):]
+    assert exposure.startswith("  exposure        4 of 4 views") and "(on above 0.012)" in " ".join(exposure.split())
+    rows = [line.split() for line in long[long.index("\nview "):].splitlines()
+            if line.startswith(("target", "context"))]
+    assert [row[1] for row in rows] == 2 * list(EFFECTS) and {row[4] for row in rows} == {"on", "off"}
+    costs = long[long.index("\neffect "):].splitlines()[2:]
+    assert [line.split()[0] for line in costs] == list(EFFECTS)
+    assert all(line.split()[2] in ("s", "ms") and line.split()[-1] in ("kB", "MB") for line in costs)
+
+
 @pytest.mark.parametrize("words, sentence", [
     (["--depth-dir", "nowhere", "--mesh", "m.ply"], "got both"), (["--effect", "exposure"], "has no '='"),
     (["--effect", "exposure=maybe"], "effects.exposure is 'maybe'"),
@@ -133,8 +152,8 @@ def test_fusion_drops_what_others_contradict(maps, made):
 
 def test_timed_steps_have_room_for_their_losses(made, device, monkeypatch):
     """Five steps are timed whatever the settings ask for: two of them would leave room for three losses."""
+    from pagas_cl.bench import time_step
     from pagas_cl.splat.level import Level
-    from pagas_cl.splat.step_time import time_step
 
     plain, rooms = Level.run, []
 

@@ -37,7 +37,7 @@ def test_an_editor_completes_every_name():
     offered = jedi.Script("import pagas_cl\npagas_cl.").complete(2, len("pagas_cl."))
     assert set(pagas_cl.__all__) <= {name.name for name in offered}
     begun = jedi.Script("import pagas_cl\npagas_cl.refine_").complete(2, len("pagas_cl.refine_"))
-    assert {"refine_depth", "refine_mesh", "refine_views"} == {name.name for name in begun}
+    assert {"refine_cameras", "refine_depth", "refine_mesh", "refine_views"} == {name.name for name in begun}
 
 
 @pytest.mark.parametrize("name", SIGNATURES)

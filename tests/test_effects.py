@@ -16,8 +16,8 @@ from pagas_cl.errors import InputError
 from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import BALANCED, PAPER
 
-CALM = Measurements(overlap=1.0, misaligned=0.0, masked=False, gains=(((1.0, 0.0),) * 3,),
-                    **{name: value for effect in CASES.values() for name, value in effect.below.items()})
+CALM = Measurements(**dict(overlap=1.0, misaligned=0.0, masked=False, gains=(((1.0, 0.0),) * 3,)) | {
+    name: value for effect in CASES.values() for name, value in effect.below.items()})
 ALPHA = BALANCED.with_settings(splatting__blend="alpha")      # the blend that has every effect
 
 

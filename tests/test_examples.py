@@ -10,13 +10,14 @@ from support.scenes import relief_scene
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_file import write_mesh
 from pagas_cl.scene.view import View
+from pagas_cl.synthetic.examples import write_example
 from pagas_cl.synthetic.scene import write_scene
 
 pytestmark = pytest.mark.slow
 
 EXAMPLES = sorted((Path(__file__).parent / "examples").glob("*.py"))
 NEEDS = {"pymeshlab_method": ["pymeshlab", "open3d"], "filter_script": ["pymeshlab", "open3d"], "depth_maps": [],
-         "other_formats": []}
+         "other_formats": [], "feed_forward": []}
 MIXED = """<!DOCTYPE FilterScript>
 <FilterScript>
  <filter name="Remove Duplicate Vertices"/>
@@ -29,7 +30,7 @@ MIXED = """<!DOCTYPE FilterScript>
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """SCENE, DEPTH, RGBD, NERFSTUDIO, MVSNET, NEUS, BUNDLER, a 2DGS output and a script."""
-    import scene_writers as to
+    from support import scene_writers as to
 
     from pagas_cl.scene.depthmap import resize_depth, save_depth
 
@@ -51,6 +52,7 @@ def folder(tmp_path_factory):
         depth = np.rint(made.initial_depth(camera) * 50).astype(np.uint16)
         Image.fromarray(depth).save(folder / "RGBD" / "depth" / f"{k}.png")
     to.open3d_json(folder / "RGBD" / "trajectory.json", cameras)
+    write_example(folder / "DA3", "da3", made)
     return folder
 
 
@@ -89,5 +91,7 @@ def test_example_runs(path, folder, monkeypatch):
         from pagas_cl.filters.filter_script import check_script
 
         assert len(check_script("all_three_steps.mlx")) == 3
+    if path.stem == "feed_forward":
+        assert [len(said) > 80 for said in names["together"].said] and (folder / "refined" / "000002.npz").is_file()
     if path.stem == "depth_maps":
         assert len(list(Path("refined").glob("*.npz"))) == 3

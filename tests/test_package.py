@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = {"pagas_cl": ROOT / "pagas_cl", "pagas_cl/cl_kernels": ROOT / "cl_kernels",
            "pagas_cl/filters": ROOT / "filters"}
-SHIPPED = {".py", ".cl", ".clh", ".mlx", ".typed"}
+SHIPPED = {".py", ".cl", ".clh", ".mlx", ".typed", ".css", ".js"}
 OPTIONAL = {"open3d", "pymeshlab", "pycolmap", "matplotlib", "skimage", "scipy", "dask", "distributed"}
 
 # What each part may import of the others; the flow is one way (and all may import errors, config, presets).
@@ -23,10 +23,11 @@ ALLOWED = {
     "surface": {"scene", "runtime", "reference"}, "splat": {"scene", "runtime"}, "result": {"scene"},
     "jobs": {"scene", "runtime", "splat", "result", "progress"},
     "acceptance": {"result"},
+    "cameras": {"scene", "runtime", "surface", "splat", "measurements", "effects", "progress"},
     "effects": {"measurements", "runtime", "scene", "splat", "surface"}, "measurements": {"splat"},
     "rounds": {"scene", "runtime", "surface", "splat", "result", "effects", "progress"},
-    "refine": {"acceptance", "jobs", "scene", "runtime", "surface", "splat", "result", "measurements", "effects",
-               "keep_mesh", "progress", "rounds"},
+    "refine": {"acceptance", "cameras", "jobs", "scene", "runtime", "surface", "splat", "result", "measurements",
+               "effects", "keep_mesh", "progress", "rounds"},
     "evaluate": {"scene"}, "synthetic": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
     "selftest": {"scene", "runtime", "splat", "reference", "refine"},
 }
@@ -179,8 +180,8 @@ def test_library_keeps_its_habits():
 def test_kernels_stages_and_twins_have_the_same_names():
     for kernel in sorted(path.stem for path in SOURCES["pagas_cl/cl_kernels"].glob("*.cl")):
         stage = STAGE.get(kernel, kernel)
-        launchers = [path for path in (ROOT / "pagas_cl" / "splat" / f"{stage}.py",
-                                       ROOT / "pagas_cl" / "surface" / f"{stage}.py") if path.is_file()]
+        launchers = [path for path in (ROOT / "pagas_cl" / room / f"{stage}.py"
+                                       for room in ("splat", "surface", "cameras")) if path.is_file()]
         assert any(f'"{kernel}.cl"' in path.read_text() for path in launchers), f"nothing launches {kernel}.cl"
         assert any((ROOT / place / f"{stage}.py").is_file() for place in TWINS), f"{kernel}.cl has no twin"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from job_scenes import QUICK, load_small_scene, write_small_scene
+from support.job_scenes import QUICK, load_small_scene, write_small_scene
 
 pytest.importorskip("pyopencl")
 from pagas_cl.progress import ViewProgress

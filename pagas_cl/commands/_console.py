@@ -1,14 +1,61 @@
 """What the commands write to standard error: messages, and progress with the time left."""
 
-from __future__ import annotations
-
 import logging
+import os
 import sys
 import time
+import warnings
+from collections import Counter
 from contextlib import contextmanager
 from functools import cache
 
+from pagas_cl.errors import NothingRefinedError, NothingRefinedWarning
+
+log = logging.getLogger("pagas_cl")
+
 _LINE_EVERY = 10.0  # seconds between lines where standard error is a file
+
+
+class _Lenient:
+    """A standard stream; what is written to it is dropped once nobody reads it any more (`| head -1`), or it cannot be
+    written for another reason (`fault`), so that the work goes on."""
+
+    def __init__(self, stream):
+        self._stream, self.fault = stream, ""
+
+    def __getattr__(self, name: str):
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        self._do(self._stream.write, text)
+        return len(text)
+
+    def flush(self) -> None:
+        self._do(self._stream.flush)
+
+    def _do(self, what, *arguments) -> None:
+        try:
+            what(*arguments)
+        except OSError as error:
+            self.fault = "" if isinstance(error, BrokenPipeError) else error.strerror or str(error)
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self._stream.fileno())
+            os.close(nowhere)
+
+
+def make_streams_safe() -> None:
+    """Before anything else in a process of our own: standard streams that are closed lead nowhere, and not into the
+    next file that is opened; names of files are written even where they are no text."""
+    for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)      # gets the least number that is free: this one
+        stream = getattr(sys, name) or open(number, mode, closefd=False)      # noqa: SIM115
+        if mode == "w":
+            stream.reconfigure(errors="backslashreplace")
+            stream = _Lenient(stream)
+        setattr(sys, name, stream)
 
 
 @cache
@@ -17,6 +64,32 @@ def console():
     from rich.console import Console
 
     return Console(stderr=True)
+
+
+class Once(logging.Filter):
+    """Tells each warning once, and no more than MOST of one kind; `rest` says how many were left out."""
+
+    MOST = 5
+
+    def __init__(self):
+        super().__init__()
+        self._told: set[str] = set()
+        self._kinds: Counter[str] = Counter()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        if record.levelno != logging.WARNING:
+            return True
+        text = record.getMessage()
+        if text in self._told:
+            return False
+        self._told.add(text)
+        self._kinds[record.msg] += 1
+        return self._kinds[record.msg] <= self.MOST
+
+    def rest(self) -> list[str]:
+        """A line for each kind of which some were left out."""
+        return [f"{count - self.MOST} more warnings like '{str(kind).replace('%s', '...')}' (--debug shows all)"
+                for kind, count in self._kinds.items() if count > self.MOST]
 
 
 @contextmanager
@@ -29,6 +102,9 @@ def log_to_stderr(debug: bool = False):
     else:
         handler = logging.StreamHandler()
         handler.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
+    once = Once()
+    if not debug:
+        handler.addFilter(once)
     logger = logging.getLogger("pagas_cl")
     before = logger.handlers, logger.propagate, logger.level
     logger.handlers, logger.propagate = [handler], False
@@ -36,8 +112,45 @@ def log_to_stderr(debug: bool = False):
     try:
         yield
     finally:
+        handler.removeFilter(once)
+        for line in once.rest() if not debug else ():
+            logger.warning("%s", line)
         logger.handlers, logger.propagate = before[:2]
         logger.setLevel(before[2])
+
+
+@contextmanager
+def nothing_refined():
+    """Context of work whose NothingRefinedWarning is told when all else is done: as NothingRefinedError, for the
+    status, or in the log where something was refined."""
+    told, show = [], warnings.showwarning
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", NothingRefinedWarning)
+        warnings.showwarning = lambda message, category, *place, **more: (
+            told.append(str(message)) if category is NothingRefinedWarning else show(message, category, *place, **more))
+        yield
+    for text in told:
+        if text.startswith("nothing"):
+            raise NothingRefinedError(f"{text.replace('nothing was refined', 'NOTHING WAS REFINED', 1)}; what was "
+                                      "written holds the depths that came in")
+        log.warning("%s", text)
+
+
+@contextmanager
+def noted(note):
+    """Context of work whose NothingRefinedWarning is handed to note(text), too, where that is a function."""
+    show = warnings.showwarning
+
+    def both(message, category, *place, **more):
+        if note and category is NothingRefinedWarning:
+            note(str(message))
+        show(message, category, *place, **more)
+
+    warnings.showwarning = both
+    try:
+        yield
+    finally:
+        warnings.showwarning = show
 
 
 @contextmanager

@@ -1,7 +1,5 @@
 """Settings of a command line: `--set stage.field=value`, or the best for `--time-per-view` and `--time-budget`."""
 
-from __future__ import annotations
-
 import logging
 
 from pagas_cl.config import Config, setting_names
@@ -13,28 +11,29 @@ log = logging.getLogger("pagas_cl")
 _YES_NO = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 
 
-def build_config(preset_name: str, assignments, **more) -> Config:
-    """The preset with `assignments` ("stage.field=value") and `more` ("stage__field"=value) applied."""
-    return apply_settings(preset(preset_name), assignments, **more)
+def build_config(preset_name: str, assignments, what: str = "--set", **more) -> Config:
+    """The preset with `assignments` ("stage.field=value") and `more` ("stage__field"=value) applied; messages call an
+    assignment `what`."""
+    return apply_settings(preset(preset_name), assignments, what, **more)
 
 
-def apply_settings(config: Config, assignments, **more) -> Config:
+def apply_settings(config: Config, assignments, what: str = "--set", **more) -> Config:
     """`config` with the same applied."""
     settings = {}
     for text in assignments:
         key, equals, value = text.partition("=")
         key = key.strip()
         if not equals:
-            raise InputError(f"--set {text!r} has no '=', expected stage.field=value such as splatting.radius=1.42")
+            raise InputError(f"{what} {text!r} has no '=', expected stage.field=value such as splatting.radius=1.42")
         settings[key] = _value(config, key, value.strip())
     return config.with_settings(**settings, **more)
 
 
-def effect_settings(effects) -> list[str]:
-    """`--effect exposure=off` as the setting that it is short for."""
+def effect_settings(effects, what: str = "--effect") -> list[str]:
+    """`--effect exposure=off` as the setting that it is short for; messages call it `what`."""
     for text in effects:
         if "=" not in text:
-            raise InputError(f"--effect {text!r} has no '=', expected NAME=auto, on, off or set, such as exposure=off")
+            raise InputError(f"{what} {text!r} has no '=', expected NAME=auto, on, off or set, such as exposure=off")
     return [f"effects.{text.strip()}" for text in effects]
 
 

@@ -1,12 +1,13 @@
 """What commands do before the work: try the places they write to, read the scene and the initial depth of its views."""
 
-from __future__ import annotations
-
 import logging
 import tempfile
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, InterruptedRunError
+from pagas_cl.scene.files import read_bytes
 
 log = logging.getLogger("pagas_cl")
 
@@ -32,6 +33,11 @@ def check_writable(option: str, folder: Path | None) -> None:
         why = f"{str(file)!r} is a file" if file else error.strerror or str(error)
         raise InputError(f"{option}: cannot write in the folder {str(folder)!r} ({why}): choose another one"
                          + ("" if file else ", or see to its permissions")) from error
+    else:
+        page = folder / "index.html"
+        if option == "--report" and page.exists() and b"pagas" not in read_bytes(page):
+            raise InputError(f"{option}: {str(page)!r} is a page of somebody else, which ours would replace: choose "
+                             "another folder")
     finally:
         for path in new:
             if path.is_dir():
@@ -45,21 +51,66 @@ def load_scene(scene, format, outside: bool):
     return read_scene(scene, format, **({"outside": True} if outside else {}))
 
 
-def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None) -> list:
-    """Initial depth of every view, from the mesh or from files; None for a view without a file, which `names` must
-    have. With a folder for the run they stay on disk, and what stands for them is given instead."""
+@contextmanager
+def resumable(folder: Path | None, total: int):
+    """Context of a run of `total` views that keeps finished ones in `folder`: says first what an earlier run has left
+    there, and where it is interrupted (InterruptedRunError) what is kept now, and how to go on."""
+    from pagas_cl.jobs.finished import records_in
+
+    left = len(records_in(folder)) if folder is not None else 0
+    if left:
+        log.info("an earlier run has left %d finished view%s in %s: what this run would do alike is not done again",
+                 left, "" if left == 1 else "s", folder)
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        done = len(records_in(folder)) if folder is not None else 0
+        what = (f"{done} of {total} views are finished and kept in {str(folder)!r}: the same command goes on from them"
+                if done else "nothing is kept, no view was finished" if folder is not None
+                else "nothing is kept but pictures; with --save-depth finished views are")
+        raise InterruptedRunError(f"interrupted; {what}") from error
+
+
+def without(found, hold_out: list[str], asked: list[str]):
+    """The scene without the views `hold_out`, none of which is `asked` for."""
+    out = {found.index(name) for name in hold_out}
+    both = sorted(found.views[place].name for place in out & {found.index(name) for name in asked})
+    if both:
+        raise InputError(f"view {both[0]!r} is in --views and in --hold-out, expected one of them")
+    if out:
+        log.info("held out, and seen by nothing: %s", ", ".join(found.views[place].name for place in sorted(out)))
+    return replace(found, views=[view for place, view in enumerate(found.views) if place not in out])
+
+
+def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None, device=None) -> list:
+    """Initial depth of every view, from the mesh (drawn on `device`) or from files; None for a view without a file,
+    which `names` must have. With a folder for the run they stay on disk, and what stands for them is given instead."""
     from pagas_cl.jobs.finished import work_folder
-    from pagas_cl.jobs.store import DepthFile, Store
+    from pagas_cl.jobs.store import Store
 
     if mesh is not None:
         from pagas_cl import refine
         from pagas_cl.scene.mesh import to_surface
 
         keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
-        return refine.initial_depths(to_surface(mesh), found.views, progress, keep)
-    from pagas_cl.scene.depthmap import find_depth
+        return refine.initial_depths(to_surface(mesh), found.views, progress, keep, device)
+    sources = depth_files(found, depth_dir, depth_scale, names, as_numbers=False)[0]
+    return sources if folder is not None else loaded(sources)
 
-    files = [find_depth(depth_dir, view.name) for view in found.views]
+
+def loaded(depths) -> list:
+    """The depth maps themselves, for what loads them."""
+    return [depth.load() if hasattr(depth, "load") else depth for depth in depths]
+
+
+def depth_files(found, depth_dir, depth_scale, names=None, as_numbers: bool = True) -> tuple[list, bool]:
+    """What loads the depth map of every view from `depth_dir`, None for a view without a file, and whether all files
+    say their unit. A PNG does not: without a scale its numbers are taken as they are, or refused when they are loaded
+    where `as_numbers` is false."""
+    from pagas_cl.jobs.store import DepthFile
+    from pagas_cl.scene.depthmap import find_depths
+
+    files = find_depths(depth_dir, [view.name for view in found.views])
     if not any(files):
         raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
                          f"expected for instance {found.views[0].stem}.npz")
@@ -71,6 +122,8 @@ def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, n
     if without and not names:
         log.warning("%d views have no depth map in %s and serve as context views only: %s", len(without), depth_dir,
                     ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
-    sources = [file and DepthFile(file.resolve(), (view.camera.width, view.camera.height), depth_scale)
+    said = depth_scale is not None or not any(file and file.suffix.lower() == ".png" for file in files)
+    scale = depth_scale if said or not as_numbers else 1.0
+    sources = [file and DepthFile(file.resolve(), (view.camera.width, view.camera.height), scale)
                for view, file in zip(found.views, files)]
-    return sources if folder is not None else [source and source.load() for source in sources]
+    return sources, said

@@ -1,20 +1,21 @@
 """`pagas-cl analyze`: which effects a scene calls for, on what evidence, and what each costs on this device."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
+from textwrap import wrap
 
 import typer
 
 from pagas_cl.commands._console import shown_progress
 from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
+from pagas_cl.effects import EFFECTS
 from pagas_cl.scene.files import write_text
 
 MANY = ("--views", "--set", "--effect")
 COLUMNS = ["view", "effect", "evidence", "threshold", "decision", "what is measured"]
-COSTS = ["effect", "off, ms a view", "on, ms a view", "device memory, bytes"]
+WIDTH = 80
+_MEASURABLE = 0.03     # share of a view's time, below which a difference is none
 
 
 def command(
@@ -22,6 +23,7 @@ def command(
     mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where a refinement would start."),
     depth_dir: Path = typer.Option(None, "--depth-dir", help="Initial depth maps, <image stem>.npz, not --mesh."),
     views: list[str] = typer.Option([], "--views", help="Analyze these views only (several names may follow)."),
+    table: bool = typer.Option(False, "--table", help="Also one line a view and effect, and the cost of each."),
     output: Path = typer.Option(None, "--json", help="Write everything to this file."),
     report: Path = typer.Option(None, "--report", help="Folder for a page to open."),
     preset: str = typer.Option("balanced", "--preset", help="Settings to start from: balanced, accurate, ..."),
@@ -48,7 +50,7 @@ def command(
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, names=names)
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
                            progress=progress)
-    show(analysis)
+    show(analysis, table)
     text = json.dumps(analysis.as_dict(), indent=1) + "\n"
     if output is not None:
         write_text(output, text)
@@ -68,30 +70,84 @@ def rows(analysis) -> list[list[str]]:
         if view.reason and not view.decisions:
             cells.append([view.view, "", "", "", "", view.reason])
         cells += [row(view.view, decision) for decision in view.decisions]
+    if analysis.cameras is not None:
+        cells.append(row("all", analysis.cameras, "; refined before the views where pairs that take no part agree"))
     if analysis.consistency is not None:
         cells.append(row("all", analysis.consistency, "; of the initial depth, decided anew on the refined one"))
     return cells
 
 
-def cost_rows(analysis) -> list[list[str]]:
-    """One row an effect, as COSTS says."""
-    return [[name, f"{1e3 * c.off:.1f}", f"{1e3 * c.on:.1f}", f"{c.device_bytes:,}"]
-            for name, c in analysis.costs.items()]
+def summary(analysis) -> list[str]:
+    """Lines of at most WIDTH columns: which effects are on, in how many views, on what evidence, at what cost."""
+    decided = [decision for view in analysis.views for decision in view.decisions]
+    decided += [analysis.consistency] if analysis.consistency is not None else []
+    without = sum(not view.decisions for view in analysis.views)
+    lines = [f"{len(analysis.views)} views" + (f", {without} of them not to be refined (--table says why)" if without
+                                              else "")]
+    for on, what in ((True, "Called for:"), (False, "Not called for:")):
+        of = {}
+        for decision in decided:
+            if decision.on == on:
+                of.setdefault(decision.effect, []).append(decision)
+        lines += ["", what] if of else []
+        for name, found in of.items():
+            total = sum(d.effect == name for d in decided)
+            where = "scene" if name == "consistency" else f"{len(found)} of {total} view{'s' if total > 1 else ''}"
+            lines += _wrapped(f"  {name:<16}{where:<15}", f"{_why(found)}{_cost_of(analysis, name)}")
+    lines += ["", *_wrapped("", f"Costs: of {analysis.timed}, on {analysis.device}.")] if analysis.costs else []
+    return lines
 
 
-def show(analysis) -> None:
-    """The tables on standard output."""
-    from rich.console import Console
-    from rich.table import Table
+def _cost_of(analysis, name: str) -> str:
+    cost = analysis.costs.get(name)
+    if cost is None:
+        return ""
+    more = cost.on - cost.off
+    time = f"{seconds(more)} a view" if more > _MEASURABLE * cost.off else "no time to speak of"
+    return f"; costs {time}" + (f", {size(cost.device_bytes)}" if cost.device_bytes else "")
 
-    out = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 160, highlight=False)
-    tables = [("What the scene calls for", COLUMNS, rows(analysis)),
-              (f"Steps of {analysis.timed} on {analysis.device}", COSTS, cost_rows(analysis))]
-    for title, columns, cells in tables[:1 + bool(analysis.costs)]:
-        table = Table(*columns, title=title, title_justify="left")
-        for row in cells:
-            table.add_row(*row, style="bold" if "on" in row[4:5] else None)
-        out.print(table)
+
+def _why(decisions) -> str:
+    """Reason, evidence and threshold of decisions on one effect."""
+    first, values = decisions[0], sorted(number(d.evidence) for d in decisions if d.evidence == d.evidence)
+    effect = EFFECTS.get(first.effect)
+    limit = f"on {'below' if effect and not effect.above else 'above'} {first.threshold:g}"
+    seen = " to ".join(dict.fromkeys((values[0], values[-1]))) if values else "not measured"
+    return f"{first.reason}: {seen} ({limit})"
+
+
+def _wrapped(head: str, text: str) -> list[str]:
+    return wrap(text, WIDTH, initial_indent=head, subsequent_indent=" " * len(head))
+
+
+def number(value: float) -> str:
+    """Three digits, no exponent."""
+    return f"{value:.3f}" if abs(value) < 1 else f"{value:.3g}"
+
+
+def seconds(value: float) -> str:
+    """A time as people say it."""
+    return f"{value:.2g} s" if value >= 0.995 else f"{1e3 * value:.0f} ms"
+
+
+def size(nbytes: float) -> str:
+    """A number of bytes as people say it."""
+    return f"{nbytes / 1e6:.1f} MB" if abs(nbytes) >= 1e5 else f"{nbytes / 1e3:.0f} kB"
+
+
+def show(analysis, table: bool = False) -> None:
+    """The summary on standard output, and with `table` one line a view and effect, one an effect."""
+    lines = summary(analysis)
+    if table:
+        lines += ["", f"{'view':<29} {'effect':<16}{'evidence':>10}{'threshold':>11}  decision"]
+        for view, effect, evidence, threshold, decision, reason in rows(analysis):
+            line = f"{view[-29:]:<29} {effect:<16}{evidence:>10}{threshold:>11}  {decision}"
+            lines.append(line.rstrip() if effect else f"{view[-29:]:<29} {reason}"[:WIDTH])
+        if analysis.costs:
+            lines += ["", f"{'effect':<16}{'without it':>12}{'with it':>12}{'memory':>12}  a view"]
+        lines += [f"{name:<16}{seconds(cost.off):>12}{seconds(cost.on):>12}{size(cost.device_bytes):>12}"
+                  for name, cost in analysis.costs.items()]
+    sys.stdout.write("\n".join(lines) + "\n")
 
 
 def page(analysis, source: str) -> str:
@@ -99,8 +155,7 @@ def page(analysis, source: str) -> str:
     from pagas_cl.report.page import html_page
 
     notes = [f"scene: {source}, {len(analysis.views)} views", f"device: {analysis.device}"]
-    notes += [f"{name}: {off} ms a view without, {on} ms with it, {size} bytes on the device ({analysis.timed})"
-              for name, off, on, size in cost_rows(analysis)]
+    notes += [line for line in summary(analysis) if line]
     sections = [(v.view, [], [v.reason] if v.reason else ["context views: " + ", ".join(v.contexts)])
                 for v in analysis.views]
     return html_page("pagas-cl analyze", notes, COLUMNS, rows(analysis), sections)

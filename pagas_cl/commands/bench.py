@@ -1,7 +1,5 @@
 """`pagas-cl bench`: what a step and a frame cost on this device, stage by stage."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,35 +1,50 @@
 """`pagas-cl check`: are these the right cameras for this mesh and these photos?"""
 
-from __future__ import annotations
-
 import json
+import logging
 import sys
 from pathlib import Path
+from typing import Any
 
 import typer
 
-from pagas_cl.commands._start import load_scene
+from pagas_cl.commands._given import look, together
+
+log = logging.getLogger("pagas_cl")
 
 
 def command(
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with photos and cameras, in any known format."),
-    mesh: Path = typer.Option(..., "--mesh", help="The mesh that the cameras should see."),
+    mesh: Path = typer.Option(None, "--mesh", help="The mesh that the cameras should see. Without it: SCENE's depth."),
+    depth_dir: Path = typer.Option(None, "--depth-dir", help="Depth maps, <image stem>.npz, not --mesh."),
+    depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
     format: str = typer.Option(None, "--format", help="Format of the scene, where looking at it is not enough."),
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
+    photos: Path = typer.Option(None, "--photos", help="As in refine."),
     as_json: bool = typer.Option(False, "--json", help="Print everything as JSON."),
 ):
-    """Check the cameras of SCENE against a mesh and the photos.
+    """Check the cameras of SCENE against a mesh, or its depth maps, and the photos.
 
-    Status 2 when another reading of them fits better, or when none of them sees the mesh.
+    Estimates the offset and scale of the mesh that would make the photos agree, too. Status 2 when another reading of
+    the cameras fits better, when none sees the mesh, or when mesh and cameras are pixels of parallax apart.
     """
     from pagas_cl.errors import InputError
     from pagas_cl.scene.check import check_views
+    from pagas_cl.scene.depth_mesh import mesh_of_depths
 
-    found = load_scene(scene, format, outside)
-    report = check_views(mesh, found.cameras, found.views)
+    given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
+                 photos=photos)
+    for line in given.lines():
+        log.info("%s", line)
+    surface: Any = given.mesh
+    if surface is None and given.depths is None:
+        raise InputError(f"{str(scene)!r} holds neither depth maps nor a mesh to compare the photos over: give --mesh")
+    if surface is None:
+        surface = mesh_of_depths(given.scene.cameras, together(given, True))
+    report = check_views(surface, given.scene.cameras, given.scene.views)
     sys.stdout.write(json.dumps(report.as_dict(), indent=1) + "\n" if as_json else table(report))
     if not report.ok:
-        raise InputError(report.sentence)
+        raise InputError(report.at_command_line[1])
 
 
 def table(report) -> str:
@@ -40,5 +55,6 @@ def table(report) -> str:
     for r in report.readings:
         agreement = "-" if r.agreement is None else f"{r.agreement:.3f}"
         lines.append(f"{r.name:<34}{r.seeing:>8}{r.inside:>10.1%}{agreement:>11}{r.patches:>9}")
-    ending = [report.sentence] if report.ok else []  # else it is the error's sentence, on standard error
-    return "\n".join([*lines, "", report.half_pixel, *ending, ""])
+    half_pixel, sentence = report.at_command_line
+    ending = [sentence] if report.ok else []  # else it is the error's sentence, on standard error
+    return "\n".join([*lines, "", half_pixel, *ending, ""])

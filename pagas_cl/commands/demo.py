@@ -1,7 +1,5 @@
 """`pagas-cl demo`: a small scene with known geometry, refined on whatever device there is."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
@@ -18,13 +16,18 @@ def command(
     preset: str = typer.Option("balanced", "--preset", help="Settings to refine with."),
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name."),
     bar: float = typer.Option(0.0, "--bar", help="Width in pixels of a thin bar in front."),
+    format: str = typer.Option(None, "--format", metavar="NAME", help="Refine nothing: only make a small scene as this "
+                               "program leaves it (da3, vggt, tum, ...; a wrong name lists them)."),
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Make a scene, refine it, show the errors before and after, pictures and the mesh."""
-    from pagas_cl.demo import run_demo
+    from pagas_cl.demo import make_example, run_demo
     from pagas_cl.runtime.device import open_device
 
     check_writable("--output", output)
+    if format is not None:
+        sys.stdout.write(make_example(output, format, width, round(width * 0.75), contexts))
+        return
     opened = open_device(device)  # before the scene is made: no seconds of work where there is none
     with shown_progress(quiet) as progress:
         result = run_demo(output, width=width, height=round(width * 0.75), contexts=contexts, preset=preset,

@@ -1,7 +1,5 @@
 """`pagas-cl devices`: what OpenCL offers on this machine, and what to install where it offers nothing."""
 
-from __future__ import annotations
-
 import sys
 from itertools import groupby
 

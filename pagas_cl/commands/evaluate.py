@@ -1,7 +1,5 @@
 """`pagas-cl evaluate`: errors of a mesh, a point cloud or depth maps, in the figures that benchmarks use."""
 
-from __future__ import annotations
-
 import json
 import logging
 import sys
@@ -23,7 +21,8 @@ def command(
     held_out: list[str] = typer.Option([], "--held-out", help="With depth maps: a view whose photo is predicted."),
     before: Path = typer.Option(None, "--before", help="With --held-out: depth maps to compare with."),
     depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in depth files."),
-    spacing: float = typer.Option(None, "--spacing", help="Sample meshes, and thin the result, to this distance."),
+    spacing: float = typer.Option(None, "--spacing", help="Sample meshes, and thin the result, to this distance, and "
+                                                          "measure from point to point, as benchmarks do."),
     threshold: list[float] = typer.Option([], "--threshold", help="Distance for precision, recall and F-score."),
     max_distance: float = typer.Option(float("inf"), "--max-distance", help="Chamfer: leave out larger distances."),
     visible: Path = typer.Option(None, "--visible", help="Chamfer: DTU's ObsMask<scan>_10.mat."),
@@ -69,8 +68,9 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
     from pagas_cl.evaluate import compare_depth, depth_per_parallax
 
     rows = {}
-    for view in scene.views:
-        depth, truth = (_depth(where, view, scale) for where in (folder, truth_folder))
+    places = [_depth_files(where, scene) for where in (folder, truth_folder)]
+    for view, *files in zip(scene.views, *places):
+        depth, truth = (_depth(file, view, scale) for file in files)
         if depth is None or truth is None:
             continue
         others = [other.camera for other in scene.views if other is not view]
@@ -85,17 +85,24 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
 def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict]:
     """"<view> from <held-out view>" -> median correlation and pixels; with depth maps `before` on the same pixels."""
     from pagas_cl.evaluate import compare_predictions
+    from pagas_cl.jobs.finished import users_of
 
     kept_out = [scene.views[scene.index(name)] for name in held_out]
-    rows = {}
-    for view in scene.views:
+    users, rows = users_of(folder), {}
+    for view in kept_out:
+        if view.name in users:
+            log.warning("%s is no held-out photo: it took part in the refinement of %d of the views in %s, so that the "
+                        "figures flatter; refine with --hold-out %s to have it judge", view.name,
+                        len(users[view.name]), folder, view.name)
+    places = [_depth_files(where, scene) for where in (folder, before) if where is not None]
+    for view, *files in zip(scene.views, *places):
         if view in kept_out:
             continue
-        depths = [_depth(where, view, scale) for where in (folder, before) if where is not None]
+        depths = [_depth(file, view, scale) for file in files]
         if any(depth is None for depth in depths):
             continue
         for other in kept_out:
-            after, *first = compare_predictions(view, depths, other)
+            after, *first = compare_predictions(view, depths, _fitted(other, view, depths))
             if not after.pixels:
                 log.warning("%s: nothing of it is seen in %s", view.name, other.name)
                 continue
@@ -108,10 +115,27 @@ def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict
     return rows
 
 
-def _depth(folder, view, scale):
-    from pagas_cl.scene.depthmap import find_depth, load_depth
+def _fitted(other, view, depths) -> list:
+    """The held-out view once for each depth map, its pose fitted to it; as it is where there is no device."""
+    from pagas_cl.cameras.judge import fitted_pose
+    from pagas_cl.errors import DeviceError
 
-    path = find_depth(folder, view.name)
+    try:
+        return [fitted_pose(other, view, depth) for depth in depths]
+    except DeviceError as error:
+        log.warning("held-out cameras are taken as they are: %s", error)
+        return [other] * len(depths)
+
+
+def _depth_files(folder, scene):
+    from pagas_cl.scene.depthmap import find_depths
+
+    return find_depths(folder, [view.name for view in scene.views])
+
+
+def _depth(path, view, scale):
+    from pagas_cl.scene.depthmap import load_depth
+
     return None if path is None else load_depth(path, (view.camera.width, view.camera.height), scale=scale)
 
 
@@ -121,17 +145,32 @@ def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, gr
 
     if truth is None:
         raise InputError("nothing to compare with: give the true mesh or point cloud as the second argument")
-    if spacing is None:
-        spacing = extent(read_shape(truth)[0]) / 1000
-    clouds = [load_points(path, spacing) for path in (result, truth)]
-    figures = {f"Chamfer distance, scene units (points every {spacing:.4g})": {"": chamfer(
-        *clouds, downsample=spacing, max_distance=max_distance,
+    shapes, surfaces = [read_shape(path) for path in (result, truth)], (None, None)
+    if spacing is None:         # with one, distances are those between points that benchmarks define
+        spacing = extent(shapes[1][0]) / 1000
+        surfaces = tuple(None if shape[1] is None else shape for shape in shapes)
+    clouds = [load_points(shape if shape[1] is not None else shape[0], spacing) for shape in shapes]
+    to, floor = _told_floor(clouds, surfaces)
+    figures = {f"Chamfer distance, scene units ({to}; points every {spacing:.4g}){floor}": {"": chamfer(
+        *clouds, surfaces=surfaces, downsample=spacing, max_distance=max_distance,
         visible=None if visible is None else load_visible(visible),
         ground=None if ground is None else load_ground(ground)).as_dict()}}
     if thresholds:
         figures["share of points within a distance"] = {
-            f"{distance:g}": f_score(*clouds, distance, downsample=spacing).as_dict() for distance in thresholds}
+            f"{distance:g}": f_score(*clouds, distance, downsample=spacing, surfaces=surfaces).as_dict()
+            for distance in thresholds}
     return figures
+
+
+def _told_floor(clouds, surfaces) -> tuple[str, str]:
+    """What distances are to, and below what they say nothing: points of one surface are never those of another."""
+    from pagas_cl.evaluate.clouds import floor_of
+
+    floor = max((floor_of(cloud) for cloud, surface in zip(clouds, surfaces) if surface is None), default=0.0)
+    if not floor:
+        return "to the surface", ""
+    to = "to points" if surfaces == (None, None) else "to the surface of one, to the points of the other"
+    return to, f"; below about {floor:.2g} they tell the spacing of the points and no error"
 
 
 def _table(title, rows):

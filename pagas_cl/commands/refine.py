@@ -1,33 +1,45 @@
 """`pagas-cl refine`: the whole way from a folder of photos to refined depth maps and a mesh."""
 
-from __future__ import annotations
-
 import logging
 from collections import Counter
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
-from shutil import rmtree
 
 import typer
 
-from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._console import noted, nothing_refined, shown_progress
+from pagas_cl.commands._given import look, together
 from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
-from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
+from pagas_cl.commands._start import (
+    check_source,
+    check_writable,
+    initial_depths,
+    loaded,
+    resumable,
+)
 from pagas_cl.errors import InputError, PagasError, need
 
-MANY = ("--views", "--set", "--effect")  # options that take several words: `--views a b c`
+MANY = ("--views", "--hold-out", "--set", "--effect")  # options that take several words: `--views a b c`
 
 log = logging.getLogger("pagas_cl")
 
 
+@nothing_refined()
 def command(
-    scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
-    mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where the refinement starts."),
+    asked: typer.Context,
+    scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...), or what "
+                                 "a network, a phone or an RGB-D recording left."),
+    mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where the refinement starts. Without "
+                              "it and --depth-dir: what SCENE holds."),
     output: Path = typer.Option(None, "--output", help="The refined mesh to write (.ply, .obj, .stl, .off)."),
     depth_dir: Path = typer.Option(None, "--depth-dir", help="Initial depth maps, <image stem>.npz, not --mesh."),
     save_depth: Path = typer.Option(None, "--save-depth", help="Folder for the refined depth maps, <image stem>.npz."),
     views: list[str] = typer.Option([], "--views", help="Refine these views only (several names may follow)."),
+    hold_out: list[str] = typer.Option([], "--hold-out", help="Keep these photos out of everything, for 'pagas-cl "
+                                                               "evaluate --held-out'."),
     context: int = typer.Option(None, "--context", help="Most context views of each view."),
     preset: str = typer.Option("balanced", "--preset", help="Settings to start from: fast, balanced, accurate, paper."),
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
@@ -42,54 +54,113 @@ def command(
     format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
     depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
+    photos: Path = typer.Option(None, "--photos", help="Folder of the original photos, where SCENE has a network's "
+                                "small ones."),
+    align: bool = typer.Option(True, "--align/--no-align", help="Bring depth maps together that disagree, in scale and "
+                               "shift, before they are refined."),
     keep_mesh: bool = typer.Option(False, "--keep-mesh",
                                    help="Move the vertices of --mesh instead of fusing a new one."),
+    allow_loss: bool = typer.Option(False, "--allow-loss",
+                                    help="With --keep-mesh: go on though the new file cannot keep all of the mesh."),
     subdivide: float = typer.Option(None, "--subdivide", metavar="PIXELS",
                                     help="With --keep-mesh: first split edges longer than this many pixels."),
     devices: str = typer.Option(None, "--devices", metavar="all|NAME,...",
                                 help="One process on each of these devices."),
-    scheduler: str = typer.Option(None, "--scheduler", metavar="tcp://HOST:PORT", help="A running Dask cluster."),
+    scheduler: str = typer.Option(None, "--scheduler", metavar="tcp://HOST:PORT", help="A running Dask cluster; "
+                                  "one that you trust, since it may run any program here."),
     memory: float = typer.Option(None, "--memory", metavar="MB",
                                  help="Most host memory for fusing; what is free by default."),
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
+    from pagas_cl.jobs.finished import one_run, remove_run
     from pagas_cl.keep_mesh import displaced_mesh, write_whole
     from pagas_cl.refine import fuse_results, refine_views
     from pagas_cl.scene.mesh_file import write_mesh
 
-    _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide)
+    _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide, allow_loss)
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
     settings = [*settings, *effect_settings(effects)]
     more = {} if context is None else {"context__number": context}
     config = build_config(preset, settings, **more)
-    found = load_scene(scene, format, outside)
-    for view in found.views:
+    given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
+                 photos=photos, names=views or None).without(hold_out, views)
+    found, mesh = given.scene, given.mesh
+    for line in given.lines():
+        log.info("%s", line)
+    if mesh is None and given.depths is None:
+        raise InputError(f"{str(scene)!r} holds neither depth maps nor a mesh: expected either --mesh or --depth-dir "
+                         "(where the refinement starts), got neither")
+    as_given = found.views
+    for view in as_given:
         view.check_files()
     for option, where in (("--output", output and output.parent), ("--save-depth", save_depth), ("--report", report)):
         check_writable(option, where)
-    # finished views are kept with the depth maps, or beside the mesh until it is written
+    # finished views are kept with the depth maps, or beside the mesh until it is written; all that can be asked of
+    # them later is kept, so that nothing is refined again for it
     folder = output.parent / f".{output.name}.views" if save_depth is None and output is not None else save_depth
     place = _place(device, devices, scheduler)
     names = [found.views[found.index(name)].name for name in views] or None
-    with shown_progress(quiet) as progress, _report(report, found, preset, settings, place) as page:
-        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, None if keep_mesh else folder, names)
+    config_words = ", ".join([preset, *settings])
+    with (resumable(folder, len(names or found.views)), shown_progress(quiet) as progress,
+          one_run(folder) if folder else nullcontext(),
+          _report(report, found, config_words, place, asked.obj) as page):
+        found, config = _settled_cameras(found, mesh, config, place["device"], progress, page)
+        if mesh is not None:
+            depths = initial_depths(found, mesh, None, None, progress, None if keep_mesh else folder, names,
+                                    place["device"])
+        else:
+            depths = together(given, align)
+            depths = depths if folder is not None else loaded(depths)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
-        results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
-                               progress=progress, on_view=page and partial(_add_pictures, page),
-                               extras=page is not None or keep_mesh or config.fusion.least_weight < 1)
+            config = config.with_settings(effects__cameras="set" if mesh else config.effects.cameras)
+        with noted(page and page.note):
+            results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
+                                   progress=progress, on_view=page and partial(_add_pictures, page))
+        made = None
         if output is not None and keep_mesh:
-            write_whole(output, displaced_mesh(mesh, found.views, depths, results, config, subdivide))
+            made = displaced_mesh(mesh, found.views, depths, results, config, subdivide, device=place["device"])
+            write_whole(output, made)
         elif output is not None:
-            write_mesh(output, fuse_results(found.views, results, config, progress, memory, page and page.note,
-                                            device=place["device"]))
+            made = fuse_results(found.views, results, config, progress, memory, page and page.note,
+                                device=place["device"])
+            write_mesh(output, made)
         if output is not None:
             log.info("mesh: %s", output)
-    _tell(results, save_depth, report)
-    if folder is not None and save_depth is None:
-        rmtree(folder, ignore_errors=True)
+        if page is not None and made is not None:
+            _show_mesh(page, found.views, mesh, made, results, place["device"])
+        if save_depth is not None:
+            _save_cameras(save_depth, as_given, results)
+        _tell(results, save_depth, report)
+        if folder is not None and save_depth is None:
+            remove_run(folder)
+
+
+def _settled_cameras(found, mesh, config, device, progress, page):
+    """The scene with refined cameras, where its mesh calls for them; those of depth maps come with refine_views."""
+    from pagas_cl.cameras.effect import settle_cameras
+    from pagas_cl.scene.mesh import to_surface
+
+    if mesh is None or config.effects.cameras in ("off", "set"):
+        return found, config
+    views, config, told = settle_cameras(found.views, to_surface(mesh), config, device, progress)
+    if told is not None and page is not None:
+        page.note(str(told))
+    return replace(found, views=views), config
+
+
+def _save_cameras(folder: Path, views, results) -> None:
+    """Beside the depth maps the cameras that they belong to, where these were refined: not those of the scene's
+    `views`."""
+    from pagas_cl.result import joined
+    from pagas_cl.scene.readers import camera_file
+
+    pairs = joined(views, results)
+    if any(result.camera is not views[place].camera for place, result in pairs):
+        log.info("refined cameras: %s", camera_file.write(
+            folder, [replace(views[place], camera=result.camera, mask=None) for place, result in pairs]))
 
 
 def _place(device, devices, scheduler) -> dict:
@@ -104,18 +175,26 @@ def _place(device, devices, scheduler) -> dict:
     return {"device": several or open_device(device)}
 
 
-def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh: bool, subdivide) -> None:
+def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh: bool, subdivide,
+                   allow_loss: bool) -> None:
     """Refuse what cannot end well before any work is done."""
-    from pagas_cl.keep_mesh import check_subdivide
+    from pagas_cl.keep_mesh import check_kept, check_subdivide
     from pagas_cl.scene.mesh_file import check_mesh_path
 
-    check_source(mesh, depth_dir, "where the refinement starts")
+    if mesh is not None and depth_dir is not None:
+        check_source(mesh, depth_dir, "where the refinement starts")
     if memory is not None and not memory > 0:
         raise InputError(f"--memory is {memory:g} MB, expected more than 0")
     if output is None and save_depth is None and report is None:
-        raise InputError("nothing to write: give --output, --save-depth or --report")
+        start = "" if mesh or depth_dir else "; and, where SCENE holds no surface itself, either --mesh or --depth-dir"
+        raise InputError(f"nothing to write: give --output, --save-depth or --report{start}")
     if depth_dir is not None and not depth_dir.is_dir():
         raise InputError(f"--depth-dir {str(depth_dir)!r} is no folder")
+    for (old, given), (new, written) in product((("--depth-dir", depth_dir), ("--mesh", mesh)),
+                                                (("--save-depth", save_depth), ("--output", output))):
+        if given is not None and written is not None and given.resolve() == written.resolve():
+            raise InputError(f"{old} and {new} are both {str(written)!r}: what the refinement starts from would be "
+                             "replaced, and the next run would refine the refined; choose another name")
     if output is not None:
         check_mesh_path(output)
         need("open3d", "mesh", "fusing depth maps to a mesh (--output)")
@@ -125,6 +204,8 @@ def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mes
     check_subdivide(subdivide)
     if keep_mesh and mesh is None:
         raise InputError("--keep-mesh needs --mesh: it moves that mesh's vertices")
+    if keep_mesh and output is not None:
+        check_kept(output, mesh, allow_loss)
     if subdivide is not None and not keep_mesh:
         raise InputError("--subdivide needs --keep-mesh: a fused mesh has the voxel's fineness "
                          "(--set fusion.voxel=...)")
@@ -135,27 +216,40 @@ def _add_pictures(page, view, initial, result) -> None:
     from pagas_cl.effects import Decision
 
     report = result.report
-    remarks = [f"kept as it came: {result.reason}"] if result.reason else []
-    if report.get("contexts"):
-        remarks.append("context views: " + ", ".join(report["contexts"]))
+    remarks = ["context views: " + ", ".join(report["contexts"])] if report.get("contexts") else []
     for on, what in ((True, "effects simulated"), (False, "effects not called for")):
         effects = [str(Decision(**fields)) for fields in report.get("effects", ()) if fields["on"] == on]
         remarks += [f"{what}: " + "; ".join(effects)] if effects else []
     figures = {"seconds": round(report["seconds"], 2)} if "seconds" in report else {}
     page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
-             counts={**result.counts, **figures}, remarks=remarks)
+             counts={**result.counts, **figures}, remarks=remarks, reason=result.reason)
 
 
-def _report(folder, found, preset, settings, place):
+def _show_mesh(page, views, mesh, made, results, device) -> None:
+    """Put the given and the made mesh on the page, seen from the view of which most was refined."""
+    from pagas_cl.result import joined
+    from pagas_cl.scene.mesh import to_surface
+    from pagas_cl.surface.agree import comparison_device
+    from pagas_cl.surface.raster import each_depth
+
+    before, after = mesh and to_surface(mesh), to_surface(made)
+    place, _ = max(joined(views, results), key=lambda pair: pair[1].counts["refined"])
+    depths = before and [next(each_depth(surface, [views[place].camera], comparison_device(device)))
+                         for surface in (before, after)]
+    page.add_mesh(before, after, view=views[place], depths=depths)
+
+
+def _report(folder, found, settings: str, place, asked: str):
     """The Report to fill, or a context of None where none was asked for."""
     if folder is None:
         return nullcontext()
+    from pagas_cl import __version__
     from pagas_cl.report import Report
 
-    changed = f", {', '.join(settings)}" if settings else ""
     where = place.get("executor") or getattr(place["device"], "info", place["device"])
-    return Report(folder, "pagas-cl refine", [f"scene: {found.source}, {len(found.views)} views",
-                                             f"settings: {preset}{changed}", f"device: {where}"])
+    return Report(folder, "pagas-cl refine", facts=[
+        ("scene", f"{found.source}, {len(found.views)} views"), ("settings", settings), ("command", asked or ""),
+        ("version", f"pagas_cl {__version__}"), ("device", str(where))])
 
 
 def _tell(results, save_depth, report) -> None:

@@ -1,7 +1,6 @@
 """`pagas-cl script`: a MeshLab filter script (.mlx) with our step in it, without MeshLab's window or OpenGL."""
 
-from __future__ import annotations
-
+import glob
 import logging
 import os
 import sys
@@ -11,14 +10,15 @@ from pathlib import Path
 
 import typer
 
-from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._console import nothing_refined, shown_progress
 from pagas_cl.commands._start import check_source, check_writable, load_scene
 from pagas_cl.errors import InputError, need
-from pagas_cl.scene.files import replaced
+from pagas_cl.scene.files import is_file, read_bytes, replaced_with_others
 
 log = logging.getLogger("pagas_cl")
 
 
+@nothing_refined()
 def command(
     script: Path = typer.Argument(..., metavar="SCRIPT", help="The filter script (.mlx)."),
     scene: Path = typer.Argument(None, metavar="[SCENE]", help="Folder with photos and cameras, for our step."),
@@ -45,6 +45,7 @@ def command(
     for option, path in (("--output", output), ("--save-script", save_script)):
         check_writable(option, path and path.parent)
     _check_kind(pymeshlab, output)
+    _check_layers(output)
     with _meshlab_chatter():
         meshes, found = _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside)
         with shown_progress(quiet) as progress:
@@ -68,6 +69,17 @@ def _check_kind(pymeshlab, output: Path) -> None:
         except pymeshlab.PyMeshLabException as error:
             raise InputError(f"--output {str(output)!r}: pymeshlab writes no {output.suffix!r} files, expected .ply, "
                              ".obj, .stl, .off, ... or .mlp") from error
+
+
+def _check_layers(output: Path) -> None:
+    """Raise InputError where a project's layers would replace files that are not those of the project there now."""
+    if output.suffix.lower() != ".mlp":
+        return
+    known = read_bytes(output).decode("utf-8", "replace") if is_file(output) else ""
+    for file in sorted(output.parent.glob(f"{glob.escape(output.stem)}_[0-9]*.ply")):
+        if file.name not in known:
+            raise InputError(f"--output {str(output)!r}: its layers may replace {str(file)!r}, which is not one of its "
+                             "layers now; choose another name or folder")
 
 
 def _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside):
@@ -133,7 +145,7 @@ def _save(meshes, output: Path, scene) -> None:
 
 def save_layer(meshes, path: Path) -> None:
     """The current layer beside `path` first, then renamed; the file holds the layer's own coordinates."""
-    with replaced(path.absolute(), path.suffix) as beside:
+    with replaced_with_others(path.absolute()) as beside:
         meshes.save_current_mesh(str(beside))
         if not beside.is_file():
             raise InputError(f"pymeshlab did not write {str(path)!r}: is {path.suffix!r} a kind of mesh file?")

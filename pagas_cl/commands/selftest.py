@@ -1,7 +1,5 @@
 """`pagas-cl selftest`: the hard cases on this machine's own device, against the float64 twins."""
 
-from __future__ import annotations
-
 import logging
 import sys
 from itertools import chain

@@ -1,7 +1,5 @@
 """`pagas-cl tradeoff`: what accuracy costs in time on this device, for this scene."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
@@ -38,7 +36,7 @@ def command(
     """Run a plan of settings on a sample of views: error, time and memory of each, and the front of the best."""
     from pagas_cl.runtime.device import open_device
     from pagas_cl.tradeoffs import tradeoff
-    from pagas_cl.tradeoffs.page import ablation_table, markdown, notes
+    from pagas_cl.tradeoffs.page import ablation_table, closing, headline, markdown, notes
     from pagas_cl.tradeoffs.plan import ablation_plan
 
     check_source(mesh, depth_dir, "where the refinement starts")
@@ -59,7 +57,8 @@ def command(
     if not study.points:
         raise InputError(f"--budget {budget:g} minutes are too few for a single setting on this device: raise it, or "
                          "measure smaller photos")
-    sys.stdout.write("\n".join(notes(study)) + "\n\n")
+    sys.stdout.write("\n".join([headline(study), *notes(study)]) + "\n\n")
     sys.stdout.write(ablation_table(study.points) if ablation else markdown(study.points))
+    sys.stdout.write("".join(f"\n{line}\n" for line in closing(study)))
     if report is not None:
         sys.stdout.write(f"\nplot and page: {report / 'index.html'}\n")

@@ -8,12 +8,12 @@ from pagas_cl.evaluate.depth import (
            DepthErrors,
            DepthReport,
            compare_depth,
-           depth_normals,
            depth_per_parallax,
            dilate,
            find_discontinuities,
 )
 from pagas_cl.evaluate.predict import Prediction, compare_predictions, predict_photo
+from pagas_cl.scene.depthmap import central_normals as depth_normals
 
 __all__ = ["Chamfer", "DepthErrors", "DepthReport", "FScore", "Prediction", "VisibleSpace", "chamfer",
            "compare_depth", "compare_predictions", "depth_normals", "dilate", "f_score", "find_discontinuities",

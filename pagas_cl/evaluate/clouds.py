@@ -3,8 +3,6 @@
 A mesh becomes a cloud of points that are spread evenly over its area, the same ones every time.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +10,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.evaluate.depth import Figures
+from pagas_cl.scene.files import DAMAGE, read_first, read_npy
 
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])  # Roberts' low-discrepancy sequence in the plane
 _MOST = 50_000_000
@@ -68,7 +67,7 @@ class VisibleSpace:
 
 
 def chamfer(result, truth, *, downsample=None, max_distance=np.inf, visible: VisibleSpace | None = None,
-            ground=None) -> Chamfer:
+            ground=None, surfaces=(None, None)) -> Chamfer:
     """Chamfer distances between two clouds (n, 3); for meshes see `load_points`.
 
     DTU's own figures: `downsample` 0.2 mm, `max_distance` 20 mm, its ObsMask as `visible`, its Plane as `ground`.
@@ -81,6 +80,9 @@ def chamfer(result, truth, *, downsample=None, max_distance=np.inf, visible: Vis
         Result points outside it do not count as wrong.
     ground : array_like of shape (4,) or None
         Plane (a, b, c, d): only truth points with a x + b y + c z + d > 0 have to be found.
+    surfaces : pair of ((V, 3) vertices, (F, 3) faces) or None
+        The mesh that the result, and the truth, is a cloud of: distances are to its surface then. Distances to a
+        cloud have a floor, see `floor_of`.
     """
     result, truth = _cloud(result, "result"), _cloud(truth, "truth")
     if downsample:
@@ -98,27 +100,43 @@ def chamfer(result, truth, *, downsample=None, max_distance=np.inf, visible: Vis
     for name, cloud in (("result inside the visible space", judged), ("truth above the ground plane", wanted)):
         if not len(cloud):
             raise InputError(f"Chamfer distance: no point of the {name} is left; are both in the same frame and unit?")
-    distances = [d[d < max_distance] for d in (nearest(judged, truth), nearest(wanted, result))]
+    of_result, of_truth = surfaces
+    distances = [d[d < max_distance] for d in (nearest(judged, truth, of_truth), nearest(wanted, result, of_result))]
     means, medians = ([float(f(d)) if len(d) else float("nan") for d in distances] for f in (np.mean, np.median))
     return Chamfer(*means, sum(means) / 2, *medians, len(judged), len(wanted))
 
 
-def f_score(result, truth, threshold: float, *, downsample=None) -> FScore:
-    """Precision, recall and F-score at a distance; Tanks and Temples has `downsample=threshold / 2`."""
+def f_score(result, truth, threshold: float, *, downsample=None, surfaces=(None, None)) -> FScore:
+    """Precision, recall and F-score at a distance; Tanks and Temples has `downsample=threshold / 2`. `surfaces` as in
+    chamfer."""
     if not threshold > 0:
         raise InputError(f"F-score: the threshold is {threshold!r}, expected a length above 0 in scene units")
     result, truth = _cloud(result, "result"), _cloud(truth, "truth")
     if downsample:
         result, truth = (cloud[thin(cloud, downsample)] for cloud in (result, truth))
-    precision = float((nearest(result, truth) < threshold).mean())
-    recall = float((nearest(truth, result) < threshold).mean())
+    precision = float((nearest(result, truth, surfaces[1]) < threshold).mean())
+    recall = float((nearest(truth, result, surfaces[0]) < threshold).mean())
     both = precision + recall
     return FScore(precision, recall, 2 * precision * recall / both if both else 0.0, float(threshold))
 
 
-def nearest(points, cloud) -> np.ndarray:
-    """Distance from each of `points` (n, 3) to the nearest of `cloud` (m, 3): float64 (n,)."""
-    return _tree(cloud).query(points, workers=-1)[0]
+def nearest(points, cloud, surface=None) -> np.ndarray:
+    """Distance from each of `points` (n, 3) to the nearest of `cloud` (m, 3), or of a `surface` (vertices, faces), to
+    float32 of its extent: float64 (n,)."""
+    if surface is None:
+        return _tree(cloud).query(points, workers=-1)[0]
+    o3d = need("open3d", "mesh", "distances to a surface")
+    vertices, faces = (np.asarray(part) for part in surface)
+    middle = vertices.mean(axis=0)
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(np.ascontiguousarray(vertices - middle, np.float32), np.ascontiguousarray(faces, np.uint32))
+    return scene.compute_distance(np.ascontiguousarray(points - middle, np.float32)).numpy().astype(np.float64)
+
+
+def floor_of(cloud) -> float:
+    """What distances to a cloud (n, 3) are at least, on the average, where the surfaces are the same: half of the mean
+    distance from a point to its nearest neighbour, scene units. 0 for a single point."""
+    return float(_tree(cloud).query(cloud, k=2, workers=-1)[0][:, 1].mean() / 2) if len(cloud) > 1 else 0.0
 
 
 def thin(points, radius: float, seed: int = 0) -> np.ndarray:
@@ -252,11 +270,10 @@ def _read(path):
     suffix = path.suffix.lower()
     try:
         if suffix in (".npy", ".npz"):
-            data = np.load(path, allow_pickle=False)
-            return (data[data.files[0]] if suffix == ".npz" else data), None
+            return (read_first if suffix == ".npz" else read_npy)(path), None
         if suffix in (".xyz", ".txt"):
             return np.loadtxt(path, dtype=np.float64, usecols=(0, 1, 2), ndmin=2), None
-    except (ValueError, IndexError, OSError) as error:
+    except DAMAGE as error:
         raise InputError(f"{str(path)!r} is no list of points, expected (n, 3): {error}") from error
     o3d = need("open3d", "mesh", f"reading {path.name}")
     mesh = o3d.io.read_triangle_mesh(str(path))

@@ -1,12 +1,11 @@
 """Errors of a depth map and of its normals against the truth, near discontinuities apart from the rest."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from pagas_cl.errors import InputError
+from pagas_cl.scene.depthmap import central_normals
 
 
 class Figures:
@@ -63,8 +62,8 @@ def compare_depth(depth, truth, camera, *, parallax=None, true_normals=None, dis
         discontinuities = find_discontinuities(truth, camera)
     near = dilate(discontinuities, within)
     inside = np.ones(truth.shape, bool) if mask is None else np.asarray(mask, bool)
-    angle = _angles(depth_normals(depth, camera),
-                    depth_normals(truth, camera) if true_normals is None else np.asarray(true_normals, np.float64))
+    angle = _angles(central_normals(depth, camera),
+                    central_normals(truth, camera) if true_normals is None else np.asarray(true_normals, np.float64))
     per_pixel = np.nan if parallax is None else np.asarray(parallax, np.float64)
     return DepthReport(*(_errors(depth, truth, per_pixel, angle, inside & part)
                          for part in (~near, near, np.ones_like(near))))
@@ -81,24 +80,6 @@ def _errors(depth, truth, per_pixel, angle, where):
 def _mean_and_median(values):
     values = values[np.isfinite(values)]
     return (float(values.mean()), float(np.median(values))) if len(values) else (float("nan"), float("nan"))
-
-
-def depth_normals(depth, camera) -> np.ndarray:
-    """Normals by central differences of the depth map's points: float64 (H, W, 3), camera frame, towards the camera.
-
-    Nan where a pixel or one of its four neighbours has no depth.
-    """
-    depth = np.asarray(depth, np.float64)
-    points = np.where(depth > 0, depth, np.nan)[..., None] * camera.rays()
-    normals = np.full(points.shape, np.nan)
-    across = points[1:-1, 2:] - points[1:-1, :-2]
-    down = points[2:, 1:-1] - points[:-2, 1:-1]
-    cross = np.cross(down, across)  # image axes right and down: this order points towards the camera
-    with np.errstate(invalid="ignore", divide="ignore"):
-        cross /= np.linalg.norm(cross, axis=-1, keepdims=True)
-    cross[np.isnan(points[1:-1, 1:-1, 0])] = np.nan
-    normals[1:-1, 1:-1] = cross
-    return normals
 
 
 def _angles(a, b):

@@ -1,7 +1,5 @@
 """How well a depth map predicts a photo that took no part: correlation of patches warped through the depth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,7 +24,7 @@ class Prediction:
     correlation: np.ndarray = field(repr=False)
 
     @classmethod
-    def of(cls, correlation: np.ndarray) -> Prediction:
+    def of(cls, correlation: np.ndarray) -> "Prediction":
         """Figures of a map of correlations."""
         values = correlation[np.isfinite(correlation)]
         if not len(values):
@@ -60,8 +58,11 @@ def predict_photo(target, depth, other, other_depth=None, *, patch=7, tolerance=
 
 
 def compare_predictions(target, depths, other, other_depth=None, **settings) -> list[Prediction]:
-    """`predict_photo` for several depth maps over the pixels that all predict: none gains by leaving some out."""
-    maps = [predict_photo(target, depth, other, other_depth, **settings).correlation for depth in depths]
+    """`predict_photo` for several depth maps over the pixels that all predict: none gains by leaving some out. `other`:
+    a view, or one for each depth map (the same photo, its pose fitted to each: cameras.judge.fitted_pose)."""
+    others = other if isinstance(other, (list, tuple)) else [other] * len(depths)
+    maps = [predict_photo(target, depth, view, other_depth, **settings).correlation
+            for depth, view in zip(depths, others)]
     common = np.logical_and.reduce([np.isfinite(m) for m in maps])
     return [Prediction.of(np.where(common, m, np.nan).astype(np.float32)) for m in maps]
 

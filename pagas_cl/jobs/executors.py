@@ -1,12 +1,11 @@
 """Where tasks run: in this process, in one process a device, or on somebody's cluster."""
 
-from __future__ import annotations
-
 import multiprocessing
 import signal
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 
 from pagas_cl.errors import DeviceError, need
+from pagas_cl.jobs.worker import follow_parent
 
 PATIENCE = 20  # seconds to wait for a scheduler's answer
 
@@ -63,11 +62,17 @@ def local_pool(devices) -> ProcessPoolExecutor:
     """One spawned process for each device that `devices` means: an OpenCL context does not survive a fork."""
     from pagas_cl.runtime.claim import known_devices
     from pagas_cl.runtime.device import shares
+    from pagas_cl.runtime.memory import limit_of
 
+    limit_of(1)      # what the environment says of memory is refused here, once, and not by each worker
     number = len(known_devices(devices)) * shares()
-    # Ctrl-C reaches every process of a terminal: the first one asks the workers to end after their present view
-    return ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=signal.signal,
-                               initargs=(signal.SIGINT, signal.SIG_IGN))
+    return ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=_begin)
+
+
+def _begin() -> None:
+    """Ctrl-C reaches every process of a terminal: the first one asks the workers to end after their present view."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    follow_parent()
 
 
 def dask_executor(address: str) -> Executor:

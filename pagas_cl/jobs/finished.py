@@ -1,29 +1,39 @@
 """Finished views on disk.
 
-    FOLDER/<stem>.npz               refined depth, one array "depth"
-    FOLDER/.work/<stem>.npz         status, deviation, parallax
-    FOLDER/.work/<stem>.json        the Record, written last: a view is finished when it is there and fits
-    FOLDER/.work/journal/           what each worker began and ended, one file a process
-    FOLDER/.work/round_0/, ...      the same of each round before the last one; removed when all views are done
-    FOLDER/.work/inputs/            arrays that came from memory; removed when all views are done
+    FOLDER/<stem>.npz                    refined depth, one array "depth"
+    FOLDER/.pagas_cl/views/<stem>.npz    status, deviation, parallax
+    FOLDER/.pagas_cl/views/<stem>.json   the Record, written last: a view is finished when it is there and fits
+    FOLDER/.pagas_cl/names.json          stems that a run has meant to write: these files are ours
+    FOLDER/.pagas_cl/lock                held by the run that is at work
+    FOLDER/.pagas_cl/journal/            what each worker began and ended, one file a process
+    FOLDER/.pagas_cl/inputs/             arrays that came from memory; removed when all views are done
+    FOLDER/.pagas_cl/round_0/, ...       a folder like this one of each round before the last; removed as inputs/ is
+    FOLDER/.pagas_cl/parts/              files that are being written
+
+Nothing else in FOLDER is written, replaced or removed.
 """
 
-from __future__ import annotations
-
+import io
 import json
 import logging
-from collections import Counter
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, OutputError
 from pagas_cl.jobs.store import translate_os_errors, written
 from pagas_cl.jobs.task import Record, ViewTask
-from pagas_cl.result import DepthResult, confidence_of, normals_of
+from pagas_cl.result import DepthResult, confidence_of, in_short, normals_of
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import load_depth
+from pagas_cl.scene.digest import digest_of, in_chunks
+from pagas_cl.scene.files import DAMAGE, opened, read_bytes
+from pagas_cl.scene.locks import locked
+from pagas_cl.scene.names import OWN
 
 log = logging.getLogger("pagas_cl")
 
@@ -32,7 +42,7 @@ _EXTRAS = ("status", "deviation", "parallax")
 
 def work_folder(folder: Path) -> Path:
     """Where a run keeps what only it needs, inside its folder of results."""
-    return Path(folder) / ".work"
+    return Path(folder) / OWN
 
 
 def round_folder(folder: Path, number: int) -> Path:
@@ -40,51 +50,146 @@ def round_folder(folder: Path, number: int) -> Path:
     return work_folder(folder) / f"round_{number}"
 
 
-def stems(views) -> list[str]:
-    """What the files of each view are called: the photo's stem, below its folders where two have the same."""
-    short = [view.stem for view in views]
-    for view in views:
-        if Path(view.name).is_absolute() or ".." in Path(view.name).parts:
-            raise InputError(f"view {view.name!r} cannot name files in the output folder: expected a relative name "
-                             "without '..'")
-    uses = Counter(short)
-    return [stem if uses[stem] == 1 else str(Path(view.name).with_suffix("")) for stem, view in zip(short, views)]
+@contextmanager
+def one_run(folder: Path) -> Iterator[None]:
+    """Context: `folder`, which is made, is this run's alone; OutputError where another one is at work in it."""
+    work = work_folder(folder).absolute()
+    new = [path for path in (work, *work.parents) if not path.exists()]
+    with translate_os_errors(folder):
+        work.mkdir(parents=True, exist_ok=True)
+    with locked(work / "lock") as mine:
+        if not mine:
+            raise OutputError(f"another run is at work in {str(folder)!r}: wait until it has ended, or choose another "
+                              "output")
+        try:
+            yield
+        finally:
+            if new and [path.name for path in work.glob("*")] == ["lock"]:      # it has come to nothing
+                (work / "lock").unlink()
+                _remove_empty(new)
+
+
+def claim_names(folder: Path, stems: list[str]) -> None:
+    """Before the first view: note down that `<stem>.npz` are this run's to write; OutputError where one of them is
+    there and is not a run's."""
+    known = _names(folder)
+    for stem in stems:
+        file = Path(folder) / f"{stem}.npz"
+        records = _view_file(folder, stem, ".json"), Path(folder) / ".work" / f"{stem}.json"      # the latter of 0.1.0
+        if stem not in known and file.exists() and not any(record.exists() for record in records):
+            raise OutputError(f"{str(file)!r} is there and was not written by a run of ours: move it away, or choose "
+                              "another folder for the refined depth maps")
+    if not known.issuperset(stems):
+        with written(_names_file(folder), _parts(folder)) as file:
+            file.write(json.dumps(sorted(known.union(stems))).encode())
+
+
+def remove_run(folder: Path) -> None:
+    """Remove what runs have written in `folder`, and the folder where nothing else is in it."""
+    folder = Path(folder)
+    for stem in _names(folder):
+        file = folder / f"{stem}.npz"
+        file.unlink(missing_ok=True)
+        _remove_empty([parent for parent in file.parents if folder in parent.parents])
+    shutil.rmtree(work_folder(folder), ignore_errors=True)
+    _remove_empty([folder])
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    for folder in folders:
+        try:
+            folder.rmdir()
+        except OSError:  # something else is in it
+            return
+
+
+def _names(folder: Path) -> set[str]:
+    try:
+        return set(map(str, json.loads(read_bytes(_names_file(folder)))))
+    except DAMAGE:
+        return set()
+
+
+def _names_file(folder: Path) -> Path:
+    return work_folder(folder) / "names.json"
+
+
+def _view_file(folder: Path, stem: str, suffix: str) -> Path:
+    return work_folder(folder) / "views" / f"{stem}{suffix}"
+
+
+def _parts(folder: Path) -> Path:
+    return work_folder(folder) / "parts"
 
 
 def write_finished(folder: Path, task: ViewTask, result: DepthResult, extras: bool, about: dict) -> Record:
     """Write a view's files; the record comes last."""
-    sizes = {}
+    digests = {}
     arrays = {f"{task.stem}.npz": {"depth": result.depth}}
     if extras:
-        arrays[f".work/{task.stem}.npz"] = {name: getattr(result, name) for name in _EXTRAS}
+        arrays[f"{OWN}/views/{task.stem}.npz"] = {name: getattr(result, name) for name in _EXTRAS}
     for name, content in arrays.items():
-        path = Path(folder) / name
-        with written(path) as file:
-            np.savez(file, **content)
-        with translate_os_errors(path):
-            sizes[name] = path.stat().st_size
-    record = Record(task.name, task.stem, task.key, result.reason, result.counts, {**result.report, **about}, sizes)
-    with written(work_folder(folder) / f"{task.stem}.json") as file:
-        file.write(json.dumps(asdict(record), default=float).encode())
+        with written(Path(folder) / name, _parts(folder)) as file:
+            packed = io.BytesIO()
+            np.savez(packed, **content)
+            digests[name] = digest_of([packed.getbuffer()])
+            file.write(packed.getbuffer())
+    record = Record(task.name, task.stem, task.key, result.reason, result.counts, {**result.report, **about}, digests)
+    # as it will be read: tuples are lists then, and NumPy's numbers plain ones
+    known = json.loads(json.dumps(asdict(record), default=float))
+    with written(_view_file(folder, task.stem, ".json"), _parts(folder)) as file:
+        file.write(json.dumps({"seal": _seal(known), **known}).encode())
     return record
 
 
+def _seal(known: dict) -> str:
+    return digest_of([json.dumps(known, sort_keys=True).encode()])
+
+
+def _read_record(path: Path) -> Record:
+    known = json.loads(read_bytes(path))
+    if known.pop("seal", "") != _seal(known):
+        raise ValueError("it is not as it was written")
+    return Record(**known)
+
+
 def find_finished(folder: Path, task: ViewTask, extras: bool) -> Record | None:
-    """The record of `task`, if an earlier attempt or run has finished it and its files are whole."""
-    path = work_folder(folder) / f"{task.stem}.json"
+    """The record of `task`, if an earlier attempt or run has finished it and its files are what was written."""
+    path = _view_file(folder, task.stem, ".json")
     try:
-        record = Record(**json.loads(path.read_bytes()))
-        if record.key != task.key or (extras and f".work/{task.stem}.npz" not in record.sizes):
+        record = _read_record(path)
+        if record.key != task.key or (extras and f"{OWN}/views/{task.stem}.npz" not in record.digests):
             return None
-        torn = [name for name, size in record.sizes.items() if (Path(folder) / name).stat().st_size != size]
+        other = [name for name, digest in record.digests.items()
+                 if digest_of(in_chunks(Path(folder) / name)) != digest]
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, TypeError, AttributeError) as error:
+    except (*DAMAGE, TypeError, AttributeError) as error:
         log.warning("record %s cannot be used (%s): the view is refined again", path, error)
         return None
-    if torn:
-        log.warning("%s is cut short: view %s is refined again", torn[0], task.name)
-    return None if torn else record
+    if other:
+        log.warning("%s is not as it was written: view %s is refined again", other[0], task.name)
+    return None if other else record
+
+
+def records_in(folder: Path) -> list[Record]:
+    """Records of views that runs have finished in `folder`; those that cannot be read are left out."""
+    found = []
+    for path in sorted((work_folder(folder) / "views").rglob("*.json")):
+        try:
+            found.append(_read_record(path))
+        except (OSError, ValueError, TypeError, AttributeError):
+            log.debug("%s is no record", path)
+    return found
+
+
+def users_of(folder: Path) -> dict[str, list[str]]:
+    """Name of each photo -> views in `folder` that it took part in: as target, as context view, or as a judge."""
+    users: dict[str, list[str]] = {}
+    for record in records_in(folder):
+        for name in (record.name, *record.report.get("contexts", ()), *record.report.get("held_out", ())):
+            users.setdefault(name, []).append(record.name)
+    return users
 
 
 @dataclass(frozen=True)
@@ -104,7 +209,7 @@ class EarlierResults:
         return [StoredResult.found(camera, self.folder, stem, key).loaded() for camera, stem, key in self.results]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StoredResult:
     """As a DepthResult, with the arrays read from disk when they are asked for; nothing of it stays in memory."""
 
@@ -112,6 +217,7 @@ class StoredResult:
     folder: Path
     record: Record
 
+    __repr__ = in_short
     file = property(lambda self: self.folder / f"{self.record.stem}.npz")
     name = property(lambda self: self.record.name)
     reason = property(lambda self: self.record.reason)
@@ -130,12 +236,12 @@ class StoredResult:
                            self.report, self.name)
 
     @classmethod
-    def found(cls, camera: Camera, folder: Path, stem: str, key: str) -> StoredResult:
+    def found(cls, camera: Camera, folder: Path, stem: str, key: str) -> "StoredResult":
         """The finished view that the round before has left; InputError where it is not there, or of another key."""
-        path = work_folder(folder) / f"{stem}.json"
+        path = _view_file(folder, stem, ".json")
         try:
-            record = Record(**json.loads(path.read_bytes()))
-        except (OSError, ValueError, TypeError) as error:
+            record = _read_record(path)
+        except (*DAMAGE, TypeError, AttributeError) as error:
             raise InputError(f"record {str(path)!r} of the round before cannot be read ({error}): start the same "
                              "command again") from error
         if record.key != key:
@@ -144,10 +250,10 @@ class StoredResult:
         return cls(camera, folder, record)
 
     def _extra(self, name: str) -> np.ndarray:
-        path = work_folder(self.folder) / f"{self.record.stem}.npz"
+        path = _view_file(self.folder, self.record.stem, ".npz")
         try:
-            with np.load(path, allow_pickle=False) as archive:
-                return archive[name]
-        except (OSError, ValueError, KeyError, EOFError) as error:
-            raise InputError(f"{str(path)!r} cannot be read ({error}): delete it and start the same command "
-                             "again") from error
+            with opened(path) as file:
+                return np.load(file, allow_pickle=False)[name]
+        except DAMAGE as error:
+            raise InputError(f"{str(path)!r} cannot be read ({error}): start the same command again, which makes it "
+                             "anew") from error

@@ -1,7 +1,5 @@
 """Which views go together, and in what order: neighbours share photos."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from copy import copy
 from dataclasses import replace
@@ -10,10 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.jobs.finished import EarlierResults, stems
+from pagas_cl.jobs.finished import EarlierResults
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch, ViewTask, task_key, view_digest
 from pagas_cl.scene.choice import PartnerChooser, Partners
+from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.view import View
 
 _BATCH = 16      # most views in a batch
@@ -32,10 +31,11 @@ class Planner:
     def __init__(self, views: list[View], depths: list, samples: list, config: Config, work):
         self.views, self._depths, self._config, self._work = views, depths, config, work
         self._chooser = PartnerChooser([view.camera for view in views], samples, config.context)
-        self._stems, self._digests, self._partners, self._keys = stems(views), {}, {}, {}
+        self.stems = file_stems([view.name for view in views])
+        self._digests, self._partners, self._keys = {}, {}, {}
         self._earlier = None
 
-    def after(self, folder: Path, refined: Collection[int], work) -> Planner:
+    def after(self, folder: Path, refined: Collection[int], work) -> "Planner":
         """Of the round after this one, whose results of the views `refined` are in `folder`."""
         planner = copy(self)
         planner._earlier, planner._keys, planner._work = (self, folder, set(refined)), {}, work
@@ -51,14 +51,14 @@ class Planner:
         """The task of the view `index`."""
         partners, depth = self.partners(index), self._given(index)
         key = task_key(partners, {k: self.digest(k) for k in partners.all}, depth.digest, self._config, self._work)
-        return ViewTask(self.views[index].name, self._stems[index], partners, depth, key)
+        return ViewTask(self.views[index].name, self.stems[index], partners, depth, key)
 
     def _given(self, index: int):
         """What the view starts from: its depth map, or what the round before has left of it and its context views."""
         if self._earlier is None:
             return self._depths[index]
         before, folder, refined = self._earlier
-        return EarlierResults(folder, tuple((self.views[k].camera, self._stems[k], before._key(k))
+        return EarlierResults(folder, tuple((self.views[k].camera, self.stems[k], before._key(k))
                                             for k in self.partners(index).refined(refined)))
 
     def _key(self, index: int) -> str:

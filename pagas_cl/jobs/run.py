@@ -1,7 +1,5 @@
 """Batches to an executor, records back; a view that fails is asked for again, three times at most."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time
@@ -14,7 +12,7 @@ from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError
 from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.finished import find_finished, work_folder
 from pagas_cl.jobs.task import Batch, Record
-from pagas_cl.jobs.worker import STOP, attempts, run_batch
+from pagas_cl.jobs.worker import STOP, attempts, on_a_line, run_batch
 
 log = logging.getLogger("pagas_cl")
 
@@ -125,7 +123,7 @@ class Run:
                 record = find_finished(batch.folder, task, batch.extras)
                 if record is not None:
                     self._take(record, batch)
-                elif begun[task.name] >= TRIES:
+                elif begun[on_a_line(task.name)] >= TRIES:
                     self._give_up(task.failed("its worker process was lost each time"))
                 else:
                     self._queue.append(batch.only([task]))

@@ -1,27 +1,23 @@
 """Files whose final name never holds half of them; arrays under the hash of their content, found from any process."""
 
-from __future__ import annotations
-
-import hashlib
-import os
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from pagas_cl.errors import InputError, OutputError
 from pagas_cl.scene.depthmap import load_depth
+from pagas_cl.scene.digest import digest_array, digest_file
 from pagas_cl.scene.files import read_npy, replaced
 
-_CHUNK = 1 << 22
+_KEPT = "finished views are kept, make room or choose another folder, and start the same command again"
 
 
 @contextmanager
-def written(path: Path):
-    """Context of a binary file that gets the name `path` when all of it is on disk; errors as translate_os_errors."""
-    with translate_os_errors(path), replaced(path) as beside, open(beside, "wb") as file:
+def written(path: Path, parts: Path | None = None):
+    """Context of a binary file that gets the name `path` when all of it is on disk; see scene.files.replaced."""
+    with replaced(path, parts=parts, advice=_KEPT) as beside, open(beside, "wb") as file:
         yield file
 
 
@@ -33,37 +29,7 @@ def translate_os_errors(path: Path):
     except OutputError:
         raise
     except OSError as error:
-        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; finished views are kept, make room "
-                          "or choose another folder, and start the same command again") from error
-
-
-def digest_of(parts) -> str:
-    """Hash of bytes that come in parts."""
-    digest = hashlib.blake2b(digest_size=16)
-    for part in parts:
-        digest.update(part)
-    return digest.hexdigest()
-
-
-def digest_array(array: np.ndarray) -> str:
-    """Hash of an array's shape, type and values."""
-    values = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
-    return digest_of([f"{array.dtype.str}{array.shape}".encode(), values])
-
-
-def digest_file(path) -> str:
-    """Hash of a file's bytes; read once a process while size and time of change stay."""
-    try:
-        now = os.stat(path)
-        return _digest_file(str(path), now.st_size, now.st_mtime_ns)
-    except OSError as error:
-        raise InputError(f"file {str(path)!r} cannot be read: {error.strerror or error}") from error
-
-
-@lru_cache(maxsize=1 << 17)
-def _digest_file(path: str, size: int, changed: int) -> str:
-    with open(path, "rb") as file:
-        return digest_of(iter(lambda: file.read(_CHUNK), b""))
+        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; {_KEPT}") from error
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """What is sent to a worker and what comes back, small and free of arrays; and what makes two tasks the same."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from collections.abc import Callable, Iterator
@@ -12,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from pagas_cl.config import Config
-from pagas_cl.jobs.store import digest_file, digest_of
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import Partners
+from pagas_cl.scene.digest import digest_file, digest_of
 from pagas_cl.scene.view import View
 
 _OTHER_SETTINGS = ("context", "fusion")     # partners are named in the key; fusing comes after
@@ -30,7 +28,7 @@ class ViewTask:
     depth: Any            # the initial depth map: an object with load() and digest
     key: str              # see task_key
 
-    def failed(self, error: str, bad_input: bool = False) -> Record:
+    def failed(self, error: str, bad_input: bool = False) -> "Record":
         """The record of a view that could not be refined."""
         return Record(self.name, self.stem, self.key, error=error, bad_input=bad_input)
 
@@ -50,7 +48,7 @@ class Batch:
     extras: bool = True         # whether status, deviation and parallax are kept beside the depth
     photos: bool = True         # whether the work looks at photos
 
-    def only(self, tasks) -> Batch:
+    def only(self, tasks) -> "Batch":
         """The same with fewer tasks."""
         needed = {index for task in tasks for index in task.partners.all}
         return replace(self, tasks=tuple(tasks), views={k: v for k, v in self.views.items() if k in needed},
@@ -67,7 +65,7 @@ class Record:
     reason: str = ""                               # why it was kept as it came; empty where it was refined
     counts: dict = field(default_factory=dict)     # pixels refined, kept, rejected, without surface
     report: dict = field(default_factory=dict)     # DepthResult.report, and the device and worker
-    sizes: dict = field(default_factory=dict)      # bytes of the files that belong to it
+    digests: dict = field(default_factory=dict)    # hashes of the files that belong to it
     error: str = ""                                # what went wrong, one sentence; empty where the view is done
     bad_input: bool = False                        # whether that lies in the input
 

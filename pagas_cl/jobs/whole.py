@@ -1,7 +1,5 @@
 """From views and depth maps to refined depth maps in a folder, by any executor."""
 
-from __future__ import annotations
-
 import logging
 import shutil
 import tempfile
@@ -11,15 +9,24 @@ from pathlib import Path
 
 from pagas_cl.errors import InputError, PagasError
 from pagas_cl.jobs.executors import Workers
-from pagas_cl.jobs.finished import StoredResult, find_finished, round_folder, work_folder
+from pagas_cl.jobs.finished import (
+    StoredResult,
+    claim_names,
+    find_finished,
+    one_run,
+    records_in,
+    round_folder,
+    work_folder,
+)
 from pagas_cl.jobs.plan import Planner, groups, on_disk
 from pagas_cl.jobs.run import Run
-from pagas_cl.jobs.store import Store, translate_os_errors
+from pagas_cl.jobs.store import DepthFile, Store, translate_os_errors
 from pagas_cl.jobs.task import Batch, Record, code_version
 from pagas_cl.jobs.worker import STOP, close_worker_contexts
 from pagas_cl.progress import ViewProgress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import for_planning
+from pagas_cl.scene.reasons import warn_of_nothing
 
 log = logging.getLogger("pagas_cl")
 
@@ -55,10 +62,21 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
                                  progress=progress, on_view=on_view, later=later)
             return [result if isinstance(result, DepthResult) else result.loaded() for result in results]
     folder = Path(folder).resolve()
+    with one_run(folder):
+        return _refine_in(folder, work, views, depths, asked, config, device, executor, extras, progress, on_view,
+                          later)
+
+
+def _refine_in(folder, work, views, depths, asked, config, device, executor, extras, progress, on_view, later) -> list:
     store = Store(work_folder(folder) / "inputs")
+    for depth in depths:
+        if isinstance(depth, DepthFile) and depth.file.resolve().parent == folder:
+            raise InputError(f"the depth maps to start from are in {str(folder)!r}, where the refined ones would go; "
+                             "the next run would refine those: choose another folder")
     samples, asked = _sampled(depths, asked)
     depths = store.put_arrays(depths)
     planner = Planner(on_disk(views, store), depths, samples, config, work)
+    claim_names(folder, [planner.stems[index] for index in asked])
     workers = Workers(executor, device)
     template = Batch(work, {}, {}, (), config, folder, workers.device, code_version(), extras)
     _make_ready(folder)
@@ -91,8 +109,9 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
         close_worker_contexts()
     results = collect.results()
     if not any(record.error for record in collect.records.values()):
-        for number in range(len(later)):
-            shutil.rmtree(round_folder(folder, number), ignore_errors=True)
+        for place in work_folder(folder).glob("round_*"):      # of killed runs with other settings, too
+            shutil.rmtree(place, ignore_errors=True)
+    warn_of_nothing(views, depths, results)     # which may read the depth maps
     shutil.rmtree(store.folder, ignore_errors=True)
     return results
 
@@ -105,11 +124,11 @@ def _stage(number: int) -> str:
 def _wanted(planner: Planner, asked, folder: Path, extras: bool, later) -> list[list[int]]:
     """Views that each round has to work on: all, or, where an earlier run has left finished views, those that are not
     finished, and before them those that they take results of."""
-    wanted = [list(asked)]
-    if later and any(work_folder(folder).glob("**/*.json")):
+    wanted, places = [list(asked)], [round_folder(folder, number) for number in range(len(later))]
+    if later and any(records_in(place) for place in (folder, *places)):
         last = planner
-        for number, step in enumerate(later):
-            last = last.after(round_folder(folder, number), asked, step.work)
+        for place, step in zip(places, later):
+            last = last.after(place, asked, step.work)
         needed = {k for k in asked if not _is_finished(last, k, folder, extras)}
         for _ in later:
             needed = {j for k in needed for j in planner.partners(k).refined(asked)}
@@ -125,29 +144,38 @@ def _is_finished(planner: Planner, index: int, folder: Path, extras: bool) -> bo
         return False
 
 
-def _unfinished(planner: Planner, parts, template: Batch, collect: _Collect):
-    """Batches of what no earlier run has finished, each planned when it is asked for."""
-    kept = 0
-    for part in parts:
-        todo = []
-        for index in part:
-            try:
-                task = planner.task(index)
-            except InputError as error:  # a photo that has gone meanwhile
-                name = planner.views[index].name
-                log.error("view %s is left out: %s", name, error)
-                collect(Record(name, "", "", error=str(error), bad_input=True))
-                continue
-            record = find_finished(template.folder, task, template.extras)
-            if record is None:
-                todo.append(task)
-            else:
-                kept += 1
-                collect(record)
+def _unfinished(planner: Planner, parts, template: Batch, collect: "_Collect"):
+    """Batches of what no earlier run has finished, each planned when it is asked for; where there was an earlier run
+    all of them first, so that what is kept of it is told before the work begins."""
+    todos = (_todo(planner, part, template, collect) for part in parts)
+    earlier = len(records_in(template.folder))
+    if earlier:
+        todos = list(todos)
+        kept = sum(not record.error for record in collect.records.values())
+        log.info("%d of %d views were finished by an earlier run and are kept%s", kept, len(collect.asked),
+                 "" if kept else ": it had other inputs, settings or code")
+    for todo in todos:
         if todo:
             yield planner.batch(todo, template)
-    if kept:
-        log.info("%d of %d views were finished by an earlier run and are kept", kept, len(collect.asked))
+
+
+def _todo(planner: Planner, part, template: Batch, collect: "_Collect") -> list:
+    """The tasks of a part of the views, without those that are finished, which are collected."""
+    todo = []
+    for index in part:
+        try:
+            task = planner.task(index)
+        except InputError as error:  # a photo that has gone meanwhile
+            name = planner.views[index].name
+            log.error("view %s is left out: %s", name, error)
+            collect(Record(name, "", "", error=str(error), bad_input=True))
+            continue
+        record = find_finished(template.folder, task, template.extras)
+        if record is None:
+            todo.append(task)
+        else:
+            collect(record)
+    return todo
 
 
 class _Ended(BaseException):
@@ -221,11 +249,9 @@ def _sampled(depths, asked) -> tuple[list, list[int]]:
 
 
 def _make_ready(folder: Path) -> None:
-    """A folder that can be written, without what killed runs have left."""
+    """The folder without what killed runs have left."""
     work = work_folder(folder)
+    for left in ("parts", "journal"):
+        shutil.rmtree(work / left, ignore_errors=True)
     with translate_os_errors(folder):
-        work.mkdir(parents=True, exist_ok=True)
-        for left in list(folder.rglob(".*.part")):  # beside final names
-            left.unlink(missing_ok=True)
-        shutil.rmtree(work / "journal", ignore_errors=True)
         (work / STOP).unlink(missing_ok=True)

@@ -1,8 +1,7 @@
 """What happens in a worker: a batch in, records out; device, kernels and photos stay for the next batch."""
 
-from __future__ import annotations
-
 import logging
+import multiprocessing
 import os
 import socket
 import time
@@ -11,7 +10,9 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime
-from threading import Lock
+from functools import cache
+from multiprocessing.connection import wait
+from threading import Lock, Thread
 
 import numpy as np
 
@@ -97,6 +98,19 @@ class WorkerContext:
         return {k: self._views[batch.digests[k]] for k in batch.views}
 
 
+def follow_parent() -> None:
+    """In a process of a pool: end when the one that started it has, however that came about. Its queue would wait for
+    ever, and it would keep the device from the run that goes on."""
+    _follow_parent(os.getpid())
+
+
+@cache
+def _follow_parent(_: int) -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        Thread(target=lambda: (wait([parent.sentinel]), os._exit(1)), daemon=True).start()
+
+
 def run_batch(batch: Batch, inside=None) -> list[Record]:
     """Refine the views of `batch` that are not finished; one record each, which also tells of the view's error.
 
@@ -104,6 +118,7 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
     `inside(k)` is the progress of view `k`, where somebody in this process wants to know. OutputError (nothing can be
     written) and DeviceError (no device to work with) are raised: they are not the view's fault.
     """
+    follow_parent()
     if batch.code != code_version():
         raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "
                           "planned the run: install the same version everywhere")
@@ -205,11 +220,16 @@ def note_down(folder, what: str, name: str) -> None:
     with translate_os_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with open(path, "a", encoding="utf-8") as file:
-            file.write(f"{datetime.now().isoformat(timespec='milliseconds')} {what} {name}\n")
+            file.write(f"{datetime.now().isoformat(timespec='milliseconds')} {what} {on_a_line(name)}\n")
 
 
 def attempts(folder) -> Counter[str]:
-    """How often each view was begun in this run, by the journals of all workers."""
+    """How often each view was begun in this run, by the journals of all workers; names as they are written there."""
     lines = [line.split(" ", 2) for path in (work_folder(folder) / "journal").glob("*.txt")
              for line in path.read_text(encoding="utf-8").splitlines()]
     return Counter(line[2] for line in lines if line[1:2] == ["began"] and len(line) == 3)    # some may be cut short
+
+
+def on_a_line(name: str) -> str:
+    """A view's name on one line of any text file, whatever characters it has."""
+    return name.encode("unicode_escape").decode()

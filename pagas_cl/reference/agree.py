@@ -6,8 +6,6 @@ d that moves m by one pixel (root mean square over the views that see the point)
 surface at m that does not hide it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.scene.camera import Camera
@@ -21,15 +19,8 @@ def count(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: list
           pixels: float) -> tuple[np.ndarray, np.ndarray]:
     """How many other views confirm each depth, and how many should see it: two arrays of shape (H, W), uint16.
 
-    Parameters
-    ----------
-    target : Camera
-    depth : ndarray of shape (H, W)
-        Its depth map, 0 = no surface.
-    cameras, depths : lists of the same length
-        The other views, without the target.
-    pixels : float
-        Tolerance, pixels of parallax.
+    `depth` (H, W) is the target's, 0 = no surface; `cameras` and `depths` are the other views'; `pixels` of parallax
+    are the tolerance.
     """
     others = [(camera, other, *camera.relative_to(target)) for camera, other in zip(cameras, depths)]
     counts = np.zeros((2, depth.size), np.uint16)

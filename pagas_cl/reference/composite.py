@@ -3,8 +3,6 @@
 Method section 4, both blends. All sums run over the list of pairs sorted by (pixel, z, Gaussian); pairs.py makes it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,52 +16,23 @@ ALPHA_MIN = 1 / 255  # with "alpha" and `normalize`: least coverage that C is di
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """One context view, rendered from the target's Gaussians, with what the backward needs.
+    """One context view, rendered from the target's Gaussians, with what the backward needs."""
 
-    Attributes
-    ----------
-    color : ndarray of shape (H, W, channels)
-        C as the losses see it: the photo's colour where nothing covers a pixel.
-    coverage : ndarray of shape (H, W)
-        A.
-    covered : ndarray of shape (H, W), bool
-        Where C comes from Gaussians; elsewhere neither C nor A has a gradient.
-    pairs : Pairs
-        The participants only.
-    colors : ndarray of shape (N, channels)
-        Colours of the Gaussians.
-    photo : ndarray of shape (H * W, channels)
-    total : ndarray of shape (H * W,)
-        Order-free: S = sum of alpha. Alpha blend: A.
-    gaussians : int
-        N.
-    splatting : Splatting
-    """
-
-    color: np.ndarray
-    coverage: np.ndarray
-    covered: np.ndarray
-    pairs: Pairs
-    colors: np.ndarray
-    photo: np.ndarray
-    total: np.ndarray
-    gaussians: int
+    color: np.ndarray       # (H, W, channels): C as the losses see it, the photo's where nothing covers a pixel
+    coverage: np.ndarray    # (H, W): A
+    covered: np.ndarray     # (H, W) bool: where C comes from Gaussians; elsewhere neither C nor A has a gradient
+    pairs: Pairs            # the participants only
+    colors: np.ndarray      # (N, channels): of the Gaussians
+    photo: np.ndarray       # (H * W, channels)
+    total: np.ndarray       # (H * W,): S = sum of alpha (order-free), A (alpha blend)
+    gaussians: int          # N
     splatting: Splatting
 
 
 def composite(projected: Projected, colors: np.ndarray, photo: np.ndarray, splatting: Splatting,
               delta: float) -> Rendered:
-    """Render the Gaussians into a view (method section 4).
-
-    Parameters
-    ----------
-    colors : ndarray of shape (N, channels)
-        Colours of the Gaussians, 0 to 1.
-    photo : ndarray of shape (H, W, channels)
-        The view's photo: its size is rendered, its colour stands where nothing covers a pixel.
-    delta : float
-        Depth threshold, units.
-    """
+    """Render the Gaussians, whose `colors` (N, channels) are 0 to 1, into a view (method section 4) of the size of its
+    `photo` (H, W, channels), which stands where nothing covers a pixel; `delta` is the depth threshold, units."""
     height, width, channels = photo.shape
     pairs = candidates(projected, width, height, splatting)
     pairs = pairs.shared(shares(pairs, width * height, splatting, delta))
@@ -84,11 +53,6 @@ def composite_vjp(rendered: Rendered, v_color: np.ndarray, v_coverage: np.ndarra
     return np.bincount(rendered.pairs.gaussian, v_alpha * rendered.pairs.alpha_d, rendered.gaussians)
 
 
-def _sum_by(index: np.ndarray, values: np.ndarray, size: int) -> np.ndarray:
-    """Sums of `values` of shape (P, channels) by `index`: shape (size, channels)."""
-    return np.stack([np.bincount(index, column, size) for column in values.T], axis=1)
-
-
 def _order_free(pairs: Pairs, colors, photo, normalize):
     """C = A (sum(alpha c) / S) + (1 - A) photo with A = min(1, S); covered iff S > 0.
 
@@ -96,7 +60,8 @@ def _order_free(pairs: Pairs, colors, photo, normalize):
     that a pixel at an edge is compared by as much of it as is covered, and a Gaussian enters it smoothly.
     """
     S = np.bincount(pairs.pixel, pairs.alpha, len(photo))
-    mixed = _sum_by(pairs.pixel, pairs.alpha[:, None] * colors[pairs.gaussian], len(photo))
+    weighted = pairs.alpha[:, None] * colors[pairs.gaussian]
+    mixed = np.stack([np.bincount(pairs.pixel, column, len(photo)) for column in weighted.T], axis=1)
     average = mixed / np.where(S > 0, S, 1.0)[:, None]
     return photo + filled(S)[:, None] * (average - photo), np.minimum(1.0, S), S, S > 0
 

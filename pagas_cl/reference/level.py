@@ -11,8 +11,7 @@ from pagas_cl.reference import loss as losses
 from pagas_cl.reference.composite import Rendered, composite, composite_vjp
 from pagas_cl.reference.project import depth_per_parallax, is_valid, project
 from pagas_cl.reference.smooth import smoothness
-from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.rig import footprint, viewing_distance
+from pagas_cl.scene.camera import Camera, footprint, viewing_distance
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,52 +26,20 @@ class Photo:
 
     @classmethod
     def from_view(cls, view) -> Photo:
-        """From a pagas_cl.scene.view.View."""
         return cls(view.camera, view.load_image() / 255.0, view.load_mask())
-
-    def exposed_as(self, context: Photo) -> np.ndarray:
-        """This photo with the exposure of `context`, clipped as a photo is."""
-        if context.exposure is None:
-            return self.image
-        gain, offset = context.exposure.T
-        return np.clip(gain * self.image + offset, 0, 1)
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What stays fixed during a level. Lengths in units.
+    """What stays fixed during a level. Lengths in units."""
 
-    Attributes
-    ----------
-    scene_scale : float
-        Scene units per device unit.
-    delta : float
-        Depth threshold: range of the initial depth / slices.
-    parallax : ndarray of shape (H, W)
-        u; 0 where the pixel is fixed.
-    kappa : ndarray of shape (H, W)
-        d0^2 / u; 0 where u is 0.
-    distance : float
-        Viewing distance, the unit of the paper's rate.
-    seen : tuple of ndarray (H', W') bool
-        Of each context view.
-    texture : ndarray of shape (H, W)
-        w_grad of the target's photo.
-    """
-
-    scene_scale: float
-    delta: float
-    parallax: np.ndarray
-    kappa: np.ndarray
-    distance: float
-    seen: tuple[np.ndarray, ...]
-    texture: np.ndarray
-
-
-def depth_threshold(depth: np.ndarray, slices: float) -> float:
-    """delta: range of the valid depths / slices, in the depth's own unit (paper section 3; 20 slices)."""
-    d = depth[is_valid(depth)]
-    return float((d.max() - d.min()) / slices)
+    scene_scale: float              # scene units per device unit
+    delta: float                    # depth threshold: range of the initial depth / slices
+    parallax: np.ndarray            # (H, W): u; 0 where the pixel is fixed
+    kappa: np.ndarray               # (H, W): d0^2 / u; 0 where u is 0
+    distance: float                 # viewing distance, the unit of the paper's rate
+    seen: tuple[np.ndarray, ...]    # (H', W') bool of each context view
+    texture: np.ndarray             # (H, W): w_grad of the target's photo
 
 
 def prepare(initial, target: Photo, contexts: list[Photo], config: Config, scene_scale: float, delta: float,
@@ -100,7 +67,11 @@ def render(depth, target: Photo, context: Photo, config: Config, state: State) -
     """The target's Gaussians in the view of `context` (method sections 3 and 4)."""
     projected = project(depth, target.camera, context.camera, config.splatting.low_pass, state.scene_scale)
     photo = losses.comparable(context.image, config.loss)
-    colors = losses.comparable(target.exposed_as(context), config.loss)
+    own = target.image
+    if context.exposure is not None:        # as the context photo was exposed, clipped as a photo is
+        gain, offset = context.exposure.T
+        own = np.clip(gain * own + offset, 0, 1)
+    colors = losses.comparable(own, config.loss)
     return composite(projected, colors.reshape(-1, colors.shape[-1]), photo, config.splatting,
                      threshold_in(target, context, config, state))
 
@@ -115,21 +86,10 @@ def view_loss(depth, target: Photo, context: Photo, config: Config, state: State
 
 
 def loss_and_gradient(depth, target: Photo, contexts: list[Photo], config: Config, state: State, views=None):
-    """L = mean_v L_v + L_s, and N dL/dd with N the number of target pixels.
+    """L = mean_v L_v + L_s, a float, and N dL/dd (H, W), N the number of target pixels; 0 where there is no surface.
 
-    Parameters
-    ----------
-    depth : ndarray of shape (H, W)
-        Units, 0 = no surface.
-    views : sequence of int, optional
-        Indices of the context views of this step; all by default. With `config.loss.target_view` the target's own
-        view is one more view of the mean; it has no gradient.
-
-    Returns
-    -------
-    value : float
-    gradient : ndarray of shape (H, W)
-        0 where there is no surface.
+    `depth` (H, W) is in units, 0 = no surface; `views` are the indices of the context views of this step, all by
+    default. With `config.loss.target_view` the target's own view, which has no gradient, is one more of the mean.
     """
     photos, smooth = parts_of_loss(depth, target, contexts, config, state, views)
     return photos[0] + smooth[0], photos[1] + smooth[1]

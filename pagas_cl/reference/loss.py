@@ -1,7 +1,5 @@
 """Twin of splat/loss: how a rendered view is compared with its photo (method section 5)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.config import Loss
@@ -129,19 +127,10 @@ def ssim(x: np.ndarray, y: np.ndarray, robust: float = 0.0, structure: bool = Fa
 
 
 def photometric(color: np.ndarray, coverage: np.ndarray, photo: np.ndarray, loss: Loss, seen_mask=None, mask=None):
-    """L_v = (1 - lambda) L1 + lambda (1 - SSIM) of one view.
+    """L_v = (1 - lambda) L1 + lambda (1 - SSIM) of one view, dL_v/dC (H, W, channels) and dL_v/dA (H, W).
 
-    Parameters
-    ----------
-    color, photo : ndarray of shape (H, W, channels)
-        The rendered C and the photo, channels as of `comparable`.
-    coverage : ndarray of shape (H, W)
-    seen_mask, mask : ndarray of shape (H, W), bool, or None
-        Unseen mask (L1 only) and foreground mask (L1, and SSIM sees the photo where it is false).
-
-    Returns
-    -------
-    value, v_color (H, W, channels), v_coverage (H, W)
+    `color` is the rendered C, `photo` alike, channels as of `comparable`; `coverage` is A. The unseen mask (L1 only)
+    and the foreground mask (L1; SSIM sees the photo where it is false) are (H, W) bool, or None.
     """
     value, v_color, v_coverage = l1(color, coverage, photo, pixel_weight(photo, loss, seen_mask, mask),
                                     loss.coverage_weight, loss.robust / 4 if loss.robust > 0 else np.inf, loss.huber)

@@ -6,8 +6,6 @@ so that rounding, which moves a Gaussian by a millionth of a pixel, changes its 
 surface is the first one in a pixel stays a step.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,36 +22,24 @@ NEAREST = 128         # most participants of a pixel in the alpha blend
 class Pairs:
     """P pairs of Gaussian and pixel, sorted by (pixel, z, Gaussian).
 
-    Attributes
-    ----------
-    gaussian, pixel : ndarray of shape (P,), int64
-        Index of the target pixel, and of the context pixel (row * width + column).
-    Delta : ndarray of shape (P, 2)
-        Pixel centre minus projected mean, pixels.
-    z : ndarray of shape (P,)
-    raw, alpha : ndarray of shape (P,)
-        Weight o exp(-1/2 Delta^T K Delta), and what the blend takes: clamped at 0.999 ("alpha"), or times the window
-        and the share that the depth threshold leaves (order-free).
-    alpha_d : ndarray of shape (P,)
-        d alpha / dd of the pair's own Gaussian, the share held fixed; 0 where the clamp is active.
-    share : ndarray of shape (P,)
-        How much of the weight the depth threshold leaves, 0 to 1.
+    `alpha` is what the blend takes of `raw`: clamped at 0.999 ("alpha"), or times the window and the share that the
+    depth threshold leaves (order-free).
     """
 
-    gaussian: np.ndarray
-    pixel: np.ndarray
-    Delta: np.ndarray
-    z: np.ndarray
-    raw: np.ndarray
-    alpha: np.ndarray
-    alpha_d: np.ndarray
-    share: np.ndarray
+    gaussian: np.ndarray    # (P,) int64: index of the target pixel
+    pixel: np.ndarray       # (P,) int64: of the context pixel, row * width + column
+    Delta: np.ndarray       # (P, 2): pixel centre minus projected mean, pixels
+    z: np.ndarray           # (P,)
+    raw: np.ndarray         # (P,): weight o exp(-1/2 Delta^T K Delta)
+    alpha: np.ndarray       # (P,)
+    alpha_d: np.ndarray     # (P,): d alpha / dd of the pair's own Gaussian, the share held fixed; 0 where it is clamped
+    share: np.ndarray       # (P,): how much of the weight the depth threshold leaves, 0 to 1
 
-    def where(self, keep: np.ndarray) -> Pairs:
+    def where(self, keep: np.ndarray) -> "Pairs":
         """The pairs where `keep` holds, order kept."""
         return Pairs(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
-    def shared(self, share: np.ndarray) -> Pairs:
+    def shared(self, share: np.ndarray) -> "Pairs":
         """The pairs with a share of their weight above 0, order kept."""
         kept = replace(self, alpha=share * self.alpha, alpha_d=share * self.alpha_d, share=share)
         return kept.where(share > 0)
@@ -79,7 +65,10 @@ def candidates(projected: Projected, width: int, height: int, splatting: Splatti
     if splatting.blend == "alpha":
         alpha, alpha_d = np.minimum(ALPHA_MAX, raw), np.where(raw < ALPHA_MAX, raw * log_d, 0.0)
     else:
-        window, window_d = _window(projected, gaussian, Delta, radius)
+        inverse = 1 / max(radius * radius, 1e-12)
+        t = (Delta**2).sum(axis=1) * inverse
+        window = fading(np.sqrt(t))
+        window_d = 16 * t**3 * (1 - t**4) * inverse * (Delta * projected.m_d[gaussian]).sum(axis=1)
         alpha, alpha_d = raw * window, raw * (window * log_d + window_d)
     pairs = Pairs(gaussian, pixel, Delta, projected.z[gaussian], raw, alpha, alpha_d, np.ones(len(raw)))
     return pairs.where(np.lexsort((gaussian, pairs.z, pixel)))
@@ -99,13 +88,6 @@ def _weight(projected: Projected, g: np.ndarray, Delta: np.ndarray):
 def fading(x: np.ndarray) -> np.ndarray:
     """(1 - x^8)^2: 1 at x = 0, 0 from x = 1 on, where its slope is 0 too. How a weight comes to a bound."""
     return (1 - np.clip(x, 0, 1) ** 8) ** 2
-
-
-def _window(projected: Projected, g: np.ndarray, Delta: np.ndarray, radius: float):
-    """fading(|Delta| / r), and its derivative by d."""
-    inverse = 1 / max(radius * radius, 1e-12)
-    t = (Delta**2).sum(axis=1) * inverse
-    return fading(np.sqrt(t)), 16 * t**3 * (1 - t**4) * inverse * (Delta * projected.m_d[g]).sum(axis=1)
 
 
 def nearest_surface(pairs: Pairs, pixels: int) -> np.ndarray:

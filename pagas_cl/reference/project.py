@@ -3,15 +3,14 @@
 Method section 3, paper eq. 3 and 4.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.sampling import scene_scale_of
 
-NEAR = 1e-3  # least depth of a Gaussian that is drawn, in units
+NEAR, FAR = 1e-3, 1e6  # depths of Gaussians that are drawn, in units
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,37 +18,31 @@ class Projected:
     """The target's N Gaussians in one context view; symmetric 2x2 matrices are stored as (xx, xy, yy).
 
     Where `valid` is false (no surface, or z <= near) the other fields hold finite numbers without meaning.
-
-    Attributes
-    ----------
-    valid : ndarray of shape (N,), bool
-    z, z_d : ndarray of shape (N,)
-        Depth in the context view, units, and its derivative.
-    m, m_d : ndarray of shape (N, 2)
-        Projected mean, pixels (first pixel's centre at 0.5).
-    Sigma, Sigma_d : ndarray of shape (N, 3)
-        Projected covariance without low-pass, px^2.
-    K : ndarray of shape (N, 3)
-        Conic (Sigma + eps I)^-1, px^-2.
-    o, log_o_d : ndarray of shape (N,)
-        Compensation factor on opacity, and the derivative of its logarithm; 1 and 0 without low-pass.
     """
 
-    valid: np.ndarray
-    z: np.ndarray
+    valid: np.ndarray       # (N,) bool
+    z: np.ndarray           # (N,): depth in the context view, units
     z_d: np.ndarray
-    m: np.ndarray
+    m: np.ndarray           # (N, 2): projected mean, pixels (first pixel's centre at 0.5)
     m_d: np.ndarray
-    Sigma: np.ndarray
+    Sigma: np.ndarray       # (N, 3): projected covariance without low-pass, px^2
     Sigma_d: np.ndarray
-    K: np.ndarray
-    o: np.ndarray
-    log_o_d: np.ndarray
+    K: np.ndarray           # (N, 3): conic (Sigma + eps I)^-1, px^-2
+    o: np.ndarray           # (N,): compensation factor on opacity, 1 without low-pass
+    log_o_d: np.ndarray     # (N,): derivative of its logarithm
 
 
-def median_depth(depth: np.ndarray) -> float:
-    """The `scene_scale` of a run: the median of the valid depths, scene units."""
-    return float(np.median(depth[is_valid(depth)]))
+def normalized_depth(depth: np.ndarray, mask: np.ndarray | None) -> tuple[np.ndarray, float]:
+    """Depth in units of its median, float32, 0 where there is none, and that median, the scene's scale.
+
+    Depths outside NEAR to FAR units, masked out or not finite have no Gaussian.
+    """
+    depth = depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32)
+    scene_scale = scene_scale_of(depth, mask)
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = (depth / np.asarray(scene_scale, depth.dtype)).astype(np.float32)
+        valid = (depth > 0) & (depth < np.inf) & (scaled >= NEAR) & (scaled <= FAR)
+    return np.where(valid if mask is None else valid & mask, scaled, np.float32(0)), scene_scale
 
 
 def is_valid(depth: np.ndarray) -> np.ndarray:
@@ -67,14 +60,8 @@ def project(depth: np.ndarray, target: Camera, context: Camera, low_pass: float 
             scene_scale: float = 1.0) -> Projected:
     """Project the Gaussians of `target` into `context` (method section 3).
 
-    Parameters
-    ----------
-    depth : ndarray of shape (target.height, target.width)
-        z-depth in units (scene units divided by `scene_scale`), 0 = no surface.
-    low_pass : float
-        eps, px^2; 0 leaves low-pass and compensation out.
-    scene_scale : float
-        Length of one device unit in scene units (the cameras are in scene units).
+    `depth` (height, width) is z-depth in units (scene units divided by `scene_scale`; the cameras are in scene units),
+    0 = no surface; `low_pass` is eps, px^2, and 0 leaves low-pass and compensation out.
     """
     valid = is_valid(depth).ravel()
     d = np.where(valid, depth.ravel(), 1.0)

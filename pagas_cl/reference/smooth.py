@@ -3,8 +3,6 @@
 Each function returns the value and its gradient by depth, both WITHOUT the factor N of the step.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.config import Smoothness
@@ -14,16 +12,9 @@ from pagas_cl.reference.pairs import fading
 def smoothness(depth, valid, settings: Smoothness, kappa, rays, texture):
     """L_s of the configured kind: value, and gradient of shape (H, W).
 
-    Parameters
-    ----------
-    depth : ndarray of shape (H, W)
-        Units. `valid`, bool of the same shape, says where it is a surface.
-    kappa : ndarray of shape (H, W)
-        d0^2 / u, pixels of parallax per change of inverse depth; 0 where the pixel is fixed ("planar").
-    rays : ndarray of shape (H, W, 3)
-        rho of the target ("normal").
-    texture : ndarray of shape (H, W)
-        w_grad of the target's photo.
+    Arrays are (H, W): `depth` in units, a surface where `valid`; `kappa` = d0^2 / u, pixels of parallax per change of
+    inverse depth, 0 where the pixel is fixed ("planar"); `rays` (H, W, 3), rho of the target ("normal"); `texture`,
+    w_grad of the target's photo.
     """
     if settings.kind == "none" or settings.weight == 0:
         return 0.0, np.zeros(depth.shape)
@@ -89,16 +80,6 @@ def _central_cross(depth, valid, rays):
     return a, b, c, length, defined & (length > 0)
 
 
-def normals(depth, valid, rays):
-    """Unit normals (H, W, 3) from central differences of the depth map's points, 0 where not defined; they look
-    along +z of the target (away from it), as (P_right - P_left) x (P_down - P_up) does."""
-    n = np.zeros(rays.shape)
-    if min(depth.shape) >= 3:
-        _, _, c, length, defined = _central_cross(depth, valid, rays)
-        n[1:-1, 1:-1] = np.where(defined[..., None], c / np.where(defined, length, 1.0)[..., None], 0.0)
-    return n
-
-
 def normal(depth, valid, rays, pixel_weight, weight):
     """weight / (2N) sum_i pixel_weight_i ((1 - n_i.n_right) + (1 - n_i.n_down)) where both normals are defined
     (the paper's L_s)."""
@@ -123,20 +104,3 @@ def normal(depth, valid, rays, pixel_weight, weight):
     v_P[2:, 1:-1] += v_b
     v_P[:-2, 1:-1] -= v_b
     return value, np.where(valid, (v_P * rays).sum(axis=-1), 0.0)
-
-
-def raised(weights, specularity, most: float):
-    """Weights (H, W) raised where a surface is specular: by (largest residual within 3 samples / 0.007)^2, 1 to `most`.
-
-    `specularity`: residuals on a grid over the image, NaN = unknown; the factors are interpolated between its samples.
-    """
-    around = 3
-    padded = np.pad(np.nan_to_num(specularity), around)
-    largest = np.lib.stride_tricks.sliding_window_view(padded, (2 * around + 1,) * 2).max(axis=(2, 3))
-    factors = np.clip((largest / 0.007) ** 2, 1.0, most)
-    for axis, (pixels, samples) in enumerate(zip(weights.shape, specularity.shape)):
-        at = np.clip((np.arange(pixels) + 0.5) * samples / pixels - 0.5, 0, samples - 1)
-        low = at.astype(int)
-        share = (at - low)[:, None] if axis == 0 else at - low
-        factors = (1 - share) * factors.take(low, axis) + share * factors.take(np.minimum(low + 1, samples - 1), axis)
-    return weights * factors

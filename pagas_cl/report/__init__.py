@@ -1,5 +1,6 @@
 """Pictures of what a run did, and one page to look at (Pillow and NumPy alone)."""
 
+from pagas_cl.report.mesh_view import VertexValues, mesh_viewer, write_mesh_page
 from pagas_cl.report.writer import Report
 
-__all__ = ["Report"]
+__all__ = ["Report", "VertexValues", "mesh_viewer", "write_mesh_page"]

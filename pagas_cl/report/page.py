@@ -1,11 +1,11 @@
 """The page a person looks at: one HTML file with everything in it, and the pictures in full size beside it."""
 
-from __future__ import annotations
-
 import base64
 import io
 from html import escape
+from importlib.resources import files
 from pathlib import Path
+from urllib.parse import quote
 
 from PIL import Image
 
@@ -13,16 +13,6 @@ from pagas_cl.report.pictures import css_gradient
 from pagas_cl.scene.files import replaced
 
 _THUMBNAIL = 480  # pixels, longer side of a picture inside the page
-_STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 1500px; padding: 0 1em; color: #222 }
-table { border-collapse: collapse; margin: 1em 0 } td, th { padding: .25em .8em; text-align: right }
-td:first-child, th:first-child { text-align: left } tr:nth-child(even) { background: #f3f3f3 }
-.pictures { display: flex; flex-wrap: wrap; gap: 1em } figure { margin: 0; width: 340px }
-figure img { width: 100%; display: block } figcaption { font-size: 13px }
-.legend { font-size: 13px; color: #555; margin: .3em 0 }
-.strip { height: 6px; margin: 3px 0 } h2 { margin-top: 2em } body > img { max-width: 100% }
-tr.marked, tr.marked:nth-child(even) { background: #e6f2e6; font-weight: 600 }
-"""
 
 
 def write_picture(path: Path, pixels) -> None:
@@ -31,50 +21,98 @@ def write_picture(path: Path, pixels) -> None:
         Image.fromarray(pixels).save(beside, **({"quality": 92} if path.suffix == ".jpg" else {}))
 
 
-def figure(picture, link: str) -> str:
+def figure(picture, link: str, large: bool = False) -> str:
     """HTML of one picture with its legend: a small copy in the page, a link to the full size."""
-    strip = f'<div class="strip" style="background:{css_gradient(picture.map_name)}"></div>' if picture.map_name else ""
-    return (f'<figure><a href="{escape(link)}"><img src="{_embedded(picture.pixels)}" alt="{escape(picture.title)}">'
-            f"</a>{strip}<figcaption><b>{escape(picture.title)}</b> {escape(picture.legend)}</figcaption></figure>")
+    return (f'<figure{" class=large" * large}><a href="{_address(link)}">{_image(picture, link)}</a>'
+            f"{_strip(picture)}<figcaption><b>{escape(picture.title)}</b> {escape(picture.legend)}"
+            "</figcaption></figure>")
+
+
+def compared(before, after, links: tuple[str, str]) -> str:
+    """HTML of two pictures of one size over each other, with a slider between them; the legend is of `after`."""
+    title = after.title.removesuffix(" after")
+    full = ", ".join(f'<a href="{_address(link)}">{when}</a>' for link, when in zip(links, ("before", "after")))
+    return (f'<figure class="large"><div class="pair">{_image(after, links[1])}{_image(before, links[0], "over")}'
+            f'{slider(f"{title}: share of the picture that shows what was before")}</div>{_strip(after)}'
+            f"<figcaption><b>{escape(title)}</b> {escape(after.legend)} (full size: {full})</figcaption></figure>")
+
+
+def slider(label: str) -> str:
+    """HTML of the line between before and after, and what moves it."""
+    return ('<span class="tag">before</span><span class="tag right">after</span><i class="line"></i>'
+            f'<input type="range" min="0" max="100" step="0.1" value="50" aria-label="{escape(label)}">')
 
 
 def html_page(title: str, notes: list[str], header: list[str], rows: list[list[str]], sections: list[tuple] = (),
-              legend: list[str] = (), picture: str = "", marked=()) -> str:
-    """The whole page: `notes` below the title, an image `picture`, a table, below it its `legend`, then the sections.
+              legend: list[str] = (), picture: str = "", marked=(), *, headline: str = "", facts=(), lead: str = "",
+              body: str = "", closing: list[str] = (), scripts: list[str] = ()) -> str:
+    """The whole page, all text escaped but for `lead`, `body` and the pictures of sections, which are HTML.
 
-    A section is (name, pictures as HTML, lines of text); a row whose first cell names one leads there. Rows that are
-    `marked` stand out.
+    From the top: `headline`, one sentence; `lead`; `facts`, pairs of a word and a text; `notes`; `body`; an image
+    `picture`; a table, `legend` below it; the sections; `closing` lines. A section is (name, pictures as HTML, lines of
+    text); a row whose first cell names one leads there. Rows that are `marked` stand out. `scripts` of this package run
+    at the end.
     """
-    parts = [f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
-             f"<style>{_STYLE}</style><h1>{escape(title)}</h1>", _paragraphs(notes)]
+    parts = ['<!doctype html><html lang="en"><meta charset="utf-8"><meta name="generator" content="pagas-cl">'
+             '<meta name="viewport" content="width=device-width, initial-scale=1">'
+             f"<title>{escape(title)}</title><style>{_shipped('page.css')}</style><h1>{escape(title)}</h1>"]
+    parts += [f'<p class="headline">{escape(headline)}</p>'] if headline else []
+    parts.append(lead)
+    if facts:
+        parts.append('<dl class="facts">' + "".join(f"<dt>{escape(word)}</dt><dd>{_fact(word, text)}</dd>"
+                                                    for word, text in facts) + "</dl>")
+    parts += [_paragraphs(notes), body]
     if picture:
-        parts.append(f'<img src="{escape(picture)}" alt="{escape(title)}">')
-    linked = {name for name, *_ in sections}
-    parts.append("<table>" + _row("th", header))
-    parts += [_row("td", row, row[0] in linked, k < len(marked) and marked[k]) for k, row in enumerate(rows)]
-    parts += ["</table>", _paragraphs(legend, ' class="legend"')]
+        parts.append(f'<div class="wide"><img src="{_address(picture)}" alt="{escape(title)}"></div>')
+    places = {name: f"section-{k}" for k, (name, *_) in enumerate(sections)}
+    if rows:
+        parts.append('<div class="wide"><table>' + _row("th", header))
+        parts += [_row("td", row, places.get(row[0], ""), k < len(marked) and marked[k]) for k, row in enumerate(rows)]
+        parts.append("</table></div>")
+    parts.append(_paragraphs(legend, ' class="legend"'))
     for name, figures, remarks in sections:
-        parts += [f'<h2 id="{escape(name)}">{escape(name)}</h2>', _paragraphs(remarks),
+        parts += [f'<h2 id="{places[name]}">{escape(name)}</h2>', _paragraphs(remarks),
                   f'<div class="pictures">{"".join(figures)}</div>']
-    return "\n".join(parts) + "\n</html>\n"
+    parts.append(_paragraphs(closing))
+    parts += [f"<script>{_shipped(name)}</script>" for name in scripts]
+    return "\n".join(part for part in parts if part) + "\n</html>\n"
+
+
+def _shipped(name: str) -> str:
+    return files("pagas_cl.report").joinpath(name).read_text("utf-8")
+
+
+def _fact(word: str, text: str) -> str:
+    return f"<code>{escape(text)}</code>" if word == "command" else escape(text)
 
 
 def _paragraphs(lines, kind: str = "") -> str:
     return "\n".join(f"<p{kind}>{escape(line)}</p>" for line in lines)
 
 
-def _row(tag: str, row: list[str], linked: bool = False, marked: bool = False) -> str:
+def _row(tag: str, row: list[str], place: str = "", marked: bool = False) -> str:
     cells = [escape(cell) for cell in row]
-    if linked:
-        cells[0] = f'<a href="#{cells[0]}">{cells[0]}</a>'
+    if place:
+        cells[0] = f'<a href="#{place}">{cells[0]}</a>'
     kind = ' class="marked"' if marked else ""
     return f"<tr{kind}>" + "".join(f"<{tag}>{cell}</{tag}>" for cell in cells) + "</tr>"
 
 
-def _embedded(pixels) -> str:
-    """A small JPEG of the picture as a data address."""
-    image = Image.fromarray(pixels)
+def _address(name: str) -> str:
+    return escape(quote(name))
+
+
+def _strip(picture) -> str:
+    return f'<div class="strip" style="background:{css_gradient(picture.map_name)}"></div>' if picture.map_name else ""
+
+
+def _image(picture, link: str, kind: str = "") -> str:
+    """A small JPEG of the picture inside the page; the page's script puts the one at `link` in its place."""
+    image = Image.fromarray(picture.pixels)
+    width, height = image.size
     image.thumbnail((_THUMBNAIL, _THUMBNAIL))
     buffer = io.BytesIO()
     image.save(buffer, "JPEG", quality=85)
-    return f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+    data = base64.b64encode(buffer.getvalue()).decode()
+    return (f'<img{f" class={kind}" if kind else ""} src="data:image/jpeg;base64,{data}" data-full="{_address(link)}" '
+            f'width="{width}" height="{height}" alt="{escape(picture.title)}" draggable="false">')

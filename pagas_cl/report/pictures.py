@@ -4,8 +4,6 @@ Colour maps are a few anchors with straight lines between them; each rises evenl
 ends to white at zero.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +14,9 @@ from pagas_cl.scene.camera import Camera
 
 _SMALLEST_CHANGE = 0.1  # pixels: where nothing moved the scale does not blow rounding up to full colour
 NOTHING = (34, 34, 34)  # colour of a pixel without a value
+_CLAY, _LIGHT = (214, 208, 198), np.array([-0.62, -0.62, -0.48])  # as in viewer.js
 
-_MAPS = {
+MAPS = {
     "sequential": ((48, 18, 84), (49, 75, 140), (33, 128, 141), (62, 180, 112), (170, 216, 60), (253, 236, 80)),
     "signed": ((20, 60, 140), (90, 150, 215), (200, 222, 240), (255, 255, 255), (250, 214, 190), (225, 120, 85),
                (140, 20, 40)),
@@ -64,6 +63,23 @@ def view_pictures(photo, camera: Camera, before, after, *, change=None, confiden
     return pictures
 
 
+def shaded_pictures(view, before, after) -> list[Picture]:
+    """Two surfaces lit alike in a View, by their z-depths (H, W), 0 = no surface, and the view's photo."""
+    legend = f"lit from the upper left, seen from view {view.name}"
+    return [*(Picture(f"shaded_{when}", f"shaded {when}", shaded(depth, view.camera), legend)
+              for when, depth in (("before", before), ("after", after))),
+            Picture("photo", "photo", np.asarray(view.load_image(), np.uint8), view.name)]
+
+
+def shaded(depth, camera: Camera) -> np.ndarray:
+    """A depth map (H, W) as a lit surface of one colour, uint8 (H, W, 3); NOTHING where it has no normal."""
+    normals = normals_of(np.asarray(depth), camera)
+    facing = np.where((normals * camera.rays()).sum(axis=-1, keepdims=True) > 0, -normals, normals)
+    light = 0.1 + 0.84 * np.maximum(facing @ _LIGHT, 0) + 0.08 * np.maximum(-facing[..., 2], 0)
+    rgb = (np.array(_CLAY) / 255) * light[..., None] ** (1 / 2.2) * 255
+    return np.where((normals != 0).any(axis=-1, keepdims=True), np.rint(np.minimum(rgb, 255)), NOTHING).astype(np.uint8)
+
+
 def depth_range(*depths) -> tuple[float, float]:
     """First and last percentile of all valid depths, (0, 1) where there is none."""
     values = np.concatenate([depth[depth > 0].ravel()[::7] if depth.size > 10_000 else depth[depth > 0].ravel()
@@ -99,7 +115,7 @@ def change_in_units(before, after, parallax) -> np.ndarray:
 
 def colored(values, low: float, high: float, valid, map_name: str = "sequential") -> np.ndarray:
     """Colours, uint8 (H, W, 3), of `values` (H, W) clipped to `low` .. `high`; NOTHING where not `valid`, (H, W)."""
-    anchors = np.array(_MAPS[map_name], np.float64)
+    anchors = np.array(MAPS[map_name], np.float64)
     places = np.linspace(0, 1, len(anchors))
     share = np.clip((np.where(valid, values, low) - low) / max(high - low, 1e-30), 0, 1)
     rgb = np.stack([np.interp(share, places, anchors[:, channel]) for channel in range(3)], axis=-1)
@@ -114,4 +130,4 @@ def normal_colors(normals, valid) -> np.ndarray:
 
 def css_gradient(map_name: str) -> str:
     """The colour map as a CSS background, for the legend of the page."""
-    return f"linear-gradient(90deg, {', '.join(f'rgb({r},{g},{b})' for r, g, b in _MAPS[map_name])})"
+    return f"linear-gradient(90deg, {', '.join(f'rgb({r},{g},{b})' for r, g, b in MAPS[map_name])})"

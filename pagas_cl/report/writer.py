@@ -1,20 +1,24 @@
 """Collects the views of a run as they are done, and writes the pictures and the page."""
 
-from __future__ import annotations
-
 import json
-import re
+import time
+from html import escape
 from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.report.page import figure, html_page, write_picture
-from pagas_cl.report.pictures import change_in_units, parallax_change, view_pictures
+from pagas_cl.report.headline import STATUS, bar, sentence, shares, summed
+from pagas_cl.report.mesh_view import SCRIPTS, mesh_viewer
+from pagas_cl.report.page import compared, figure, html_page, write_picture
+from pagas_cl.report.pictures import change_in_units, parallax_change, shaded_pictures, view_pictures
 from pagas_cl.scene.files import write_text
+from pagas_cl.scene.names import flat_stem
 
-LEGEND = ["Pixels: refined = moved by the photos; kept = the input stays, since no other photo sees the pixel, it is "
-          "masked out, or the whole view came back as it came; rejected = the input stays, since the photos speak "
-          "against the new depth; no surface = no depth to start from.",
+LEGEND = ["Shares are of the pixels with a surface to start from: refined = moved by the photos; kept = the input "
+          "stays, since no other photo sees the pixel, it is masked out, the photos show "
+          "nothing there, or the whole view came back as it came; rejected = the "
+          "input stays, since the photos speak against the new depth. No surface: share of all pixels. "
+          "The pixels themselves are counted in report.json.",
           "Change: how far the surface moved as the other photos see it, in pixels of parallax (px). Confidence: 1 = "
           "the photos fix the depth, 0.5 = they fix it to one pixel of parallax, 0 = they say nothing.",
           "Pictures: click for full size; dark grey = no value; the strip below a picture is its scale, from left to "
@@ -25,41 +29,58 @@ class Report:
     """A folder with `index.html`, `report.json` and, for every view, `<view>_<picture>.png` (the photo as .jpg).
 
     Used as a context manager, so that an interrupted run has a page of what was done. The folder is made, files of the
-    same names are replaced; `notes` are lines below the title.
+    same names are replaced; `notes` are lines below the title, `facts` pairs of a word and a text (scene, command).
     """
 
-    def __init__(self, folder, title: str = "pagas_cl", notes=()):
+    def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=()):
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
-        self.title, self.notes = title, list(notes)
+        self.title, self.notes, self.facts = title, list(notes), list(facts)
         self._views: list[dict] = []
+        self._reasons: list[str] = []
         self._sections: list[tuple] = []
+        self._stems = ["mesh"]
+        self._mesh, self._stopped, self._began = "", "", time.monotonic()
 
-    def __enter__(self) -> Report:
+    def __enter__(self) -> "Report":
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, kind, error, _):
+        if kind is not None:
+            self._stopped = "interrupted" if kind is KeyboardInterrupt else str(error) or kind.__name__
         self.write()
 
-    def add(self, view, before, after, *, contexts=(), parallax=None, confidence=None, counts=None, remarks=()) -> None:
+    def add(self, view, before, after, *, contexts=(), parallax=None, confidence=None, counts=None, remarks=(),
+            reason: str = "") -> None:
         """Write the pictures of one View (maps as in `view_pictures`) and remember its row of the table.
 
         The change is measured by the Cameras `contexts` (`parallax_change`), or by `parallax` (H, W), the change of
         depth that is one pixel of parallax, 0 = unknown; without either of them there is no picture of it. `counts` are
-        columns of the table, `remarks` lines above the pictures.
+        columns of the table, `remarks` lines above the pictures; `reason`: why the view came back as it came.
         """
         photo, camera = view.load_image(), view.camera
         change = parallax_change(camera, list(contexts), before, after) if contexts else None
         if parallax is not None:
             change = change_in_units(before, after, parallax)
-        stem = file_stem(view.name)
-        figures = []
-        for picture in view_pictures(photo, camera, before, after, change=change, confidence=confidence):
-            name = f"{stem}_{picture.key}.{'jpg' if picture.key == 'photo' else 'png'}"
-            write_picture(self.folder / name, picture.pixels)
-            figures.append(figure(picture, name))
+        stem = flat_stem(view.name, self._stems)
+        self._stems.append(stem)
+        pictures = view_pictures(photo, camera, before, after, change=change, confidence=confidence)
+        figures = self._figures(stem, pictures)
         self._views.append({"view": view.name, **(counts or {}), **_change_figures(change, confidence, after)})
-        self._sections.append((view.name, figures, list(remarks)))
+        self._reasons.append(reason)
+        lines = [f"kept as it came: {reason}"] if reason else []
+        self._sections.append((view.name, figures, [*lines, *remarks]))
+
+    def add_mesh(self, before, after, values=(), *, view=None, depths=None, remarks=()) -> None:
+        """Show two meshes, coloured by VertexValues of the mesh after (see `mesh_viewer`), at the head of the page.
+
+        `view`: the View from where they are seen at first. `depths`: of both meshes, (H, W) z-depth in that view, drawn
+        as shaded pictures with a slider beside its photo.
+        """
+        html = mesh_viewer(before, after, values, camera=view and view.camera)
+        figures = self._figures("mesh", shaded_pictures(view, *depths)) if depths is not None else []
+        lines = "".join(f"<p>{line}</p>" for line in map(escape, remarks))
+        self._mesh = f'<h2>mesh</h2>{lines}{html}<div class="pictures">{"".join(figures)}</div>'
 
     def note(self, text: str) -> None:
         self.notes.append(text)
@@ -67,18 +88,28 @@ class Report:
     def write(self) -> Path:
         """Write the page and the numbers; returns the page's path."""
         columns = list(dict.fromkeys(key for row in self._views for key in row)) or ["view"]
-        rows = [[_cell(row.get(key)) for key in columns] for row in self._views]
-        content = {"notes": self.notes, "views": self._views}
+        total = {"view": f"all {len(self._views)} views", **summed(self._views)} if len(self._views) > 1 else {}
+        rows = [_cells(row, columns) for row in (*self._views, *([total] if len(total) > 1 else []))]
+        headline = sentence(self._views, self._reasons, self._stopped)
+        facts = [*self.facts, ("time", _duration(time.monotonic() - self._began))] if self.facts else []
+        content = {"headline": headline, **dict(facts), "notes": self.notes, "views": self._views}
         write_text(self.folder / "report.json", json.dumps(content, indent=1) + "\n")
-        legend = LEGEND if self._views else []
-        return write_text(self.folder / "index.html",
-                          html_page(self.title, self.notes, columns, rows, self._sections, legend))
+        page = html_page(self.title, self.notes, columns, rows, self._sections, LEGEND if self._views else [],
+                         headline=headline, facts=facts, lead=bar(self._views), body=self._mesh,
+                         scripts=["page.js", *(SCRIPTS if self._mesh else [])])
+        return write_text(self.folder / "index.html", page)
 
-
-def file_stem(name: str) -> str:
-    """A view's name without its suffix, as part of a file name: `cam1/a b.jpg` becomes `cam1_a_b`."""
-    path = Path(name)
-    return re.sub(r"[^\w.-]+", "_", str(path.parent / path.stem)).strip("_.") or "view"
+    def _figures(self, stem: str, pictures) -> list[str]:
+        """Write the pictures; HTML of those before and after each other's, then of the single ones."""
+        links = {}
+        for picture in pictures:
+            links[picture.key] = f"{stem}_{picture.key}.{'jpg' if picture.key == 'photo' else 'png'}"
+            write_picture(self.folder / links[picture.key], picture.pixels)
+        found = {picture.key: picture for picture in pictures}
+        pairs = [(key, key.replace("_before", "_after")) for key in found if key.endswith("_before")]
+        single = [picture for key, picture in found.items() if not any(key in pair for pair in pairs)]
+        return ([compared(found[a], found[b], (links[a], links[b])) for a, b in pairs]
+                + [figure(picture, links[picture.key], len(single) == 1) for picture in single])
 
 
 def _change_figures(change, confidence, after) -> dict:
@@ -92,9 +123,23 @@ def _change_figures(change, confidence, after) -> dict:
     return figures
 
 
+def _cells(row: dict, columns) -> list[str]:
+    """The row of the table: pixels as shares, other figures as they are."""
+    share = shares(row)
+    pixels = sum(row.get(name, 0) for name in (*STATUS, "no surface"))
+    if pixels and "no surface" in row:
+        share["no surface"] = row["no surface"] / pixels
+    return [f"{share[key]:.1%}" if key in share else _cell(row.get(key)) for key in columns]
+
+
 def _cell(value) -> str:
     if value is None:
         return ""
     if isinstance(value, float):
         return f"{value:.4g}"
     return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def _duration(seconds: float) -> str:
+    minutes = round(seconds / 60)
+    return f"{seconds:.1f} s" if seconds < 100 else f"{minutes} min" if minutes < 100 else f"{minutes / 60:.1f} h"

@@ -1,19 +1,15 @@
 """Device buffers declared as data: planned, compared with the device and allocated from one declaration."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import Field, dataclass, field, fields
 from math import prod
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceError, DeviceMemoryError
-
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.device import Device
 
 Handed = TypeVar("Handed", bound="Buffers")
 
@@ -34,7 +30,6 @@ class BufferSpec:
 
 
 def total_bytes(specs: Iterable[BufferSpec]) -> int:
-    """Bytes that `specs` take together."""
     return sum(spec.nbytes for spec in specs)
 
 
@@ -67,25 +62,15 @@ def declared(shape: tuple[int | str, ...], dtype: type, unit: str, purpose: str,
              start: Any = None, each: str = "") -> Any:
     """A field of a Buffers class.
 
-    Parameters
-    ----------
-    shape : tuple of int and str
-        A str names one of the dimensions that a plan is made for.
-    unit : str
-        Of what an element says; "" for none.
-    needed : str, optional
-        Names a dimension; the field is None where that is zero or False.
-    start : NumPy scalar of 32 bits, optional
-        What it is filled with when it is allocated; left as it is by default.
-    each : str, optional
-        Names a dimension that is a list: the field is a tuple of buffers, with so many elements each.
+    A str in `shape` names one of the dimensions that a plan is made for; `unit` is that of an element, "" for none. The
+    field is None where the dimension `needed` is zero or False, and a tuple of buffers where `each` names one that is a
+    list: with so many elements each. `start`, a NumPy scalar of 32 bits, is what it is filled with when allocated.
     """
     return field(default=() if each else None, metadata=dict(
         shape=shape, dtype=dtype, unit=unit, purpose=purpose, needed=needed, start=start, each=each))
 
 
 def _specs(own: Field[Any], dimensions: dict[str, Any]) -> list[BufferSpec]:
-    """What is allocated for one field."""
     said = own.metadata
     if said["needed"] and not dimensions[said["needed"]]:
         return []
@@ -138,6 +123,5 @@ class Buffers:
             setattr(self, own.name, own.default)
 
     def held(self) -> list[cl.Buffer]:
-        """All that there are."""
         values = [getattr(self, own.name) for own in fields(self)]
         return [buffer for value in values for buffer in (value if isinstance(value, tuple) else (value,)) if buffer]

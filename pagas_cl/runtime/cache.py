@@ -1,18 +1,14 @@
 """Small facts about this machine that are worth keeping from one run to the next: JSON files in the user's cache."""
 
-from __future__ import annotations
-
 import hashlib
 import json
-import logging
 from pathlib import Path
 from typing import Any
 
 from platformdirs import user_cache_dir
 
+from pagas_cl.errors import log
 from pagas_cl.scene.files import replaced
-
-log = logging.getLogger("pagas_cl")
 
 _MOST = 1_000_000                          # bytes that such a file may have
 _in_memory: dict[Path, dict[str, Any]] = {}   # where the disk takes none

@@ -1,7 +1,6 @@
 """Asking an OpenCL driver in a process of its own, so that one that crashes or hangs does not take us along."""
 
-from __future__ import annotations
-
+import ctypes
 import json
 import os
 import signal
@@ -17,11 +16,16 @@ class Answer:
     """What a child process came to; `value` is None where it ended without an answer."""
 
     value: dict[str, Any] | None
-    fault: str = ""
-    """How it ended then: "aborted (SIGABRT: ...)", "gave no answer within 60 s", ..."""
-    hung: bool = False
-    crashed: bool = False
-    """A signal has ended it; `hung`: it gave no answer in time."""
+    fault: str = ""         # how it ended then: "crashed (SIGABRT: ...)", "gave no answer within 60 s", ...
+    hung: bool = False      # it gave no answer in time
+    crashed: bool = False   # a signal has ended it
+
+
+def end_with_parent() -> None:
+    """In a child of `ask`: be killed with the thread that waits for it, even inside a driver that never returns. Of
+    Linux alone; elsewhere a driver that hangs outlives a parent that is killed."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)     # PR_SET_PDEATHSIG
 
 
 def ask(module: str, question: dict[str, Any], timeout: float, environment: dict[str, str] | None = None) -> Answer:

@@ -4,15 +4,14 @@ Each process locks a file named after the device (its place on the bus where the
 the process, however that ends, so that a new worker can take a lost one's place.
 """
 
-from __future__ import annotations
-
 import os
 import re
+import stat
 import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from pagas_cl.errors import DeviceError
 from pagas_cl.runtime import device as devices
@@ -20,19 +19,17 @@ from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.info import DeviceInfo
 from pagas_cl.runtime.trial import try_device
 from pagas_cl.runtime.vendors import import_pyopencl
+from pagas_cl.scene import locks
 
 WAIT = 20.0               # seconds to wait for a device that is at work for another process
-_held: dict[str, IO[str]] = {}
+_held: dict[str, int] = {}
 
 
 def known_devices(names: str | Sequence[str] | None = None) -> list[tuple[DeviceInfo, Any, int]]:
     """(DeviceInfo, pyopencl.Device, lanes) of every device that `names` means and that works, best first.
 
-    Parameters
-    ----------
-    names : str, tuple of str, or None
-        Parts of device names. "all" and None mean every device of the best kind there is: all GPUs, or else the CPU
-        (one, since several drivers may offer the same one); None heeds the environment variable PAGAS_CL_DEVICE first.
+    `names` are parts of device names. "all" and None mean every device of the best kind there is: all GPUs, or else the
+    CPU (one, since several drivers may offer the same one); None heeds the environment variable PAGAS_CL_DEVICE first.
     """
     chosen: list[tuple[DeviceInfo, Any, int]] = []
     found = devices.find_devices(import_pyopencl())
@@ -96,26 +93,33 @@ def _identity(info: DeviceInfo, cl_device: Any, place: int) -> str:
 
 
 def _unlock(name: str) -> None:
-    file = _held.pop(name, None)
-    if file:
-        file.close()
+    descriptor = _held.pop(name, None)
+    if descriptor is not None:
+        os.close(descriptor)
 
 
 def _lock(name: str) -> bool:
-    """Take the lock `name` for the life of this process."""
-    try:
-        import fcntl
-    except ImportError:  # no such locks on this system: the caller sees to it
-        return True
+    """Take the lock `name` for the life of this process. DeviceError where there is no place for it."""
     if name in _held:
         return True
-    folder = Path(tempfile.gettempdir()) / f"pagas_cl-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    file = open(folder / f"{name}.lock", "w")  # noqa: SIM115  (held until this process ends)
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        file.close()
-        return False
-    _held[name] = file
-    return True
+        descriptor = locks.take(_lock_folder() / f"{name}.lock")
+    except OSError as error:
+        raise DeviceError(f"no device can be claimed, since {error.filename!r} cannot be opened "
+                          f"({error.strerror or error}): set TMPDIR to a folder of your own") from error
+    if descriptor is not None:
+        _held[name] = descriptor
+    return descriptor is not None
+
+
+def _lock_folder() -> Path:
+    """A folder for locks that no other user can put anything into."""
+    user = os.getuid() if hasattr(os, "getuid") else None
+    folder = Path(tempfile.gettempdir()) / f"pagas_cl-{user if user is not None else 'locks'}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if user is not None and not (stat.S_ISDIR(found.st_mode) and found.st_uid == user and not found.st_mode & 0o022):
+        raise DeviceError(f"no device can be claimed, since the folder {str(folder)!r} for its locks is not yours "
+                          "alone (another user's, a link, or open to others): remove it, or set TMPDIR to a folder of "
+                          "your own")
+    return folder

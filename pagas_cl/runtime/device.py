@@ -1,27 +1,23 @@
 """Choosing an OpenCL device and opening it: one context, one in-order queue."""
 
-from __future__ import annotations
-
-import logging
 import os
 import re
 import threading
 import weakref
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from pagas_cl.errors import DeviceError, InputError, NoDeviceError
+from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, InputError, NoDeviceError, log
 from pagas_cl.runtime import icd, listing
 from pagas_cl.runtime.info import DeviceInfo
 from pagas_cl.runtime.trial import Trial, try_device
-from pagas_cl.runtime.vendors import import_pyopencl
+from pagas_cl.runtime.vendors import check_process, import_pyopencl
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.memory import Memory
-
-log = logging.getLogger("pagas_cl")
 
 ENVIRONMENT = "PAGAS_CL_DEVICE"
 SHARE = "PAGAS_CL_SHARE"  # how many processes may work on one device
@@ -43,7 +39,7 @@ class Device:
     """Whether events of `queue` carry times."""
 
     @cached_property
-    def memory(self) -> Memory:
+    def memory(self) -> "Memory":
         """The buffers that this process holds on the device, counted."""
         from pagas_cl.runtime.memory import Memory, limit_of
 
@@ -57,22 +53,15 @@ class Device:
 def open_device(name: str | Device | None = None, *, profiling: bool = False) -> Device:
     """Open the OpenCL device called `name`, if a trial has shown that it works (runtime.trial; made once a driver).
 
-    Parameters
-    ----------
-    name : str, Device or None
-        Part of "platform / device", upper or lower case; "gpu" or "cpu" for the kind; "auto" for the best one (a GPU
-        before a CPU). None takes the environment variable PAGAS_CL_DEVICE, and "auto" where it is not set. A Device is
-        returned as it is.
-    profiling : bool
-        Record a start and an end time with every event of the queue.
+    `name` is part of "platform / device", upper or lower case; "gpu" or "cpu" for the kind; "auto" for the best one (a
+    GPU before a CPU). None takes the environment variable PAGAS_CL_DEVICE, and "auto" where it is not set. A Device is
+    returned as it is. `profiling`: record a start and an end time with every event of the queue.
 
-    Raises
-    ------
-    DeviceError
-        There is no platform, no device matches, the one that matches lacks something, has failed its trial, or cannot
-        be opened. The message says what was found and what to install.
+    DeviceError: there is no platform, no device matches, the one that matches lacks something, has failed its trial, or
+    cannot be opened. The message says what was found and what to install.
     """
     if isinstance(name, Device):
+        check_process()
         return name
     cl = import_pyopencl()
     faults = []
@@ -128,6 +117,7 @@ def give_up(device: Device) -> None:
 
 def working(device: Device) -> Device:
     """`device`, or the same one opened anew where its context was given up; DeviceError where it cannot be."""
+    check_process()
     if device not in _given_up:
         return device
     try:
@@ -144,7 +134,38 @@ def opened(info: DeviceInfo, cl_device: Any, lanes: int, profiling: bool = False
     cl = import_pyopencl()
     context = cl.Context([cl_device])
     queue = cl.CommandQueue(context, cl_device, cl.command_queue_properties.PROFILING_ENABLE if profiling else 0)
-    return Device(info, cl_device, context, queue, lanes, profiling)
+    device = Device(info, cl_device, context, queue, lanes, profiling)
+    device.memory      # noqa: B018  (InputError where PAGAS_CL_MEMORY is no number: now, and not in the first view)
+    return device
+
+
+# What the driver says when a device fails in the middle of work.
+_MEMORY = ("MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_HOST_MEMORY")
+_LOST = ("OUT_OF_RESOURCES", "DEVICE_NOT_AVAILABLE", "DEVICE_NOT_FOUND", "INVALID_DEVICE", "INVALID_COMMAND_QUEUE",
+         "INVALID_CONTEXT", "EXEC_STATUS_ERROR_FOR_EVENTS_IN_WAIT_LIST")
+_OF_DRIVERS = -9999       # NVIDIA's code for an access that its hardware refused; below -1000 each maker has its own
+
+
+@contextmanager
+def translate_cl_errors(device: Device, doing: str) -> Iterator[None]:
+    """Context: errors of the driver while `doing` (a noun phrase) on `device`, as ours; others as they are.
+
+    DeviceMemoryError: it has no memory left, fewer buffers may do. DeviceLostError: it answers no more, or has ended
+    what it was at; its context is given up.
+    """
+    cl, title = import_pyopencl(), device.info.title
+    try:
+        yield
+    except cl.Error as error:
+        code = getattr(error, "code", 0)
+        if code in [getattr(cl.status_code, name) for name in _MEMORY]:
+            raise DeviceMemoryError(f"{title} ran out of memory during {doing} ({error})") from error
+        if code in [getattr(cl.status_code, name) for name in _LOST] or code <= _OF_DRIVERS:
+            give_up(device)
+            raise DeviceLostError(f"{title} failed during {doing} ({error}): start the same command again, which goes "
+                                  "on from the views that are on disk; where it fails again, update its driver or "
+                                  "choose another device (pagas-cl devices)") from error
+        raise
 
 
 def shares() -> int:

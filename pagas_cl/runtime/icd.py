@@ -3,8 +3,6 @@
 An OpenCL loader (libOpenCL) finds drivers by small text files `*.icd`, each of which names a library.
 """
 
-from __future__ import annotations
-
 import glob
 import os
 import re
@@ -34,7 +32,6 @@ def _packager() -> str:
 
 
 def no_pyopencl(error: ImportError) -> str:
-    """What to say when pyopencl cannot be imported."""
     if getattr(error, "name", None) == "pyopencl":
         return "pyopencl is not installed: pip install pyopencl"
     message = f"pyopencl is installed but cannot be loaded ({error}): pip install --force-reinstall pyopencl"
@@ -61,10 +58,11 @@ def no_platform(reason: str = "") -> str:
 
 
 def no_device(platforms: list[str]) -> str:
-    """What to say when there are platforms and none has a device."""
     message = f"the OpenCL platforms found have no device: {', '.join(platforms)}"
     if any("AMD" in name or "Accelerated Parallel" in name for name in platforms):
         message += "; may you read /dev/kfd? Add your user to the groups render and video, then log in again"
+    if "POCL_CACHE_DIR" in os.environ:
+        message += f"; POCL_CACHE_DIR is set to {os.environ['POCL_CACHE_DIR']!r}, which must be writable"
     if "POCL_DEVICES" in os.environ:
         message += f"; POCL_DEVICES is set to {os.environ['POCL_DEVICES']!r}, unset it"
     return f"{message}. {cpu_advice()}"

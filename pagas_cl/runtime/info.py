@@ -1,7 +1,5 @@
 """What an OpenCL device says of itself, and what it lacks."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from typing import Any
@@ -17,27 +15,22 @@ class DeviceInfo:
 
     platform: str
     name: str
-    kind: str
-    """One of "GPU", "CPU", "accelerator" and "other"."""
+    kind: str                   # one of "GPU", "CPU", "accelerator" and "other"
     vendor: str = ""
-    version: str = ""
-    c_version: str = ""
+    version: str = ""           # the device's OpenCL version
+    c_version: str = ""         # that of its compiler
     driver: str = ""
-    """As the platform reports them: `version` is the device's OpenCL version, `c_version` that of its compiler."""
     memory: int = 0
-    max_alloc: int = 0
-    local_memory: int = 0
-    """Global memory, the largest single buffer, local memory of a work-group."""
+    max_alloc: int = 0          # the largest single buffer
+    local_memory: int = 0       # of a work-group
     work_group: int = 1
     compute_units: int = 1
-    vector_width: int = 1
-    """Floats that its processor handles in one instruction, as the driver has it; 1 on a GPU."""
+    vector_width: int = 1       # floats in one instruction of its processor, as the driver has it; 1 on a GPU
     extensions: tuple[str, ...] = ()
     available: bool = True
     compiler: bool = True
     little_endian: bool = True
-    fault: str = ""
-    """Why the device does not do what it says, where a trial (runtime.trial) has shown it."""
+    fault: str = ""             # why it does not do what it says, where a trial (runtime.trial) has shown it
 
     @property
     def title(self) -> str:

@@ -1,21 +1,16 @@
 """Which devices OpenCL offers, asked first by a child process: a driver that crashes then is left out, not we."""
 
-from __future__ import annotations
-
 import json
-import logging
 import os
 import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pagas_cl.errors import DeviceError, NoDeviceError
+from pagas_cl.errors import DeviceError, NoDeviceError, log
 from pagas_cl.runtime import cache, icd, vendors
-from pagas_cl.runtime.child import ask
+from pagas_cl.runtime.child import ask, end_with_parent
 from pagas_cl.runtime.info import DeviceInfo, describe
-
-log = logging.getLogger("pagas_cl")
 
 LIMIT = 60.0              # seconds for the drivers to say what they have
 
@@ -80,6 +75,7 @@ def _state(name: str) -> list[Any]:
 def enumerate_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:
     """Every device of every platform, in the platforms' order, as (DeviceInfo, pyopencl.Device), asked in this process;
     NoDeviceError where the loader finds no platform, or the platforms have no device."""
+    vendors.begin_process()
     try:
         platforms = cl.get_platforms()
     except cl.Error as error:
@@ -108,4 +104,5 @@ def _answer() -> dict[str, Any]:
 
 
 if __name__ == "__main__":
+    end_with_parent()
     sys.stdout.write("\n" + json.dumps(_answer()) + "\n")

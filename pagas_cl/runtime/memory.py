@@ -4,20 +4,15 @@ Buffers that are given back wait for the next of their size and role: a driver t
 that it frees, and views of one size need the same ones again.
 """
 
-from __future__ import annotations
-
 import os
 from collections import defaultdict, deque
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceMemoryError, InputError
-
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.device import Device
 
 ENVIRONMENT = "PAGAS_CL_MEMORY"      # most MB of device memory that a process may take
 
@@ -34,7 +29,7 @@ class Memory:
         self.held = self.peak = self.waiting = self._planned = 0
         self._kept: defaultdict[tuple[str, int], deque[_Counted]] = defaultdict(deque)      # never an empty one
 
-    def buffer(self, context: cl.Context, nbytes: int, role: str = "") -> _Counted:
+    def buffer(self, context: cl.Context, nbytes: int, role: str = "") -> "_Counted":
         """A buffer for reading and writing; what is in it is left over from whatever it served before.
 
         One that has served in the `role` is taken again, so that kernels find it where it was. DeviceMemoryError where
@@ -67,7 +62,7 @@ class Memory:
         self.held += nbytes
         self.peak = max(self.peak, self.held)
 
-    def keep(self, buffer: _Counted) -> None:
+    def keep(self, buffer: "_Counted") -> None:
         """Take back a buffer that nothing enqueued later will use."""
         self._kept[buffer.role, buffer.size].append(buffer)
         self.waiting += buffer.size
@@ -76,7 +71,7 @@ class Memory:
         """Let the driver have every buffer that waits."""
         self._free(0)
 
-    def _pop(self, role: str, nbytes: int) -> _Counted:
+    def _pop(self, role: str, nbytes: int) -> "_Counted":
         kept = self._kept[role, nbytes]
         buffer = kept.popleft()
         if not kept:
@@ -146,4 +141,4 @@ def limit_of(total: int, processes: int = 1) -> int:
 
 
 def _mb(nbytes: int) -> str:
-    return f"{nbytes / 1e6:,.0f}"
+    return f"{nbytes / 1e6:,.0f}" if nbytes >= 10e6 or not nbytes else f"{nbytes / 1e6:.2g}"

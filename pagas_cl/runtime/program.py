@@ -1,7 +1,5 @@
 """Kernels from package data: includes pasted, compiled once a device and defines, launched with bound arguments."""
 
-from __future__ import annotations
-
 import re
 import warnings
 import weakref
@@ -11,15 +9,13 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceError, KernelBuildError
-
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.device import Device
 
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$')
 GROUP_1D, GROUP_2D = (128,), (32, 4)
@@ -44,6 +40,11 @@ def _pasted(name: str, seen: set[str]) -> list[str]:
         else:
             lines.append(line)
     return lines
+
+
+@cache
+def _words(name: str) -> frozenset[str]:
+    return frozenset(re.findall(r"\w+", _COMMENT.sub("", source(name))))
 
 
 _KERNEL = re.compile(r"__kernel\b[^;{]*?\bvoid\s+(\w+)\s*\(([^)]*)\)")
@@ -74,9 +75,11 @@ _programs: dict[tuple[int, str, tuple[str, ...]], Program] = {}
 
 
 def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
-    """Compile the kernel file `name` for `device` with `defines` ("NAME" or "NAME=value"); once a process. pyopencl
-    keeps the binaries on disk, by source, options, device and driver."""
-    key = (device.context.int_ptr, name, tuple(defines))
+    """Compile the kernel file `name` for `device` with those of `defines` ("NAME" or "NAME=value") that it mentions;
+    once a process. pyopencl keeps the binaries on disk, by source, options, device and driver: what a file does not
+    mention must not make another program of it."""
+    defines = tuple(define for define in defines if define.partition("=")[0] in _words(name))
+    key = (device.context.int_ptr, name, defines)
     if key not in _programs:
         options = [*OPTIONS, *(f"-D{define}" for define in defines)]
         try:
@@ -103,6 +106,7 @@ class _Kernel:
     def __init__(self, program: Program, name: str):
         self.cl_kernel, self.name = cl.Kernel(program.built, name), name
         self._values: list[Any] = []            # as _remembered tells them; none before the first time
+        self._numbers: dict[str, Any] = {}      # those of them that are numbers, as they were given
         self._places = {argument: (index, kind) for index, (argument, kind) in
                         enumerate(program.signatures[name].items())}
 
@@ -113,13 +117,17 @@ class _Kernel:
             self.cl_kernel.set_args(*values)
             self._values = [_remembered(value) for value in values]
             return
-        for name, value in arguments.items():
+        for name, given in arguments.items():
             index, kind = self._places[name]
-            value = _argument(value, kind, self.name)
+            if kind and given and self._numbers.get(name) == given:      # not 0, which has two signs
+                continue
+            value = _argument(given, kind, self.name)
             known, remembered = self._values[index], _remembered(value)
             if known is not remembered and known != remembered:      # the same object needs no comparison
                 self.cl_kernel.set_arg(index, value)
                 self._values[index] = remembered                     # not if it was refused
+            if kind:
+                self._numbers[name] = given
 
 
 def _remembered(value: Any) -> Any:

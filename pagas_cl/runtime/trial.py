@@ -4,10 +4,7 @@ A driver may list a processor that its compiler does not know, abort while it co
 number. What a trial has shown is kept on disk (device, driver, kernels, lanes), so that it is made once.
 """
 
-from __future__ import annotations
-
 import hashlib
-import logging
 import os
 import time
 from collections.abc import Iterator
@@ -16,11 +13,9 @@ from functools import cache as cached
 from importlib.resources import files
 from typing import Any
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.runtime import cache, child
 from pagas_cl.runtime.info import DeviceInfo
-
-log = logging.getLogger("pagas_cl")
 
 LANES, LIMIT, KNOWN = "PAGAS_CL_LANES", "PAGAS_CL_TRIAL_SECONDS", "PAGAS_CL_TRIAL"
 WIDTHS = (16, 8, 4, 1)    # pixels of a row that a work-item may handle side by side (lanes.clh)
@@ -31,10 +26,8 @@ MODULE = "pagas_cl.selftest.trial"    # what the child runs: one step of each bl
 class Trial:
     """What trying a device has shown, in `seconds`."""
 
-    lanes: int
-    """Most pixels side by side with which it passed; 0 where it did not pass at all."""
-    fault: str = ""
-    """Why it did not pass, or not with more lanes; empty where nothing was wrong."""
+    lanes: int              # most pixels side by side with which it passed; 0 where it did not pass at all
+    fault: str = ""         # why it did not pass, or not with more lanes; empty where nothing was wrong
     seconds: float = 0.0
 
 

@@ -6,24 +6,32 @@ with a path that does not exist; so a folder of our own takes the system's files
 is. A user who sets OCL_ICD_VENDORS has chosen, and nothing is done.
 """
 
-from __future__ import annotations
-
+import atexit
+import logging
 import os
+import shutil
 import sys
 import tempfile
+from functools import cache as cached
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from types import ModuleType
 
-from pagas_cl.errors import NoDeviceError
+from pagas_cl.errors import DeviceError, NoDeviceError
 from pagas_cl.runtime import cache, icd
+
+log = logging.getLogger("pagas_cl")
 
 VARIABLE = "OCL_ICD_VENDORS"
 _INTEL, _LIBRARY = "intel-opencl-rt", "libintelocl.so"
 
 
+_process: list[int] = []      # the process whose drivers were asked first
+
+
 def import_pyopencl() -> ModuleType:
     """The pyopencl module, or a NoDeviceError that says what is wrong with it."""
+    check_process()
     register()
     try:
         import pyopencl
@@ -32,14 +40,48 @@ def import_pyopencl() -> ModuleType:
     return pyopencl
 
 
+def begin_process() -> None:
+    """From here on the drivers run threads of their own in this process."""
+    _process[:] = [os.getpid()]
+
+
+def check_process() -> None:
+    """Raise DeviceError in a process that was forked from one in which drivers run: their threads are not in it, and
+    whatever it asks of them waits for ever."""
+    if _process and _process[0] != os.getpid():
+        raise DeviceError("this process was forked from one that had used OpenCL, whose drivers do not survive that: "
+                          "start it with multiprocessing.get_context('spawn'), as in ProcessPoolExecutor(4, "
+                          "multiprocessing.get_context('spawn')), or use no device before the fork")
+
+
 def register() -> None:
     """Have the loader find the system's drivers and Intel's from pip.
 
     It looks when it is first asked: later calls change nothing in this process.
     """
+    replace_cache()
     intel = None if VARIABLE in os.environ or not sys.platform.startswith("linux") else intel_library()
     if intel and not any(_LIBRARY in Path(name).read_text(errors="replace") for name in icd.system_files()):
         os.environ[VARIABLE] = folder_of(icd.system_files(), {"pagas_cl-intel-cpu.icd": f"{intel}\n"})
+
+
+@cached
+def replace_cache() -> None:
+    """Where the user's cache cannot be written PoCL has no device, and pyopencl fails: a folder of ours, then."""
+    try:
+        cache.folder().mkdir(mode=0o700, parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=cache.folder()):
+            pass
+    except OSError as error:
+        log.warning("%s cannot be written (%s): the device is tried and its kernels are compiled anew in every run; "
+                    "name another folder with XDG_CACHE_HOME", cache.folder(), error.strerror or error)
+        os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="pagas_cl-cache-")
+        atexit.register(_remove, os.environ["XDG_CACHE_HOME"], os.getpid())
+
+
+def _remove(folder: str, process: int) -> None:
+    if os.getpid() == process:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def folder_of(names: list[str], more: dict[str, str] | None = None) -> str:

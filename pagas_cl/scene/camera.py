@@ -1,7 +1,5 @@
 """A pinhole camera in the one convention that is used everywhere inside (method section 2)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -49,7 +47,7 @@ class Camera:
 
     @classmethod
     def from_opencv_w2c(cls, K: npt.ArrayLike, world_to_camera: npt.ArrayLike, width: int, height: int, *,
-                        pixel_center: float = 0.5, name: str = "") -> Camera:
+                        pixel_center: float = 0.5, name: str = "") -> "Camera":
         """From OpenCV axes (x right, y down, z forward), K (3, 3) in pixels and a pose (3, 4) or (4, 4).
 
         `pixel_center` is where K puts the centre of the top-left pixel: 0.5 (COLMAP; rays of Open3D) or 0 (OpenCV's
@@ -66,20 +64,20 @@ class Camera:
 
     @classmethod
     def from_c2w(cls, K: npt.ArrayLike, camera_to_world: npt.ArrayLike, width: int, height: int, *,
-                 pixel_center: float = 0.5, name: str = "") -> Camera:
+                 pixel_center: float = 0.5, name: str = "") -> "Camera":
         """From OpenCV axes and a camera-to-world pose (the camera's place in the world); else as from_opencv_w2c."""
         pose = _checked_pose(camera_to_world, f"camera {name!r}")
         return cls.from_opencv_w2c(K, inverse_pose(pose), width, height, pixel_center=pixel_center, name=name)
 
     @classmethod
     def from_opengl_c2w(cls, K: npt.ArrayLike, camera_to_world: npt.ArrayLike, width: int, height: int, *,
-                        pixel_center: float = 0.5, name: str = "") -> Camera:
+                        pixel_center: float = 0.5, name: str = "") -> "Camera":
         """From OpenGL axes (x right, y up, looking along -z; nerfstudio, Blender) and a camera-to-world pose."""
         pose = _checked_pose(camera_to_world, f"camera {name!r}") @ _OPENGL_TO_OPENCV
         return cls.from_c2w(K, pose, width, height, pixel_center=pixel_center, name=name)
 
     @classmethod
-    def from_colmap(cls, camera: Any, image: Any) -> Camera:
+    def from_colmap(cls, camera: Any, image: Any) -> "Camera":
         """From pycolmap's Camera and Image (PINHOLE or SIMPLE_PINHOLE; COLMAP counts pixel centres at +0.5)."""
         model = camera.model.name if hasattr(camera.model, "name") else str(camera.model)
         if model not in ("PINHOLE", "SIMPLE_PINHOLE"):
@@ -91,7 +89,7 @@ class Camera:
                    camera.principal_point_x, camera.principal_point_y, pose, image.name)
 
     @classmethod
-    def from_open3d(cls, parameters: Any, *, pixel_center: float = 0.0, name: str = "") -> Camera:
+    def from_open3d(cls, parameters: Any, *, pixel_center: float = 0.0, name: str = "") -> "Camera":
         """From Open3D's legacy PinholeCameraParameters, which count pixel centres at whole numbers."""
         intrinsic = parameters.intrinsic
         return cls.from_opencv_w2c(intrinsic.intrinsic_matrix, parameters.extrinsic, intrinsic.width,
@@ -127,17 +125,53 @@ class Camera:
             uv = p[..., :2] / z[..., None] * (self.fx, self.fy) + (self.cx, self.cy)
         return uv, z
 
-    def resized(self, width: int, height: int) -> Camera:
+    def resized(self, width: int, height: int) -> "Camera":
         """The same camera for the image resampled to `width` x `height` (the image's corners stay in place)."""
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx,
                        cy=self.cy * sy)
 
-    def relative_to(self, target: Camera) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def relative_to(self, target: "Camera") -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Rotation R (3, 3) and translation tau (3,) from `target`'s camera frame to this one (method section 3)."""
         rotation = self.world_to_camera[:3, :3] @ target.world_to_camera[:3, :3].T
         # the centres' difference keeps its digits when both are far from the origin
         return rotation, self.world_to_camera[:3, :3] @ (target.center - self.center)
+
+
+def viewing_distance(cameras: list[Camera]) -> float:
+    """Median distance of the cameras from the point nearest to all viewing axes (the paper's unit of the rate).
+
+    NaN where there is none: the axes are parallel, or it lies behind most cameras.
+    """
+    centers = np.array([camera.center for camera in cameras])
+    axes = np.array([camera.direction for camera in cameras])
+    origin = centers[0]
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # projects onto the plane across each axis
+    normal_matrix = across.sum(axis=0)
+    if np.linalg.eigvalsh(normal_matrix)[0] < 1e-6 * len(cameras):
+        return float("nan")
+    point = np.linalg.solve(normal_matrix, np.einsum("nij,nj->i", across, centers - origin))
+    to_point = point - (centers - origin)
+    if ((to_point * axes).sum(axis=1) > 0).mean() <= 0.5:
+        return float("nan")
+    return float(np.median(np.linalg.norm(to_point, axis=1)))
+
+
+def footprint(target: Camera, context: Camera, scene_scale: float) -> float:
+    """Size of `context`'s pixel at the middle of the target at depth `scene_scale`, in units; 0 behind it."""
+    rotation, tau = context.relative_to(target)
+    z = rotation[2, 2] + tau[2] / scene_scale
+    return max(0.0, float(z)) / float(np.sqrt(context.fx * context.fy))
+
+
+def camera_table(target: Camera, contexts: list[Camera], scene_scale: float) -> np.ndarray:
+    """The cameras as camera.clh reads them, target first, lengths in `scene_scale`: float32 (1 + contexts, 20)."""
+    rows = []
+    for camera in (target, *contexts):
+        rotation, tau = camera.relative_to(target)
+        rows.append([*rotation.ravel(), *(tau / scene_scale), camera.fx, camera.fy, camera.cx, camera.cy, 1 / camera.fx,
+                     1 / camera.fy, camera.width, camera.height])
+    return np.array(rows, np.float32)
 
 
 def intrinsics(fx: float, fy: float, cx: float, cy: float) -> npt.NDArray[np.float64]:

@@ -5,8 +5,6 @@ decides; what the photos cannot decide is said to be undecided. `check_seen` is 
 goes before every refinement.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
@@ -15,8 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
+from pagas_cl.scene import fit as sentences
 from pagas_cl.scene import patches
+from pagas_cl.scene.align import Alignment, align, focus
 from pagas_cl.scene.camera import Camera, inverse_pose
+from pagas_cl.scene.fit import GOOD, Fit, Reading, fitted
 from pagas_cl.scene.inputs import Cameras, Images, as_cameras, as_views
 from pagas_cl.scene.mesh import Mesh, Surface, to_surface
 from pagas_cl.scene.view import View
@@ -25,17 +26,21 @@ _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 _SAMPLES = 20_000
 _WORK = 20_000_000   # camera-point pairs of one reading of the poses
 _CHANCE = 0.0005     # share of the mesh that a wrong reading may have in an image by chance; a city's view has more
+_MUCH = 0.1          # share of the mesh that images show on the average where its unit is right
+_FOUND = 0.8         # correlation at which no other place of the mesh is tried
 _SEES = 0.002        # the same of the fewer samples that photos are compared at
 _CLEAR = 0.15        # a pose reading must correlate better by this much
-_GOOD = 0.5          # correlation of photos that agree
+UNITS = (1e-3, 1e-2, 0.0254, 0.1, 0.3048, 1 / 0.3048, 10.0, 1 / 0.0254, 100.0, 1e3)   # metric, inches, feet
 
 
 class _Change(NamedTuple):
-    """A way to read the cameras' numbers: what it does to a camera, what mends it, and the matrices in words."""
+    """A way to read the cameras' numbers: what it does to a camera, what mends it in Python and in the scene's
+    files, and the matrices in words."""
 
     name: str
     of: Callable[[Camera], Camera]
     mend: str
+    in_files: str = ""
     matrices: str = ""
 
 
@@ -47,23 +52,32 @@ def _shifted(step: float) -> Callable[[Camera], Camera]:
     return lambda camera: replace(camera, cx=camera.cx + step, cy=camera.cy + step)
 
 
-_POSES = (
+POSES = (
     _Change("as given", lambda camera: camera, ""),
-    _Change("inverted", _posed(inverse_pose), "Camera.from_c2w(K, matrix, ...)", "the inverse matrices"),
+    _Change("inverted", _posed(inverse_pose), "Camera.from_c2w(K, matrix, ...)",
+            "the scene's files hold camera-to-world poses where world-to-camera ones belong (as in images.txt): "
+            "invert each pose there", "the inverse matrices"),
     _Change("y and z flipped", _posed(lambda m: _FLIP @ m),
             "Camera.from_opengl_c2w(K, camera_to_world, ...), with the camera-to-world matrices",
-            "y and z flipped (OpenGL axes)"),
+            "the scene's files hold poses with OpenGL's axes: turn the signs of the second and third row of each "
+            "world-to-camera matrix there", "y and z flipped (OpenGL axes)"),
     _Change("inverted, y and z flipped", _posed(lambda m: _FLIP @ inverse_pose(m)),
-            "Camera.from_opengl_c2w(K, matrix, ...)", "the inverse matrices and y and z flipped (OpenGL axes)"),
+            "Camera.from_opengl_c2w(K, matrix, ...)",
+            "the scene's files hold camera-to-world poses with OpenGL's axes: write them as a transforms.json "
+            "(--format nerfstudio), which means them so", "the inverse matrices and y and z flipped (OpenGL axes)"),
 )
 _DETAILS = (
     _Change("principal point from the bottom", lambda camera: replace(camera, cy=camera.height - camera.cy),
-            "cy = height - cy (in MeshLab projects: flavour='openmvs' or 'meshlab')"),
+            "cy = height - cy (in MeshLab projects: flavour='openmvs' or 'meshlab')",
+            "the scene's files count cy from the bottom: put height - cy there (MeshLab projects: --mlp-flavour)"),
     _Change("half a pixel more", _shifted(0.5),
-            "pixel_center=0 in the constructor (K counts pixel centres at whole numbers)"),
+            "pixel_center=0 in the constructor (K counts pixel centres at whole numbers)",
+            "the scene's files count pixel centres at whole numbers: add 0.5 to cx and cy there"),
     _Change("half a pixel less", _shifted(-0.5),
-            "pixel_center=0.5 in the constructor (K counts pixel centres at +0.5)"),
+            "pixel_center=0.5 in the constructor (K counts pixel centres at +0.5)",
+            "the scene's files count pixel centres at +0.5: subtract 0.5 from cx and cy there"),
 )
+_WAYS = (*POSES, *_DETAILS)
 
 
 def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDArray[np.float64]:
@@ -79,15 +93,23 @@ def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDAr
     seeing, count = int(np.count_nonzero(inside)), len(cameras)
     if 2 * seeing >= count:
         return inside
-    better = [int(np.count_nonzero(patches.shares([way.of(camera) for camera in cameras], points)[1] > _CHANCE))
-              for way in _POSES[1:]]
+    by_pose = [patches.shares([way.of(camera) for camera in cameras], points)[1] for way in POSES[1:]]
+    by_unit = [patches.shares(cameras, unit * points)[1] for unit in UNITS]
+    better, seen = ([int(np.count_nonzero(share > _CHANCE)) for share in shares] for shares in (by_pose, by_unit))
     best = int(np.argmax(better))  # the first of equals: the simplest reading
     behind = int(np.count_nonzero(front < 0.5))
     who = f"{seeing} of {count} cameras see the mesh" + (f", it lies behind {behind} of {count}" if behind else "")
+    fitting = [k for k, share in enumerate(by_unit)     # the largest of these is no dot
+               if seen[k] >= 0.9 * count and share.mean() > max(_MUCH, 3 * by_pose[best].mean())]
+    if fitting and not seeing:
+        raise InputError(f"{who}; with the mesh scaled by {UNITS[fitting[-1]]:.4g} {seen[fitting[-1]]} of {count} do: "
+                         "is it in another unit than the cameras ('pagas-cl check' tells by the photos)?")
     if better[best] >= (0.9 * count if seeing else max(1, 0.5 * count)):
-        way = _POSES[1 + best]
-        raise InputError(f"{who}; with {way.matrices} {better[best]} of {count} do: pass "
-                         f"{way.mend.partition('(')[0]}(...)")
+        way = POSES[1 + best]
+        found = f"{who}; with {way.matrices} {better[best]} of {count} do: "
+        error = InputError(f"{found}pass {way.mend.partition('(')[0]}(...)")
+        error.at_command_line = f"{found}{way.in_files}"
+        raise error
     if seeing == 0:
         centers = np.array([camera.center for camera in cameras])
         raise InputError(f"{who}, nor do more with inverse matrices or OpenGL axes: the mesh spans {_box(points)}, the "
@@ -122,34 +144,12 @@ class ViewCheck:
 
 
 @dataclass(frozen=True)
-class Reading:
-    """One way to read the cameras' numbers.
-
-    `front`, `inside`: mean shares of the mesh; `seeing`: views that see it; `agreement`: median correlation of
-    `patches` patches between pairs of photos, None where fewer than 30 could be compared; `mend`: what to call
-    instead; `better`: whether patch by patch the photos significantly prefer it to the cameras as given.
-    """
-
-    name: str
-    front: float
-    inside: float
-    seeing: int
-    agreement: float | None
-    patches: int
-    mend: str
-    better: bool = False
-
-    def __str__(self) -> str:
-        """The agreement, as sentences say it."""
-        return "unknown" if self.agreement is None else f"{self.agreement:.2f}"
-
-
-@dataclass(frozen=True)
 class CameraReport:
     """What `check_cameras` found.
 
-    `ok`: the cameras as given see the mesh and are the best reading; `sentence`: what is wrong and what mends it, or
-    that nothing is; `half_pixel`: what the photos say about pixel centres; `readings`: as given first.
+    `ok`: the cameras as given see the mesh, are the best reading, and fit to it; `sentence`: what is wrong, what mends
+    it and how sure that is, or that nothing is; `half_pixel`: what the photos say about pixel centres; `readings`: as
+    given first; `fit`: where the mesh would have to be for the photos to agree, None where that is not known.
     """
 
     ok: bool
@@ -158,9 +158,11 @@ class CameraReport:
     best: str
     readings: tuple[Reading, ...]
     views: tuple[ViewCheck, ...]
+    fit: Fit | None = None
+    at_command_line: tuple[str, str] = ("", "")
+    """`half_pixel` and `sentence` for who mends files and not calls."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain nested dictionary, ready for JSON."""
         return asdict(self)
 
 
@@ -184,24 +186,69 @@ def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None, most: 
         raise InputError("the mesh has no area: all its triangles are degenerate")
     keep = patches.evenly(len(cams), most)
     greys = None if views is None else [patches.grey_of(views[k].load_image()) for k in keep]
-    given = _Trial(_POSES[0], cams, keep, greys, samples)
-    trials = [given, *(_Trial(way, cams, keep, greys, samples) for way in _POSES[1:])]
+    given = _Trial(POSES[0], cams, keep, greys, samples)
+    trials = [given, *(_Trial(way, cams, keep, greys, samples) for way in POSES[1:])]
     if given.pairs:
-        trials += [_Trial(way, cams, keep, greys, samples, given) for way in _DETAILS]
+        trials.append(_Trial(_DETAILS[0], cams, keep, greys, samples, given))
     readings = [trial.reading(given) for trial in trials]
+    best, fit, halves, at = _best(readings, len(cams)), None, [readings[0]], given
+    if best is readings[0] and greys is not None:
+        fit, moved = _fit([cams[k] for k in keep], greys, samples, bool(given.pairs), readings[0], cams)
+        at = given if moved is None else _Trial(POSES[0], cams, keep, greys, moved)
+    if at.pairs:
+        halves = [trial.reading(at) for trial in (at, *(_Trial(way, cams, keep, greys, at.samples, at)
+                                                        for way in _DETAILS[1:]))]
     checks = tuple(ViewCheck(camera.name or f"view {i}", float(f), float(n))
                    for i, (camera, f, n) in enumerate(zip(cams, given.front, given.inside)))
-    best = _best(readings)
-    return CameraReport(best is readings[0] and best.seeing > 0, _sentence(readings[0], best, len(cams)),
-                        _half_pixel(readings), best.name, tuple(readings), checks)
+    told = []
+    for mends in ({way.name: f"use {way.mend}" for way in _WAYS}, {way.name: way.in_files for way in _WAYS}):
+        told.append((sentences.half_pixel(halves, fit, mends),
+                     sentences.sentence(readings[0], best, len(cams), fit, halves, mends[best.name])))
+    right = best is readings[0] and best.seeing > 0 and not (fit and fit.apart)
+    readings += [replace(half, better=half.better and not (fit and fit.apart)) for half in halves[1:]]
+    (half, sentence), at_command_line = told
+    return CameraReport(right, sentence, half, best.name, tuple(readings), checks, fit, at_command_line)
+
+
+def _fit(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Samples, compared: bool, given: Reading,
+         every: list[Camera]) -> tuple[Fit | None, patches.Samples | None]:
+    """Where the mesh would have to be for the photos to agree best, and its samples there. Where they do not agree
+    as given, other units are tried too, and the mesh moved to where the cameras look."""
+    starts = [Alignment()] if compared else []
+    if (given.agreement or 0.0) < GOOD:
+        middle = samples.points.mean(axis=0)
+        starts += [Alignment(unit) for unit in UNITS[::-1]] + [        # a dot may agree by chance: the largest first
+                   Alignment(1.0, focus(cameras) - middle)]
+    found: list[tuple[Fit, patches.Samples]] = []
+    for start in starts:
+        at_start = start.of(samples)
+        if 2 * np.count_nonzero(patches.shares(every, at_start.points)[1] > _SEES) < len(every):
+            continue
+        alignment = align(cameras, greys, samples, start)
+        if alignment is None:
+            continue
+        moved, same = alignment.of(samples), start.scale == 1 and not start.offset.any()
+        seen, theirs = patches.overlaps(cameras, moved)
+        new = patches.patch_correlation(cameras, greys, theirs, seen, moved)
+        if np.isfinite(new).sum() < patches.LEAST:
+            continue
+        old = patches.patch_correlation(cameras, greys, theirs, seen, samples) if same else np.full_like(new, -1.0)
+        found.append((fitted(alignment, start, samples.points.mean(axis=0), old, new, given.agreement,
+                             patches.prefers(new, old)), moved))
+        if found[-1][0].agreement > _FOUND:
+            break
+    if not found:
+        return None, None
+    fit, moved = max(found, key=lambda one: one[0].agreement)
+    return fit, moved if fit.better else None
 
 
 class _Trial:
     """One reading, measured. Detail readings use the pairs and patches of the cameras as given."""
 
     def __init__(self, way: _Change, cams: list[Camera], keep: np.ndarray, greys: list[np.ndarray] | None,
-                 samples: patches.Samples, given: _Trial | None = None):
-        self.way, self.scores = way, np.zeros(0)
+                 samples: patches.Samples, given: "_Trial | None" = None):
+        self.way, self.scores, self.samples = way, np.zeros(0), samples
         self.seen, self.pairs = np.zeros(0, bool), list[tuple[int, int]]()
         cameras = [way.of(camera) for camera in cams]
         self.front, self.inside = patches.shares(cameras, samples.points)
@@ -212,7 +259,7 @@ class _Trial:
         if self.pairs:
             self.scores = patches.patch_correlation(chosen, greys, self.pairs, self.seen, samples)
 
-    def reading(self, given: _Trial) -> Reading:
+    def reading(self, given: "_Trial") -> Reading:
         compared = int(np.isfinite(self.scores).sum())
         agreement = float(np.nanmedian(self.scores)) if compared >= patches.LEAST else None
         paired = self is not given and self.pairs is given.pairs and agreement is not None
@@ -221,9 +268,9 @@ class _Trial:
                        paired and patches.prefers(self.scores, given.scores))
 
 
-def _best(readings: Sequence[Reading]) -> Reading:
+def _best(readings: Sequence[Reading], count: int) -> Reading:
     """The reading to use: as given unless another one is clearly right."""
-    given, poses = readings[0], readings[1:len(_POSES)]
+    given, poses = readings[0], readings[1:len(POSES)]
     level = given.agreement or 0.0
     agreeing = [r for r in poses if (r.agreement or 0.0) > max(max(level, 0.0) + _CLEAR, _CLEAR * 2)]
     if agreeing:
@@ -232,40 +279,5 @@ def _best(readings: Sequence[Reading]) -> Reading:
         if reading.name == _DETAILS[0].name and reading.better and (reading.agreement or 0.0) > level + 0.02:
             return reading
     if given.agreement is None and given.seeing == 0:
-        return max((r for r in poses if r.seeing > 0), key=lambda r: (r.seeing, r.inside), default=given)
+        return max((r for r in poses if 2 * r.seeing >= count), key=lambda r: (r.seeing, r.inside), default=given)
     return given
-
-
-def _sentence(given: Reading, best: Reading, count: int) -> str:
-    behind = "; the mesh lies behind them" if given.front < 0.05 else ""
-    sees = f"{given.seeing} of {count} cameras see the mesh{behind}"
-    if best is not given and best.seeing and not given.seeing:
-        agree = "" if best.agreement is None else f", and the photos agree ({best})"
-        return f"{sees}; {best.name}, {best.seeing} of {count} do{agree}: use {best.mend}"
-    if best is not given:
-        return (f"photos agree better over the mesh with the cameras {best.name} ({best} instead of {given}): use "
-                f"{best.mend}")
-    if given.seeing == 0:
-        return (f"{sees}, in no reading of their numbers: cameras and mesh are in different coordinate frames or units "
-                "(align them first), or the mesh belongs to another scene")
-    if given.agreement is None:
-        return f"{sees}; too few textured patches are seen by two photos to say more"
-    if given.agreement < _GOOD:
-        return (f"{sees}, but the photos agree only {given} over it, and no other reading of the cameras does better: "
-                "is the mesh coarse, are photos and cameras paired rightly, do the photos fit together?")
-    return f"{sees}, and the photos agree over it ({given}): the cameras are right as they are"
-
-
-def _half_pixel(readings: Sequence[Reading]) -> str:
-    found = [r for r in readings if r.name.startswith("half a pixel") and r.agreement is not None]
-    given = readings[0].agreement
-    if not found or given is None:
-        return "pixel centres: not compared, since no two photos could be"
-    agreements = ", ".join([f"as given {given:.4f}", *(f"{r.name} {r.agreement:.4f}" for r in found)])
-    better = [r for r in found if r.better]
-    if better:
-        best = max(better, key=lambda r: r.agreement or 0.0)
-        return (f"pixel centres: the photos prefer {best.name} ({agreements}); if K came from a program that counts "
-                f"so, use {best.mend}")
-    return (f"pixel centres: the photos do not ask for a shift ({agreements}); a shift that all views share hardly "
-            "shows unless cameras are rolled against each other")

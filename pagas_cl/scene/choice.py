@@ -5,8 +5,6 @@ the share that lands in front and inside, is not hidden behind that view's own i
 useful for depth. With many cameras the candidates are first cut by cheap geometry.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
@@ -37,12 +35,6 @@ class ContextChoice:
     overlaps: tuple[float, ...]
     angles: tuple[float, ...]
     reason: str = ""
-
-
-def choose_contexts(target: int, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None],
-                    settings: Context = Context()) -> ContextChoice:
-    """Context views of camera `target`; for one target after another make a ContextChooser."""
-    return ContextChooser(cameras, depths, settings).choose(target)
 
 
 class ContextChooser:

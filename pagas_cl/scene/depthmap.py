@@ -1,31 +1,54 @@
-"""Depth maps on disk: (H, W) float32, z-depth in scene units, 0 = no surface."""
+"""Depth maps on disk and at other sizes: (H, W) float32, z-depth in scene units, 0 = no surface.
 
-from __future__ import annotations
+Convention: an image is resampled such that its corners stay in place (`Camera.resized`), so that output pixel j covers
+input from j n_in / n_out to (j + 1) n_in / n_out. Any ratio is allowed, not only 2.
+"""
 
-import logging
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.errors import InputError
-from pagas_cl.scene.files import read_first, read_npy, replaced, translated
-from pagas_cl.scene.pyramid import depth_down, depth_up
-
-log = logging.getLogger("pagas_cl")
+from pagas_cl.errors import InputError, log
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.exr import read_exr
+from pagas_cl.scene.files import is_file, opened, read_first, read_npy, replaced, translated
+from pagas_cl.scene.names import file_stems
 
 # What became of each pixel's depth; DepthResult.status says what each means.
 NO_SURFACE, REFINED, KEPT, REJECTED = range(4)
-SUFFIXES = (".npz", ".npy", ".pfm", ".png", ".geometric.bin", ".photometric.bin")
+SUFFIXES = (".npz", ".npy", ".pfm", ".exr", ".png", ".geometric.bin", ".photometric.bin")
 
 
 def find_depth(folder: str | Path, image_name: str) -> Path | None:
     """The depth map of a photo in `folder`: `<stem>` or the whole `<image name>` (as COLMAP does) plus a suffix."""
+    whole = Path(image_name)
+    return _first(Path(folder), (image_name, str(whole.with_suffix("")), whole.name, whole.stem))
+
+
+def find_depths(folder: str | Path, names: Sequence[str]) -> list[Path | None]:
+    """`find_depth` of every view of a scene; first of all the files that a run of ours has written.
+
+    InputError where a file could be of several views: `0001.npz` of left/0001.png and right/0001.png.
+    """
     folder = Path(folder)
-    names = str(Path(image_name).with_suffix("")), Path(image_name).stem, image_name, Path(image_name).name
-    places = (folder / (name + suffix) for suffix in SUFFIXES for name in names)
-    return next((path for path in places if path.is_file()), None)
+    stems = file_stems(names)
+    own = [_first(folder, (stem,)) for stem in stems]
+    files = [file or find_depth(folder, name) for file, name in zip(own, names)]
+    claimed: dict[Path, int] = {file: place for place, file in enumerate(own) if file is not None}
+    for place, file in enumerate(files):
+        first = place if file is None else claimed.setdefault(file, place)
+        if file is not None and first != place:
+            raise InputError(f"depth map {str(file)!r} could be of view {names[first]!r} and of {names[place]!r}: name "
+                             f"one for each, {stems[first]}{file.suffix} and {stems[place]}{file.suffix}")
+    return files
+
+
+def _first(folder: Path, stems: Iterable[str]) -> Path | None:
+    return next((folder / (stem + suffix) for suffix in SUFFIXES for stem in stems
+                 if is_file(folder / (stem + suffix))), None)
 
 
 def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
@@ -35,28 +58,34 @@ def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
     Parameters
     ----------
     path : path
-        .npz (its first array), .npy, .pfm, 16-bit .png, or COLMAP's .geometric.bin / .photometric.bin.
+        .npz (its first array), .npy, .pfm, 16-bit .png, COLMAP's .geometric.bin / .photometric.bin, or .exr.
     size : (width, height), optional
         Size wanted; another size is resampled by `resize_depth`.
     scale : float, optional
         The file's number for one scene unit (1000 for millimetres in a scene of metres); a PNG needs it, else 1.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"depth map {str(path)!r} does not exist")
-    readers = {".npz": read_first, ".npy": read_npy, ".pfm": _read_pfm, ".png": _read_png, ".bin": _read_colmap}
-    read = readers.get(path.suffix.lower())
-    if read is None:
-        raise InputError(f"depth map {str(path)!r}: unknown kind, expected one of {', '.join(SUFFIXES)}")
-    if scale is None and read is _read_png:
+    if scale is None and path.suffix.lower() == ".png" and path.is_file():
         raise InputError(f"depth map {str(path)!r}: a PNG does not say its unit; give the depth scale (1000 for "
                          "millimetres in a scene of metres)")
     if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise InputError(f"depth scale is {scale}, expected a number above 0")
-    with translated(f"depth map {str(path)!r} cannot be read: "):
-        values = read(path)
+    values = read_values(path)
     depth = clean_depth(values if scale is None else values / scale, str(path))
     return depth if size is None else resize_depth(depth, *size)
+
+
+def read_values(path: Path) -> np.ndarray:
+    """The numbers of a depth map's file as they are."""
+    if not path.is_file():
+        raise InputError(f"depth map {str(path)!r} does not exist")
+    readers = {".npz": read_first, ".npy": read_npy, ".pfm": _read_pfm, ".png": _read_png, ".bin": _read_colmap,
+               ".exr": read_exr}
+    read = readers.get(path.suffix.lower())
+    if read is None:
+        raise InputError(f"depth map {str(path)!r}: unknown kind, expected one of {', '.join(SUFFIXES)}")
+    with translated(f"depth map {str(path)!r} cannot be read: "):
+        return read(path)
 
 
 def surface_depth(depth: np.ndarray) -> npt.NDArray[np.float32]:
@@ -110,9 +139,85 @@ def resize_depth(depth: npt.ArrayLike, width: int, height: int) -> npt.NDArray[n
     return np.ascontiguousarray(np.where(valid, depth_up(depth, width, height), np.float32(0)))
 
 
+def depth_down(depth: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Depth (H, W) at a coarser size: mean of the valid (> 0) among the covered pixels, 0 where there is none."""
+    if depth.shape == (height, width):
+        return depth
+    valid = depth > 0
+    weight = _shrunk(valid, width, height)
+    total = _shrunk(np.where(valid, depth, 0), width, height)
+    some = weight > 1e-9
+    return np.where(some, total / np.where(some, weight, 1), 0).astype(np.float32)
+
+
+def depth_up(depth: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Depth (H, W) at a finer size: bilinear at pixel centres over the valid (> 0) neighbours, 0 where there is none.
+
+    Validity grows by up to a pixel of the coarse level: one valid neighbour is enough.
+    """
+    if depth.shape == (height, width):
+        return depth
+    (top, bottom, fy), (left, right, fx) = _taps(depth.shape[0], height), _taps(depth.shape[1], width)
+    total, weight = np.zeros((height, width)), np.zeros((height, width))
+    for rows, wy in ((top, 1 - fy), (bottom, fy)):
+        for columns, wx in ((left, 1 - fx), (right, fx)):
+            corner = depth[rows[:, None], columns[None, :]]
+            share = np.where(corner > 0, wy[:, None] * wx[None, :], 0)
+            total += share * np.where(corner > 0, corner, 0)
+            weight += share
+    some = weight > 1e-9
+    return np.where(some, total / np.where(some, weight, 1), 0).astype(np.float32)
+
+
+def central_normals(depth: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.float64]:
+    """Unit normals (H, W, 3) by central differences of the depth map's points, in camera coordinates, towards the
+    camera; NaN where a pixel or one of its four neighbours has no depth, or the points are on a line."""
+    depth = np.asarray(depth, np.float64)
+    points = np.where(depth > 0, depth, np.nan)[..., None] * camera.rays()
+    normals = np.full(points.shape, np.nan)
+    # image axes down and right: this order points towards the camera
+    cross = np.cross(points[2:, 1:-1] - points[:-2, 1:-1], points[1:-1, 2:] - points[1:-1, :-2])
+    cross[np.isnan(points[1:-1, 1:-1, 0])] = np.nan
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normals[1:-1, 1:-1] = cross / np.linalg.norm(cross, axis=-1, keepdims=True)
+    return normals
+
+
+def _taps(n_in: int, n_out: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lower and upper neighbour of every output pixel centre, and the share of the upper one."""
+    x = np.clip((np.arange(n_out) + 0.5) * n_in / n_out - 0.5, 0, n_in - 1)
+    low = np.minimum(np.floor(x).astype(np.intp), max(n_in - 2, 0))
+    return low, np.minimum(low + 1, n_in - 1), x - low
+
+
+def _shrunk(values: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Area average over both axes, float64."""
+    return _along(_along(values, height, 0), width, 1)
+
+
+def _along(values: np.ndarray, n_out: int, axis: int) -> np.ndarray:
+    n_in = values.shape[axis]
+    if n_out == n_in:
+        return values.astype(np.float64)
+    values = np.moveaxis(values, axis, 0)
+    if n_in % n_out == 0:
+        step = n_in // n_out
+        result = sum(values[k::step].astype(np.float64) for k in range(step)) / step
+    else:
+        # the integral of the piecewise constant signal at the cells' borders; its differences are the cells' sums
+        integral = np.zeros((n_in + 1, *values.shape[1:]))
+        np.cumsum(values, axis=0, dtype=np.float64, out=integral[1:])
+        border = np.arange(n_out + 1) * (n_in / n_out)
+        low = np.minimum(border.astype(np.intp), n_in - 1)
+        share = (border - low).reshape(-1, *[1] * (values.ndim - 1))
+        at = integral[low] * (1 - share) + integral[low + 1] * share
+        result = np.diff(at, axis=0) * (n_out / n_in)
+    return np.moveaxis(result, 0, axis)
+
+
 def _read_pfm(path: Path) -> np.ndarray:
     """Portable float map, one channel: rows from the bottom, byte order by the sign of the scale."""
-    with open(path, "rb") as file:
+    with opened(path) as file:
         head = [file.readline(64).split() for _ in range(3)]
         try:
             kind, (width, height), order = head[0][0], (int(n) for n in head[1]), float(head[2][0])
@@ -126,7 +231,7 @@ def _read_pfm(path: Path) -> np.ndarray:
 
 def _read_colmap(path: Path) -> np.ndarray:
     """COLMAP's dense map: "width&height&channels&", then float32, x fastest."""
-    with open(path, "rb") as file:
+    with opened(path) as file:
         head = file.read(64)
         numbers = head.split(b"&", 3)
         if len(numbers) != 4 or not all(n.isdigit() for n in numbers[:3]):
@@ -147,9 +252,9 @@ def _exactly(file: BinaryIO, path: Path, width: int, height: int, channels: int,
 
 
 def _read_png(path: Path) -> np.ndarray:
-    from PIL import Image
+    from pagas_cl.scene.images import open_image
 
-    with Image.open(path) as image:
+    with open_image(path) as image:
         if not image.mode.startswith("I"):
             raise ValueError(f"it is {image.mode}, expected a 16-bit grey PNG")
         return np.asarray(image).astype(np.float64)

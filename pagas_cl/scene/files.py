@@ -4,25 +4,27 @@ NumPy parses a header with `ast.literal_eval`, which in CPython 3.11 fails now a
 ("AST constructor recursion depth mismatch"): only one is let in. Unpacking, which takes longer, goes on beside it.
 """
 
-from __future__ import annotations
-
+import filecmp
 import io
 import math
 import os
-import socket
+import secrets
+import stat
 import struct
+import tempfile
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
+from typing import BinaryIO
 from xml.parsers import expat
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, OutputError, PagasError
 
 MOST_BYTES = 1 << 31       # of one array: a depth map of 268 megapixels of float64
 # what numpy, zipfile, Pillow, json, struct and XML parsers raise on damaged files, as fuzzing found it
@@ -44,10 +46,48 @@ def translated(before: str, after: str = "", damage: tuple[type[Exception], ...]
         raise InputError(f"{before}{reason}{after}") from error
 
 
+@contextmanager
+def opened(path: str | Path, most: int = MOST_BYTES) -> Iterator[BinaryIO]:
+    """Context: a regular file of at most `most` bytes, open for reading.
+
+    InputError for what is none: to open a pipe waits for who writes into it, and a device may have no end. OSError
+    where it cannot be opened.
+    """
+    with open(path, "rb", opener=_without_waiting) as file:
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            raise InputError(f"{path} is no regular file (a pipe, a device or the like), and is not read")
+        if found.st_size > most:
+            raise InputError(f"{path} has {found.st_size} bytes, expected at most {most}: is it the right file?")
+        yield file
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
+    """All of a file; as `opened`."""
+    with opened(path, most) as file:
+        size = os.fstat(file.fileno()).st_size
+        data = file.read(size + 1)
+    if len(data) > size:      # a system's own files do not say how long they are
+        raise InputError(f"{path} holds more than the {size} bytes that it has: is it the right file?")
+    return data
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; false where there cannot be, for instance since its name is too long."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def read_npy(path: str | Path) -> np.ndarray:
     """The array of a .npy file; one of DAMAGE where it holds none."""
-    with _one_header:
-        values = np.load(path, allow_pickle=False)
+    with _one_header, opened(path) as file:
+        values = np.load(file, allow_pickle=False)
     if not isinstance(values, np.ndarray):
         raise ValueError("it holds no array")
     return values
@@ -55,9 +95,10 @@ def read_npy(path: str | Path) -> np.ndarray:
 
 def read_first(path: str | Path) -> np.ndarray:
     """The first array of a .npz archive; one of DAMAGE where it holds none."""
-    if not zipfile.is_zipfile(path):   # NumPy would speak of pickled data
-        raise ValueError("it is no .npz archive; the file is damaged or cut off: write it again")
-    with zipfile.ZipFile(path) as archive:
+    with opened(path) as file:
+        if not zipfile.is_zipfile(file):   # NumPy would speak of pickled data
+            raise ValueError("it is no .npz archive; the file is damaged or cut off: write it again")
+        archive = zipfile.ZipFile(file)
         members = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
         if not members:
             raise ValueError("it holds no array")
@@ -81,16 +122,66 @@ def read_member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
 
 
 @contextmanager
-def replaced(path: str | Path, suffix: str = "") -> Iterator[Path]:
-    """Context: a name beside `path` to write to, ending in `suffix`, which gets the name `path` at the end."""
-    path = Path(path)  # its folder is made
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}.part{suffix}")
+def replaced(path: str | Path, suffix: str = "", parts: Path | None = None,
+             advice: str = "make room, or choose another place") -> Iterator[Path]:
+    """Context: a new file to write to, in the folder `parts` (by default beside `path`), its name ending in `suffix`;
+    when all of it is on the disk it gets the name `path`. Folders are made.
+
+    OutputError, with `advice`, where the disk does not take it.
+    """
+    path, beside = Path(path), None
     try:
+        for folder in (path.parent, parts or path.parent):
+            folder.mkdir(parents=True, exist_ok=True)
+        # new, of a name that nobody foresees: in a folder of several users another one may have put a link there
+        name = (parts or path.parent) / f".{path.name[:40]}.{secrets.token_hex(6)}.part{suffix}"
+        os.close(os.open(name, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        beside = name
         yield beside
-        os.replace(beside, path)
+        _rename(beside, path)
+    except PagasError:
+        raise
+    except OSError as error:
+        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; {advice}") from error
     finally:
-        beside.unlink(missing_ok=True)
+        if beside is not None:
+            beside.unlink(missing_ok=True)
+
+
+@contextmanager
+def replaced_with_others(path: str | Path) -> Iterator[Path]:
+    """Context: `path`'s name in a new folder, for those who write other files beside it (materials, textures).
+
+    When all is written each file gets its place, `path` the last. A file that is there with other bytes is not ours to
+    replace: then nothing of it is, all goes into a folder of its own, and OutputError says where it is.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".", suffix=".part", dir=path.parent) as new:
+        yield Path(new) / path.name
+        written = sorted(Path(new).iterdir(), key=lambda file: file.name == path.name)
+        taken = differing(written, path)
+        if taken:
+            aside = Path(tempfile.mkdtemp(prefix=f"{path.stem}~", dir=path.parent))
+            for file in written:
+                os.replace(file, aside / file.name)
+            raise OutputError(f"{taken[0]} is there and is not ours to replace: the mesh and its files are in {aside}")
+        for file in written:
+            _rename(file, path.with_name(file.name))
+
+
+def _rename(file: Path, name: Path) -> None:
+    """Only when its bytes are on the disk: the name would survive a crash without them."""
+    with open(file, "r+b") as opened_again:
+        os.fsync(opened_again.fileno())
+    os.replace(file, name)
+
+
+def differing(written: Iterable[Path], path: Path) -> list[str]:
+    """Names beside `path` that are taken by files with other bytes than those of `written`, `path`'s own aside."""
+    places = [(file, path.with_name(file.name)) for file in written if file.name != path.name]
+    return [str(place) for file, place in places
+            if place.exists() and (not place.is_file() or not filecmp.cmp(file, place, shallow=False))]
 
 
 def write_text(path: str | Path, text: str) -> Path:
@@ -98,7 +189,7 @@ def write_text(path: str | Path, text: str) -> Path:
     path = Path(path)
     try:
         with replaced(path) as beside:
-            beside.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
+            beside.write_text(text, encoding="utf-8", errors="backslashreplace")     # names of files may be no text
+    except OutputError as error:
+        raise InputError(f"{path} cannot be written: {getattr(error.__cause__, 'strerror', None) or error}") from error
     return path

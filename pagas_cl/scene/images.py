@@ -1,8 +1,7 @@
 """Photos and masks: files or arrays in, 8-bit RGB and boolean arrays out."""
 
-from __future__ import annotations
-
 from pathlib import Path
+from threading import Lock
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -12,7 +11,9 @@ from PIL import Image
 from pagas_cl.errors import InputError
 from pagas_cl.scene.files import translated
 
-_DAMAGE = (OSError, SyntaxError, ValueError, Image.DecompressionBombError)
+MOST_PIXELS = 500_000_000      # of a photo: 1.5 GB as RGB
+_DAMAGE = (OSError, SyntaxError, ValueError)
+_one_opens = Lock()
 
 
 @runtime_checkable
@@ -25,7 +26,7 @@ class Loads(Protocol):
 
 def image_size(path: str | Path) -> tuple[int, int]:
     """Width and height of an image file, from its header alone."""
-    with _opened(Path(path)) as image:
+    with open_image(Path(path)) as image:
         return image.size
 
 
@@ -109,20 +110,45 @@ def bilinear(pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return mixed
 
 
-def _opened(path: Path) -> Image.Image:
+def photo_to(photo: np.ndarray, width: int, height: int) -> np.ndarray:
+    """A photo (H, W, 3) uint8 at another size: area average, or interpolated where a side grows."""
+    if photo.shape[:2] == (height, width):
+        return photo
+    grows = width > photo.shape[1] or height > photo.shape[0]
+    kind = Image.Resampling.BILINEAR if grows else Image.Resampling.BOX
+    return np.asarray(Image.fromarray(photo).resize((width, height), kind))
+
+
+def open_image(path: Path) -> Image.Image:
+    """An image file, its header read, of no more than MOST_PIXELS."""
     if not path.is_file():
         raise InputError(f"image {str(path)!r} does not exist" if not path.exists()
                          else f"image {str(path)!r} is not a file")
     with translated(f"image {str(path)!r} cannot be read (",
                     "); is it a PNG, JPEG or TIFF file, and complete?", _DAMAGE):
-        return Image.open(path)
+        image = _image(path)
+    if image.width * image.height > MOST_PIXELS:
+        raise InputError(f"image {str(path)!r} has {image.width} x {image.height} pixels, expected at most "
+                         f"{MOST_PIXELS / 1e6:.0f} million: make photo and camera smaller (Camera.resized)")
+    return image
+
+
+def _image(path: Path) -> Image.Image:
+    """The file with its header read. Pillow takes photos of more than 179 megapixels, which cameras make, for attacks:
+    its limit, which is the whole process', rests meanwhile."""
+    with _one_opens:
+        limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+        try:
+            return Image.open(path)
+        finally:
+            Image.MAX_IMAGE_PIXELS = limit
 
 
 def _decoded(path: Path, mode: str) -> np.ndarray:
     """Pixels of a file as uint8 or uint16; `mode` "RGB" or "L" ("L" takes a varying alpha channel for the mask)."""
     damaged = translated(f"image {str(path)!r} cannot be decoded (",
                          "); the file is damaged or cut off: copy it again", _DAMAGE)
-    with _opened(path) as image, damaged:
+    with open_image(path) as image, damaged:
         if image.mode.startswith("I") or image.mode == "F":
             return _wide(np.asarray(image), path)
         if mode == "L" and "A" in image.getbands():

@@ -1,7 +1,5 @@
 """The caller's cameras, photos and masks, as views."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -12,6 +10,7 @@ import numpy.typing as npt
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import Loads
+from pagas_cl.scene.names import place_of
 from pagas_cl.scene.view import View
 
 # A list of Camera, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction; of the last two, which are optional,
@@ -50,9 +49,30 @@ def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list
             for k, (camera, photo, mask) in enumerate(zip(cameras, photos, keep))]
 
 
+def depth_maps(views: Sequence[View], depths: Sequence[Depth | npt.ArrayLike | None]) -> list[Any]:
+    """Depth maps as arrays of numbers, one a view; what loads one, or None, as it is."""
+    if len(depths) != len(views):
+        raise InputError(f"{len(depths)} depth maps were given for {len(views)} views, expected one each "
+                         "(None where there is none)")
+    return [depth if depth is None or isinstance(depth, Loads) else _numbers(depth, view)
+            for view, depth in zip(views, depths)]
+
+
+def _numbers(depth: npt.ArrayLike, view: View) -> np.ndarray:
+    try:
+        values = np.asarray(depth)
+    except ValueError as error:      # rows of different lengths
+        raise InputError(f"depth map of view {view.name!r} is no array ({error}), expected numbers of shape (H, W)"
+                         ) from error
+    if values.dtype.kind not in "fiu":
+        raise InputError(f"depth map of view {view.name!r} has dtype {values.dtype}, expected numbers: z-depth in "
+                         "scene units")
+    return values
+
+
 def checked_depth(depth: npt.ArrayLike, view: View) -> np.ndarray:
     """The depth map as an array, of the view's size and with at least one valid pixel."""
-    depth = np.asarray(depth)
+    depth = _numbers(depth, view)
     size = view.camera.height, view.camera.width
     if depth.shape != size:
         raise InputError(f"depth map of view {view.name!r} has shape {depth.shape}, its photo {size}; resize it with "
@@ -74,21 +94,14 @@ def _any_surface(depth: np.ndarray) -> bool:
 
 def asked_views(views: Sequence[View], depths: Sequence[Depth | None], names: Collection[str] | None) -> list[int]:
     """Places of the views called `names`; of all that have a depth map where names is None."""
-    if len(depths) != len(views):
-        raise InputError(f"{len(depths)} depth maps were given for {len(views)} views, expected one each "
-                         "(None where there is none)")
-    have = [k for k, depth in enumerate(depths)
-            if depth is not None and (isinstance(depth, Loads) or np.any(np.asarray(depth) > 0))]
+    have = [k for k, depth in enumerate(depth_maps(views, depths))
+            if depth is not None and (isinstance(depth, Loads) or np.any(depth > 0))]
     if names is None:
         if not have:
             raise InputError("no view has a depth map with a valid pixel: nothing to refine")
         return have
-    known = {label: k for k, view in enumerate(views) for label in (view.name, view.stem)}
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise InputError(f"no view is called {unknown[0]!r}; known are "
-                         + ", ".join(sorted({v.name for v in views})[:10]))
-    return list(dict.fromkeys(known[name] for name in names))
+    known = [view.name for view in views]
+    return list(dict.fromkeys(place_of(name, known) for name in names))
 
 
 def _matched(given: Images, cameras: list[Camera], what: str) -> list[Any]:

@@ -1,7 +1,5 @@
 """Photos through a lens: what COLMAP's distorted camera models need before a pinhole camera describes them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -32,7 +30,7 @@ class Lens:
     pinhole: tuple[int, int, float, float, float, float]
 
     @classmethod
-    def from_colmap(cls, camera: Any, name: str = "") -> Lens:
+    def from_colmap(cls, camera: Any, name: str = "") -> "Lens":
         """The lens of a pycolmap Camera; the pinhole is the one that `colmap image_undistorter` would choose."""
         pycolmap = need("pycolmap", "colmap", "undistorting photos")
         with translated(f"camera of image {name!r} is {camera.model.name} and cannot be undistorted (",
@@ -46,7 +44,6 @@ class Lens:
                    (int(camera.width), int(camera.height)), found)
 
     def camera(self, world_to_camera: npt.NDArray[np.float64], name: str) -> Camera:
-        """The pinhole at a pose."""
         return Camera(*self.pinhole, world_to_camera, name)
 
     def undistorted(self, pixels: np.ndarray) -> np.ndarray:

@@ -1,7 +1,5 @@
 """A triangle mesh in float64, and its ways to and from Open3D, pymeshlab, arrays and files."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -21,7 +19,7 @@ class Surface:
     """Triangle mesh, world coordinates, scene units.
 
     Vertices and normals are (V, 3), colors (V, 3) from 0 to 1, faces (F, 3) 0-based; quality (V,) is MeshLab's vertex
-    quality, where our confidence goes.
+    quality, where our confidence goes; attributes are further numbers (V,) by name.
     """
 
     vertices: npt.NDArray[np.float64] = field(repr=False)
@@ -29,6 +27,7 @@ class Surface:
     normals: npt.NDArray[np.float64] | None = field(default=None, repr=False)
     colors: npt.NDArray[np.float64] | None = field(default=None, repr=False)
     quality: npt.NDArray[np.float64] | None = field(default=None, repr=False)
+    attributes: dict[str, npt.NDArray[np.float64]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         vertices, faces = _checked(self.vertices, self.faces)
@@ -42,6 +41,10 @@ class Surface:
                 if value.shape != shape:
                     raise InputError(f"mesh {name} have shape {value.shape}, expected {shape}, one a vertex")
                 object.__setattr__(self, name, value)
+        for name, value in self.attributes.items():
+            if np.shape(value) != (len(vertices),):
+                raise InputError(f"mesh attribute {name!r} has shape {np.shape(value)}, expected {(len(vertices),)}, "
+                                 "one a vertex")
 
     def __repr__(self) -> str:
         return f"Surface({len(self.vertices)} vertices, {len(self.faces)} faces)"
@@ -118,14 +121,12 @@ def _checked(vertices: Any, faces: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def from_legacy(mesh: Any) -> Surface:
-    """Surface of an Open3D legacy TriangleMesh."""
     return Surface(np.asarray(mesh.vertices), np.asarray(mesh.triangles),
                    np.array(mesh.vertex_normals) if mesh.has_vertex_normals() else None,
                    np.array(mesh.vertex_colors) if mesh.has_vertex_colors() else None)
 
 
 def to_legacy(surface: Surface, like: Mesh = None) -> Mesh:
-    """A new Open3D legacy TriangleMesh."""
     o3d = need("open3d", "mesh", "making an Open3D mesh")
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(surface.vertices),
                                      o3d.utility.Vector3iVector(surface.faces))
@@ -154,7 +155,8 @@ def _to_tensor(surface: Surface, like: Mesh) -> Mesh:
     mesh.vertex["positions"] = positions(surface.vertices, like)
     mesh.triangle["indices"] = o3d.core.Tensor(surface.faces.astype(np.int64))
     quality = None if surface.quality is None else surface.quality[:, None]
-    for name, value in (("normals", surface.normals), ("colors", surface.colors), ("quality", quality)):
+    more = [(name, np.asarray(value)[:, None]) for name, value in surface.attributes.items()]
+    for name, value in (("normals", surface.normals), ("colors", surface.colors), ("quality", quality), *more):
         if value is not None:
             mesh.vertex[name] = o3d.core.Tensor(value.astype(np.float32))
     return mesh
@@ -187,7 +189,10 @@ def _to_pymeshlab(surface: Surface, like: Mesh = None) -> Mesh:
     if colors is not None:
         colors = eight_bits(np.column_stack([colors, np.ones(len(colors))]))
     more = {"v_normals_matrix": surface.normals, "v_color_matrix": colors, "v_scalar_array": surface.quality}
-    return pymeshlab.Mesh(surface.vertices, surface.faces, **{k: v for k, v in more.items() if v is not None})
+    mesh = pymeshlab.Mesh(surface.vertices, surface.faces, **{k: v for k, v in more.items() if v is not None})
+    for name, value in surface.attributes.items():
+        mesh.add_vertex_custom_scalar_attribute(np.ascontiguousarray(value, np.float64), name)
+    return mesh
 
 
 def eight_bits(colors: np.ndarray) -> np.ndarray:

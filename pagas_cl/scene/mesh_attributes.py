@@ -3,20 +3,17 @@
 Beside `scene.mesh`, whose `Surface` carries no texture coordinates. Normals are the only thing made anew.
 """
 
-from __future__ import annotations
-
 import copy
-import logging
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from pagas_cl.errors import need
+from pagas_cl.errors import log, need
 from pagas_cl.scene.mesh import Mesh, Surface, eight_bits, mesh_kind, positions
 from pagas_cl.scene.mesh_file import read_open3d
-
-log = logging.getLogger("pagas_cl")
 
 
 def load_whole(mesh: Mesh) -> Mesh:
@@ -24,22 +21,25 @@ def load_whole(mesh: Mesh) -> Mesh:
     return read_open3d(mesh, textures=True) if isinstance(mesh, (str, Path)) else mesh
 
 
-def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None,
-                  quality: np.ndarray | None = None) -> Mesh:
+def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, quality: np.ndarray | None = None,
+                  attributes: Mapping[str, np.ndarray] = MappingProxyType({})) -> Mesh:
     """A new mesh of `mesh`'s kind with `vertices`, its faces split as `subdivision` says, all else carried along.
 
-    `vertices` are (V', 3) float64, world coordinates; `subdivision` is a surface.subdivide.Subdivision; `quality` (V',)
-    is for the kinds that have one.
+    `vertices` are (V', 3) float64, world coordinates; `subdivision` is a surface.subdivide.Subdivision; `quality` and
+    `attributes` (V',) are for the kinds that have such: Surface, Open3D's tensor mesh, pymeshlab.
     """
     carry: Any = subdivision or _Same
     if isinstance(mesh, Surface):
         return Surface(vertices, mesh.faces if carry.faces is None else carry.faces, None,
                        None if mesh.colors is None else carry.vertices(mesh.colors),
-                       quality if quality is not None else mesh.quality)
+                       quality if quality is not None or mesh.quality is None else carry.vertices(mesh.quality),
+                       {**{name: carry.vertices(value) for name, value in mesh.attributes.items()}, **attributes})
     kind = mesh_kind(mesh)
     if kind == "pair":
         return vertices, np.array(mesh[1]) if carry.faces is None else carry.faces
-    return {"open3d": _legacy, "open3d.t": _tensor, "pymeshlab": _pymeshlab}[kind](mesh, vertices, carry, quality)
+    if kind == "open3d":
+        return _legacy(mesh, vertices, carry)
+    return {"open3d.t": _tensor, "pymeshlab": _pymeshlab}[kind](mesh, vertices, carry, quality, attributes)
 
 
 class _Same:
@@ -54,7 +54,7 @@ class _Same:
     corners = on_faces = vertices
 
 
-def _legacy(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | None) -> Mesh:
+def _legacy(mesh: Mesh, vertices: np.ndarray, carry: Any) -> Mesh:
     utility = need("open3d", "mesh", "making an Open3D mesh").utility
     new = copy.deepcopy(mesh)
     new.vertices = utility.Vector3dVector(vertices)
@@ -74,7 +74,8 @@ def _legacy(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | 
     return new
 
 
-def _tensor(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | None) -> Mesh:
+def _tensor(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | None,
+            attributes: Mapping[str, np.ndarray]) -> Mesh:
     core = need("open3d", "mesh", "making an Open3D mesh").core
     new = mesh.clone()
     for name in set(mesh.vertex) - {"positions", "normals"}:
@@ -87,6 +88,8 @@ def _tensor(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | 
         new.triangle["indices"] = core.Tensor(carry.faces.astype(np.int64))
     if quality is not None:
         new.vertex["quality"] = core.Tensor(quality[:, None].astype(np.float32))
+    for name, values in attributes.items():
+        new.vertex[name] = core.Tensor(values[:, None].astype(np.float32))
     for holder, compute in ((new.triangle, new.compute_triangle_normals), (new.vertex, new.compute_vertex_normals)):
         if "normals" in holder:
             del holder["normals"]
@@ -94,7 +97,8 @@ def _tensor(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | 
     return new
 
 
-def _pymeshlab(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | None) -> Mesh:
+def _pymeshlab(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | None,
+               attributes: Mapping[str, np.ndarray]) -> Mesh:
     pymeshlab = need("pymeshlab", "meshlab", "making a pymeshlab mesh")
     mesh = mesh.current_mesh() if hasattr(mesh, "current_mesh") else mesh
     more = {}
@@ -112,7 +116,10 @@ def _pymeshlab(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray
     if mesh.texture_number():
         log.info("a new pymeshlab.Mesh cannot be given textures: its texture coordinates are kept, the %d texture "
                  "images must be set again (set_texture_per_mesh); the MeshSet step keeps them", mesh.texture_number())
-    return pymeshlab.Mesh(vertices, mesh.face_matrix() if carry.faces is None else carry.faces, **more)
+    new = pymeshlab.Mesh(vertices, mesh.face_matrix() if carry.faces is None else carry.faces, **more)
+    for name, values in attributes.items():
+        new.add_vertex_custom_scalar_attribute(np.ascontiguousarray(values, np.float64), name)
+    return new
 
 
 def _corners(carry: Any, places: np.ndarray) -> np.ndarray:

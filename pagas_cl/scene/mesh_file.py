@@ -1,7 +1,5 @@
 """Mesh files: read through Open3D; .ply written by NumPy alone with everything that a Surface has, others by Open3D."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any
@@ -9,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, need
-from pagas_cl.scene.files import replaced
+from pagas_cl.scene.files import replaced, replaced_with_others
 from pagas_cl.scene.mesh import Surface, from_legacy, to_legacy
 
 SUFFIXES = (".ply", ".obj", ".stl", ".off")
@@ -94,11 +92,13 @@ def check_mesh_path(path: str | Path) -> None:
 def write_mesh(path: str | Path, surface: Surface) -> None:
     """Write `surface`; folders are made, and the final name never holds half of it.
 
-    .ply: binary, vertices as double, normals and quality as float, colours as 8 bit; of other kinds what Open3D writes.
+    .ply: binary, vertices as double, normals, quality and attributes as float, colours as 8 bit; of other kinds what
+    Open3D writes.
     """
     path = Path(path)
     check_mesh_path(path)
-    with replaced(path, path.suffix) as beside:
+    # what is not NumPy's work may write the file's name into it, or other files beside it
+    with replaced(path) if path.suffix.lower() == ".ply" else replaced_with_others(path) as beside:
         if path.suffix.lower() == ".ply":
             _write_ply(beside, surface)
             return
@@ -119,6 +119,7 @@ def _write_ply(path: Path, surface: Surface) -> None:
         columns += [(name, "u1", "uchar", rgb[:, i]) for i, name in enumerate(("red", "green", "blue"))]
     if surface.quality is not None:
         columns.append(("quality", "<f4", "float", surface.quality))
+    columns += [(name, "<f4", "float", value) for name, value in surface.attributes.items()]
     vertices = np.empty(len(surface.vertices), np.dtype([(name, kind) for name, kind, _, _ in columns]))
     for name, _, _, values in columns:
         vertices[name] = values

@@ -4,8 +4,6 @@ Right cameras see the same texture at the same place of the surface; wrong ones 
 ray casting are needed: occlusion is judged by a coarse depth buffer of surface samples.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -18,6 +16,7 @@ from pagas_cl.scene.mesh import Surface
 
 _SIDE = 9            # patch of 9 x 9 samples, one pixel of the reference view apart
 _MARGIN = 6.0        # pixels that a patch's middle keeps from the border
+_LEAST_SPREAD = 9.0  # pixels, standard deviation of a mesh in an image; patches of one that is smaller are of elsewhere
 _LEAST_TEXTURE = 3.0  # standard deviation of a patch, grey levels of 255; flatter ones say nothing
 _FACING = 0.25       # least cosine between ray and normal
 LEAST = 30           # patches compared; fewer say nothing
@@ -85,6 +84,8 @@ def visible(camera: Camera, samples: Samples) -> np.ndarray:
     if not len(index):
         return result
     uv, z = camera.project(samples.points[index])
+    if uv.std(axis=0).max() < _LEAST_SPREAD:
+        return result
     cell = max(1.0, np.sqrt(_PER_CELL * camera.width * camera.height / len(index)))
     columns = int(camera.width / cell) + 1
     place = (uv[:, 1] / cell).astype(np.intp) * columns + (uv[:, 0] / cell).astype(np.intp)
@@ -129,13 +130,13 @@ def patch_correlation(cameras: list[Camera], greys: list[np.ndarray], pairs: lis
     for row, (a, b) in enumerate(pairs):
         index = np.flatnonzero(seen[a] & seen[b])
         if len(index):
-            patch = _patches(points[index], normals[index], cameras[a])
-            result[row, index] = _correlation(*(bilinear(greys[k], *np.moveaxis(cameras[k].project(patch)[0], -1, 0))
+            patch = patch_grids(points[index], normals[index], cameras[a])
+            result[row, index] = correlation(*(bilinear(greys[k], *np.moveaxis(cameras[k].project(patch)[0], -1, 0))
                                                 for k in (a, b)))
     return result
 
 
-def _patches(points: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndarray:
+def patch_grids(points: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndarray:
     """Grids on the tangent planes, one pixel of `camera` apart: (n, _SIDE**2, 3)."""
     right = np.broadcast_to(camera.world_to_camera[0, :3], normals.shape)
     down = np.cross(normals, right)
@@ -148,7 +149,7 @@ def _patches(points: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndar
     return grids
 
 
-def _correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     a, b = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=1, keepdims=True)
     deviation = [np.sqrt((p * p).mean(axis=1)) for p in (a, b)]
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,7 +1,5 @@
 """A few numbers out of a depth map: its scale, and what planning needs, so that 10,000 of them fit in memory."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,11 +1,10 @@
 """A photo with its camera, and a scene: what every reader returns and every stage takes."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +12,10 @@ import numpy.typing as npt
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import Loads, as_mask, as_photo, image_size, read_mask, read_photo
+from pagas_cl.scene.names import place_of
+
+if TYPE_CHECKING:      # it imports what imports this
+    from pagas_cl.scene.depth_source import DepthSource
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +24,7 @@ class View:
 
     `image`: (H, W, 3) uint8 RGB (floating point from 0 to 1 is rounded to 8 bit); `mask`: (H, W), true = keep. Each may
     be a path or an object with `load()`, read each time it is asked for. Messages and files call the view `name`; where
-    that is empty, by the camera's name.
+    that is empty, by the camera's name, or "unnamed".
     """
 
     camera: Camera
@@ -32,7 +35,7 @@ class View:
     def __post_init__(self) -> None:
         if not isinstance(self.camera, Camera):
             raise InputError(f"view {self.name!r}: camera is a {type(self.camera).__name__}, expected pagas_cl.Camera")
-        object.__setattr__(self, "name", str(self.name or self.camera.name))
+        object.__setattr__(self, "name", str(self.name or self.camera.name or "unnamed"))
         for what, convert in (("image", as_photo), ("mask", as_mask)):
             value = getattr(self, what)
             if isinstance(value, str):
@@ -93,12 +96,16 @@ class View:
 class Scene:
     """Views, and the folder or file that they were read from, with its format.
 
-    `points`: sparse points (N, 3) float64 where the format has them; nothing needs them.
+    `points`: sparse points (N, 3) float64 where the format has them; nothing needs them. `depths`: where the format has
+    depth maps, one a view (None where a view has none), each with load() and digest; `depth_unit`: how their unit is
+    known, in words.
     """
 
     views: list[View]
     source: str = ""
     points: npt.NDArray[np.float64] | None = field(default=None, repr=False)
+    depths: "Sequence[DepthSource | None] | None" = field(default=None, repr=False)
+    depth_unit: str = ""
 
     def __post_init__(self) -> None:
         twice = [name for name, count in Counter(view.name for view in self.views).items() if count > 1]
@@ -110,17 +117,11 @@ class Scene:
         """Of `views`, in their order."""
         return [view.camera for view in self.views]
 
+    @property
+    def images(self) -> list[Any]:
+        """Of `views`, in their order: what refine_mesh takes beside `cameras`, paths where they are files."""
+        return [view.image for view in self.views]
+
     def index(self, name: str) -> int:
         """Place of the view called `name` (whole name, file name or stem)."""
-        for key in (lambda v: v.name, lambda v: Path(v.name).name, lambda v: v.stem):
-            found = [i for i, view in enumerate(self.views) if key(view) == name]
-            if len(found) == 1:
-                return found[0]
-            if found:
-                raise InputError(f"view {name!r} could be any of {', '.join(self.views[i].name for i in found[:5])}: "
-                                 "give the whole name")
-        from difflib import get_close_matches
-
-        near = get_close_matches(name, [v.name for v in self.views] + [v.stem for v in self.views], n=1, cutoff=0.0)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise InputError(f"there is no view {name!r} among the {len(self.views)} of {self.source or 'the scene'}{hint}")
+        return place_of(name, [view.name for view in self.views], self.source or "the scene")

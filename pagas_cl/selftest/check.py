@@ -4,8 +4,6 @@ For each case and blend: the gradient of one step against the float64 twin in pa
 same bits twice; then a few steps: finite, inputs without a surface stay so, fixed pixels keep their bits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -77,7 +75,7 @@ def difference(got, want, length) -> float:
 
 def normalized(scene: HardScene):
     """Initial depth (H, W) in units of its median, 0 where there is none, and that median, scene units."""
-    from pagas_cl.reference.units import normalized_depth
+    from pagas_cl.reference.project import normalized_depth
 
     return normalized_depth(scene.depth, scene.target.load_mask())
 

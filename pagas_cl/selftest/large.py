@@ -1,7 +1,5 @@
 """Hard cases of size: 12 megapixels, and more than 2^24. The twin runs on a window cut out of the far corner."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -32,14 +30,9 @@ def make_large(size, contexts: int = 2) -> tuple[HardScene, HardScene]:
     views = [View(camera(size, focal, name="target"), tile(small.target))]
     views += [View(camera(size, focal, place, turn(), name=f"context {k}"), tile(small.contexts[k % 2]))
               for k, place in enumerate(places)]
-    cut = [_cut(view) for view in views]
+    cut = [View(replace(v.camera, width=WINDOW, height=WINDOW, cx=v.camera.cx - (width - WINDOW),
+                        cy=v.camera.cy - (height - WINDOW)), v.image[-WINDOW:, -WINDOW:]) for v in views]
     return HardScene(views[0], views[1:], depth), HardScene(cut[0], cut[1:], depth[-WINDOW:, -WINDOW:])
-
-
-def _cut(view: View) -> View:
-    c = view.camera
-    cut = replace(c, width=WINDOW, height=WINDOW, cx=c.cx - (c.width - WINDOW), cy=c.cy - (c.height - WINDOW))
-    return View(cut, view.image[-WINDOW:, -WINDOW:])
 
 
 def corner_gradient(corner: HardScene, shape, config) -> np.ndarray:

@@ -3,8 +3,6 @@
 Each maker returns a HardScene of its own; none reads a file. Lengths are scene units, cameras look along +z.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +21,7 @@ class HardScene:
     contexts: list[View]
     depth: np.ndarray
 
-    def mapped(self, change) -> HardScene:
+    def mapped(self, change) -> "HardScene":
         """The scene with `change(view)` for each of its views."""
         return replace(self, target=change(self.target), contexts=[change(v) for v in self.contexts])
 

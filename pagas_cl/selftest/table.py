@@ -3,8 +3,6 @@
 tests/hard_cases/README.md lists them with their figures.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

@@ -5,8 +5,6 @@
 answers with one line of JSON: {"fault": "", "lasting": true}. `lasting` is false for what another try may mend.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 
@@ -14,6 +12,7 @@ import numpy as np
 
 from pagas_cl.errors import DeviceError, KernelBuildError
 from pagas_cl.runtime import device as devices
+from pagas_cl.runtime.child import end_with_parent
 from pagas_cl.runtime.trial import identity
 from pagas_cl.runtime.vendors import import_pyopencl
 from pagas_cl.selftest.check import STEPS, run_case
@@ -58,5 +57,6 @@ def _whole_view(device) -> str:
 
 
 if __name__ == "__main__":
+    end_with_parent()
     question = json.loads(sys.argv[1])
     sys.stdout.write("\n" + json.dumps(try_out(question["identity"], question["lanes"])) + "\n")

@@ -1,7 +1,5 @@
 """What the device holds for one level beside photos: one declaration that is planned, allocated and read from."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import ceil, sqrt
 from typing import TypeAlias
@@ -58,7 +56,7 @@ class SampleGrid:
     down: int
 
     @classmethod
-    def over(cls, size: Size) -> SampleGrid:
+    def over(cls, size: Size) -> "SampleGrid":
         """At most about MOST_SAMPLES, never more than twice as many, however narrow the image."""
         stride = max(ceil(sqrt(size.pixels / MOST_SAMPLES)), ceil(max(size.width, size.height) / (2 * MOST_SAMPLES)), 1)
         return cls(stride, -(-size.width // stride), -(-size.height // stride))
@@ -102,7 +100,7 @@ class SurfaceBuffers(Buffers):
     depth: MaybeBuffer = declared(("pixels",), np.float32, "units", "depth of each target pixel; 0: no surface")
     depth_per_parallax: MaybeBuffer = declared(
         ("pixels",), np.float32, "units", "depth that moves a pixel by one in the context views; 0: none sees it")
-    cameras: MaybeBuffer = declared(("cameras", 20), np.float32, "", "as scene.rig.camera_table, the target first")
+    cameras: MaybeBuffer = declared(("cameras", 20), np.float32, "", "as scene.camera.camera_table, the target first")
     z_first: MaybeBuffer = declared(
         ("most_pixels",), np.uint32, "units", "bits of the nearest depth in each pixel of the view at hand",
         needed="occlusion")

@@ -1,8 +1,6 @@
 """Launches of composite.cl and alpha.cl, Gaussians to an image (method section 4), and of backward.cl and alpha.cl, the
 gradient of the loss by each depth (sections 3 and 4)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.runtime.program import Fill

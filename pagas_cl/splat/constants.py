@@ -3,8 +3,6 @@
 SHARED are the -D defines of every kernel file but agree.cl.
 """
 
-from __future__ import annotations
-
 from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED
 from pagas_cl.scene.sampling import FAR, NEAR
 

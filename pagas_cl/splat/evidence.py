@@ -1,7 +1,5 @@
 """Launches of evidence.cl and deviation.cl: which depths the photos confirm, how sure each is (method section 7)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -30,7 +28,6 @@ class EvidenceDecision:
     held_out: tuple[tuple[float, float], ...]
 
     def release(self):
-        """Give the buffers back."""
         self.status.release()
         self.deviation.release()
 
@@ -45,7 +42,7 @@ class EvidencePrior:
     noise: float = 0.0
 
     @classmethod
-    def of(cls, measured) -> EvidencePrior:
+    def of(cls, measured) -> "EvidencePrior":
         """From Measurements, or None."""
         if not measured:
             return NO_PRIOR
@@ -107,7 +104,6 @@ class Evidence:
                            **self.size.extent)]
 
     def release(self):
-        """Give back what was weighed."""
         for buffer in filter(None, (self._before, self._after)):
             buffer.release()
         self._before = self._after = None
@@ -131,7 +127,7 @@ class Evidence:
         counts.release()
         return _median(before), _median(after)
 
-    def _refuse(self, evidence: Evidence, status: cl.Buffer):
+    def _refuse(self, evidence: "Evidence", status: cl.Buffer):
         """Reject too what matches worse in the held-out view's photo, seen over its surroundings."""
         evidence.weigh()
         pixels, (one, other) = self.size.pixels, self._scratch
@@ -141,7 +137,7 @@ class Evidence:
         self._run([*launches, self._bind("refuse", grid=(pixels,), count=pixels, worse=one, status=status)])
         evidence.release()
 
-    def decide(self, held_out: Sequence[Evidence] = ()) -> EvidenceDecision:
+    def decide(self, held_out: "Sequence[Evidence]" = ()) -> EvidenceDecision:
         """Send back what the photos do not confirm; buffers.depth holds what is accepted.
 
         `held_out`, each of a photo that took no part, are weighed here.

@@ -1,7 +1,5 @@
 """Launches of exposure.cl: gains and offsets of the context photos, fitted to the depth as it is (method section 7)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.splat import project

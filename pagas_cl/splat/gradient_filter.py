@@ -1,7 +1,5 @@
 """Launches of gradient_filter.cl: the gradient of the photos averaged over neighbouring pixels (method section 6)."""
 
-from __future__ import annotations
-
 
 def launches(programs, buffers, size) -> list:
     """Average buffers.gradient in place; once a step, before the smoothness adds to it."""

@@ -1,7 +1,5 @@
 """What a level works on: photos and cameras at its size, and each of them as the launchers take it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,8 +8,7 @@ import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.runtime.program import Upload
-from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.rig import camera_table, footprint
+from pagas_cl.scene.camera import Camera, camera_table, footprint
 from pagas_cl.splat.buffers import Size, dimensions
 
 
@@ -19,18 +16,13 @@ from pagas_cl.splat.buffers import Size, dimensions
 class LevelView:
     """One photo beside the target's."""
 
-    number: int
-    """Of the view, from 1; 0 is the target itself."""
+    number: int                     # of the view, from 1; 0 is the target itself
     size: Size
-    photo: cl.Buffer
-    threshold: float
-    """Depth threshold delta, device units."""
+    photo: cl.Buffer                # uchar4 per pixel
+    threshold: float                # depth threshold delta, device units
     target_size: Size
     target_photo: cl.Buffer
-    """uchar4 per pixel, as `photo`."""
-    pixels: np.ndarray | None = None
-    """uint8 of shape (H, W, 4): what `photo` is to be filled with before it is read, where several photos share the
-    buffer."""
+    pixels: np.ndarray | None = None    # uint8 (H, W, 4) to fill `photo` with first, where several photos share it
 
     @property
     def arguments(self) -> dict:
@@ -47,22 +39,16 @@ class LevelView:
 class LevelInput:
     """The target first, then `contexts` context views, then views that only judge."""
 
-    cameras: list[Camera]
-    """At the level's size."""
-    photos: list[cl.Buffer]
-    """uchar4 per pixel, at the level's size."""
-    scene_scale: float
-    """Scene units per device unit."""
-    threshold: float
-    """Depth threshold, device units."""
-    viewing_distance: float
-    """Median distance of the cameras from the point they look at, device units."""
+    cameras: list[Camera]           # at the level's size
+    photos: list[cl.Buffer]         # uchar4 per pixel, at the level's size
+    scene_scale: float              # scene units per device unit
+    threshold: float                # depth threshold, device units
+    viewing_distance: float         # median distance of the cameras from the point they look at, device units
     contexts: int
     host: tuple = ()
     """uint8 of shape (H, W, 4) of all views but the target's, where the device holds one photo at a time: every
     photos[1:] is then the same buffer."""
-    specularity: np.ndarray | None = None
-    """Measurements.local_specularity."""
+    specularity: np.ndarray | None = None       # Measurements.local_specularity
 
     @cached_property
     def sizes(self) -> list[Size]:

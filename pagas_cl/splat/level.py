@@ -1,7 +1,5 @@
 """One pyramid level: the steps of the flow, one after the other, for every context view (method sections 3 to 6)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +32,7 @@ class Schedule:
     fits: frozenset[int] = frozenset()
 
     @classmethod
-    def of(cls, config: Config, steps: int) -> Schedule:
+    def of(cls, config: Config, steps: int) -> "Schedule":
         """For so many steps."""
         photos_first, radius = config.solver.photos_first(steps), config.splatting.final_radius
         narrow = config.with_settings(splatting__radius=radius, splatting__final_radius=0.0) if radius else config
@@ -43,7 +41,7 @@ class Schedule:
                    frozenset(exposure.fitted_before(steps) if config.loss.exposure else ()))
 
     @property
-    def settled(self) -> Schedule:
+    def settled(self) -> "Schedule":
         """The last phase for all steps, without fits."""
         return Schedule({0: self.phases[max(self.phases)]})
 

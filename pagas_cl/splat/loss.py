@@ -1,8 +1,6 @@
 """Launches of ssim.cl and loss.cl: how alike a rendered view and its photo are, window by window, and what its pixels
 pass back (method section 5)."""
 
-from __future__ import annotations
-
 from math import prod
 
 from pagas_cl.splat.buffers import channels_of

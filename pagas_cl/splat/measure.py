@@ -1,8 +1,6 @@
 """Launches of measure.cl, every context view sampled under the initial depth; of image_noise.cl, noise and texture of
 one photo; and of summary.cl, what rows of numbers come to, so that few leave the device (method section 8)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import sqrt
 
@@ -98,23 +96,16 @@ class ImageNoise:
 
 @dataclass(frozen=True, eq=False)
 class ProbeResult:
-    """What was measured."""
+    """What was measured; number, mean, quantile and mean square over samples are four numbers, NaN without any."""
 
-    view_samples: dict[str, np.ndarray]
-    """By row of measure.cl: number, mean, quantile and mean square over the samples; NaN without samples."""
-    seen: np.ndarray
-    """The same, of shape (4,), of samples that some view sees (0 or 1)."""
-    far: np.ndarray
-    """The same of those that match better two or more pixels away."""
-    gains: np.ndarray
-    """Of shape (contexts, 3, 2): gain and offset of each channel from the target's photo to each context photo."""
-    noise: float
+    view_samples: dict[str, np.ndarray]     # by row of measure.cl, (contexts, 4)
+    seen: np.ndarray                        # (4,) of samples that some view sees (0 or 1)
+    far: np.ndarray                         # (4,) of those that match better two or more pixels away
+    gains: np.ndarray                       # (contexts, 3, 2): gain and offset of each channel from the target's photo
+    noise: float                            # of the target's photo, as `textureless`: see ImageNoise
     textureless: float
-    """This and `noise` of the target's photo, as ImageNoise reads them."""
-    stride: int
-    """Pixels of the target between samples."""
-    local_specularity: np.ndarray
-    """float32 of shape (down, across): mean specularity over the context views at each sample, NaN = unknown."""
+    stride: int                             # pixels of the target between samples
+    local_specularity: np.ndarray           # float32 (down, across): mean over the context views, NaN = unknown
 
 
 @dataclass(eq=False)
@@ -194,5 +185,4 @@ class Probe:
         return self.programs.bind("measure.cl", kernel, grid, self.buffers, view, group, **arguments)
 
     def release(self):
-        """Give the buffers back."""
         self.buffers.release()

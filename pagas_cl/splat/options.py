@@ -1,8 +1,6 @@
 """What changes the shape of the code, as compile-time defines: an effect that is off is not in the program at all;
 and the programs that are compiled with them."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from math import ceil, floor, log2
 
@@ -55,7 +53,7 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
     numbers = {"REACH": reach(splatting.radius), "SLOTS": SLOTS,
                "PLACE_BITS": max(1, ceil(log2((2 * reach(splatting.radius) + 1) ** 2))),
                "LIST_GROUP_W": LIST_GROUP[0], "LIST_GROUP_H": LIST_GROUP[1],
-               "BOX_GROUP_W": BOX_GROUP[0], "BOX_GROUP_H": BOX_GROUP[1], "FIXED_BITS": fixed_bits(weight)}
+               "BOX_GROUP_W": BOX_GROUP[0], "BOX_GROUP_H": BOX_GROUP[1], "FIXED_ONE": float(1 << fixed_bits(weight))}
     if config.solver.gradient_filter > 0:
         numbers["FILTER_RADIUS"] = config.solver.gradient_filter
     numbers["RADIUS"] = float(splatting.radius)

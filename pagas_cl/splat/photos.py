@@ -1,7 +1,5 @@
 """Photos on the device: all of them, each uploaded once, or one at a time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyopencl as cl
 
@@ -73,7 +71,6 @@ class StreamedPhotos:
         return [target, *[place] * len(host)], host
 
     def beside(self, views) -> int:
-        """No photos are kept."""
         return 0
 
     def trim(self, nbytes: int):
@@ -116,7 +113,6 @@ def photo_buffer(device, pixels: int) -> cl.Buffer:
 
 
 def photo_bytes(pixels: int) -> int:
-    """Bytes of `photo_buffer`."""
     return 4 * (pixels + PHOTO_MARGIN)
 
 

@@ -1,7 +1,5 @@
 """Launches of project.cl: what needs only where Gaussians land (method section 3)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.runtime.program import Fill

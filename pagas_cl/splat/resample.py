@@ -1,7 +1,5 @@
 """Launches of resample.cl: photos and depth maps at the size of a pyramid level (method section 6)."""
 
-from __future__ import annotations
-
 import pyopencl as cl
 
 from pagas_cl.runtime.program import bind, build, run_once
@@ -16,7 +14,6 @@ class Resampler:
         self.device, self.program = device, build(device, "resample.cl", defines(config, device, 1.0))
 
     def shrink_photo(self, source: cl.Buffer, size: Size, out: cl.Buffer, to: Size):
-        """By area averaging."""
         self._run("shrink_photo", source, size, to, photo=out)
 
     def shrink_depth(self, source: cl.Buffer, size: Size, out: cl.Buffer, to: Size):

@@ -1,7 +1,5 @@
 """Launches of smooth.cl: what holds a depth map together where photos say little (method section 5)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.runtime.program import Upload

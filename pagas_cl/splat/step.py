@@ -1,8 +1,6 @@
 """Launches of step.cl, Adam and its schedule (method section 6); and progress that tells of steps when the device has
 done them, not when they are enqueued."""
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np
@@ -80,7 +78,6 @@ class StepProgress:
             self._wait()
 
     def finish(self):
-        """Wait for the last ones."""
         while self._under_way:
             self._wait()
 

@@ -1,7 +1,5 @@
 """How ssim.cl and loss.cl share an image between work-items: in vectors on a CPU, in tiles on a GPU."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from pagas_cl.splat.constants import HALO
@@ -15,14 +13,10 @@ class Tile:
 
     width: int
     height: int
-    group: int
-    """Work-items in a work-group."""
-    columns: int
-    """Pixels that a work-item handles side by side where all are handled alike."""
-    lanes: int
-    """The same in a horizontal blur."""
-    run: int = 4
-    """Rows that it handles in a vertical blur; `height` is a multiple."""
+    group: int          # work-items in a work-group
+    columns: int        # pixels that a work-item handles side by side where all are handled alike
+    lanes: int          # the same in a horizontal blur
+    run: int = 4        # rows that it handles in a vertical blur; `height` is a multiple
 
     @property
     def defines(self) -> tuple[str, ...]:

@@ -1,7 +1,5 @@
 """Launches of units.cl: depths from scene units to the device's units, and back."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.runtime.memory import download, upload
@@ -58,7 +56,6 @@ class NormalizedDepth:
             (refined, np.float32), (parallax, np.float32), (deviation, np.float32), (status, np.uint8)))
 
     def release(self):
-        """Give the buffers back; this is of no more use."""
         self.given.release()
         self.buffer.release()
 

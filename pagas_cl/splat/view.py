@@ -1,7 +1,5 @@
 """Refine the depth map of one view: a pure function of target, contexts, depth and settings (method section 7)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +7,7 @@ import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.runtime.memory import download
-from pagas_cl.scene.rig import viewing_distance
+from pagas_cl.scene.camera import viewing_distance
 from pagas_cl.splat.budget import plan_for
 from pagas_cl.splat.buffers import Size, level_size
 from pagas_cl.splat.evidence import Evidence, EvidencePrior
@@ -25,54 +23,31 @@ from pagas_cl.splat.units import NormalizedDepth
 class Refinement:
     """What the levels leave: arrays of the target's full size (H, W), lengths in scene units."""
 
-    depth: np.ndarray
-    """Refined, float32; 0 = no surface."""
-    status: np.ndarray
-    """uint8, as in scene/depthmap.py."""
-    deviation: np.ndarray
-    """Standard deviation of the depth, float32; infinite where nothing is known, 0 where there is no surface."""
-    parallax: np.ndarray
-    """Depth change that moves a pixel by one pixel in the context views, float32; 0 where none sees it."""
-    cost: tuple[float, float]
-    """Mean 1 - correlation of patches with the context photos, before and after."""
+    depth: np.ndarray           # refined, float32; 0 = no surface
+    status: np.ndarray          # uint8, as in scene/depthmap.py
+    deviation: np.ndarray       # of the depth, standard, float32; infinite where nothing is known, 0 without a surface
+    parallax: np.ndarray        # depth change that moves a pixel by one in the context views, float32; 0: none sees it
+    cost: tuple[float, float]   # mean 1 - correlation of patches with the context photos, before and after
     held_out: tuple[tuple[float, float], ...]
     """Median 1 - correlation with each photo that took no part, before and after, over the pixels that it sees; NaN
     where there are none."""
-    steps: tuple[int, ...]
-    """Those done at each level."""
-    losses: list[float]
-    """Loss of each step, where the schedule follows it."""
-    device_bytes: int
-    planned_bytes: int
-    """device_bytes, planned_bytes: most memory that this process held on the device meanwhile, photos of other views
-    included; and what was planned before it began, without those."""
+    steps: tuple[int, ...]      # those done at each level
+    losses: list[float]         # of each step, where the schedule follows it
+    device_bytes: int           # most that this process held on the device meanwhile, photos of other views included
+    planned_bytes: int          # planned before it began, without those
 
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
                   progress=None, held_out=(), measured=None, normalized: NormalizedDepth | None = None,
                   start: np.ndarray | None = None) -> Refinement:
-    """Run the pyramid on one view.
+    """Run the pyramid on one view with at least one context view; `depth` (H, W), z in scene units, 0 = no surface.
 
-    Parameters
-    ----------
-    contexts : list of View
-        At least one.
-    depth : ndarray of shape (H, W)
-        Initial z-depth in scene units, 0 = no surface.
-    photos : PhotoStore or StreamedPhotos
-        Photos already on the device (a new store by default), or on the host.
-    progress : callable of (done, total), optional
-        Called with the steps that the device has done, of those of all levels.
-    held_out : sequence of View
-        Views that take no part and judge the result.
-    measured : Measurements, optional
-        Evidence and deviations depend on it.
-    normalized : NormalizedDepth, optional
-        `depth`, where it is on the device already; used up.
-    start : ndarray of shape (H, W), optional
-        Where the steps of a full-size level alone start from, in place of `depth`, which the evidence compares with.
-
-    DeviceMemoryError comes before the first step, where the device may not hold what is planned.
+    `photos` are a PhotoStore (a new one by default) or StreamedPhotos; `progress(done, total)` is told of the steps
+    that the device has done, of those of all levels; `held_out` views take no part and judge the result; evidence and
+    deviations depend on `measured` (Measurements); `normalized` is the depth where it is on the device already, and is
+    used up. `start` (H, W): where the steps of a full-size level alone start from, in place of `depth`, which the
+    evidence compares with. DeviceMemoryError comes before the first step, where the device may not hold what is
+    planned.
     """
     photos = photos or PhotoStore(device)
     cameras = [view.camera for view in (target, *contexts, *held_out)]
@@ -83,10 +58,11 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     device.memory.begin(planned.nbytes + photos.beside((target, *contexts, *held_out)))
     run = _Run(target, contexts, depth, config, device, photos, held_out=held_out, normalized=normalized,
                specularity=measured.local_specularity if measured else None)
-    before, done, losses = None, [], []
+    before, done, losses, total = None, [], [], sum(config.pyramid.steps)
     for number, (scale, steps) in enumerate(zip(config.pyramid.scales, config.pyramid.steps)):
         level = run.level(scale, before, start)
-        done.append(level.run(steps, _of_all(progress, config.pyramid.steps, number)))
+        earlier = sum(config.pyramid.steps[:number])
+        done.append(level.run(steps, progress and (lambda done, _, earlier=earlier: progress(earlier + done, total))))
         if level.buffers.history is not None:
             losses += level.read("history", max(config.pyramid.steps))[:done[-1]].tolist()
         if scale < 1:
@@ -94,13 +70,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
             level.release()
             del level            # its photos too, before those of the next one
     if progress and done[-1] < steps:                # the schedule has ended it
-        progress(sum(config.pyramid.steps), sum(config.pyramid.steps))
+        progress(total, total)
     return run.finish(level, EvidencePrior.of(measured), tuple(done), losses, planned.nbytes)
-
-
-def _of_all(progress, steps: tuple[int, ...], level: int):
-    """`progress` for the steps of one level among those of all."""
-    return progress and (lambda done, _: progress(sum(steps[:level]) + done, sum(steps)))
 
 
 def full_level(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None) -> Level:
@@ -143,7 +114,6 @@ class _Run:
                           self.specularity)
 
     def write_initial(self, out: cl.Buffer, size: Size):
-        """The initial depth at `size`."""
         self.resampler.shrink_depth(self.normalized.buffer, self.full, out, size)
 
     def level(self, scale: float, before: tuple[cl.Buffer, Size] | None = None, start=None) -> Level:

@@ -1,8 +1,6 @@
 """Which depths other views confirm (method section 7), on a device, or in NumPy where there is none; how much and how
 far depth maps contradict each other."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,8 +11,7 @@ import numpy as np
 from pagas_cl.config import Fusion
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError
 from pagas_cl.reference import agree as twin
-from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.rig import camera_table
+from pagas_cl.scene.camera import Camera, camera_table
 from pagas_cl.scene.sampling import NEAR
 
 log = logging.getLogger("pagas_cl")
@@ -62,7 +59,7 @@ def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: lis
     have = [k for k, other in enumerate(depths) if other is not None]
     cameras, depths = [cameras[k] for k in have], [depths[k] for k in have]
     if device is not None:
-        from pagas_cl.runtime.faults import translate_cl_errors
+        from pagas_cl.runtime.device import translate_cl_errors
 
         try:
             with translate_cl_errors(device, f"the comparison of view {target.name!r} with others"):

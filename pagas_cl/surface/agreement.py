@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.camera import Camera, camera_table
 from pagas_cl.scene.depthmap import REFINED
-from pagas_cl.scene.rig import camera_table
 from pagas_cl.scene.sampling import NEAR, scene_scale_of
 
 if TYPE_CHECKING:

@@ -5,8 +5,6 @@ of its own cells. A cell is in exactly one box: the pieces fit without a seam, t
 one grid, in another order; at the seams doubled vertices become one.
 """
 
-from __future__ import annotations
-
 import logging
 import pickle
 import tempfile

@@ -4,8 +4,6 @@ The grid works relative to the middle of the depths and in units of their median
 coordinates of 5e6 or units of 1e-6 cost nothing. Voxel, truncation and range come from the depths.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

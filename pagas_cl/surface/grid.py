@@ -1,7 +1,5 @@
 """Open3D's VoxelBlockGrid with nothing left to its defaults; its pixel-centre convention, measured (Open3D#7580)."""
 
-from __future__ import annotations
-
 import logging
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Connected pieces of a mesh, the rule that drops small ones, and an order that does not depend on threads."""
 
-from __future__ import annotations
-
 import numpy as np
 
 _CELLS = 1 << 21  # per axis, so that three fit in an int64

@@ -1,13 +1,13 @@
-"""Depth maps of a mesh, by Open3D's ray casting.
+"""Depth maps of a mesh (method section 10.1): drawn on a device, or by Open3D's ray casting where there is none.
 
-Rays go through the pixel centres at +0.5 and have camera z = 1, so that the hit's parameter is the z-depth. They are
-made here, in float64, relative to the middle of the mesh and in units of its size: neither Open3D's pixel-centre
-convention nor an origin 5e6 away enters.
+Either way depth is that of the rays through the pixel centres at +0.5, and neither an origin 5e6 away nor the unit
+enters: places are taken relative to the middle of the mesh, in units of its size, in float64 before they are rounded.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,17 +15,128 @@ from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.mesh import Surface
 
-_RAYS = 1 << 21  # rays cast at a time: 48 MB of float32 and twice that while they are made
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
+
+_RAYS = 1 << 21   # rays cast at a time: 48 MB of float32 and twice that while they are made
+_PART = 1 << 21   # triangles drawn at a time where the mesh takes more than a quarter of the device's memory
+_GROUP, _GROUPS = 64, 1024     # work-items that share a large triangle; work-groups that large triangles go to in turn
+_EMPTY = np.uint32(0x7F800000)
 
 
-def each_depth(surface: Surface, cameras: Iterable[Camera]) -> Iterator[np.ndarray]:
-    """Depth map (H, W) float32 of `surface` in every camera, one at a time, in their order; 0 = no surface."""
-    o3d = need("open3d", "mesh", "rendering a mesh to depth maps")
+def each_depth(surface: Surface, cameras: Iterable[Camera], device: Device | None = None) -> Iterator[np.ndarray]:
+    """Depth map (H, W) float32 of `surface` in every camera, one at a time, in their order; 0 = no surface. Drawn on
+    `device`; without one by Open3D."""
     if len(surface.faces) == 0:
         raise InputError("the mesh has no faces, expected triangles; a point cloud cannot be rendered to depth")
-    used = surface.vertices[np.unique(surface.faces)]
+    if device is None:
+        yield from _cast(surface, cameras)
+        return
+    drawing = Drawing(device, surface)
+    for camera in cameras:
+        yield drawing.depth(camera)
+
+
+def frame_of(surface: Surface) -> tuple[np.ndarray, float]:
+    """Middle (3,) and size of what the faces of a mesh span, scene units: the frame that it is handled in."""
+    used = np.zeros(len(surface.vertices), bool)
+    used[surface.faces] = True
+    used = surface.vertices[used]
     low, high = used.min(axis=0), used.max(axis=0)
-    middle, mesh_scale = (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
+    return (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
+
+
+class Drawing:
+    """A mesh on a device, to be drawn in any number of cameras. Where it takes more than a quarter of the device's
+    memory, its triangles go there in parts for each camera."""
+
+    def __init__(self, device: Device, surface: Surface):
+        from pagas_cl.runtime.program import build
+
+        self.device, self.program = device, build(device, "raster.cl")
+        self.middle, self.unit = frame_of(surface)
+        self._vertices = self._in_frame(surface.vertices)
+        self._faces = np.ascontiguousarray(surface.faces, np.int32)
+        whole = self._vertices.nbytes + self._faces.nbytes * 4 // 3 <= device.memory.limit // 4
+        self._held = [self._sent(self._vertices, self._faces)] if whole else None
+
+    def move(self, vertices: np.ndarray) -> None:
+        """Put the vertices elsewhere, (V, 3) in world coordinates; the frame stays."""
+        from pagas_cl.runtime.program import Upload
+
+        self._vertices = self._in_frame(vertices)
+        if self._held is not None:
+            Upload(self._held[0][0], self._vertices).enqueue(self.device.queue).wait()
+
+    def _in_frame(self, vertices: np.ndarray) -> np.ndarray:
+        """(V, 2, 3) float32: coordinates rounded, and what is left of them."""
+        local = (vertices - self.middle) / self.unit
+        rounded = local.astype(np.float32)
+        return np.stack([rounded, (local - rounded).astype(np.float32)], axis=1)
+
+    def _sent(self, vertices: np.ndarray, faces: np.ndarray) -> tuple[Any, Any, Any, int]:
+        from pagas_cl.runtime.memory import upload
+
+        room = self.device.memory.buffer(self.device.context, 4 * (1 + len(faces)))
+        return upload(self.device, vertices), upload(self.device, faces), room, len(faces)
+
+    def _parts(self) -> Iterator[tuple[Any, Any, Any, int]]:
+        if self._held is not None:
+            yield from self._held
+            return
+        for start in range(0, len(self._faces), _PART):
+            used, faces = np.unique(self._faces[start:start + _PART], return_inverse=True)
+            part = self._sent(self._vertices[used], faces.reshape(-1, 3).astype(np.int32))
+            yield part
+            self.device.queue.finish()
+            for buffer in part[:3]:
+                buffer.release()
+
+    def draw(self, camera: Camera, unit: float) -> Any:
+        """A buffer of float32 (H, W), to be released: depth, 0 = no surface; `unit` is a scene unit in its unit."""
+        import pyopencl as cl
+
+        from pagas_cl.runtime.memory import upload
+        from pagas_cl.runtime.program import GROUP_1D, bind, run_once
+
+        device, pixels = self.device, camera.width * camera.height
+        z_buffer = device.memory.buffer(device.context, 4 * pixels, "z_buffer")
+        cl.enqueue_fill_buffer(device.queue, z_buffer, _EMPTY, 0, 4 * pixels)
+        eye = upload(device, eye_of(camera, self.middle, self.unit))
+        for vertices, faces, large, count in self._parts():
+            cl.enqueue_fill_buffer(device.queue, large, np.uint32(0), 0, 4)
+            known = {"vertices": vertices, "faces": faces, "camera": eye, "z_buffer": z_buffer, "large": large}
+            run_once(device.queue, [
+                bind(self.program, "draw", (count,), GROUP_1D, known, count=count),
+                bind(self.program, "draw_large", (_GROUP * min(_GROUPS, count),), (_GROUP,), known)])
+        run_once(device.queue, [bind(self.program, "to_depth", (pixels,), z_buffer=z_buffer, count=pixels,
+                                     unit=self.unit * unit)])
+        return z_buffer
+
+    def depth(self, camera: Camera) -> np.ndarray:
+        """Depth map (H, W) float32 in scene units, 0 = no surface."""
+        from pagas_cl.runtime.device import translate_cl_errors
+        from pagas_cl.runtime.memory import download
+
+        with translate_cl_errors(self.device, f"the drawing of the mesh in view {camera.name!r}"):
+            z_buffer = self.draw(camera, 1.0)
+            depth = download(self.device, z_buffer, (camera.height, camera.width))
+        z_buffer.release()
+        return depth
+
+
+def eye_of(camera: Camera, middle: np.ndarray, unit: float) -> np.ndarray:
+    """A camera as eye.clh reads it, in the frame of a mesh: float32 (23,)."""
+    center = (camera.center - middle) / unit
+    rounded = center.astype(np.float32)
+    return np.array([*camera.world_to_camera[:3, :3].ravel(), *rounded, *(center - rounded), camera.fx, camera.fy,
+                     camera.cx, camera.cy, 1 / camera.fx, 1 / camera.fy, camera.width, camera.height], np.float32)
+
+
+def _cast(surface: Surface, cameras: Iterable[Camera]) -> Iterator[np.ndarray]:
+    """`each_depth` by Open3D. Its rays have camera z = 1, so that the hit's parameter is the z-depth."""
+    o3d = need("open3d", "mesh", "rendering a mesh to depth maps without an OpenCL device")
+    middle, mesh_scale = frame_of(surface)
     vertices = np.ascontiguousarray((surface.vertices - middle) / mesh_scale, np.float32)
     scene, tensor = o3d.t.geometry.RaycastingScene(), o3d.core.Tensor
     scene.add_triangles(tensor(vertices), tensor(np.ascontiguousarray(surface.faces, np.uint32)))

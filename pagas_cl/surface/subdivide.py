@@ -77,6 +77,38 @@ def subdivide(vertices: np.ndarray, faces: np.ndarray, longest: np.ndarray, *,
     raise InputError("subdividing did not end: the mesh has edges of very different lengths; remesh it first")
 
 
+def undivided(faces: np.ndarray, division: Subdivision, vertices: np.ndarray,
+              within: np.ndarray) -> tuple[Subdivision, np.ndarray]:
+    """The division of `faces` (F, 3) with only those splits that the surface needs: `vertices` (V', 3) are where its
+    vertices have gone since. A middle stays where it, or one that hangs on it, lies farther than `within` (V',) from
+    the line between the ends of its edge. Gives the coarser division and the old number of each of its vertices."""
+    starts = len(vertices) - np.cumsum([len(pairs) for pairs in reversed(division.rounds)])[::-1]
+    needed = np.arange(len(vertices)) < (starts[0] if len(starts) else len(vertices))
+    for pairs, start in zip(reversed(division.rounds), reversed(starts)):
+        a, along = vertices[pairs[:, 0]], vertices[pairs[:, 1]] - vertices[pairs[:, 0]]
+        to_middle = vertices[start:start + len(pairs)] - a
+        share = (to_middle * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-300)
+        away = np.linalg.norm(to_middle - np.clip(share, 0, 1)[:, None] * along, axis=1)
+        needed[start:start + len(pairs)] |= away > within[start:start + len(pairs)]
+        needed[pairs[needed[start:start + len(pairs)]]] = True
+    faces, new, rounds = np.asarray(faces, np.int64), np.cumsum(needed) - 1, []
+    parent, weights = np.arange(len(faces)), np.broadcast_to(np.eye(3), (len(faces), 3, 3)).copy()
+    for pairs, start in zip(division.rounds, starts):
+        kept = needed[start:start + len(pairs)]
+        edges, of_face = _edges(faces)
+        known = pairs[kept] @ (len(vertices), 1)     # of each edge its lesser end first, as _edges has it
+        order = np.argsort(known)
+        place = np.searchsorted(known[order], edges @ (len(vertices), 1))
+        place = np.minimum(place, max(len(known) - 1, 0))
+        number = np.full(len(edges), -1, np.int64)
+        if len(known):
+            hit = known[order][place] == edges @ (len(vertices), 1)
+            number[hit] = (start + np.flatnonzero(kept))[order][place[hit]]
+        rounds.append(new[pairs[kept]])
+        faces, parent, weights = _split(faces, number[of_face], parent, weights)
+    return Subdivision(new[faces].astype(np.int32), rounds, parent, weights), np.flatnonzero(needed)
+
+
 def _edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unique edges (E, 2), and for each face the numbers of its edges 01, 12, 20."""
     ends = np.sort(np.stack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]], axis=1), axis=2).reshape(-1, 2)

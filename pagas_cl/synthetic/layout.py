@@ -1,7 +1,5 @@
 """What a synthetic scene consists of: its description, the cameras around it, the solids."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import cycle
 

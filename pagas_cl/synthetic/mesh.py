@@ -1,7 +1,5 @@
 """The mesh of a solid: a grid over the relief, one over each block with its walls, a tube for the bar."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pagas_cl.synthetic.solid import Bar, Block, Solid

@@ -1,7 +1,5 @@
 """Photos, depth and normals of a solid: pixel integrals by 3 x 3 samples, in row blocks so that memory stays small."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

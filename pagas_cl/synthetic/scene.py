@@ -1,7 +1,5 @@
 """Synthetic scenes with exact ground truth: a relief under photographs, seen from a grid of views around it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +10,7 @@ from PIL import Image
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import save_depth
+from pagas_cl.scene.files import replaced
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_file import write_mesh
 from pagas_cl.scene.readers import camera_file
@@ -43,12 +42,10 @@ class SyntheticScene:
 
     @property
     def views(self) -> list:
-        """Target and context views."""
         return self.all_views[:1 + self.relief.contexts]
 
     @property
     def held_out(self) -> list:
-        """Views kept out of refinement."""
         return self.all_views[1 + self.relief.contexts:]
 
     def image(self, index: int) -> np.ndarray:
@@ -116,12 +113,17 @@ def write_scene(synthetic: SyntheticScene, folder) -> Path:
     named = []
     for view in synthetic.all_views:
         file = f"{view.name}.png"
-        Image.fromarray(view.load_image()).save(folder / "images" / file)
+        _write_png(folder / "images" / file, view.load_image())
         if view.mask is not None:
-            Image.fromarray(view.load_mask().astype(np.uint8) * 255).save(folder / "masks" / file)
+            _write_png(folder / "masks" / file, view.load_mask().astype(np.uint8) * 255)
         save_depth(folder / "depth_initial" / f"{view.name}.npz", synthetic.initial_depth(view.camera))
         save_depth(folder / "depth_true" / f"{view.name}.npz", synthetic.true_depth(view.camera))
         named.append(replace(view, mask=None, name=file))
     camera_file.write(folder, named)
     write_mesh(folder / "mesh_coarse.ply", Surface(*synthetic.initial_mesh()))
     return folder
+
+
+def _write_png(path: Path, pixels: np.ndarray) -> None:
+    with replaced(path, ".png") as beside:
+        Image.fromarray(pixels).save(beside)

@@ -1,7 +1,5 @@
 """What stands in a synthetic scene: a relief, blocks raised from it, a bar in front; rays meet it exactly."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,19 +1,15 @@
 """Pictures to wrap around synthetic scenes: photographs that come with scikit-image's wheel, or noise without it."""
 
-from __future__ import annotations
-
-import logging
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 
 PHOTOGRAPHS = ("astronaut.png", "brick.png", "chelsea.png", "coffee.png", "coins.png", "grass.png", "gravel.png",
                "ihc.png", "rocket.jpg", "motorcycle_left.png", "camera.png")
-_log = logging.getLogger("pagas_cl")
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +51,7 @@ def patchwork(width, height, size, rng, *, kind="photos", contrast=1.0, tile=Non
         raise InputError(f"texture is {kind!r}, expected 'photos', 'noise' or 'flat'")
     tile = tile or int(np.clip(width // 3, 48, 300))
     if kind == "photos" and find_spec("skimage") is None:
-        _log.warning("scikit-image is not installed: the synthetic scene is covered with noise instead of photographs; "
+        log.warning("scikit-image is not installed: the synthetic scene is covered with noise instead of photographs; "
                      'pip install "pagas-cl[report]"')
         kind = "noise"
     if kind == "flat":

@@ -1,7 +1,5 @@
 """A height field that is a sum of plane waves: exact value and slope everywhere, no grid behind it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,10 +14,10 @@ class Waves:
     amplitude: np.ndarray   # (n,), scene units
     turns: np.ndarray       # (n, 2), waves per scene unit along x and y: direction / wavelength
     phase: np.ndarray       # (n,), turns, 0 to 1
-    envelope: Waves | None = None       # makes detail strong in some places and weak in others
+    envelope: "Waves | None" = None       # makes detail strong in some places and weak in others
 
     @classmethod
-    def random(cls, rng, number, shortest, longest, power, *, envelope=None) -> Waves:
+    def random(cls, rng, number, shortest, longest, power, *, envelope=None) -> "Waves":
         """`number` waves in random directions, wavelengths spread evenly in log, amplitude ~ wavelength**power."""
         edges = np.linspace(np.log(shortest), np.log(longest), number + 1)
         length = np.exp(edges[:-1] + rng.uniform(0.0, 1.0, number) * np.diff(edges))
@@ -28,7 +26,7 @@ class Waves:
         amplitude = (length / longest) ** power
         return cls(amplitude / np.sqrt(0.5 * (amplitude**2).sum()), turns, rng.uniform(0.0, 1.0, number), envelope)
 
-    def scaled(self, factor: float) -> Waves:
+    def scaled(self, factor: float) -> "Waves":
         """The same field times `factor` (a field of `random` has root mean square 1 before its envelope)."""
         return replace(self, amplitude=self.amplitude * factor)
 

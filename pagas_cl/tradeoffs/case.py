@@ -1,22 +1,19 @@
 """A case: one view to measure settings on, with its context views, photos kept out of it, the truth if known; and how
 good a depth map of it is."""
 
-from __future__ import annotations
-
-import logging
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from pagas_cl.config import Context
-from pagas_cl.errors import InputError
-from pagas_cl.evaluate.depth import compare_depth, depth_normals, depth_per_parallax, find_discontinuities
+from pagas_cl.errors import InputError, log
+from pagas_cl.evaluate.depth import compare_depth, depth_per_parallax, find_discontinuities
 from pagas_cl.evaluate.predict import compare_predictions
 from pagas_cl.scene.choice import ContextChooser
+from pagas_cl.scene.depthmap import central_normals
+from pagas_cl.scene.names import file_stems, place_of
 from pagas_cl.scene.view import View
-
-log = logging.getLogger("pagas_cl")
 
 _HELD_OUT_PLACES = (1, 4)  # of the choice of contexts: well-placed photos, but not the best one
 
@@ -45,7 +42,7 @@ class BenchmarkCase:
 
     @cached_property
     def true_normals(self) -> np.ndarray:
-        return depth_normals(self.truth, self.target.camera)
+        return central_normals(self.truth, self.target.camera)
 
     @cached_property
     def parallax(self) -> np.ndarray:
@@ -58,48 +55,52 @@ def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int
                most_contexts: int = 10, scene_name: str = "") -> list[BenchmarkCase]:
     """Cases from the views of a scene; `depths` and `truth` as in `tradeoff`.
 
-    `names`: views to measure on, by default `sample` of those with a depth (and truth), evenly spread; `held_out`:
-    names of views that no setting may see, by default two well-placed ones of each target with six context views or
-    more.
+    `names`: views to measure on, by default `sample` of those with a depth (and truth), evenly spread, that can be
+    judged; `held_out`: names of views that no setting may see, by default two well-placed ones of each target with six
+    context views or more, one where there are fewer and no truth.
     """
     truth = truth or [None] * len(views)
-    banned = {_index(views, name) for name in held_out or ()}
+    known = [view.name for view in views]
+    banned = {place_of(name, known) for name in held_out or ()}
     # a held-out view is no context view of any target; the chooser may not see it
     usable = [depth if k not in banned else None for k, depth in enumerate(depths)]
-    targets = _targets(usable, truth, sample) if names is None else [_index(views, name) for name in names]
+    targets = _targets(usable, truth, sample) if names is None else [place_of(name, known) for name in names]
+    most = sample if names is None else len(targets)
     chooser = ContextChooser([view.camera for view in views], depths, Context(number=most_contexts + 2 + len(banned)))
-    cases = []
+    cases, stems = [], file_stems(known)
     for k in targets:
+        if len(cases) == most:
+            break
         if depths[k] is None:
             raise InputError(f"view {views[k].name!r} has no initial depth map to measure on")
         chosen = [j for j in chooser.choose(k).indices if j not in banned]
         spared = [chosen[place] for place in _HELD_OUT_PLACES] if len(chosen) >= 6 else []
+        if not spared and truth[k] is None and len(chosen) > 1:
+            spared = [chosen[1]]
         kept_out = spared if held_out is None else sorted(banned)
         contexts = [j for j in chosen if j not in kept_out][:most_contexts]
         if not contexts:
             log.warning("view %s has no usable context view and is left out", views[k].name)
             continue
-        name = f"{scene_name}/{views[k].stem}" if scene_name else views[k].stem
+        if truth[k] is None and not kept_out:
+            log.warning("view %s cannot be judged and is left out: no truth, no photo to spare", views[k].name)
+            continue
+        name = f"{scene_name}/{stems[k]}" if scene_name else stems[k]
         cases.append(BenchmarkCase(name, views[k], [views[j] for j in contexts], [views[j] for j in kept_out],
                                    depths[k], truth[k], [depths[j] for j in contexts]))
     if not cases:
-        raise InputError("no view can be measured on: none has an initial depth map and a usable context view")
+        raise InputError("no view can be measured on: none has an initial depth map, a usable context view, and a "
+                         "judge (its truth, or another usable view to hold out)")
     return cases
 
 
-def _index(views, name: str) -> int:
-    for k, view in enumerate(views):
-        if name in (view.name, view.stem):
-            return k
-    raise InputError(f"no view is called {name!r}; known are {', '.join(sorted(v.name for v in views)[:10])}")
-
-
 def _targets(depths, truth, sample: int) -> list[int]:
-    """Views with a depth, and with truth where any has it: `sample` of them, evenly spread."""
+    """Views with a depth, and with truth where any has it: `sample` of them, evenly spread, and then the others."""
     have = [k for k, depth in enumerate(depths) if depth is not None and np.any(depth > 0)]
     have = [k for k in have if truth[k] is not None] or have
     places = np.unique(np.linspace(0, len(have) - 1, min(sample, len(have))).round().astype(int)) if have else []
-    return [have[k] for k in places]
+    first = [have[k] for k in places]
+    return first + [k for k in have if k not in first]
 
 
 def loaded(case: BenchmarkCase) -> BenchmarkCase:

@@ -1,7 +1,5 @@
 """The Pareto front, its plot, and how well one figure ranks settings like another."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +10,8 @@ from pagas_cl.scene.files import replaced
 
 _GROUPS = ("preset", "effects", "steps", "views a step", "context views", "model", "levels", "solver",
            "staged", "ablation")
+_MARKERS = "osDvP*Xp<h"
+_AROUND = (225, 45, 270, 135, 315, 90, 0, 180, 68, 112, 248, 292)  # degrees: where a point's number may stand
 _NAMES = {"depth": "mean depth error", "normal": "mean normal error",
           "unpredicted": "1 - correlation of held-out photos"}
 
@@ -90,45 +90,91 @@ def _ranks(values) -> np.ndarray:
     return ((last - number + last - 1) / 2)[inverse]
 
 
-def plot_front(path, points, figure: str, title: str = "", at_most: float = 1.3) -> Path:
-    """Write a PNG of `points` (front.Point) by matplotlib; errors above `at_most` are drawn at the top as arrows."""
+def plot_front(path, points, figure: str, title: str = "", at_most: float = 1.3, numbered: bool = False) -> Path:
+    """Write a PNG of `points` (front.Point) by matplotlib; errors above `at_most` are drawn at the top as arrows.
+
+    `numbered`: each point carries its place in `points`, from 1.
+    """
     need("matplotlib", "report", "the plot of error against time")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FixedLocator, NullLocator
 
     def place(point):
         return point.seconds, min(point.error(figure), at_most)
 
-    drawing = Figure((7.2, 4.6), layout="constrained")
+    drawing = Figure((9.6, 6.4) if numbered else (7.2, 4.6), layout="constrained")
     FigureCanvasAgg(drawing)
     axes = drawing.add_subplot()
     groups = [g for g in _GROUPS if any(p.group == g for p in points)]
     groups += sorted({p.group for p in points} - set(groups))
     for number, group in enumerate(groups):
         rows = [p for p in points if p.group == group and np.isfinite(p.error(figure))]
-        for marker, above in (("o", False), ("^", True)):
+        for marker, above in ((_MARKERS[number % len(_MARKERS)], False), ("^", True)):
             places = [place(p) for p in rows if (p.error(figure) > at_most) == above]
-            axes.scatter(*np.reshape(places, (-1, 2)).T, s=22, marker=marker, color=f"C{number}", zorder=2,
-                         label=None if above else group)
+            axes.scatter(*np.reshape(places, (-1, 2)).T, s=28, marker=marker, color=f"C{number}", zorder=2,
+                         edgecolors="white", linewidths=0.5, label=None if above else group)
     front = sorted(place(p) for p in points if p.on_front)
     axes.step(*np.reshape(front, (-1, 2)).T, where="post", color="black", linewidth=1, zorder=1, label="Pareto front")
     for p in points:
-        if p.group == "preset":
+        if p.group == "preset" and not numbered:
             axes.annotate(p.name, place(p), textcoords="offset points", xytext=(6, 6), fontsize=9, fontweight="bold")
     axes.axhline(1, color="grey", linewidth=0.8, linestyle=":")
-    axes.set(xscale="log", yscale="log", xlabel="seconds per view", title=title,
-             ylabel=f"{_NAMES.get(figure, figure)}\n(1 = initial depth)")
-    for axis in (axes.xaxis, axes.yaxis):  # 0.4 and not 4 x 10^-1
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter(_few_minor)
+    axes.set(xscale="log", yscale="log", xlabel="time of a view (seconds)", title=title,
+             ylabel=f"{_NAMES.get(figure, figure)}\n(1 = that of the initial depth)")
     axes.margins(x=0.12)  # room for a name at the right
-    axes.grid(True, which="both", alpha=0.2)
-    axes.legend(fontsize=7, ncols=2)
+    for axis, ends in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        ticks = _ticks(*ends)
+        axis.set_major_locator(FixedLocator(ticks))
+        axis.set_major_formatter("{x:g}")  # 0.4 and not 4 x 10^-1
+        axis.set_minor_locator(NullLocator())
+    axes.grid(True, alpha=0.2)
+    if numbered:
+        drawing.legend(loc="outside lower center", fontsize=8, ncols=6, frameon=False)
+        _number(drawing, axes, [place(p) for p in points],
+                [f"{k} {p.name}" if p.group == "preset" else str(k) for k, p in enumerate(points, 1)])
+    else:
+        axes.legend(fontsize=7, ncols=2)
     with replaced(path, Path(path).suffix) as beside:
         drawing.savefig(beside, dpi=110)
     return Path(path)
 
 
-def _few_minor(value, _) -> str:
-    """Label of a minor tick: 2 and 5 of each decade, the others run into each other."""
-    return f"{value:g}" if f"{value:e}"[0] in "25" else ""
+def _ticks(low: float, high: float) -> list[float]:
+    """Round numbers in a logarithmic range: as few as are at least four, at most a dozen."""
+    whole = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
+    for digits in ((1,), (1, 3), (1, 2, 5), (1, 1.5, 2, 3, 4, 5, 7), np.arange(10, 100) / 10):
+        ticks = [float(f"{digit * 10.0**power:.3g}") for power in whole for digit in digits]
+        ticks = [tick for tick in ticks if low <= tick <= high]
+        if len(ticks) >= 4:
+            break
+    return ticks[::-(-len(ticks) // 12) or 1]
+
+
+def _number(drawing, axes, places, labels) -> None:
+    """Write a label at each point, where no point and no other label is, with a line where that is farther away."""
+    drawing.canvas.draw()
+    drawing.set_layout_engine("none")  # what was measured stays
+    points, scale = axes.transData.transform(places), drawing.dpi / 72
+    taken = [(x - 4, y - 4, x + 4, y + 4) for x, y in points if np.isfinite(y)]
+    for label, place, (x, y) in zip(labels, places, points):
+        if not np.isfinite(y):
+            continue
+        half = np.array((2.4 * len(label), 4.5)) * scale
+        for far in (9, 15, 22, 30, 40, 52):  # points of print; a long label stands farther to the side
+            around = [(np.cos(t) * (far * scale + half[0] - half[1]), np.sin(t) * far * scale)
+                      for t in np.radians(_AROUND)]
+            boxes = [(x + a - half[0], y + b - half[1], x + a + half[0], y + b + half[1]) for a, b in around]
+            free = [k for k, box in enumerate(boxes) if axes.bbox.contains(*box[:2]) and axes.bbox.contains(*box[2:])
+                    and not any(_meet(box, other) for other in taken)]
+            if free:
+                break
+        k = free[0] if free else 0
+        taken.append(boxes[k])
+        line = {"arrowstyle": "-", "linewidth": 0.4, "color": "grey", "shrinkA": 0, "shrinkB": 2} if far > 9 else None
+        axes.annotate(label, place, np.divide(around[k], scale), textcoords="offset points", fontsize=7, ha="center",
+                      va="center", arrowprops=line, fontweight="bold" if " " in label else None)
+
+
+def _meet(one, other) -> bool:
+    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]

@@ -1,7 +1,5 @@
 """Tables of a study, its record, and the page that a person opens."""
 
-from __future__ import annotations
-
 import json
 import logging
 from dataclasses import asdict
@@ -9,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pagas_cl import __version__
 from pagas_cl.errors import MissingExtraError
 from pagas_cl.report.page import html_page
 from pagas_cl.scene.files import write_text
@@ -20,6 +19,32 @@ FILE = "tradeoff.json"
 _COLUMNS = (("depth", "depth error"), ("normal", "normal error"), ("edges", "near edges"),
             ("unpredicted", "held-out photos"))
 _SAME = 0.02      # relative changes of an error below this count as none
+_NEARLY = 1.1     # times the least error: a setting that is worth naming where it takes less than
+_MUCH_SOONER = 0.7  # of the time
+
+
+def headline(study) -> str:
+    """What came out, in one sentence."""
+    judged = [point for point in study.points if point.error(study.figure) == point.error(study.figure)]
+    if not study.points:
+        return "Nothing was measured: the time did not do for a single setting."
+    if not judged:
+        return "No setting could be judged: there is no truth, and no held-out photo that sees enough of the views."
+    what = "of the initial depth's " + ("error" if study.figure == "depth" else "mismatch with held-out photos")
+    best = min(judged, key=lambda point: point.error(study.figure))
+    least = best.error(study.figure)
+    if not least < 1:
+        return f'No setting betters the initial depth: the best, "{best.name}", has {least:.1%} {what}.'
+    quick = min((point for point in judged if point.error(study.figure) <= _NEARLY * least), key=lambda p: p.seconds)
+    told = f'"{best.name}" leaves the least, {least:.1%} {what}, in {best.seconds:.2g} s a view'
+    if quick.seconds < _MUCH_SOONER * best.seconds:
+        told += f'; "{quick.name}" leaves {quick.error(study.figure):.1%} in {quick.seconds:.2g} s'
+    return told + "."
+
+
+def closing(study) -> list[str]:
+    """What was not measured."""
+    return [f"Left out for lack of time: {'; '.join(study.left_out)}."] if study.left_out else []
 
 
 def notes(study) -> list[str]:
@@ -32,8 +57,6 @@ def notes(study) -> list[str]:
     elif study.proxy == study.proxy:
         lines.append("Held-out photos rank these settings like the true depth error does with a rank correlation of "
                      f"{study.proxy:.2f}.")
-    if study.left_out:
-        lines.append(f"Left out for lack of time: {'; '.join(study.left_out)}.")
     return lines
 
 
@@ -99,12 +122,18 @@ def write_report(folder: Path, study, device: str) -> Path:
     picture = ""
     if any(point.on_front for point in study.points):
         try:
-            picture = plot_front(folder / "tradeoff.png", study.points, study.figure, "error against time").name
+            picture = plot_front(folder / "tradeoff.png", study.points, study.figure, "error against time",
+                                 numbered=True).name
         except MissingExtraError as error:
             log.warning("no plot: %s", error)
-    marked = [point.on_front for point in study.points]
-    return write_text(folder / "index.html", html_page("Error against time", notes(study), *_front_table(study.points),
-                                                       picture=picture, marked=marked))
+    header, rows = _front_table(study.points)
+    page = html_page(
+        "pagas-cl tradeoff", notes(study)[1:], ["setting", "number", *header[1:]],
+        [[row[0], str(number), *row[1:]] for number, row in enumerate(rows, 1)], picture=picture,
+        marked=[point.on_front for point in study.points], headline=headline(study), closing=closing(study),
+        legend=["The number is that of the point in the plot."] if picture else [],
+        facts=[("views", ", ".join(study.initial)), ("version", f"pagas_cl {__version__}"), ("device", study.device)])
+    return write_text(folder / "index.html", page)
 
 
 def write_json(path: Path, content) -> None:

@@ -4,8 +4,6 @@ The paper's figures in the ablation are of DTU scan 24 (Chamfer distance, mm, it
 they are known here; the other rows of its table have none.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import dataclass, fields, replace
@@ -34,7 +32,6 @@ class Setting:
 
     @property
     def contexts(self) -> int:
-        """Context views that it asks for."""
         return max(stage.context.number for stage in self.stages)
 
     @property
@@ -62,15 +59,13 @@ def distinct(settings: list[Setting], contexts: int) -> list[Setting]:
     """Without those that are the same as an earlier one where there are only `contexts` context views."""
     first = {}
     for setting in settings:
-        stages = tuple(_within(stage, contexts) for stage in setting.stages)
-        first.setdefault(replace(setting, stages=stages).key, setting)
+        stages = []
+        for stage in setting.stages:
+            number = min(stage.context.number, contexts)
+            each = min(stage.solver.views_per_step or number, number)
+            stages.append(stage.with_settings(context__number=number, solver__views_per_step=each))
+        first.setdefault(replace(setting, stages=tuple(stages)).key, setting)
     return list(first.values())
-
-
-def _within(config: Config, contexts: int) -> Config:
-    number = min(config.context.number, contexts)
-    each = min(config.solver.views_per_step or number, number)
-    return config.with_settings(context__number=number, solver__views_per_step=each)
 
 
 def front_plan() -> list[Setting]:
@@ -132,8 +127,8 @@ def _variants(rate: float) -> dict[str, dict[str, dict]]:
             "gradient filtered over 1 pixel": dict(solver__gradient_filter=1),
             "gradient filtered over 3 pixels": dict(solver__gradient_filter=3),
             "long memory (beta2 0.999)": dict(solver__beta2=0.999),
-            "both, 200 steps": dict(solver__gradient_filter=0, solver__beta2=0.999, pyramid__steps=(200,),
-                                    solver__rate=0.04),
+            "own gradient and long memory, 200 steps": dict(
+                solver__gradient_filter=0, solver__beta2=0.999, pyramid__steps=(200,), solver__rate=0.04),
             "half the rate": dict(solver__rate=0.5 * rate), "twice the rate": dict(solver__rate=2 * rate),
             "rate kept to the end": dict(solver__final_rate=1.0),
             "early stop on the loss": dict(solver__patience=20, pyramid__steps=(200,))},

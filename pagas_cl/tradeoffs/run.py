@@ -1,7 +1,5 @@
 """One setting on one case: the refined depth, its time and its memory; and how long that will take."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from zlib import crc32
@@ -45,7 +43,7 @@ def run(setting: Setting, case: BenchmarkCase, device, photos, repeats: int = 1)
 
 
 def _stages(stages, target, contexts, depth, device, photos):
-    from pagas_cl.refine import settle
+    from pagas_cl.effects import settle
     from pagas_cl.splat import refine_levels
 
     work, most = 0.0, 0
@@ -87,7 +85,7 @@ def initial_depth(setting: Setting, case: BenchmarkCase) -> np.ndarray:
 
 def _smooth_noise(rng, shape, wavelength: int) -> np.ndarray:
     """Noise of mean absolute value 1 that changes over `wavelength` pixels, float64 (H, W)."""
-    from pagas_cl.scene.pyramid import depth_up
+    from pagas_cl.scene.depthmap import depth_up
 
     coarse = rng.uniform(1.0, 3.0, [max(2, n // wavelength + 2) for n in shape]).astype(np.float32)
     noise = depth_up(coarse, shape[1], shape[0]).astype(np.float64) - 2.0

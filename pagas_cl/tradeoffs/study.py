@@ -1,23 +1,19 @@
 """Settings on cases, one record after the other in tradeoff.json: resumable, within a budget."""
 
-from __future__ import annotations
-
 import json
-import logging
 import time
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from pagas_cl.errors import DeviceError, InputError
+from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.jobs.executors import SerialExecutor
+from pagas_cl.scene.files import DAMAGE, read_bytes
 from pagas_cl.tradeoffs.case import BenchmarkCase, loaded, make_cases, score
 from pagas_cl.tradeoffs.front import Point, pareto, rank_correlation, summarise
 from pagas_cl.tradeoffs.page import FILE, write_json, write_report
 from pagas_cl.tradeoffs.plan import Setting, distinct, front_plan
 from pagas_cl.tradeoffs.run import Guess, run
-
-log = logging.getLogger("pagas_cl")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +31,12 @@ class Study:
     device: str
     left_out: list[str] = field(default_factory=list)               # names: the budget did not suffice
     records: list[dict] = field(default_factory=list, repr=False)   # every run
+
+    @property
+    def best(self) -> Point | None:
+        """The point with the smallest error; None where none has one."""
+        return min((p for p in self.points if p.error(self.figure) == p.error(self.figure)),
+                   key=lambda p: p.error(self.figure), default=None)
 
     @property
     def front(self) -> list[Point]:
@@ -80,13 +82,26 @@ def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *
         raise InputError(f"the budget is {budget!r} minutes, expected more than 0")
     cases = [loaded(case) for case in cases]
     book = Book(None if report is None else Path(report), device.info.title)
-    initial = {case.name: score(case, case.initial) for case in cases}
+    cases, initial = _judged(cases)
     executor = executor or SerialExecutor()
     left_out = _fill(book, cases, settings, device, budget, repeats, executor, progress)
     study = collect(book.records, settings, initial, str(device.info), left_out)
     if report is not None:
         write_report(Path(report), study, book.device)
     return study
+
+
+def _judged(cases: list[BenchmarkCase]) -> tuple[list[BenchmarkCase], dict]:
+    """The cases whose initial depth can be judged, and its errors: one without a judge gives no figure."""
+    scores = {case.name: score(case, case.initial) for case in cases}
+    judged = [case for case in cases if {"depth", "unpredicted"} & scores[case.name].keys()]
+    for case in cases:
+        if case not in judged:
+            log.warning("%s cannot be judged and is left out: it has no truth, no held-out photo sees it", case.name)
+    if not judged:
+        raise InputError("no view can be judged: give its truth, hold out photos that see what is measured, or give "
+                         "more views")
+    return judged, {case.name: scores[case.name] for case in judged}
 
 
 def collect(records, settings, initial: dict, device: str, left_out=()) -> Study:
@@ -99,6 +114,17 @@ def collect(records, settings, initial: dict, device: str, left_out=()) -> Study
                  device, list(left_out), list(records))
 
 
+def _checked(record: dict) -> dict:
+    """A record of tradeoff.json with all that is asked of it; one of DAMAGE or TypeError where it has not."""
+    if not ({"key", "setting", "case"} <= record.keys() and all(isinstance(record[k], str) for k in ("key", "case"))):
+        raise ValueError("a run has no key or case")
+    if "error" not in record:
+        figures = [record[name] for name in ("seconds", "view_steps", "device_bytes")]
+        if not all(isinstance(figure, (int, float)) for figure in (*figures, *record["scores"].values())):
+            raise ValueError(f"the figures of {record['case']} are no numbers")
+    return record
+
+
 class Book:
     """Records of runs on `device`, in `folder`'s tradeoff.json (None: in memory), which is whole at any time.
 
@@ -109,9 +135,9 @@ class Book:
         self.path, self.device, self.records = folder and folder / FILE, device, []
         if self.path is not None and self.path.is_file():
             try:
-                kept = json.loads(self.path.read_text())
-                self.records = list(kept["records"]) if kept["device"] == device else []
-            except (ValueError, KeyError, TypeError) as error:
+                kept = json.loads(read_bytes(self.path))
+                self.records = [_checked(record) for record in kept["records"]] if kept["device"] == device else []
+            except (*DAMAGE, TypeError, AttributeError) as error:
                 raise InputError(f"{str(self.path)!r} is no record of a study ({error}); move it away") from error
             log.info("%s: %d runs are there already", self.path, len(self.records))
 

@@ -9,8 +9,6 @@ than there; jpeg, quality 60; shine, a highlight that moves; camera, turned by 0
 them; together, all at once. Depth in pixels of parallax, normals in degrees, both means; edges: within 3 pixels of one.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import time

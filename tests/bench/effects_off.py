@@ -2,8 +2,8 @@
 
     python tests/bench/effects_off.py [--width 1554] [--device NAME] [--out FILE.md]
 
-tests/test_effects_off.py shows that the programs are equal but for parameters that nothing reads; here both are timed
-on the device's own clock, in turn, so that neither has a warmer device.
+tests/splat/test_effects_off.py shows that the programs are equal but for parameters that nothing reads; here both are
+timed on the device's own clock, in turn, so that neither has a warmer device.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from stripped import never_had
 from support.effects import COMPILED
+from support.stripped import never_had
 
 from pagas_cl.config import Effects
 from pagas_cl.presets import BALANCED

@@ -6,7 +6,8 @@
 
 For each view two of the photos that it would use are held out. The others refine it as `pagas_cl.refine_views` does,
 which never sees those two; then both depths carry each held-out photo over to the view, and 7x7 patches of it are
-correlated with the view's own photo over the pixels that both depths predict (medians).
+correlated with the view's own photo over the pixels that both depths predict (medians), the pose of the held-out
+photo fitted to each of both first (its camera is off, too). Cameras as given; refined ones: tests/bench/cameras.py.
 OUT gets figures.json and table.md.
 """
 
@@ -120,11 +121,12 @@ def refine_without(target: int, held, views, depths, config, device, photos):
                       photos)
 
 
-def judge(target: int, held, views, depths, result) -> Row:
-    """Correlations of the held-out photos through the initial depth and the refined one."""
+def judge(target: int, held, views, depths, result, fitted) -> Row:
+    """Correlations of the held-out photos through the initial depth and the refined one; `fitted[k]`: the view k with
+    its pose fitted to each of both."""
     from pagas_cl.evaluate import compare_predictions
 
-    both = [compare_predictions(views[target], [depths[target], result.depth], views[k], depths[k]) for k in held]
+    both = [compare_predictions(views[target], [depths[target], result.depth], fitted[k], depths[k]) for k in held]
     pooled = [np.concatenate([pair[which].correlation[np.isfinite(pair[which].correlation)] for pair in both])
               for which in (0, 1)]
     told, counts = result.report, result.counts
@@ -137,6 +139,7 @@ def judge(target: int, held, views, depths, result) -> Row:
 
 def study(views, depths, config, device, names=(), keep=None) -> list[Row]:
     """A row a view; `keep(view, initial depth, result)` gets each result."""
+    from pagas_cl.cameras.judge import fitted_pose
     from pagas_cl.splat import PhotoStore
 
     photos, rows = PhotoStore(device), []
@@ -147,7 +150,9 @@ def study(views, depths, config, device, names=(), keep=None) -> list[Row]:
             if held is None:
                 continue
             result = refine_without(target, held, views, depths, config, device, photos)
-            rows.append(judges.submit(judge, target, held, views, depths, result))
+            fitted = {k: [fitted_pose(views[k], view, depth, depths[k], device, photos)
+                          for depth in (depths[target], result.depth)] for k in held}
+            rows.append(judges.submit(judge, target, held, views, depths, result, fitted))
             if keep:
                 keep(view, depths[target], result)
         return [row.result() for row in rows]

@@ -18,7 +18,7 @@ from PIL import Image
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from conftest import look_at
-from job_scenes import QUICK, copy_depth
+from support.job_scenes import QUICK, copy_depth
 
 from pagas_cl.jobs import refine_all
 from pagas_cl.scene.view import View

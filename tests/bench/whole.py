@@ -69,7 +69,7 @@ def timed(scene: Path, out: Path, preset: str) -> float:
 
 def told(out: Path) -> dict[str, float]:
     """What the records of the views say: seconds of refining, and of all that a worker did for them."""
-    reports = [json.loads(path.read_text())["report"] for path in sorted((out / ".work").glob("*.json"))]
+    reports = [json.loads(path.read_text())["report"] for path in sorted((out / ".pagas_cl" / "views").glob("*.json"))]
     return {"views": len(reports), "refining": sum(r.get("seconds", 0) for r in reports),
             "at a view": sum(r["task_seconds"] for r in reports), "first view": max(r["task_seconds"] for r in reports)}
 

@@ -2,8 +2,6 @@ import open3d as o3d
 import pagas_cl
 
 scene = pagas_cl.read_scene("SCENE")
-cameras = [view.camera for view in scene.views]
-photos = [view.image for view in scene.views]
 coarse = o3d.io.read_triangle_mesh("SCENE/mesh_coarse.ply")
-fine = pagas_cl.refine_mesh(coarse, cameras, photos)
+fine = pagas_cl.refine_mesh(coarse, scene.cameras, scene.images)
 o3d.io.write_triangle_mesh("fine.ply", fine)

@@ -21,7 +21,7 @@ from pagas_cl.runtime.arena import BufferSpec, allocate
 from pagas_cl.runtime.device import open_device
 from pagas_cl.runtime.memory import Memory, limit_of
 from pagas_cl.scene.view import View
-from pagas_cl.splat import budget, fit
+from pagas_cl.splat import budget
 from pagas_cl.surface.agree import counts
 
 pytestmark = pytest.mark.slow
@@ -171,10 +171,10 @@ def test_refused_with_a_setting_or_a_size_that_fits(device, limited, name):
     cameras = [view.camera for view in (target, *contexts, judge)]
     config = CONFIGS[name]
     for share in (0.9, 0.6, 0.1):
-        limited(int(share * fit.plan_for(cameras, 3, config, streamed=True).nbytes))
+        limited(int(share * budget.plan_for(cameras, 3, config, streamed=True).nbytes))
         with pytest.raises(DeviceMemoryError, match="even with one photo at a time; it fits with"):
             refine_depth(target, contexts, depth, config=config, device=device, held_out=[judge])
-        told = fit.what_fits(cameras, 3, config, device)
+        told = budget.what_fits(cameras, 3, config, device)
         if "--set" in told:
             pairs = [word.split("=") for word in told.split() if "=" in word]
             leaner = config.with_settings(**{key.replace(".", "__"): {"true": True}.get(value, value)
@@ -183,7 +183,7 @@ def test_refused_with_a_setting_or_a_size_that_fits(device, limited, name):
         else:
             width, height = (int(word) for word in told.split("photos of ")[1].split(" (")[0].split(" x "))
             small = [camera.resized(width, height) for camera in cameras]
-            assert fit.plan_for(small, 3, config, streamed=True).nbytes <= device.memory.limit
+            assert budget.plan_for(small, 3, config, streamed=True).nbytes <= device.memory.limit
 
 
 def test_views_are_compared_on_the_host_where_the_device_is_too_small(device, limited, caplog):

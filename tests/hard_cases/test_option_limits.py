@@ -11,7 +11,11 @@ from support.scenes import relief_scene
 from pagas_cl.errors import InputError
 from pagas_cl.presets import BALANCED
 from pagas_cl.refine import refine_views
-from pagas_cl.scene.choice import choose_contexts
+from pagas_cl.scene.choice import ContextChooser
+
+
+def choose_contexts(target, cameras, depths, *settings):
+    return ContextChooser(cameras, depths, *settings).choose(target)
 
 pytestmark = pytest.mark.slow
 

@@ -1,7 +1,5 @@
 """Twin of agreement.cl: refined depth maps of other views as evidence for one another (method section 8.1)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 EDGE, MOST_UNSURE, LENIENCE, IN_COMMON = 3.0, 0.5, 2.0, 0.3

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.reference.level import Photo, State, depth_threshold, parts_of_loss, prepare
-from pagas_cl.reference.project import is_valid, median_depth
+from pagas_cl.reference.level import Photo, State, parts_of_loss, prepare
+from pagas_cl.reference.project import is_valid
 from twins import resample
 from twins.gradient_filter import filter_gradient
 from twins.step import Adam, Plateau, late_share
+from twins.units import depth_threshold, median_depth
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,19 +7,23 @@ numbers, texts and cameras go through `untrusted`, paths through `photos.inside`
 damaged, distorted or unclear ends in one InputError sentence. A new format is a new module and a line in FORMATS.
 """
 
-from __future__ import annotations
-
+import logging
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.readers.photos import tell_links
+from pagas_cl.scene.readers.photos import refuse_shared_masks, tell_links
 from pagas_cl.scene.view import Scene
 
 # In the order of looking: what names its convention and its photos itself comes first.
 FORMATS = {"cameras": "camera_file", "colmap": "colmap", "nerfstudio": "nerfstudio", "mvsnet": "mvsnet",
-           "neus": "neus", "open3d": "open3d_trajectory", "bundler": "bundler", "meshlab": "meshlab"}
+           "neus": "neus", "open3d": "open3d_trajectory", "bundler": "bundler", "meshlab": "meshlab",
+           "da3": "depth_anything", "vggt": "vggt", "mapanything": "mapanything", "record3d": "record3d",
+           "polycam": "polycam", "scannet": "scannet", "7scenes": "seven_scenes", "tum": "tum",
+           "dvmvs": "video_mvs"}
+
+log = logging.getLogger("pagas_cl")
 
 
 def read_scene(folder: str | Path, format: str | None = None, **options: Any) -> Scene:
@@ -37,7 +41,18 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
         module = import_module(f"{__name__}.{FORMATS[name]}")
         if format is not None or module.detect(folder):
             scene: Scene = module.read(folder, **options)
+            refuse_shared_masks(scene.views, folder)
             tell_links(scene.views, folder)
+            if format is None and scene.depths is None:
+                _tell_depth(folder, name)
             return scene
     raise InputError(f"scene {str(folder)!r} holds no cameras in a known format ({', '.join(FORMATS)}); expected for "
                      "instance images/ and a COLMAP model in sparse/0")
+
+
+def _tell_depth(folder: Path, taken: str) -> None:
+    """Say which other format, with depth maps, the folder holds too."""
+    for name in list(FORMATS)[list(FORMATS).index("da3"):]:
+        if name != taken and import_module(f"{__name__}.{FORMATS[name]}").detect(folder):
+            log.info("%s is read as %s; it also holds %s, with depth maps: --format %s takes those", folder, taken,
+                     name, name)

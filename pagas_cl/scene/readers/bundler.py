@@ -5,8 +5,6 @@ it is the photo's middle. Sizes come from the photos. What the format cannot hol
 non-square pixels) is lost by whoever writes it.
 """
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

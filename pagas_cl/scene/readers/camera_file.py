@@ -7,8 +7,6 @@
 Image paths are relative to SCENE/images, those of masks ("mask" may be left out) to SCENE/masks.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path
@@ -69,7 +67,7 @@ def _view(folder: Path, entry: dict[str, Any], where: str, outside: bool) -> Vie
     mask = entry.get("mask")
     if mask is not None:
         mask = _file(folder / "masks", mask, f"{where}: mask", outside)
-    return view_of(folder, camera, image, mask or find_mask(folder, image, ("masks",)), entry["image"])
+    return view_of(folder, camera, image, mask or find_mask(folder, image, ("masks",), entry["image"]), entry["image"])
 
 
 def _file(folder: Path, name: Any, what: str, outside: bool) -> Path:

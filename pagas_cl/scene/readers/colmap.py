@@ -1,22 +1,26 @@
 """COLMAP: `images/` and a model in `sparse/0` or `sparse`, binary or text.
 
 Convention: world-to-camera, OpenCV axes, pixel centres at +0.5. PINHOLE and SIMPLE_PINHOLE are used as they are;
-photos of other models are undistorted as they are loaded, by pycolmap's lens models.
+photos of other models are undistorted as they are loaded, by pycolmap's lens models. Exports of networks whose cameras
+belong to small copies of the photos (MapAnything) are read with `photos=`, the folder of the originals.
 """
-
-from __future__ import annotations
 
 import logging
 from pathlib import Path
+
+import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.lens import Lens, ThroughLens
 from pagas_cl.scene.readers import untrusted
 from pagas_cl.scene.readers.colmap_model import Model, ModelImage, read_model
-from pagas_cl.scene.readers.photos import find_mask, first_file, inside
+from pagas_cl.scene.readers.originals import with_originals
+from pagas_cl.scene.readers.photos import find_mask, inside
 from pagas_cl.scene.view import Scene, View
 
 log = logging.getLogger("pagas_cl")
+
+_SMALL = 0.25      # of the photo's size: no principal point of a photo itself is nearer to the corner
 
 _PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
 
@@ -32,8 +36,11 @@ def model_folder(folder: Path) -> Path | None:
                  if all((folder / place / (part + suffix)).is_file() for part in ("cameras", "images"))), None)
 
 
-def read(folder: str | Path, *, outside: bool = False) -> Scene:
+def read(folder: str | Path, *, outside: bool = False, photos: str | Path | None = None) -> Scene:
     """Read the scene; every registered image becomes a view, in the order of their names.
+
+    `photos`: folder of original photos of the same names (or stems), to which the cameras are scaled, crop and padding
+    undone: images/ then holds the smaller ones that the cameras belong to.
 
     InputError for no model, one that cannot be read, no registered image, photos that are missing or of another size.
     """
@@ -44,6 +51,8 @@ def read(folder: str | Path, *, outside: bool = False) -> Scene:
                          f"{', '.join(_PLACES[:2])}")
     model = read_model(place)
     views = _views_of(model, folder / "images", folder, outside)
+    if photos is not None:
+        views = with_originals(views, Path(photos))
     return Scene(views, f"COLMAP model {str(place)!r}", model.points if len(model.points) else None)
 
 
@@ -55,6 +64,7 @@ def _views_of(model: Model, photos: Path, folder: Path, outside: bool) -> list[V
     paths = {image.name: inside(photos, image.name, f"image name in the COLMAP model of {str(photos.parent)!r}",
                                 outside=outside) for image in images}
     _check_photos(paths, photos)
+    _refuse_small_cameras(model, images, photos)
     lenses = dict[int, Lens]()
     views = [_view(model, image, paths[image.name], folder, lenses) for image in images]
     for view in views:
@@ -65,8 +75,7 @@ def _views_of(model: Model, photos: Path, folder: Path, outside: bool) -> list[V
 
 
 def _view(model: Model, image: ModelImage, path: Path, folder: Path, lenses: dict[int, Lens]) -> View:
-    camera, nested = model.cameras[image.camera_id], (f"{image.name}.png", Path(image.name).with_suffix(".png"))
-    mask = first_file(folder / "masks", nested) or find_mask(folder, path, ("masks",))
+    camera, mask = model.cameras[image.camera_id], find_mask(folder, path, ("masks",), image.name)
     if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
         pinhole = untrusted.pinhole(camera.K, image.world_to_camera, camera.width, camera.height, image.name)
         return View(pinhole, path, mask, image.name)
@@ -87,6 +96,22 @@ def _check_photos(paths: dict[str, Path], photos: Path) -> None:
         more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
         raise InputError(f"{len(missing)} of {len(paths)} photos of the COLMAP model are missing in {str(photos)!r}: "
                          f"{', '.join(missing[:3])}{more}; copy them there, or remove them from the model")
+
+
+def _refuse_small_cameras(model: Model, images: list[ModelImage], photos: Path) -> None:
+    """Cameras with the photos' sizes and a network's intrinsics: what Depth Anything 3 writes with a ...crop method."""
+    shares = []
+    for image in images:
+        camera = model.cameras[image.camera_id]
+        if camera.model not in ("PINHOLE", "SIMPLE_PINHOLE"):
+            return
+        shares.append((camera.K[0, 2] / camera.width, camera.K[1, 2] / camera.height))
+    across, down = np.transpose(shares)
+    if max(across.max(), down.max()) < _SMALL and np.abs(across / np.maximum(down, 1e-9) - 1).max() < 0.25:
+        raise InputError(f"all {len(images)} cameras of the COLMAP model of {str(photos.parent)!r} have their "
+                         f"principal point at {across.mean():.2f}, {down.mean():.2f} of the photo's size, not near "
+                         "its middle: the intrinsics belong to smaller images (Depth Anything 3 with a ...crop method "
+                         "does not scale them back); export with a ...resize method")
 
 
 def _tell_masks(views: list[View], masks: Path) -> None:

@@ -4,8 +4,6 @@ pycolmap reads them too, but trusts them: a damaged count makes it read for hour
 camera model ends the process. It is left what only it can do, the lens models (scene.lens).
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ from the left and y from the BOTTOM, from the image's corner (pixel centres at +
 with CenterPx from the top and pixel centres at whole numbers: flavour "openmvs".
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ Convention: world-to-camera, OpenCV axes. The exporters copy COLMAP's intrinsics
 format itself does not say. It holds no image size either: that comes from the photo.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

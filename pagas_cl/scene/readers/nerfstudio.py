@@ -2,10 +2,9 @@
 
 Convention: camera-to-world, OpenGL axes (x right, y up, looking along -z); rays go through pixel centres at +0.5.
 `applied_transform` says how the file's world came from another one and is not undone: cameras, and the points and
-meshes that nerfstudio writes beside them, share the file's world.
+meshes that nerfstudio writes beside them, share the file's world. Depth maps (`depth_file_path` of a frame) are z-depth
+times `depth_unit_scale_factor` (0.001 where it is not given); NerfCapture says `depth_path`, `integer_depth_scale`.
 """
-
-from __future__ import annotations
 
 import logging
 import math
@@ -16,6 +15,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera, intrinsics
+from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene, View
 
@@ -23,7 +23,10 @@ FILES = ("transforms.json", "transforms_train.json")
 _PINHOLE = ("fl_x", "fl_y", "cx", "cy")
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 _KNOWN = _PINHOLE + _DISTORTION + ("w", "h", "camera_angle_x", "camera_angle_y", "camera_model", "frames",
-                                   "file_path", "transform_matrix", "mask_path")
+                                   "file_path", "transform_matrix", "mask_path", "depth_file_path",
+                                   "depth_path", "depth_unit_scale_factor", "integer_depth_scale")
+_DEPTH = (("depth_file_path", "depth_unit_scale_factor"), ("depth_path", "integer_depth_scale"))
+_DEPTH_UNIT = 1e-3      # nerfstudio's where the file does not say
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 log = logging.getLogger("pagas_cl")
 
@@ -41,9 +44,28 @@ def read(folder: Path, *, outside: bool = False) -> Scene:
     untrusted.refuse_near_misses(data, _KNOWN, str(path))
     frames = untrusted.objects(data, "frames", "frame", path, _KNOWN)
     views = [_view(folder, data, frame, where, outside) for frame, where in frames]
+    depths = [_depth(folder, data, frame, where, view, outside) for (frame, where), view in zip(frames, views)]
     if "applied_transform" in data:
         log.info("%s: cameras are kept in the file's world; its applied_transform is not undone", path)
-    return Scene(views=views, source=str(path))
+    if not any(depths):
+        return Scene(views=views, source=str(path))
+    unit = next(f"{depth.scale:g} for one scene unit" for depth in depths if depth is not None)
+    known = any(key in values for _, key in _DEPTH for values in (data, *(frame for frame, _ in frames)))
+    return Scene(views=views, source=str(path), depths=tuple(depths),
+                 depth_unit=f"{unit}, as the file says" if known else f"{unit}, nerfstudio's default")
+
+
+def _depth(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str, view: View,
+           outside: bool) -> DepthSource | None:
+    values = {**data, **frame}
+    for name, unit in _DEPTH:
+        if frame.get(name) is not None:
+            path = photos.existing(photos.inside(folder, frame[name], f"{where}: {name}", outside=outside), where)
+            factor = untrusted.number(values.get(unit, _DEPTH_UNIT), f"{where}: {unit}")
+            if not 1e-12 < factor < 1e12:
+                raise InputError(f"{where}: {unit} is {factor:g}, expected a number above 0")
+            return DepthSource(path, (view.camera.width, view.camera.height), 1 / factor)
+    return None
 
 
 def _view(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str, outside: bool) -> View:

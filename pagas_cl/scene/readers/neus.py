@@ -4,8 +4,6 @@ Convention: x ~ world_mat_i[:3] (X, 1), OpenCV axes, world-to-camera, in the sce
 scale_mat_i takes the unit sphere, in which NeuS works, to that world. Where the pixel centres are is not said.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 import zipfile
@@ -16,7 +14,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.files import read_member, translated
+from pagas_cl.scene.files import opened, read_member, translated
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
 
@@ -33,8 +31,8 @@ def detect(folder: Path) -> bool:
     if path is None:
         return False
     try:
-        with zipfile.ZipFile(path) as archive:
-            return any(name.startswith("world_mat_") for name in archive.namelist())
+        with opened(path) as file:
+            return any(name.startswith("world_mat_") for name in zipfile.ZipFile(file).namelist())
     except (OSError, zipfile.BadZipFile, ValueError):
         return False
 
@@ -82,7 +80,8 @@ def _matched(images: list[Path], matrices: dict[int, dict[str, np.ndarray]],
 def read_matrices(path: Path) -> dict[int, dict[str, np.ndarray]]:
     """{number: {"world_mat": (4, 4), "scale_mat": (4, 4)}}, float64; other arrays of the file are left alone."""
     found: dict[int, dict[str, np.ndarray]] = {}
-    with translated(f"{path} cannot be read (", "): is the file damaged?"), zipfile.ZipFile(path) as archive:
+    with translated(f"{path} cannot be read (", "): is the file damaged?"), opened(path) as file:
+        archive = zipfile.ZipFile(file)
         if len(archive.infolist()) > _ENTRIES:
             raise InputError(f"{path} has {len(archive.infolist())} entries, expected at most {_ENTRIES}")
         for entry in archive.infolist():

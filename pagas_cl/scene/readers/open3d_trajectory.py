@@ -3,10 +3,9 @@
 Convention: .json holds world-to-camera matrices and intrinsics, both column by column; .log holds camera-to-world
 matrices, row by row, and NO intrinsics: those come from a PinholeCameraIntrinsic .json in the same folder, and without
 one the reader refuses (Open3D itself would silently take a PrimeSense camera). Open3D's legacy cameras count pixel
-centres at whole numbers. Neither file names photos: the i-th camera is that of the i-th photo.
+centres at whole numbers. Neither file names photos: the i-th camera is that of the i-th photo. Depth maps in depth/ are
+16-bit PNG, 1000 for one unit (Open3D's default).
 """
-
-from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,10 +15,12 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera, inverse_pose
+from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.readers import photos, untrusted
-from pagas_cl.scene.view import Scene
+from pagas_cl.scene.view import Scene, View
 
 PIXEL_CENTER = 0.0
+DEPTH_SCALE = 1000.0
 _LOGS = ("trajectory.log", "scene/trajectory.log", "camera.log")
 _INTRINSICS = ("camera_intrinsic.json", "intrinsic.json", "intrinsics.json", "camera.json")
 _MARK = b'"PinholeCameraTrajectory"'
@@ -34,9 +35,9 @@ def _trajectories(folder: Path) -> list[Path]:
     found = []
     for path in sorted(folder.glob("*.json")):
         try:
-            if path.stat().st_size <= untrusted.MAX_BYTES and _MARK in path.read_bytes():
+            if _MARK in untrusted.read_bytes(path):
                 found.append(path)
-        except OSError:
+        except InputError:
             continue
     return found or [folder / name for name in _LOGS if (folder / name).is_file()][:1]
 
@@ -61,9 +62,23 @@ def read(folder: Path, *, pixel_center: float = PIXEL_CENTER) -> Scene:
         cameras = [untrusted.pinhole(K, pose, *size, f"camera {i}", pixel_center=pixel_center)
                    for i, pose in enumerate(read_log(path))]
     images = photos.one_photo_each(photos.scene_photos(folder), len(cameras), str(path))
-    return Scene(views=[photos.view_of(folder, replace(camera, name=photo.name), photo)
-                        for camera, photo in zip(cameras, images)],
-                 source=f"{path} (Open3D)")
+    views = [photos.view_of(folder, replace(camera, name=photo.name), photo) for camera, photo in zip(cameras, images)]
+    depths = _depths(folder, views)
+    return Scene(views, f"{path} (Open3D)", depths=depths,
+                 depth_unit="" if depths is None else f"{DEPTH_SCALE:g} for one scene unit, Open3D's default")
+
+
+def _depths(folder: Path, views: list[View]) -> tuple[DepthSource | None, ...] | None:
+    """By name, else in order where there are as many; None without."""
+    found = [path for path in photos.list_photos(folder / "depth") if path.suffix.lower() == ".png"]
+    by_stem = {path.stem: path for path in found}
+    files: list[Path | None] = [by_stem.get(view.stem) for view in views]
+    if not any(files):
+        if len(found) != len(views):
+            return None
+        files = list(found)
+    return tuple(None if file is None else DepthSource(file, (view.camera.width, view.camera.height), DEPTH_SCALE)
+                 for file, view in zip(files, views))
 
 
 def read_json(path: Path, *, pixel_center: float = PIXEL_CENTER) -> list[Camera]:

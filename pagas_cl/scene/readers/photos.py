@@ -1,7 +1,5 @@
 """Finding the photos that a camera file speaks of, inside the scene's folder only unless told otherwise."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re
@@ -11,6 +9,7 @@ from typing import Any
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.files import is_file
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.readers.untrusted import IMAGE_SUFFIXES, MAX_SIDE, short
 from pagas_cl.scene.view import View
@@ -39,18 +38,14 @@ def inside(root: Path, name: Any, what: str, *, outside: bool = False) -> Path:
 
 def existing(path: Path, what: str) -> Path:
     """`path` if it is a file, else InputError."""
-    try:
-        found = path.is_file()
-    except OSError:  # a name longer than the file system takes
-        found = False
-    if not found:
+    if not is_file(path):
         raise InputError(f"{what}: there is no file {short(str(path))}")
     return path
 
 
 def first_file(folder: Path, names: Iterable[str | Path]) -> Path | None:
     """The first of `names` that is a file in `folder`."""
-    return next((folder / name for name in names if (folder / name).is_file()), None)
+    return next((folder / name for name in names if is_file(folder / name)), None)
 
 
 def list_photos(folder: Path) -> list[Path]:
@@ -78,10 +73,13 @@ def photo_size(path: Path) -> tuple[int, int]:
     return width, height
 
 
-def find_mask(folder: Path, photo: Path, places: tuple[str, ...] = ("masks", "mask")) -> Path | None:
-    """The mask of `photo`: <place>/<name>.png or <place>/<stem>.png; with plain numbers also 000007 -> 007."""
+def find_mask(folder: Path, photo: Path, places: tuple[str, ...] = ("masks", "mask"), name: str = "") -> Path | None:
+    """The mask of `photo`: <place>/<name>.png or <place>/<stem>.png, below the folders of the view's `name` or without
+    them; with plain numbers also 000007 -> 007."""
+    whole = Path(name or photo.name)
     for place in places:
-        named = first_file(folder / place, (photo.name + ".png", photo.stem + ".png"))
+        named = first_file(folder / place, (f"{whole}.png", f"{whole.with_suffix('')}.png", photo.name + ".png",
+                                            photo.stem + ".png"))
         if named:
             return named
         if photo.stem.isdecimal():
@@ -89,6 +87,19 @@ def find_mask(folder: Path, photo: Path, places: tuple[str, ...] = ("masks", "ma
                 if path.stem.isdecimal() and int(path.stem) == int(photo.stem):
                     return path
     return None
+
+
+def refuse_shared_masks(views: Iterable[View], folder: Path) -> None:
+    """InputError where one mask was found by the names of two photos: `0001.png` of left/0001.png and right/0001.png.
+    One that a file of the scene names for several photos is nobody's mistake."""
+    found: dict[Path, View] = {}
+    for view in views:
+        photo, mask = (getattr(source, "path", source) for source in (view.image, view.mask))
+        if isinstance(mask, Path) and isinstance(photo, Path) and mask == find_mask(folder, photo, name=view.name):
+            other = found.setdefault(mask, view)
+            if other is not view:
+                raise InputError(f"mask {str(mask)!r} could be of view {other.name!r} and of {view.name!r}: give each "
+                                 f"one of its own, {mask.parent / other.name}.png and {mask.parent / view.name}.png")
 
 
 def one_photo_each(photos: list[Path], count: int, what: str) -> list[Path]:
@@ -108,7 +119,7 @@ def file_of(view: View) -> Path:
 
 def view_of(folder: Path, camera: Camera, photo: Path, mask: Path | None = None, name: str = "") -> View:
     """The view of `photo` with its mask, given or found; InputError where a file's size is not the camera's."""
-    view = View(camera, photo, mask or find_mask(folder, photo), name or photo.name)
+    view = View(camera, photo, mask or find_mask(folder, photo, name=name), name or photo.name)
     view.check_files()
     return view
 

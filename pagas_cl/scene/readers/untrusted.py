@@ -3,8 +3,6 @@
 A damaged or hostile file ends in one InputError sentence: never in a crash, a hang, or much memory.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import xml.etree.ElementTree as ElementTree
@@ -18,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
+from pagas_cl.scene import files
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.files import translated
 
 MAX_BYTES = 256 << 20      # a camera file of 100,000 views has some 100 MB
 MAX_SIDE = 1 << 20         # pixels; larger sides are damage, not photos
@@ -31,10 +29,7 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".p
 def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
     """The whole file, or InputError where it cannot be read or is larger than `limit` bytes."""
     try:
-        size = path.stat().st_size
-        if size > limit:
-            raise InputError(f"{path} has {size} bytes, expected at most {limit}: is it really a camera file?")
-        return path.read_bytes()
+        return files.read_bytes(path, limit)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
 
@@ -56,7 +51,7 @@ def read_json(path: Path) -> dict[str, Any]:
             raise InputError(f"{path}: the key {short(key)} is given twice in one object; remove one")
         return dict(pairs)
 
-    with translated(f"{path} is not valid JSON (", "): is the file damaged?"):
+    with files.translated(f"{path} is not valid JSON (", "): is the file damaged?"):
         data = json.loads(read_text(path), object_pairs_hook=unique)
     if not isinstance(data, dict):
         raise InputError(f"{path} holds a JSON {type(data).__name__}, expected an object")
@@ -69,7 +64,7 @@ def read_xml(path: Path, root: str) -> ElementTree.Element:
     Entity declarations, which can expand without bound or read other files, are refused before anything is expanded.
     """
     data = read_bytes(Path(path), _XML_BYTES)
-    with translated(f"{path} is not valid XML (", "): is the file damaged?"):
+    with files.translated(f"{path} is not valid XML (", "): is the file damaged?"):
         _inspect_xml(data, path)
         element = ElementTree.fromstring(data)
     if element.tag != root:

@@ -1,0 +1,138 @@
+// What the depth maps say of a mesh's vertices, each along its normal (method section 10.2). Lengths in units of the
+// mesh's size; `pairs` holds, vertex after vertex, the two other corners of each triangle around it, `first` where each
+// vertex's begin.
+//   vertex_normals  mean of the normals around a vertex, by angle
+//   gather          what one view says of each vertex: kept among the SLOTS weightiest words
+//   settle          their robust mean
+#include "constants.clh"
+#include "eye.clh"
+
+#define FACING 0.3f                      // least cosine between ray and normal
+#define ON_SURFACE 1.0f                  // footprints (more on slopes) between a seen vertex and the drawn mesh
+#define WINDOW 1                         // pixels around a depth that must lie on one surface with it,
+#define NO_EDGE 3.0f                     // to so many footprints along the normal
+#define LEAST_SIGMA 0.1f                 // footprints: no depth is surer
+#define OUTLIER 1.0f                     // footprints from the median from which on a word does not count
+#define DOUBT 0.3f                       // the same from which on it counts less
+
+__kernel void vertex_normals(__global const float *positions, __global const int *first, __global const int2 *pairs,
+                             int count, __global float *normals)                       // [V, 3], unit length or zero
+{
+    EACH(i, count)
+    const float3 p = vload3(i, positions);
+    float3 sum = 0.0f;
+    for (int k = first[i]; k < first[i + 1]; ++k) {
+        const float3 a = vload3(pairs[k].x, positions) - p, b = vload3(pairs[k].y, positions) - p;
+        const float3 across = cross(a, b);
+        const float area = length(across);
+        if (area > 0.0f)
+            sum += across * (atan2(area, dot(a, b)) / area);
+    }
+    const float size = length(sum);
+    vstore3(size > 1e-6f ? sum / size : (float3)(0.0f), i, normals);
+}
+
+float3 at_depth(const Eye eye, int column, int row, float d)
+{
+    return d * (float3)((column + 0.5f - eye.cx) * eye.ifx, (row + 0.5f - eye.cy) * eye.ify, 1.0f);
+}
+
+// words: [V, SLOTS] way along the normal and weight, the weightiest of all views; a view is asked after the other.
+__kernel void gather(__global const float *positions, __global const float *normals, int count,
+                     __constant float *camera,
+                     __global const float *drawn,                  // [H, W] of the mesh as it is, units
+                     __global const float *depth, __global const float *deviation, float scale,     // [H, W] scene units
+                     float orientation,                            // 1: normals point outwards, -1: inwards, 0: as it comes
+                     __global float2 *words,
+                     __global float *unit)                         // [V] least footprint among the views, units
+{
+    EACH(i, count)
+    const Eye eye = load_eye(camera);
+    const float3 away = vload3(i, positions) - eye.center, normal = vload3(i, normals);
+    const float3 p = (float3)(dot(eye.r0, away), dot(eye.r1, away), dot(eye.r2, away));
+    const float3 n = (float3)(dot(eye.r0, normal), dot(eye.r1, normal), dot(eye.r2, normal));
+    const float cosine = -dot(p, n) / length(p), facing = orientation == 0.0f ? fabs(cosine) : orientation * cosine;
+    if (!(p.z > 0.0f && facing > FACING))
+        return;
+    const float u = eye.fx * p.x / p.z + eye.cx, v = eye.fy * p.y / p.z + eye.cy;
+    if (!(u > WINDOW + 0.5f && v > WINDOW + 0.5f && u < eye.width - WINDOW - 0.5f && v < eye.height - WINDOW - 0.5f))
+        return;
+    const float size = p.z * sqrt(eye.ifx * eye.ify);
+    const int column = (int)u, row = (int)v, middle = row * eye.width + column;
+    const float tangent = sqrt(1.0f / (facing * facing) - 1.0f);
+    if (!(drawn[middle] > 0.0f && fabs(drawn[middle] - p.z) < ON_SURFACE * size * (1.0f + tangent)))
+        return;
+    unit[i] = fmin(unit[i], size);
+    const float sigma = deviation[middle] * scale * fabs(dot(p, n)) / p.z;
+    const float own = dot(at_depth(eye, column, row, depth[middle] * scale), n);
+    bool smooth = depth[middle] > 0.0f && isfinite(sigma);
+    for (int y = -WINDOW; y <= WINDOW; ++y)
+        for (int x = -WINDOW; x <= WINDOW; ++x) {
+            const float d = depth[middle + y * eye.width + x] * scale;
+            smooth = smooth && d > 0.0f
+                     && fabs(dot(at_depth(eye, column + x, row + y, d), n) - own) < NO_EDGE * size;
+        }
+    if (!smooth)
+        return;
+    // 1 / depth is linear in the image on every plane
+    const int left = (int)floor(u - 0.5f), top = (int)floor(v - 0.5f);
+    const float a = u - 0.5f - left, b = v - 0.5f - top;
+    __global const float *corner = depth + top * eye.width + left;
+    const float d = scale / ((1.0f - b) * ((1.0f - a) / corner[0] + a / corner[1])
+                             + b * ((1.0f - a) / corner[eye.width] + a / corner[eye.width + 1]));
+    float2 word = (float2)((d - p.z) * dot(p, n) / p.z, 1.0f);
+    const float least = fmax(sigma, LEAST_SIGMA * size);
+    word.y = 1.0f / (least * least);
+    __global float2 *own_words = words + i * SLOTS;
+    for (int k = 0; k < SLOTS && word.y > 0.0f; ++k)
+        if (word.y > own_words[k].y) {
+            const float2 out = own_words[k];
+            own_words[k] = word;
+            word = out;
+        }
+}
+
+// target: where the vertex is said to be, along its normal; weight: in 1 / unit^2, at most MOST_WEIGHT and 0 with fewer
+// than LEAST_VIEWS views that agree; seen: how many do; sigma: the standard deviation of the target, units.
+__kernel void settle(__global const float2 *words, __global const float *unit, int count, int least_views,
+                     __global float *target, __global float *weight, __global int *seen, __global float *sigma)
+{
+    EACH(i, count)
+    float2 word[SLOTS];
+    float total = 0.0f;
+    int number = 0;
+    for (int k = 0; k < SLOTS; ++k) {
+        const float2 next = words[i * SLOTS + k];
+        if (!(next.y > 0.0f))
+            break;
+        int place = number++;
+        for (; place > 0 && word[place - 1].x > next.x; --place)
+            word[place] = word[place - 1];
+        word[place] = next;
+        total += next.y;
+    }
+    float below = 0.0f, median = 0.0f;
+    for (int k = 0; k < number; ++k) {
+        below += word[k].y;
+        if (below >= 0.5f * total) {
+            median = word[k].x;
+            break;
+        }
+    }
+    float sum = 0.0f, way = 0.0f;
+    int agree = 0;
+    for (int k = 0; k < number; ++k) {
+        const float apart = fabs(word[k].x - median) / unit[i];
+        if (apart > OUTLIER)
+            continue;
+        const float share = word[k].y / fmax(1.0f, apart / DOUBT);
+        sum += share;
+        way += share * word[k].x;
+        ++agree;
+    }
+    const bool enough = agree >= least_views;
+    target[i] = enough ? way / sum : 0.0f;
+    weight[i] = enough ? fmin(sum * unit[i] * unit[i] * WEIGHT_SHARE, MOST_WEIGHT) : 0.0f;
+    seen[i] = agree;
+    sigma[i] = enough ? rsqrt(sum) : INFINITY;
+}

@@ -1,0 +1,132 @@
+// Depth of a triangle mesh in a camera: a z-buffer without clipping (method section 10.1).
+//   draw         each work-item a triangle: small ones at once, the rest into a list
+//   draw_large   each work-group a triangle of that list, its pixels side by side
+//   to_depth     bits of the z-buffer to depth
+// Depths are positive, so that their bits sort as the numbers do: one atomic minimum a pixel, in any order. What decides
+// whether a pixel's centre lies in a triangle is written with fma() alone, so that no compiler contracts it one way for
+// one triangle and another way for its neighbour: no pixel falls between two triangles.
+#include "constants.clh"
+#include "eye.clh"
+
+#define LARGE 256                        // pixels of the bounding box from which on a work-group draws
+#define NEAR_SHARE 1e-6f                 // of a triangle's largest depth: what is nearer to the camera's plane is left out
+#define EMPTY 0x7f800000u                // infinity: no surface
+
+float fixed_dot(float3 a, float3 b)
+{
+    return fma(a.x, b.x, fma(a.y, b.y, a.z * b.z));
+}
+
+// A vertex in the camera's frame. Vertices and centre come as two floats each, whose difference loses no digits.
+float3 seen_from(const Eye eye, __global const float *vertices, int vertex)
+{
+    const float3 a = vload3(2 * vertex, vertices), b = -eye.center;
+    const float3 sum = a + b, back = sum - a, rest = (a - (sum - back)) + (b - back);
+    const float3 d = sum + (rest + (vload3(2 * vertex + 1, vertices) - eye.center_rest));
+    return (float3)(fixed_dot(eye.r0, d), fixed_dot(eye.r1, d), fixed_dot(eye.r2, d));
+}
+
+typedef struct {
+    float3 a, b, c;
+    int4 box;                            // first and last column, first and last row
+} Triangle;
+
+void extend(const Eye eye, float3 p, float4 *box)
+{
+    const float u = eye.fx * (p.x / p.z) + eye.cx, v = eye.fy * (p.y / p.z) + eye.cy;
+    *box = (float4)(fmin(box->x, u), fmax(box->y, u), fmin(box->z, v), fmax(box->w, v));
+}
+
+void extend_to_plane(const Eye eye, float3 p, float3 q, float near, float4 *box)
+{
+    if ((p.z >= near) == (q.z >= near))
+        return;
+    const float share = (near - p.z) / (q.z - p.z);
+    extend(eye, (float3)(p.x + share * (q.x - p.x), p.y + share * (q.y - p.y), near), box);
+}
+
+// Corners, and the pixels whose centres the part in front of the camera may hold; false where there are none.
+bool load_triangle(const Eye eye, __global const float *vertices, __global const int *faces, int face, Triangle *t)
+{
+    const int3 corner = vload3(face, faces);
+    t->a = seen_from(eye, vertices, corner.x);
+    t->b = seen_from(eye, vertices, corner.y);
+    t->c = seen_from(eye, vertices, corner.z);
+    const float near = NEAR_SHARE * fmax(t->a.z, fmax(t->b.z, t->c.z));
+    if (!(near > 0.0f))
+        return false;
+    float4 box = (float4)(INFINITY, -INFINITY, INFINITY, -INFINITY);
+    if (t->a.z >= near)
+        extend(eye, t->a, &box);
+    if (t->b.z >= near)
+        extend(eye, t->b, &box);
+    if (t->c.z >= near)
+        extend(eye, t->c, &box);
+    extend_to_plane(eye, t->a, t->b, near, &box);
+    extend_to_plane(eye, t->b, t->c, near, &box);
+    extend_to_plane(eye, t->c, t->a, near, &box);
+    const float4 wide = 0.01f + 1e-5f * fabs(box);                   // more than rounding can move a pixel's centre
+    t->box = (int4)((int)ceil(clamp(box.x - wide.x - 0.5f, 0.0f, (float)eye.width)),
+                    (int)floor(clamp(box.y + wide.y - 0.5f, -1.0f, eye.width - 1.0f)),
+                    (int)ceil(clamp(box.z - wide.z - 0.5f, 0.0f, (float)eye.height)),
+                    (int)floor(clamp(box.w + wide.w - 0.5f, -1.0f, eye.height - 1.0f)));
+    return t->box.x <= t->box.y && t->box.z <= t->box.w;
+}
+
+// a.x b.y - a.y b.x, good to two units in the last place: its sign is right, and the opposite one for (b, a).
+float cross_2d(float2 a, float2 b)
+{
+    const float product = a.y * b.x;
+    return fma(a.x, b.y, -product) + fma(-a.y, b.x, product);
+}
+
+void draw_pixel(const Eye eye, const Triangle t, int column, int row, __global volatile uint *z_buffer)
+{
+    const float2 ray = -(float2)((column + 0.5f - eye.cx) * eye.ifx, (row + 0.5f - eye.cy) * eye.ify);
+    const float2 a = fma(ray, t.a.zz, t.a.xy), b = fma(ray, t.b.zz, t.b.xy), c = fma(ray, t.c.zz, t.c.xy);
+    const float u = cross_2d(b, c), v = cross_2d(c, a), w = cross_2d(a, b);
+    if ((u < 0.0f || v < 0.0f || w < 0.0f) && (u > 0.0f || v > 0.0f || w > 0.0f))
+        return;
+    const float z = (u * t.a.z + v * t.b.z + w * t.c.z) / (u + v + w);
+    const int place = row * eye.width + column;
+    if (z > 0.0f && as_uint(z) < z_buffer[place])
+        atomic_min(&z_buffer[place], as_uint(z));
+}
+
+__kernel void draw(__global const float *vertices,                 // [V, 2, 3] units: rounded, and what is left
+                   __global const int *faces, int count,           // [F, 3]
+                   __constant float *camera, __global volatile uint *z_buffer,      // [H, W] bits of depth, units
+                   __global volatile uint *large)                  // [1 + F] how many, and which
+{
+    EACH(face, count)
+    const Eye eye = load_eye(camera);
+    Triangle t;
+    if (!load_triangle(eye, vertices, faces, face, &t))
+        return;
+    if ((t.box.y - t.box.x + 1) * (t.box.w - t.box.z + 1) > LARGE) {
+        large[1 + atomic_inc(&large[0])] = face;
+        return;
+    }
+    for (int row = t.box.z; row <= t.box.w; ++row)
+        for (int column = t.box.x; column <= t.box.y; ++column)
+            draw_pixel(eye, t, column, row, z_buffer);
+}
+
+__kernel void draw_large(__global const float *vertices, __global const int *faces, __constant float *camera,
+                         __global volatile uint *z_buffer, __global const uint *large)
+{
+    const Eye eye = load_eye(camera);
+    for (uint k = get_group_id(0); k < large[0]; k += get_num_groups(0)) {
+        Triangle t;
+        load_triangle(eye, vertices, faces, large[1 + k], &t);
+        const int across = t.box.y - t.box.x + 1, pixels = across * (t.box.w - t.box.z + 1);
+        for (int i = get_local_id(0); i < pixels; i += get_local_size(0))
+            draw_pixel(eye, t, t.box.x + i % across, t.box.z + i / across, z_buffer);
+    }
+}
+
+__kernel void to_depth(__global uint *z_buffer, int count, float unit)         // in place; `unit` of depth that comes out
+{
+    EACH(i, count)
+    z_buffer[i] = z_buffer[i] == EMPTY ? 0u : as_uint(as_float(z_buffer[i]) * unit);
+}

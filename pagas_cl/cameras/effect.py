@@ -1,0 +1,91 @@
+"""The effect `cameras` (method section 8): whether cameras are refined before the views are, for a whole scene."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pagas_cl.cameras.refine import OFF, CameraRefinement, photos_off, refine_cameras
+from pagas_cl.config import Config
+from pagas_cl.effects import Decision
+from pagas_cl.errors import DeviceError
+from pagas_cl.progress import Progress
+from pagas_cl.scene.inputs import Depth, depth_array
+from pagas_cl.scene.mesh import Mesh, to_surface
+from pagas_cl.scene.view import View
+
+log = logging.getLogger("pagas_cl")
+
+FEWEST = 4                # views: three to tell how far a camera is off, and one more to judge
+MOST = 300                # views for which it is decided unasked: all depth maps are in memory at once
+WORDS = "pixels that photos are off by across the direction of depth"
+
+
+def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, config: Config,
+                   device: Any = None,
+                   progress: Progress | None = None) -> tuple[list[View], Config, CameraRefinement | None]:
+    """Settle effects.cameras: the views with the cameras that follow, settings in which it is "set", and the refinement
+    (None where none was called for). `depths_or_mesh` as in refine_cameras, `device` as in refine_views."""
+    settled = replace(config, effects=replace(config.effects, cameras="set"))
+    choice = config.effects.cameras
+    if choice in ("off", "set") or (choice == "auto" and not FEWEST <= len(views) <= MOST):
+        return list(views), settled, None
+    device, off = _device(device, choice), None
+    if device is None:
+        return list(views), settled, None
+    if choice == "auto":
+        decision, off = decide_cameras(views, depths_or_mesh, config, device)
+        log.info("%s", decision)
+        if not decision.on:
+            return list(views), settled, None
+    found = refine_cameras(views, depths_or_mesh, config=config, device=device, progress=progress, measured=off)
+    log.info("%s", found)
+    return with_cameras(views, found), settled, found
+
+
+def decide_cameras(views: Sequence[View], depths_or_mesh, config: Config,
+                   device) -> tuple[Decision, tuple[float, float]]:
+    """Whether a scene calls for it, and what photos_off measured."""
+    from pagas_cl.runtime.device import open_device
+    from pagas_cl.splat import PhotoStore
+
+    device, choice = open_device(device), config.effects.cameras
+    depths = _depth_maps(views, depths_or_mesh)
+    off = photos_off(views, depths, config, device, PhotoStore(device))
+    on = choice == "on" or (choice == "auto" and off[0] > OFF)
+    return Decision("cameras", off[0], OFF, on, WORDS if choice == "auto" else f"asked for: {choice}"), off
+
+
+def with_cameras(views: Sequence[View], found: CameraRefinement) -> list[View]:
+    """The views with refined cameras; those that stay are the same objects."""
+    return [view if camera is view.camera else replace(view, camera=camera)
+            for view, camera in zip(views, found.cameras)]
+
+
+def _depth_maps(views: Sequence[View], given) -> list[np.ndarray | None]:
+    from pagas_cl.cameras.frames import is_mesh
+
+    if not is_mesh(given):
+        return [None if depth is None else depth_array(depth) for depth in given]
+    from pagas_cl.surface.raster import each_depth
+
+    return list(each_depth(to_surface(given), [view.camera for view in views]))
+
+
+def _device(given: Any, choice: str):
+    """The one device to work on, the first of several; None where there is none and nobody insists."""
+    from pagas_cl.runtime.device import open_device
+
+    if isinstance(given, (list, tuple)):
+        given = given[0] if given else None
+    try:
+        return open_device(None if given == "all" else given)
+    except DeviceError as error:
+        if choice == "on":
+            raise
+        log.warning("cameras stay as given, nothing is measured here: %s", error)
+        return None

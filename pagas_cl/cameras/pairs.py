@@ -1,0 +1,56 @@
+"""Which pairs of photos cameras are refined by, and which take no part and judge."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pagas_cl.config import Context
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.choice import ContextChooser, for_planning
+
+MOST = 6                  # context views of a target
+FEWEST = 2                # a target with fewer leaves nothing beside its free depths
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """`used`: of each view, its context views; `held`: pairs (one, other) of which neither is a context view of the
+    other's."""
+
+    used: tuple[tuple[int, ...], ...]
+    held: tuple[tuple[int, int], ...]
+
+    def without(self, views: set[int]) -> Pairs:
+        """The pairs without some views; a view that is left with too few constrains nothing."""
+        left = [tuple(k for k in others if k not in views) if target not in views else ()
+                for target, others in enumerate(self.used)]
+        return Pairs(tuple(others if len(others) >= FEWEST else () for others in left),
+                     tuple(pair for pair in self.held if not views & set(pair)))
+
+
+def choose_pairs(cameras: Sequence[Camera], depths: Sequence[np.ndarray], context: Context,
+                 hide: bool = True) -> Pairs:
+    """Up to MOST context views of each view; a pair of most views is held back. `hide`: depth maps are of one scale, so
+    that one tells what another view's surface hides."""
+    settings = replace(context, number=min(context.number, MOST) + 1, min_angle=min(context.min_angle, 0.5))
+    samples = [for_planning(depth, len(cameras)) for depth in depths]
+    chooser = ContextChooser(cameras, samples, settings)
+    usable = []
+    for one, sample in enumerate(samples):
+        if not hide:
+            chooser.depths = [sample if k == one else None for k in range(len(cameras))]
+        usable.append(chooser.choose(one).indices)
+    held: list[tuple[int, int]] = []
+    taken: set[int] = set()
+    for one, others in enumerate(usable):
+        for other in others[1:]:             # not the most useful one
+            if (one not in taken and other not in taken and len(others) > FEWEST
+                    and len([k for k in usable[other] if k != one]) >= FEWEST):
+                held.append((one, other))
+                taken |= {one, other}
+    apart = {frozenset(pair) for pair in held}
+    used = [tuple(k for k in others if frozenset((one, k)) not in apart)[:MOST] for one, others in enumerate(usable)]
+    return Pairs(tuple(used), tuple(held)).without(set())

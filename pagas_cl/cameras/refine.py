@@ -1,0 +1,280 @@
+"""Refine cameras by the photos and a first surface: `refine_cameras` (method section 9)."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pagas_cl.cameras.adjust import Adjuster
+from pagas_cl.cameras.frames import Frames, depths_of
+from pagas_cl.cameras.motion import pixel_motion
+from pagas_cl.cameras.pairs import choose_pairs
+from pagas_cl.cameras.rounds import COARSE, FINE, MAPS, Rounds, Stage, State
+from pagas_cl.cameras.scales import first_scales
+from pagas_cl.config import Config
+from pagas_cl.errors import InputError
+from pagas_cl.measurements import measure
+from pagas_cl.presets import settings_of
+from pagas_cl.progress import Progress
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.choice import PartnerChooser
+from pagas_cl.scene.inputs import Depth
+from pagas_cl.scene.mesh import Mesh
+from pagas_cl.scene.sampling import sample_pixels
+from pagas_cl.scene.view import View
+
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
+    from pagas_cl.splat import PhotoStore
+
+log = logging.getLogger("pagas_cl")
+
+UNKNOWNS = ("pose", "focal", "principal_point", "depth_scale", "depth_shift")
+OFF = 0.13                # pixels that photos are off by across the direction of depth, from which cameras are refined
+FAR = 0.8                 # the same from which coarse photos come first;
+FAR_OFF = 0.15            # so they do where this share of samples matches elsewhere
+LEAST_GAIN = 0.03         # of the held-back pairs' cost: less may be chance
+WRONG = 2.0               # a view whose pairs agree so many times worse than the others' has a wrong camera
+UNLIKE = 0.1              # and so badly: photos of different things have a cost of 0.18
+_FINEST = 640_000         # pixels of a photo at the finest size: more say the same of a camera
+_MEASURED = 4             # views that are measured
+
+
+@dataclass(frozen=True, eq=False)
+class CameraRefinement:
+    """Refined cameras, and what speaks for them."""
+
+    cameras: list[Camera]
+    """One a view, in their order; the given ones where they were not accepted."""
+    accepted: bool
+    reason: str
+    """Why the cameras stay as they were given; empty where they were refined."""
+    moved: np.ndarray = field(repr=False)
+    """Pixels that each photo moved by, root mean square over its surface, float64 (N,), accepted or not; NaN where a
+    view has no surface."""
+    pairs: list[tuple[str, str, float, float]] = field(repr=False)
+    """Pairs of views that took no part: names, mean residual cost before and after."""
+    left_out: tuple[str, ...] = ()
+    """Views whose camera is wrong as a whole (its photo shows something else than the others' surface), which took no
+    part and keep their camera."""
+    depth_scales: np.ndarray | None = field(default=None, repr=False)
+    """Scale (and `depth_shifts`, shift in scene units) of each view's depth map, (N,): depth = scale * given + shift.
+    None where they were not asked for."""
+    depth_shifts: np.ndarray | None = field(default=None, repr=False)
+    report: dict[str, Any] = field(default_factory=dict, repr=False)
+    """Plain numbers: off (pixels), rounds, residual before and after, seconds."""
+
+    def __str__(self) -> str:
+        wrong = f"; wrong and left out: {', '.join(self.left_out)}" if self.left_out else ""
+        if not self.accepted:
+            return f"cameras stay as given: {self.reason}{wrong}"
+        return (f"cameras moved by {np.nanmedian(self.moved):.2f} pixels (median), at most "
+                f"{np.nanmax(self.moved):.2f}{wrong}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"accepted": self.accepted, "reason": self.reason, "left_out": list(self.left_out), "moved":
+                {camera.name: round(float(m), 4) if np.isfinite(m) else None
+                 for camera, m in zip(self.cameras, self.moved)},
+                "held_back_pairs": [{"views": [a, b], "before": before, "after": after}
+                                    for a, b, before, after in self.pairs], **self.report}
+
+
+def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, *,
+                   unknowns: Collection[str] = ("pose",), lenses: Sequence[int] | None = None,
+                   gauge: Sequence[Camera] | None = None, measured: tuple[float, float] | None = None,
+                   preset: str | None = None, config: Config | None = None, device: str | Device | None = None,
+                   progress: Progress | None = None, photos: PhotoStore | None = None) -> CameraRefinement:
+    """Refine the cameras of `views`, so that their photos agree through the surface.
+
+    Parameters
+    ----------
+    views : list of View
+    depths_or_mesh : list of arrays (H, W), one a view (None where it has none), or a mesh as in refine_mesh
+        The surface as it is known. Depth maps go with their views; a mesh stays where it is.
+    unknowns : collection of str
+        Of "pose"; "focal" and "principal_point", shared by the views of one lens; "depth_scale" and "depth_shift", of
+        each view's depth map (not of a mesh).
+    lenses : list of int, optional
+        For each view the number of its lens, from 0; by default views of equal focal lengths and sizes share one.
+    gauge : list of Camera, optional
+        The cameras that hold what photos do not see, where `views` have been refined before: those given at first.
+    measured : (float, float), optional
+        Pixels that photos are off by across the direction of depth, and the share of samples that match elsewhere;
+        measured by default.
+
+    Returns
+    -------
+    CameraRefinement
+        Accepted only where pairs of photos that took no part agree better.
+
+    Raises
+    ------
+    InputError, DeviceError
+    """
+    from pagas_cl.runtime.device import open_device, translate_cl_errors
+
+    device, config = open_device(device), settings_of(preset, config)
+    with translate_cl_errors(device, "the refinement of the cameras"):
+        return _refine(list(views), depths_or_mesh, tuple(unknowns), lenses, gauge, measured, config, device, progress,
+                       photos)
+
+
+def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], config: Config, device: Device,
+               photos: PhotoStore) -> tuple[float, float]:
+    """How far photos are off across the direction of depth, pixels (root mean square over some of the views), and the
+    share of samples that match elsewhere."""
+    have = [k for k, depth in enumerate(depths) if depth is not None and (depth > 0).any()]
+    chooser = PartnerChooser([view.camera for view in views], list(depths), config.context)
+    told = []
+    for k in np.array(have)[np.unique(np.linspace(0, len(have) - 1, _MEASURED).astype(int))] if have else []:
+        partners = chooser.choose(int(k))
+        if partners.contexts:
+            told.append(measure(views[k], [views[j] for j in partners.contexts], depths[k], config, device, photos))
+    if not told:
+        return 0.0, 0.0
+    return (float(np.sqrt(np.mean([one.misaligned**2 for one in told]))),
+            float(np.mean([one.far_off for one in told])))
+
+
+def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, device, progress,
+            photos) -> CameraRefinement:
+    from pagas_cl.splat import PhotoStore
+
+    start, (depths, moves) = time.perf_counter(), depths_of(depths_or_mesh)
+    _check(views, depths_or_mesh, unknowns, moves, gauge)
+    given, photos = [view.camera for view in views], photos or PhotoStore(device)
+    surfaces = depths(given)
+    nothing = np.full(len(views), np.nan)
+    samples = [_samples(camera, depth) for camera, depth in zip(given, surfaces)]
+    typical = [float(np.median(z)) if len(z) else np.nan for _, z in samples]
+    if not np.isfinite(typical).any():
+        return CameraRefinement(given, False, "no view has a surface", nothing, [])
+    scene_scale = float(np.nanmedian(typical))
+    typical = [z / scene_scale if np.isfinite(z) else 1.0 for z in typical]
+    pairs = choose_pairs(given, surfaces, config.context, hide=not _map_numbers(unknowns))
+    if not pairs.held or sum(map(bool, pairs.used)) < 3:
+        return CameraRefinement(given, False, "it takes four views that see the same surface: three to tell how far a "
+                                "camera is off, and one more to judge", nothing, [])
+    measured, elsewhere = known or photos_off(views, surfaces, config, device, photos)
+    adjuster = Adjuster(device, scene_scale, intrinsics=unknowns != ("pose",))
+    frames = Frames(adjuster, views, depths, moves, photos)
+    finest = min(1.0, float(np.sqrt(_FINEST / np.median([c.width * c.height for c in given]))))
+    rounds = Rounds(frames, pairs, finest, typical)
+    state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
+                  _lenses(given, unknowns, lenses), _lens_numbers(unknowns), _map_numbers(unknowns))
+    if state.map_numbers:
+        state.maps[:, 0] = first_scales(given, surfaces, pairs.used)
+        rounds.run(MAPS, state)
+    coarse = (measured > FAR or elsewhere > FAR_OFF or state.map_numbers > 0
+              or bool(_wrong(rounds, state, Stage(0.25, 0.7, 0))))
+    rounds.run(COARSE if coarse else FINE, state)
+    if wrong := _wrong(rounds, state, Stage(0.5, 0.7, 0)):         # the others once more, without what misled them
+        rounds.pairs = pairs.without(wrong)
+        for k in wrong:
+            state.cameras[k] = given[k]
+        rounds.run(COARSE, state)
+        for k in wrong:
+            state.cameras[k] = given[k]
+    return _judged(views, given, pairs, rounds, state, wrong, samples, unknowns,
+                   {"off": measured, "matches_elsewhere": elsewhere, "coarse": coarse, "rounds": state.log,
+                    "seconds": time.perf_counter() - start})
+
+
+def _judged(views, given, pairs, rounds, state, wrong, samples, unknowns, report) -> CameraRefinement:
+    """Whether pairs that took no part agree better."""
+    held, stage = rounds.pairs.held, Stage(1.0, 0.7, 0)
+    neutral = np.tile([1.0, 0.0], (len(views), 1))
+    before, after = (rounds.judged(cameras, maps, held, stage) for cameras, maps in
+                     ((given, neutral), (state.cameras, state.maps)))
+    both = np.isfinite(before[:, 0]) & np.isfinite(after[:, 0])
+    told = [(views[one].name, views[two].name, float(a), float(b))
+            for (one, two), a, b, known in zip(held, before[:, 0], after[:, 0], both) if known]
+    moved = np.array([pixel_motion(old, new, points) if len(points) else np.nan
+                      for old, new, (points, _) in zip(given, state.cameras, samples)])
+    costs = np.array([pair[2:] for pair in told]).reshape(-1, 2)
+    reason = _reason(costs, before[both, 1].sum(), after[both, 1].sum())
+    maps = state.map_numbers > 0
+    report |= {"cost_before": float(costs[:, 0].mean()) if len(costs) else None,
+               "cost_after": float(costs[:, 1].mean()) if len(costs) else None, "spread": state.spread}
+    left_out = tuple(views[k].name for k in sorted(wrong))
+    for name in left_out:
+        log.warning("the camera of view %s is wrong: its photo does not fit the surface that the others see", name)
+    return CameraRefinement(given if reason else state.cameras, not reason, reason, moved, told, left_out,
+                            (neutral if reason else state.maps)[:, 0] if maps else None,
+                            (neutral if reason else state.maps)[:, 1] * rounds.scene_scale if maps else None, report)
+
+
+def _reason(costs: np.ndarray, seen_before: float, seen_after: float) -> str:
+    if not len(costs):
+        return "no pair of photos that took no part sees the same surface"
+    before, after = costs.mean(axis=0)
+    better = int((costs[:, 1] < costs[:, 0]).sum())
+    told = f"(mean cost {before:.4f} before, {after:.4f} after; {better} of {len(costs)} pairs better)"
+    if before - after < LEAST_GAIN * before or 2 * better < len(costs):
+        return f"the pairs of photos that took no part do not agree clearly better {told}"
+    if seen_after < 0.8 * seen_before:
+        return f"pairs that took no part see less of the same surface {told}"
+    return ""
+
+
+def _wrong(rounds: Rounds, state: State, stage: Stage) -> set[int]:
+    """Views that agree with none of the others, which agree among themselves."""
+    costs = rounds.agreement(state.cameras, state.maps, stage)
+    known = np.isfinite(costs)
+    if known.sum() < 4:
+        return set()
+    usual = float(np.median(costs[known]))
+    return {int(k) for k in np.flatnonzero(known & (costs > max(WRONG * usual, UNLIKE)))}
+
+
+def _samples(camera: Camera, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a depth map in the world (n, 3), and their depths (n,)."""
+    depth = np.where(np.isfinite(depth), depth, 0)
+    if not (depth > 0).any():
+        return np.zeros((0, 3)), np.zeros(0)
+    rows, columns = sample_pixels(depth, 2000)
+    z = depth[rows, columns].astype(np.float64)
+    ray = np.stack([(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy, np.ones(len(z))], -1)
+    return (ray * z[:, None]) @ camera.world_to_camera[:3, :3] + camera.center, z
+
+
+def _lenses(cameras: Sequence[Camera], unknowns, given) -> tuple[int, ...]:
+    if not {"focal", "principal_point"} & set(unknowns):
+        return ()
+    if given is not None:
+        return tuple(int(k) for k in given)
+    keys = [(c.width, c.height, c.fx, c.fy, c.cx, c.cy) for c in cameras]
+    return tuple(sorted(set(keys)).index(key) for key in keys)
+
+
+def _lens_numbers(unknowns) -> tuple[int, ...]:
+    return ((0,) if "focal" in unknowns else ()) + ((1, 2) if "principal_point" in unknowns else ())
+
+
+def _map_numbers(unknowns) -> int:
+    return 2 if "depth_shift" in unknowns else 1 if "depth_scale" in unknowns else 0
+
+
+def _check(views, depths, unknowns, moves: bool, gauge) -> None:
+    for name in unknowns:
+        if name not in UNKNOWNS:
+            raise InputError(f"unknowns has {name!r}, expected some of {', '.join(UNKNOWNS)}")
+    if moves and _map_numbers(unknowns):
+        raise InputError("depth_scale is an unknown of depth maps, and a mesh was given; give depth maps instead")
+    if not moves:
+        if len(depths) != len(views):
+            raise InputError(f"{len(depths)} depth maps were given for {len(views)} views, expected one each (None "
+                             "where there is none)")
+        for view, depth in zip(views, depths):
+            shape = (view.camera.height, view.camera.width)
+            if isinstance(depth, np.ndarray) and depth.shape != shape:
+                raise InputError(f"depth map of view {view.name!r} has shape {depth.shape}, its photo {shape}; resize "
+                                 "it with pagas_cl.scene.depthmap.resize_depth")
+    if gauge is not None and len(gauge) != len(views):
+        raise InputError(f"gauge has {len(gauge)} cameras, expected one for each of the {len(views)} views")

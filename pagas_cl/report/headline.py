@@ -1,0 +1,58 @@
+"""What a run did, in one sentence and one bar."""
+
+from __future__ import annotations
+
+from collections import Counter
+from html import escape
+
+import numpy as np
+
+STATUS = ("refined", "kept", "rejected")   # of pixels with a surface
+
+
+def shares(row: dict) -> dict[str, float]:
+    """Shares of the pixels with a surface, 0 to 1, of a view's counts; empty without any."""
+    total = sum(row.get(name, 0) for name in STATUS)
+    return {name: row[name] / total for name in STATUS if name in row} if total else {}
+
+
+def summed(rows: list[dict]) -> dict[str, int]:
+    """Pixels of all views."""
+    return {name: sum(row.get(name, 0) for row in rows) for name in (*STATUS, "no surface")
+            if any(name in row for row in rows)}
+
+
+def sentence(rows: list[dict], reasons: list[str], stopped: str = "") -> str:
+    """What became of the views `rows`, of which those with a reason (not "") came back as they came."""
+    done = f"{len(rows)} view{'s' * (len(rows) != 1)}"
+    if stopped:
+        done += f" (the run ended with: {stopped})"
+    returned = [reason for reason in reasons if reason]
+    share = shares(summed(rows))
+    if not rows:
+        return f"Nothing was refined: the run ended before a view was done, with: {stopped}." if stopped else ""
+    if not share:
+        return f"Nothing was refined: {done}, none with a surface to start from."
+    if not share.get("refined"):
+        often = Counter(returned).most_common(1)
+        return f"Nothing was refined: {done}, each as it came" + (f" ({often[0][0]})." if often else ".")
+    moves = [np.median([row[name] for row in rows if name in row and row.get("refined")])
+             for name in ("median change (px)", "95% change (px)")
+             if any(name in row and row.get("refined") for row in rows)]
+    told = f"The photos refined {share['refined']:.1%} of the surface in {done}"
+    if len(moves) == 2:
+        told += f", and moved it by {moves[0]:.2g} pixels of parallax (median), 95% of it by at most {moves[1]:.2g}"
+    if returned:
+        told += (f"; {len(returned)} of the views came back as {'it' if len(returned) == 1 else 'they'} came "
+                 f"({Counter(returned).most_common(1)[0][0]})")
+    return told + "."
+
+
+def bar(rows: list[dict]) -> str:
+    """HTML of the shares of all views."""
+    share = shares(summed(rows))
+    if not share:
+        return ""
+    parts = "".join(f'<i class="{name}" style="flex:{part:.4f}"></i>' for name, part in share.items() if part)
+    keys = "".join(f'<span><i class="{name}"></i>{escape(name)} {part:.1%}</span>' for name, part in share.items())
+    return f'<div class="shares">{parts}</div><div class="keys">{keys}</div>'

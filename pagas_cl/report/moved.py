@@ -1,0 +1,79 @@
+"""How far a mesh lies from another one, with a sign: NumPy alone, near enough for colours."""
+
+from __future__ import annotations
+
+import numpy as np
+
+_SAMPLES = 300_000         # points on the surface that distances are taken to
+_ROUNDS = 4                # searches, each four times as wide as the one before, for what was not found yet
+_MOST_CELLS = 1 << 19      # along an axis, so that a cell's number fits into 64 bits
+_R2 = np.array([0.7548776662466927, 0.5698402909980532])  # Roberts' low-discrepancy sequence in the plane
+
+
+def moved_by(points, vertices, faces) -> np.ndarray:
+    """Distance of `points` (n, 3) from the surface (V, 3), (F, 3): float64 (n,), scene units.
+
+    Above 0 on the side to which the faces' normals point; NaN where no surface is near.
+    """
+    points, vertices = np.asarray(points, np.float64), np.asarray(vertices, np.float64)
+    a, b, c = (vertices[np.asarray(faces)[:, k]] for k in range(3))
+    across = np.cross(b - a, c - a)
+    total = np.cumsum(0.5 * np.linalg.norm(across, axis=1))
+    away = np.full(len(points), np.nan)
+    if not len(total) or not total[-1] > 0:
+        return away
+    face = np.searchsorted(total, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * total[-1], side="right")
+    face = np.minimum(face, len(total) - 1)
+    u, v = np.modf(np.arange(1, _SAMPLES + 1)[:, None] * _R2)[0].T[..., None]
+    u, v = np.where(u + v > 1, (1 - u, 1 - v), (u, v))
+    samples = a[face] + u * (b - a)[face] + v * (c - a)[face]
+    normals = across[face] / np.maximum(np.linalg.norm(across[face], axis=1, keepdims=True), 1e-300)
+    spacing = max(np.sqrt(total[-1] / _SAMPLES), np.ptp(samples, axis=0).max() / _MOST_CELLS)
+    left = np.arange(len(points))
+    for k in range(_ROUNDS):
+        each, wide = 16**k, 3 * spacing * 4**k
+        near, distance = _nearest(points[left], samples[::each], wide)
+        found = distance <= wide
+        index, near, distance = left[found], near[found] * each, distance[found]
+        along = ((points[index] - samples[near]) * normals[near]).sum(axis=1)
+        if k:  # samples are far apart: is the surface where the point's foot is, or does it end before?
+            below, gap = _nearest(points[index] - along[:, None] * normals[near], samples, 3 * spacing)
+            there = gap <= 3 * spacing
+            under = ((points[index] - samples[below]) * normals[below]).sum(axis=1)
+            along = np.where(there, under, np.copysign(distance, along))
+        away[index] = along
+        left = left[~found]
+        if not len(left):
+            break
+    return away
+
+
+def _nearest(points, samples, wide):
+    """Index of the nearest of the samples in the cells of size `wide` around each point, and its distance."""
+    low = samples.min(axis=0) - 2 * wide
+    cells = np.floor((samples - low) / wide).astype(np.int64)
+    size = cells.max(axis=0) + 3
+    keys = _key(cells, size)
+    order = np.argsort(keys, kind="stable")
+    keys = keys[order]
+    home = np.floor((points - low) / wide)
+    inside = ((home >= 1) & (home < size - 1)).all(axis=1)
+    near, best = np.zeros(len(points), np.int64), np.full(len(points), np.inf)
+    who = np.flatnonzero(inside)
+    home = home[who].astype(np.int64)
+    for shift in np.ndindex(3, 3, 3):
+        key = _key(home + np.array(shift) - 1, size)
+        start, stop = np.searchsorted(keys, key), np.searchsorted(keys, key, side="right")
+        place = np.flatnonzero(start < stop)
+        while len(place):
+            candidate, at = order[start[place]], who[place]
+            distance = np.linalg.norm(points[at] - samples[candidate], axis=1)
+            closer = distance < best[at]
+            near[at[closer]], best[at[closer]] = candidate[closer], distance[closer]
+            start[place] += 1
+            place = place[start[place] < stop[place]]
+    return near, best
+
+
+def _key(cells, size):
+    return (cells[:, 0] * size[1] + cells[:, 1]) * size[2] + cells[:, 2]

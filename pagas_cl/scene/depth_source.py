@@ -1,0 +1,128 @@
+"""A depth map that a scene's format names: where it is, its unit, what of it is left out, how it lies in the photo."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.depthmap import clean_depth, read_values
+from pagas_cl.scene.digest import digest_file, digest_of
+from pagas_cl.scene.files import translated
+from pagas_cl.scene.placement import Placement
+
+LEFT_OUT = 0.25       # depths of less than this share of the median confidence are left out
+_ASKED = 8            # maps of confidence that the median is taken of
+
+
+class Stored(Protocol):
+    """An array in some file, such as scene.arrays.ArrayRef."""
+
+    @property
+    def digest(self) -> str:
+        """Hash of what `load` gives."""
+
+    def load(self) -> np.ndarray:
+        """The array."""
+
+
+@dataclass(frozen=True)
+class DepthSource:
+    """Loads as float32 (H, W) of the view's `size` (width, height), z-depth in scene units, 0 = no surface.
+
+    `scale`: the file's number for one scene unit; `placement`: how the photo lies in the map (stretched over it where
+    None); `confidence` below `least` and depths equal to `invalid` are left out.
+    """
+
+    file: Path | Stored
+    size: tuple[int, int]
+    scale: float = 1.0
+    placement: Placement | None = None
+    confidence: Path | Stored | None = None
+    least: float = 0.0
+    invalid: float | None = None
+
+    @property
+    def digest(self) -> str:
+        names = [digest_file(file) if isinstance(file, Path) else file.digest
+                 for file in (self.file, self.confidence) if file is not None]
+        numbers = (self.size, self.scale, self.placement, self.least, self.invalid)
+        return digest_of([f"{names} {numbers}".encode()])
+
+    def load(self) -> npt.NDArray[np.float32]:
+        """The depth map; InputError where the file is damaged."""
+        values = flat(self.file)
+        if self.invalid is not None:
+            values = np.where(values == self.invalid, 0, values)
+        if self.confidence is not None and self.least > 0:
+            sure = flat(self.confidence, grey=True)
+            if sure.shape != values.shape:
+                rows, columns = (((np.arange(n) + 0.5) * m / n).astype(np.intp)
+                                 for n, m in zip(values.shape, sure.shape))
+                sure = sure[np.ix_(rows, columns)]
+            values = np.where(sure >= self.least, values, 0)
+        depth = clean_depth(values if self.scale == 1 else values / self.scale, str(self.file))
+        return (self.placement or _over(self.size, depth)).photo_depth(depth, *self.size)
+
+
+def _over(size: tuple[int, int], depth: np.ndarray) -> Placement:
+    return Placement((depth.shape[1] / size[0], depth.shape[0] / size[1]), (0, 0))
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """Another depth map times `factor` plus `shift` (scene units) where it has a surface; 0 where that is below 0."""
+
+    source: Stored
+    factor: float
+    shift: float
+
+    @property
+    def digest(self) -> str:
+        return digest_of([f"{self.source.digest} {self.factor.hex()} {self.shift.hex()}".encode()])
+
+    def load(self) -> npt.NDArray[np.float32]:
+        """The depth map."""
+        return adjusted(self.source.load(), self.factor, self.shift)
+
+
+def adjusted(depth: np.ndarray, factor: float, shift: float) -> npt.NDArray[np.float32]:
+    """`factor` depth + `shift` where there is a surface and that is above 0, else 0."""
+    moved = np.where(depth > 0, np.maximum(factor * depth.astype(np.float64) + shift, 0), 0)
+    return moved.astype(np.float32)
+
+
+def flat(file: Path | Stored, grey: bool = False) -> np.ndarray:
+    """A map (H, W) out of a file, without axes of length 1; `grey`: an image of 8 bit will do."""
+    if not isinstance(file, Path):
+        values = file.load()
+    elif grey and file.suffix.lower() == ".png":
+        with translated(f"{file} cannot be read: "), Image.open(file) as image:
+            values = np.asarray(image if image.mode.startswith("I") else image.convert("L"))
+    else:
+        values = read_values(file)
+    while values.ndim > 2 and 1 in (values.shape[0], values.shape[-1]):
+        values = values[0] if values.shape[0] == 1 else values[..., 0]
+    if values.ndim != 2 or 0 in values.shape:
+        raise InputError(f"{file} has shape {values.shape}, expected (height, width)")
+    return values
+
+
+def least_confidence(maps: Sequence[Path | Stored], where: str) -> float:
+    """The confidence below which depths are left out: a quarter of the median, counted from 1 where all are 1 or more
+    (networks write 1 + exp)."""
+    asked = np.unique(np.linspace(0, len(maps) - 1, _ASKED).astype(int))
+    values = np.concatenate([flat(maps[k], grey=True)[::4, ::4].ravel() for k in asked])
+    if values.dtype.kind in "iub":       # levels, 0 = low
+        return float(values[values > 0].min(initial=values.max()))
+    values = values[np.isfinite(values)]
+    if not len(values):
+        raise InputError(f"{where}: no confidence is a finite number; export without it")
+    low = 1.0 if values.min() >= 1 else 0.0
+    return float(low + LEFT_OUT * (np.median(values) - low))

@@ -1,0 +1,56 @@
+"""Locks between processes: whoever holds one holds it until it lets go or ends, however that comes about."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+_held: dict[Path, int] = {}      # folders that this process has locked: by which thread
+
+
+def take(path: Path) -> int | None:
+    """Lock the file `path`: its descriptor, or None where another process holds it.
+
+    The file is made where there is none, for its owner alone; never emptied, and not looked for behind a link. OSError
+    where it cannot be opened. Where the system has no such locks, everybody gets them.
+    """
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
+        try:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+            return None
+        except (ImportError, OSError):
+            return descriptor
+        try:
+            same = os.path.samestat(os.stat(path), os.fstat(descriptor))
+        except FileNotFoundError:
+            same = False
+        if same:
+            return descriptor
+        os.close(descriptor)     # who held it has removed it meanwhile
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[bool]:
+    """Context: whether the lock `path` is held for its length; the thread that holds it may enter again."""
+    path = Path(path).resolve()
+    if _held.get(path) == threading.get_ident():
+        yield True
+        return
+    descriptor = take(path)
+    if descriptor is None:
+        yield False
+        return
+    _held[path] = threading.get_ident()
+    try:
+        yield True
+    finally:
+        del _held[path]
+        os.close(descriptor)

@@ -1,0 +1,101 @@
+"""What views are called, on disk and by those who ask for one: the one rule for all who write, read or choose."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Collection, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+
+from pagas_cl.errors import InputError
+
+OWN = ".pagas_cl"      # folders of this name, inside folders of results, hold what a run keeps for itself
+_LONGEST = 240         # bytes of a part of a path: file systems take 255, and suffixes follow
+_KINDS = (".npz", ".json")
+
+
+def file_stems(names: Sequence[str]) -> list[str]:
+    """What the files of each view are called, before their suffix: no two the same, on any file system.
+
+    The stem of the name; where another view has the same, the name without suffix, its folders included; where that is
+    not enough the whole name; where a file system may not take or tell it apart (capitals alone, parts that are too
+    long), a flat one with a hash. InputError: a name that is there twice, is empty, or leads out of a folder.
+    """
+    for name in names:
+        if Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name or not Path(name).name:
+            raise InputError(f"view {name!r} cannot name files in the output folder: expected a relative name without "
+                             "'..'")
+    twice = [name for name, uses in Counter(names).items() if uses > 1]
+    if twice:
+        raise InputError(f"{names.count(twice[0])} views are called {twice[0]!r}, expected a name for each, by which "
+                         "its files and results are found")
+    ways = [(Path(name).stem, str(Path(name).with_suffix("")), str(Path(name)), _hashed(name)) for name in names]
+    level = [0 if _fits(stem) else 3 for stem, *_ in ways]
+    while True:
+        stems = [way[k] for way, k in zip(ways, level)]
+        uses = Counter(map(_key, stems))
+        clashing = [k for k, stem in enumerate(stems) if level[k] < 3 and uses[_key(stem)] > 1]
+        if not clashing:
+            return stems
+        for k in clashing:
+            level[k] = next(way for way in (1, 2, 3) if way > level[k] and (way == 3 or _fits(ways[k][way])))
+
+
+def flat_stem(name: str, taken: Collection[str] = ()) -> str:
+    """A view's name without its suffix as part of a file's or link's name, which is not in `taken`: `cam1/a b.jpg`
+    becomes `cam1_a_b`, or `cam1_a_b~2`."""
+    path = Path(name)
+    stem = _flat(str(path.parent / path.stem)) or "view"
+    keys, number, found = {_key(other) for other in taken}, 2, stem
+    while _key(found) in keys:
+        found, number = f"{stem}~{number}", number + 1
+    return found
+
+
+def place_of(asked: str, names: Sequence[str], where: str = "the scene") -> int:
+    """Place of the view called `asked`: its whole name, file name or stem. InputError: none is, or several are."""
+    for key in (str, lambda name: Path(name).name, lambda name: Path(name).stem):
+        found = [place for place, name in enumerate(names) if key(name) == asked]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise InputError(f"view {asked!r} could be any of {', '.join(names[place] for place in found[:5])}: give "
+                             "the whole name")
+    near = get_close_matches(asked, [*names, *(Path(name).stem for name in names)], n=1, cutoff=0.0)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    raise InputError(f"there is no view {asked!r} among the {len(names)} of {where}{hint}")
+
+
+def _key(stem: str) -> str:
+    """Equal for what a file system may take for one name."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFD", stem).casefold())
+
+
+def _fits(stem: str) -> bool:
+    """Whether a path is neither too long nor taken for a file or folder of another kind."""
+    *folders, last = Path(stem).parts
+    return (all(len(_bytes(part)) <= _LONGEST and not _key(part).startswith(OWN) for part in (*folders, last))
+            and not any(_key(folder).endswith(_KINDS) for folder in folders))
+
+
+def _bytes(text: str) -> bytes:
+    """As the file system has it; too long where it cannot."""
+    try:
+        return os.fsencode(text)
+    except UnicodeEncodeError:
+        return bytes(_LONGEST + 1)
+
+
+def _hashed(name: str) -> str:
+    digest = hashlib.blake2b(name.encode("utf-8", "surrogatepass"), digest_size=8).hexdigest()
+    return f"{_flat(name) or 'view'}~{digest}"
+
+
+def _flat(text: str) -> str:
+    """Letters, digits and `_.-` alone, no part of a path hidden or too long."""
+    plain = re.sub(r"[^\w.-]+", "_", text).strip("_.")
+    return plain.encode()[:_LONGEST // 2].decode(errors="ignore")

@@ -1,0 +1,73 @@
+"""MapAnything's predictions as people keep them: an .npz a view, with the arrays of its Python output.
+
+Convention: `depth_z` (1, h, w, 1) z-depth, `conf`, `mask`, `camera_poses` (1, 4, 4) camera-to-world, OpenCV,
+`intrinsics` for the network's image, `img_no_norm` that image. A file belongs to the photo of its name. Its COLMAP
+export, whose photos are the network's small ones, is read as COLMAP (with `photos=` for the originals).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.arrays import ArrayRef
+from pagas_cl.scene.readers import photos as photo_files
+from pagas_cl.scene.readers import predictions
+from pagas_cl.scene.view import Scene
+
+PLACES = ("predictions", "mapanything", ".")
+_NEEDED = {"depth_z", "camera_poses", "intrinsics"}
+
+
+def _files(folder: Path) -> list[Path]:
+    for name in PLACES:
+        found = sorted((folder / name).glob("*.npz")) if (folder / name).is_dir() else []
+        if found and set(predictions.arrays_of(found[0])) >= _NEEDED:
+            return found
+    return []
+
+
+def detect(folder: Path) -> bool:
+    """Whether there are .npz files with depth_z, camera_poses and intrinsics."""
+    return bool(_files(Path(folder)))
+
+
+def read(folder: Path, *, photos: Path | None = None, confidence: float | None = None) -> Scene:
+    """Read the predictions; options as in depth_anything.read."""
+    folder = Path(folder)
+    files = _files(folder)
+    if not files:
+        raise InputError(f"{folder} holds no .npz with {', '.join(sorted(_NEEDED))} in {', '.join(PLACES)}")
+    rows = [_row(path) for path in files]
+    source = f"{files[0].parent} (MapAnything)"
+    originals = _originals(folder, photos and Path(photos), files, source)
+    return predictions.scene_of(rows, originals, [f"{path.stem}.png" for path in files], source, usual="cropped",
+                                camera_to_world=True, least=confidence)
+
+
+def _row(path: Path) -> predictions.Row:
+    found = predictions.arrays_of(path)
+    absent = _NEEDED - set(found)
+    if absent:
+        raise InputError(f"{path} has no {min(absent)!r}, expected {', '.join(sorted(_NEEDED))}")
+    pose, K = (_square(found[name], side) for name, side in (("camera_poses", 4), ("intrinsics", 3)))
+    return predictions.Row(found["depth_z"], pose, K, found.get("conf", found.get("mask")),
+                           predictions.first(found, ("img_no_norm", "image")))
+
+
+def _square(ref: ArrayRef, side: int) -> np.ndarray:
+    values = np.asarray(ref.load(), np.float64)
+    if values.size != side * side or not np.isfinite(values).all():
+        raise InputError(f"{ref} has shape {values.shape}, expected one finite matrix of {side} x {side}")
+    return values.reshape(side, side)
+
+
+def _originals(folder: Path, named: Path | None, files: list[Path], source: str) -> list[Path] | None:
+    """By name where the files are called as the photos are, else in order."""
+    for place in [named] if named is not None else [folder / name for name in photo_files.FOLDERS]:
+        by_stem = {path.stem: path for path in photo_files.list_photos(place)}
+        if by_stem and all(path.stem in by_stem for path in files):
+            return [by_stem[path.stem] for path in files]
+    return predictions.find_photos(folder, named, len(files), source)

@@ -1,0 +1,168 @@
+"""What feed-forward networks leave: depth, confidence, cameras and their small photos as arrays, a row a photo.
+
+Convention: z-depth; OpenCV axes; K for the network's image, pixel centres at +0.5. Readers of single networks
+(depth_anything, vggt, mapanything) say where the arrays are and how photos came to the network's size; here they become
+views of the photos themselves, where those are found, else of the network's own small ones.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.arrays import ArrayRef, PhotoInArray, members
+from pagas_cl.scene.camera import inverse_pose
+from pagas_cl.scene.depth_source import DepthSource, Stored, least_confidence
+from pagas_cl.scene.images import image_size
+from pagas_cl.scene.patches import evenly
+from pagas_cl.scene.placement import Placement, find_placement
+from pagas_cl.scene.readers import photos, untrusted
+from pagas_cl.scene.view import Scene, View
+
+MOST_ROWS = 100_000
+_COMPARED = 3       # photos that are compared with the network's
+log = logging.getLogger("pagas_cl")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One photo's arrays: `pose` (3 or 4, 4) and K as they are in the file."""
+
+    depth: ArrayRef
+    pose: np.ndarray
+    K: np.ndarray
+    confidence: ArrayRef | None = None
+    photo: ArrayRef | None = None
+
+
+def arrays_of(place: Path) -> dict[str, ArrayRef]:
+    """Arrays by name: members of an .npz, or the .npy files of a folder."""
+    if place.is_dir():
+        return {path.stem: ArrayRef(path) for path in sorted(place.glob("*.npy"))}
+    return {name: ArrayRef(place, name) for name in members(place)}
+
+
+def first(found: Mapping[str, ArrayRef], names: Sequence[str]) -> ArrayRef | None:
+    """The first of `names` that is there."""
+    return next((found[name] for name in names if name in found), None)
+
+
+def rows_of(depth: ArrayRef, poses: ArrayRef, K: ArrayRef, confidence: ArrayRef | None,
+            photo: ArrayRef | None) -> list[Row]:
+    """A Row for each of the first axis; InputError where the arrays are not of one length."""
+    maps, pose_rows, K_rows = depth.load(), _matrices(poses, (3, 4)), _matrices(K, (3,))
+    count = len(maps)
+    others = {str(poses): len(pose_rows), str(K): len(K_rows),
+              **{str(ref): len(ref.load()) for ref in (confidence, photo) if ref is not None}}
+    for name, length in others.items():
+        if length != count:
+            raise InputError(f"{name} has {length} rows and {depth} has {count}, expected one a photo in both")
+    if not 1 <= count <= MOST_ROWS or maps.ndim < 3:
+        raise InputError(f"{depth} has shape {maps.shape}, expected (photos, height, width)")
+
+    def row(ref: ArrayRef | None, k: int) -> ArrayRef | None:
+        return None if ref is None else ArrayRef(ref.file, ref.member, k)
+
+    return [Row(ArrayRef(depth.file, depth.member, k), pose_rows[k], K_rows[k], row(confidence, k), row(photo, k))
+            for k in range(count)]
+
+
+def _matrices(ref: ArrayRef, rows: tuple[int, ...]) -> np.ndarray:
+    """(N, 3 or 4, 3 or 4) float64, finite; a leading axis of length 1 is the batch."""
+    values = np.asarray(ref.load(), np.float64)
+    if values.ndim == 4 and len(values) == 1:
+        values = values[0]
+    if values.ndim != 3 or values.shape[1] not in rows or not np.isfinite(values).all():
+        raise InputError(f"{ref} has shape {values.shape}, expected a finite matrix a photo with "
+                         f"{' or '.join(map(str, rows))} rows")
+    return values
+
+
+def scene_of(rows: Sequence[Row], originals: Sequence[Path] | None, names: Sequence[str], source: str, *,
+             usual: str = "stretched", camera_to_world: bool = False, least: float | None = None) -> Scene:
+    """The scene: a view of each original photo, or of the network's own (called `names`) where there are none.
+
+    `usual`: how photos come to the network's size where its own photos are not there to compare with; `least`: the
+    confidence below which depths are left out, measured where it is None.
+    """
+    if originals is None and any(row.photo is None for row in rows):
+        raise InputError(f"{source} holds no photos, and none were found: put them into images/ beside it, under names "
+                         "in the order that the network had them, or name their folder (--photos DIR)")
+    confidences = [row.confidence for row in rows if row.confidence is not None]
+    least = least_confidence(confidences, source) if confidences and least is None else least or 0.0
+    compared = set(evenly(len(rows), _COMPARED).tolist())
+    views, depths = list[View](), list[DepthSource]()
+    for k, row in enumerate(rows):
+        where = f"{source}, photo {k}"
+        small = _size(row.depth)
+        name = names[k] if originals is None else originals[k].name
+        pose = inverse_pose(untrusted.pinhole(np.eye(3), row.pose, 1, 1, where).world_to_camera) if camera_to_world \
+            else row.pose
+        camera = untrusted.pinhole(row.K, pose, *small, name)
+        if originals is None and row.photo is not None:
+            views.append(View(camera, PhotoInArray(row.photo), None, name))
+            depths.append(DepthSource(row.depth, small, confidence=row.confidence, least=least))
+            continue
+        photo = (originals or [])[k]
+        pixels = None if row.photo is None or k not in compared else PhotoInArray(row.photo).load()
+        if row.photo is not None and k not in compared:
+            placement = _as_compared(views, depths, photo, small)
+            if placement is None:
+                placement = find_placement(photo, small, PhotoInArray(row.photo).load(), where, usual)
+        else:
+            placement = find_placement(photo, small, pixels, where, usual)
+        width, height = image_size(photo)
+        views.append(View(placement.photo_camera(camera, width, height), photo, None, name))
+        depths.append(DepthSource(row.depth, (width, height), placement=placement, confidence=row.confidence,
+                                  least=least))
+    _tell(depths, confidences, least, originals is None, source)
+    return Scene(views, source, depths=tuple(depths), depth_unit="as the cameras' positions")
+
+
+def _as_compared(views: list[View], depths: list[DepthSource], photo: Path, small: tuple[int, int]) -> Placement | None:
+    """The placement of an earlier photo of the same sizes, or None."""
+    size = image_size(photo)
+    for view, depth in zip(views, depths):
+        if (view.camera.width, view.camera.height) == size and _size(depth.file) == small:
+            return depth.placement
+    return None
+
+
+def _size(depth: Path | Stored) -> tuple[int, int]:
+    """Width and height of a depth map."""
+    shape = list(depth.load().shape if not isinstance(depth, Path) else ())
+    while len(shape) > 2 and 1 in (shape[0], shape[-1]):
+        shape = shape[1:] if shape[0] == 1 else shape[:-1]
+    if len(shape) != 2:
+        raise InputError(f"{depth} has shape {tuple(shape)}, expected (height, width)")
+    return untrusted.size(shape[1], shape[0], str(depth))
+
+
+def _tell(depths: list[DepthSource], confidences: list[ArrayRef], least: float, own: bool, source: str) -> None:
+    kinds = sorted({depth.placement.kind for depth in depths if depth.placement is not None})
+    if own:
+        log.info("%s: no photos beside it, the network's own are refined (%d x %d); --photos names the folder of the "
+                 "photos themselves", source, *depths[0].size)
+    else:
+        log.info("%s: cameras and depth belong to images of %d x %d (%s); they are scaled to the photos, %d x %d",
+                 source, *_size(depths[0].file), " and ".join(kinds), *depths[0].size)
+    if confidences:
+        share = np.mean([np.mean(ref.load() < least) for ref in confidences[:8]])
+        log.info("%s: depths of confidence below %.3g are left out, %.0f %%", source, least, 100 * share)
+
+
+def find_photos(folder: Path, named: Path | None, count: int, source: str) -> list[Path] | None:
+    """The photos, by name, from the folder `named` or beside the export; None where there are none. There must be
+    `count`."""
+    if named is not None and not named.is_dir():
+        raise InputError(f"photos: {named} is no folder")
+    places = [named] if named is not None else [folder / name for name in photos.FOLDERS]
+    found = next((some for place in places if (some := photos.list_photos(place))), None)
+    if found is None and named is not None:
+        raise InputError(f"photos: {named} holds none ({' '.join(untrusted.IMAGE_SUFFIXES)})")
+    return None if found is None else photos.one_photo_each(found, count, source)

@@ -1,0 +1,107 @@
+"""What readers of RGB-D recordings share: poses out of text, frames without a pose, views with their depth."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.camera import inverse_pose
+from pagas_cl.scene.depth_source import DepthSource, Stored
+from pagas_cl.scene.placement import Placement
+from pagas_cl.scene.readers import photos, untrusted
+from pagas_cl.scene.view import Scene
+
+_UNIT = 1e-2         # length of a quaternion in text: one further from 1 is damage
+log = logging.getLogger("pagas_cl")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame: the photo, its pose (camera-to-world, OpenCV axes), its K, and its depth map if it has one."""
+
+    photo: Path
+    camera_to_world: np.ndarray
+    K: np.ndarray
+    depth: Path | Stored | None = None
+    confidence: Path | Stored | None = None
+    placement: Placement | None = None
+    pixel_center: float = 0.5
+
+
+@dataclass(frozen=True)
+class Depth:
+    """What all depth maps of a recording have in common: see DepthSource; `unit` in words."""
+
+    scale: float
+    unit: str
+    least: float = 0.0
+    invalid: float | None = None
+
+
+def scene_of(folder: Path, frames: Sequence[Frame], depth: Depth, source: str) -> Scene:
+    """The scene; frames whose pose is not finite (lost tracking) are left out and counted."""
+    tracked = [frame for frame in frames if np.isfinite(frame.camera_to_world).all()]
+    if not tracked:
+        raise InputError(f"{source}: none of the {len(frames)} frames has a pose")
+    if len(tracked) < len(frames):
+        log.info("%s: %d of %d frames have no pose (tracking lost) and are left out", source,
+                 len(frames) - len(tracked), len(frames))
+    views, depths = [], list[DepthSource | None]()
+    for frame in tracked:
+        width, height = photos.photo_size(frame.photo)
+        rigid = untrusted.pinhole(frame.K, frame.camera_to_world, width, height, frame.photo.name,
+                                  pixel_center=frame.pixel_center)      # checks both
+        camera = untrusted.pinhole(rigid.K, inverse_pose(rigid.world_to_camera), width, height, frame.photo.name)
+        views.append(photos.view_of(folder, camera, frame.photo))
+        depths.append(None if frame.depth is None else DepthSource(
+            frame.depth, (width, height), depth.scale, frame.placement, frame.confidence, depth.least, depth.invalid))
+    return Scene(views, source, depths=tuple(depths) if any(depths) else None, depth_unit=depth.unit)
+
+
+def pose_from_quaternion(numbers: Sequence[float] | npt.NDArray[np.float64], where: str) -> np.ndarray:
+    """(4, 4) of the quaternion x y z w and the translation x y z."""
+    x, y, z, w = np.asarray(numbers[:4], np.float64)
+    length = float(np.sqrt(x * x + y * y + z * z + w * w))
+    if not abs(length - 1) < _UNIT:
+        raise InputError(f"{where}: the quaternion has length {length:g}, expected 1")
+    x, y, z, w = (value / length for value in (x, y, z, w))
+    pose = np.eye(4)
+    pose[:3, :3] = [[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                    [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                    [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]]
+    pose[:3, 3] = numbers[4:7]
+    return pose
+
+
+def read_matrix(path: Path, rows: int = 4, columns: int = 4, lost: bool = False) -> np.ndarray:
+    """A matrix of a text file, float64; `lost`: whether it may hold inf and nan, which frames without a pose have."""
+    tokens = untrusted.read_text(path, 1 << 16).split()
+    if len(tokens) != rows * columns:
+        raise InputError(f"{path} holds {len(tokens)} numbers, expected {rows} x {columns}")
+    if lost and any(token.lower().lstrip("+-") in ("inf", "nan", "infinity") for token in tokens):
+        return np.full((rows, columns), np.nan)
+    return untrusted.words(tokens, str(path)).reshape(rows, columns)
+
+
+def K_of(path: Path) -> np.ndarray:
+    """K (3, 3) of a text file that holds 3 x 3 or 4 x 4 numbers."""
+    tokens = untrusted.read_text(path, 1 << 16).split()
+    side = {9: 3, 16: 4}.get(len(tokens), 0)
+    if not side:
+        raise InputError(f"{path} holds {len(tokens)} numbers, expected 3 x 3 or 4 x 4")
+    return untrusted.words(tokens, str(path)).reshape(side, side)[:3, :3]
+
+
+def placed(photo: tuple[np.ndarray, tuple[int, int]], depth: tuple[np.ndarray, tuple[int, int]]) -> Placement:
+    """How the photo lies in the depth map of a camera at the same place: both as K and (width, height)."""
+    (K, _), (D, _) = photo, depth
+    scale = D[0, 0] / K[0, 0], D[1, 1] / K[1, 1]
+    if not (np.isfinite(scale).all() and min(scale) > 0):
+        raise InputError("the focal lengths of photo and depth map are not above 0")
+    return Placement(scale, (D[0, 2] - scale[0] * K[0, 2], D[1, 2] - scale[1] * K[1, 2]), "by intrinsics")

@@ -1,0 +1,47 @@
+"""ScanNet as its SensReader exports it: `color/N.jpg`, `depth/N.png`, `pose/N.txt`, `intrinsic/intrinsic_*.txt`.
+
+Convention: pose camera-to-world, metres, OpenCV; -inf where tracking was lost; depth in millimetres, of a camera with
+intrinsics of its own at the place of the colour camera; pixel centres are not said, and read at +0.5.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.readers import photos, rgbd
+from pagas_cl.scene.view import Scene
+
+_COLOR_K = "intrinsic/intrinsic_color.txt"
+_DEPTH_K = "intrinsic/intrinsic_depth.txt"
+
+
+def detect(folder: Path) -> bool:
+    """Whether color/, pose/ and intrinsic/intrinsic_color.txt are there."""
+    folder = Path(folder)
+    return (folder / _COLOR_K).is_file() and (folder / "pose").is_dir() and (folder / "color").is_dir()
+
+
+def read(folder: Path) -> Scene:
+    """Read the frames that have a photo and a pose, by number."""
+    folder = Path(folder)
+    if not detect(folder):
+        raise InputError(f"{folder} is no export of ScanNet's SensReader: expected color/, pose/ and {_COLOR_K}")
+    K, depth_K = rgbd.K_of(folder / _COLOR_K), None
+    if (folder / _DEPTH_K).is_file():
+        depth_K = rgbd.K_of(folder / _DEPTH_K)
+    by_number = sorted(photos.list_photos(folder / "color"), key=lambda p: (len(p.stem), p.stem))
+    frames, sizes = [], None
+    for photo in by_number:
+        pose, depth = folder / "pose" / f"{photo.stem}.txt", folder / "depth" / f"{photo.stem}.png"
+        if not pose.is_file():
+            raise InputError(f"{photo}: its pose {pose} is missing")
+        placement = None
+        if depth.is_file() and depth_K is not None:
+            sizes = sizes or (photos.photo_size(photo), photos.photo_size(depth))
+            placement = rgbd.placed((K, sizes[0]), (depth_K, sizes[1]))
+        frames.append(rgbd.Frame(photo, rgbd.read_matrix(pose, lost=True), K, depth if depth.is_file() else None,
+                                 placement=placement))
+    if not frames:
+        raise InputError(f"{folder / 'color'} has no photos")
+    return rgbd.scene_of(folder, frames, rgbd.Depth(1000.0, "millimetres, as the format says"), f"{folder} (ScanNet)")

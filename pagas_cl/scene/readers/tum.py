@@ -1,0 +1,118 @@
+"""TUM RGB-D, and KinectFusion lists of its form: `rgb.txt`, `depth.txt`, `groundtruth.txt`, or `associations.txt`.
+
+Convention: `timestamp tx ty tz qx qy qz qw`, camera-to-world, metres, OpenCV; depth registered to colour, 5000 a metre;
+pixel centres at whole numbers. Intrinsics are not in the folder: `camera-intrinsics.txt`, `K.txt` (3 x 3) or
+`camera_intrinsic.json`, else the 525 pixels, (319.5, 239.5), that the data set's page gives.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.camera import intrinsics
+from pagas_cl.scene.readers import photos, rgbd, untrusted
+from pagas_cl.scene.view import Scene
+
+LISTS = ("associations.txt", "associate.txt", "associated.txt")
+_INTRINSICS = ("camera-intrinsics.txt", "K.txt", "intrinsics.txt")
+_SIZE, _DEFAULT = (640, 480), (525.0, 525.0, 319.5, 239.5)
+_APART = 0.03        # seconds between a photo and its depth map or pose
+_ROWS = 1_000_000
+log = logging.getLogger("pagas_cl")
+
+
+def _trajectory(folder: Path) -> Path | None:
+    return photos.first_file(folder, ("groundtruth.txt", "trajectory.txt", "CameraTrajectory.txt",
+                                      "KeyFrameTrajectory.txt")) or next(iter(sorted(folder.glob("*.freiburg"))), None)
+
+
+def detect(folder: Path) -> bool:
+    """Whether a trajectory is there with a list of photos."""
+    folder = Path(folder)
+    lists = photos.first_file(folder, LISTS) or photos.first_file(folder, ("rgb.txt",))
+    return lists is not None and _trajectory(folder) is not None
+
+
+def read(folder: Path, *, outside: bool = False) -> Scene:
+    """Read the photos that have a pose within 0.03 s, and depth maps likewise; `outside`: also files outside
+    `folder`."""
+    folder = Path(folder)
+    trajectory = _trajectory(folder)
+    if not detect(folder) or trajectory is None:
+        raise InputError(f"{folder} has no groundtruth.txt with rgb.txt or {LISTS[0]}")
+    poses = _rows(trajectory, 8)
+    numbers = untrusted.words([word for row in poses for word in row[:8]], str(trajectory)).reshape(-1, 8)
+    times = numbers[:, 0]
+    order = np.argsort(times, kind="stable")
+    frames, lost = [], 0
+    for time, photo, depth in _pairs(folder):
+        k = order[_nearest(times[order], time)]
+        if abs(times[k] - time) > _APART:
+            lost += 1
+            continue
+        pose = rgbd.pose_from_quaternion(numbers[k, [4, 5, 6, 7, 1, 2, 3]], f"{trajectory}, time {poses[k][0]}")
+        image = photos.existing(photos.inside(folder, photo, f"{folder}: photo", outside=outside), str(folder))
+        file = depth and photos.existing(photos.inside(folder, depth, f"{folder}: depth", outside=outside), str(folder))
+        K, center = _K(folder, image)
+        frames.append(rgbd.Frame(image, pose, K, file or None, pixel_center=center))
+    source = f"{trajectory} (TUM)"
+    if not frames:
+        raise InputError(f"{source}: none of the {lost} photos has a pose within {_APART} s")
+    if lost:
+        log.info("%s: %d photos have no pose within %g s and are left out", source, lost, _APART)
+    return rgbd.scene_of(folder, frames, rgbd.Depth(5000.0, "5000 for a metre, as the format says"), source)
+
+
+def _rows(path: Path, least: int) -> list[list[str]]:
+    rows = [line.replace(",", " ").split() for line in untrusted.read_text(path).splitlines()
+            if line.strip() and not line.lstrip().startswith("#")]
+    if not rows or len(rows) > _ROWS:
+        raise InputError(f"{path} has {len(rows)} lines, expected 1 to {_ROWS}")
+    for row in rows:
+        if len(row) < least:
+            raise InputError(f"{path}: line {untrusted.short(' '.join(row))} has {len(row)} words, expected {least}")
+    return rows
+
+
+def _pairs(folder: Path) -> list[tuple[float, str, str]]:
+    """Time and name of each photo, and its depth map's name, or ''."""
+    both = photos.first_file(folder, LISTS)
+    if both is not None:
+        found = []
+        for row in _rows(both, 4):
+            color, depth = (0, 2) if _is_photo(row[1]) else (2, 0)
+            found.append((untrusted.word(row[color], f"{both}: time"), row[color + 1], row[depth + 1]))
+        return found
+    names = _rows(folder / "rgb.txt", 2)
+    depths = _rows(folder / "depth.txt", 2) if (folder / "depth.txt").is_file() else []
+    times = np.array([untrusted.word(row[0], "depth.txt: time") for row in depths])
+    found = []
+    for row in names:
+        time = untrusted.word(row[0], "rgb.txt: time")
+        k = int(np.argmin(np.abs(times - time))) if len(times) else -1
+        found.append((time, row[1], depths[k][1] if k >= 0 and abs(times[k] - time) <= _APART else ""))
+    return found
+
+
+def _is_photo(name: str) -> bool:
+    return "rgb" in name or "color" in name or name.lower().endswith((".jpg", ".jpeg"))
+
+
+def _nearest(times: np.ndarray, time: float) -> int:
+    """Place of the nearest of the sorted `times`."""
+    k = int(np.searchsorted(times, time))
+    return min((j for j in (k - 1, k) if 0 <= j < len(times)), key=lambda j: abs(times[j] - time))
+
+
+def _K(folder: Path, photo: Path) -> tuple[np.ndarray, float]:
+    """K, and where it counts the first pixel's centre."""
+    path = photos.first_file(folder, _INTRINSICS)
+    if path is not None:
+        return rgbd.K_of(path), 0.0
+    if photos.photo_size(photo) != _SIZE:
+        raise InputError(f"{folder} has no intrinsics: put {_INTRINSICS[0]} (3 x 3) there")
+    return intrinsics(*_DEFAULT), 0.0

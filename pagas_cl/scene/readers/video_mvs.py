@@ -1,0 +1,45 @@
+"""Sequences of multi-view stereo networks (DeepVideoMVS and its followers): `K.txt`, `poses.txt`, `images/`, `depth/`.
+
+Convention: a line of poses.txt is a 4 x 4 matrix, camera-to-world, metres, OpenCV; line k belongs to the k-th photo by
+name; K counts pixel centres at whole numbers; depth/<name>.png is registered, in millimetres.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.readers import photos, rgbd, untrusted
+from pagas_cl.scene.view import Scene
+
+log = logging.getLogger("pagas_cl")
+
+
+def detect(folder: Path) -> bool:
+    """Whether K.txt, poses.txt and images/ are there."""
+    folder = Path(folder)
+    return (folder / "K.txt").is_file() and (folder / "poses.txt").is_file() and (folder / "images").is_dir()
+
+
+def read(folder: Path) -> Scene:
+    """Read the frames; poses beyond the photos (of a sequence that was cut) are left out and counted."""
+    folder = Path(folder)
+    path, images = folder / "poses.txt", photos.list_photos(folder / "images")
+    lines = [line.split() for line in untrusted.read_text(path).splitlines() if line.strip()]
+    if not images or len(lines) < len(images):
+        raise InputError(f"{path} has {len(lines)} poses and {folder / 'images'} has {len(images)} photos, expected a "
+                         "pose a photo")
+    if len(lines) > len(images):
+        log.info("%s: %d poses after the last of the %d photos are left out", path, len(lines) - len(images),
+                 len(images))
+    K = rgbd.K_of(folder / "K.txt")
+    frames = []
+    for k, (photo, row) in enumerate(zip(images, lines)):
+        pose = np.asarray(untrusted.words(row, f"{path}, line {k + 1}", 16)).reshape(4, 4)
+        depth = photos.first_file(folder / "depth", (f"{photo.stem}.png",))
+        frames.append(rgbd.Frame(photo, pose, K, depth, pixel_center=0.0))
+    return rgbd.scene_of(folder, frames, rgbd.Depth(1000.0, "millimetres, as the format says"),
+                         f"{path} (DeepVideoMVS)")

@@ -1,0 +1,147 @@
+"""Why was nothing refined? The mistakes that people make with photos, masks, units and poses, each tried.
+
+What makes the photos agree over the depth maps where they do not as given is the likeliest reason. NumPy alone; a few
+views and a few thousand patches.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pagas_cl.errors import NothingRefinedWarning
+from pagas_cl.scene import patches
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.check import POSES, UNITS
+from pagas_cl.scene.images import Loads
+from pagas_cl.scene.inputs import Depth, depth_array
+from pagas_cl.scene.view import View
+
+_VIEWS = 6
+_SAMPLES = 12_000
+_FLAT = 1.5          # grey levels of 255; a photo of less standard deviation shows nothing
+_LITTLE = 0.02       # share of the depths; masks that leave less are to be asked about
+_HARDLY = 0.1        # share of the depths that is hardly any
+_CLEAR = 0.6         # of 1 - correlation as given: photos that leave more than this do not agree clearly better
+_AGREE = 0.5         # correlation of photos that agree
+
+
+def likely_reasons(views: Sequence[View], depths: Sequence[Depth | None]) -> list[str]:
+    """Sentences, the likeliest first; empty where none of the usual mistakes explains it.
+
+    `depths` as in refine_views: z-depth in scene units, one a view or None.
+    """
+    near = _neighbours(views, depths)
+    if not near:
+        return []
+    some, maps = [views[k] for k in near], [depth_array(depth) for k in near if (depth := depths[k]) is not None]
+    greys = [patches.grey_of(view.load_image()) for view in some]
+    flat = sum(float(grey.std()) < _FLAT for grey in greys)
+    if 2 * flat > len(greys):
+        return [f"{flat} of {len(greys)} photos that were looked at are of one colour (black?)"]
+    return _of_masks(some, maps) or _of_readings(views, near, maps, greys)
+
+
+def _neighbours(views: Sequence[View], depths: Sequence[Depth | None]) -> list[int]:
+    """Places of a view in the middle that has a depth map, and of those nearest to it."""
+    have = [k for k, depth in enumerate(depths)
+            if depth is not None and (isinstance(depth, Loads) or np.any(np.asarray(depth) > 0))]
+    centers = np.array([views[k].camera.center for k in have]).reshape(-1, 3)
+    if not have:
+        return []
+    middle = centers[np.argmin(np.linalg.norm(centers - np.median(centers, axis=0), axis=1))]
+    order = np.argsort(np.linalg.norm(centers - middle, axis=1), kind="stable")[:_VIEWS]
+    return [have[k] for k in order]
+
+
+def _of_masks(views: list[View], maps: list[np.ndarray]) -> list[str]:
+    left = out = 0
+    for view, depth in zip(views, maps):
+        mask = view.load_mask()
+        left += int(np.count_nonzero(depth > 0 if mask is None else (depth > 0) & mask))
+        out += 0 if mask is None else int(np.count_nonzero((depth > 0) & ~mask))
+    share = left / max(1, left + out)
+    if not out or share > _LITTLE:
+        return []
+    return [f"the masks leave {share:.1%} of the depths, the other way round they would leave {1 - share:.0%}: are "
+            "they inverted (true or white is what is used), or empty?"]
+
+
+def _of_readings(views: Sequence[View], near: list[int], maps: list[np.ndarray], greys: list[np.ndarray]) -> list[str]:
+    cameras = [views[k].camera for k in near]
+    given = _agreement(cameras, maps, greys)
+    tried = [(_agreement(cameras, [depth * np.float32(unit) for depth in maps], greys),
+              f"with depths times {unit:.4g}", f"is their unit not the cameras' (a depth scale of {1 / unit:.4g})?")
+             for unit in UNITS]
+    tried += [(_agreement([way.of(camera) for camera in cameras], maps, greys), f"with {way.matrices} of the cameras",
+               "are the poses read the wrong way round?") for way in POSES[1:]]
+    for step in (-1, 1):
+        places = [(k + step) % len(views) for k in near]
+        same = [views[place].camera.width == camera.width and views[place].camera.height == camera.height
+                for place, camera in zip(places, cameras)]
+        if len(views) > 2 and all(same):
+            photos = [patches.grey_of(views[place].load_image()) for place in places]
+            tried.append((_agreement(cameras, maps, photos), f"with the {'next' if step > 0 else 'last'} camera's "
+                          "photo for each", "are photos and cameras paired rightly?"))
+    better = sorted((found for found in tried if found[0] > max(_AGREE, 1 - _CLEAR * (1 - given))), reverse=True)
+    return [f"{how} the photos agree ({agreement:.2f}, as given "
+            f"{f'{given:.2f}' if given > -1 else 'none shows what another one does'}): {question}"
+            for agreement, how, question in better[:1]]
+
+
+def _agreement(cameras: list[Camera], maps: list[np.ndarray], greys: list[np.ndarray]) -> float:
+    """Median correlation of patches between pairs of photos, looked up at the depths; -1 where too few are seen."""
+    samples = _samples(cameras, maps)
+    seen, pairs = patches.overlaps(cameras, samples) if samples.few else (np.zeros(0, bool), [])
+    if not pairs:
+        return -1.0
+    scores = patches.patch_correlation(cameras, greys, pairs, seen, samples)
+    known = scores[np.isfinite(scores)]
+    return float(np.median(known)) if len(known) >= patches.LEAST else -1.0
+
+
+def _samples(cameras: list[Camera], maps: list[np.ndarray]) -> patches.Samples:
+    """Points of the depth maps in the world and their normals, in an order that mixes the views."""
+    points, normals = [], []
+    for camera, depth in zip(cameras, maps):
+        stride = max(1, int(np.sqrt(depth.size * len(maps) / _SAMPLES)))
+        rows, columns = (grid.ravel() for grid in np.mgrid[1:depth.shape[0] - 1:stride, 1:depth.shape[1] - 1:stride])
+        around = [_unprojected(camera, depth, rows + down, columns + right)
+                  for down, right in ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))]
+        across = np.cross(around[1] - around[2], around[3] - around[4])
+        length = np.linalg.norm(across, axis=1)
+        good = np.isfinite(length) & (length > 0)
+        points.append(around[0][good])
+        normals.append(across[good] / length[good, None])
+    mixed = np.random.default_rng(0).permutation(sum(map(len, points)))
+    return patches.Samples(np.concatenate(points)[mixed], np.concatenate(normals)[mixed], min(1500, len(mixed)))
+
+
+def _unprojected(camera: Camera, depth: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """World points (N, 3) of pixels, NaN where there is no depth."""
+    z = depth[rows, columns].astype(np.float64)
+    z = np.where(np.isfinite(z) & (z > 0), z, np.nan)
+    x, y = (columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy
+    local = np.stack([x, y, np.ones(len(z))], axis=1)
+    rotation = camera.world_to_camera[:3, :3]
+    return (local * z[:, None] - camera.world_to_camera[:3, 3]) @ rotation
+
+
+def warn_of_nothing(views: Sequence[View], depths: Sequence[Depth | None], results: Sequence[Any]) -> None:
+    """Warn (NothingRefinedWarning) where of all results hardly a depth was refined, with the likeliest reason."""
+    counts = Counter[str]()
+    for result in results:
+        counts.update(result.counts)
+    total, refined = sum(counts.values()) - counts["no surface"], counts["refined"]
+    if total and refined < _HARDLY * total:
+        returned = [result.reason for result in results if result.reason]
+        head = "nothing was refined" if not refined else "hardly anything was refined"
+        reasons = likely_reasons(views, depths) or [f"{times} of {len(results)} views: {reason}" for reason, times in
+                                                    Counter(returned).most_common(1)]
+        warnings.warn(f"{head}: {refined:,} of {total:,} depths, {len(returned)} of {len(results)} views came back as "
+                      f"they were; {'likeliest: ' + reasons[0] if reasons else 'no usual mistake explains it'}",
+                      NothingRefinedWarning, stacklevel=3)

@@ -1,0 +1,159 @@
+"""Initial depth maps before anything is refined: is their unit that of the cameras, do they agree, what mends it.
+
+Unit (photos) -> a factor and a shift a view (depth maps) -> the factor of all (photos). Each is applied only where the
+evidence is clear, and told.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from pagas_cl.scene.depth_source import Adjusted, adjusted
+from pagas_cl.scene.depthmap import depth_down
+from pagas_cl.scene.inputs import Depth, depth_array
+from pagas_cl.scene.view import View
+from pagas_cl.surface import depth_alignment as alignment
+from pagas_cl.surface.common_scale import AGREE, CommonScale, cameras_off, find_common_scale, find_unit
+
+log = logging.getLogger("pagas_cl")
+
+_HELD, _FEW = 400, 200        # pixels of the longer side of the maps that are kept in memory, of so many views
+_BETTER = 0.7                 # disagreement must fall to this share of it
+_MATTERS = 0.004              # and change some depth by so much
+_LOOKED_AT = 0.8              # photos that agree better are not off by much
+REACH = 0.5                   # pixels that a refinement bridges while cameras stay as they are (measured)
+_STILL = 0.05                 # a view that disagrees by more afterwards is named
+
+
+@dataclass(frozen=True, eq=False)
+class Together:
+    """What is to be done: depth of view k times `factors[k]` plus `shifts[k]` scene units; both (views,) float64.
+
+    `unit`: the number for one scene unit that is part of the factors; `disagreement`: median relative difference of
+    depth maps where two views see the same, before and after; `agreement`: correlation of photos over the depth, NaN
+    where it could not be measured; `off`: pixels by which photos are off across the direction of depth (0 where they
+    agree well); `said`: all of it in sentences.
+    """
+
+    factors: np.ndarray = field(repr=False)
+    shifts: np.ndarray = field(repr=False)
+    unit: float = 1.0
+    disagreement: tuple[float, float] = (0.0, 0.0)
+    agreement: float = float("nan")
+    off: float = 0.0
+    said: tuple[str, ...] = ()
+
+    def apply(self, depths: Sequence[Any]) -> list[Any]:
+        """The depth maps (arrays, or what loads them) with it done; those that stay are the same objects."""
+        return [_applied(depth, float(a), float(b)) for depth, a, b in zip(depths, self.factors, self.shifts)]
+
+
+def _applied(depth: Any, factor: float, shift: float) -> Any:
+    if depth is None or (factor == 1 and shift == 0):
+        return depth
+    return Adjusted(depth, factor, shift) if hasattr(depth, "load") else adjusted(np.asarray(depth), factor, shift)
+
+
+def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_is_known: bool = False) -> Together:
+    """Find what brings the initial depth maps of `views` (None where a view has none) together.
+
+    `unit_is_known`: whether their unit is not to be asked for. Deterministic; maps are loaded one at a time.
+    """
+    held = [None if depth is None else _small(view, depth_array(depth), len(views))
+            for view, depth in zip(views, depths)]
+    cameras = [view.camera if map is None else view.camera.resized(map.shape[1], map.shape[0])
+               for view, map in zip(views, held)]
+    have = [k for k, map in enumerate(held) if map is not None and (map > 0).any()]
+    factors, shifts, said = np.ones(len(views)), np.zeros(len(views)), list[str]()
+    if not have or len(views) < 2:
+        return Together(factors, shifts)
+    unit, agreement, given = (1.0, float("nan"), float("nan")) if unit_is_known else find_unit(views, cameras, held)
+    if unit != 1:
+        said.append(f"depths are {unit:g} times as large as the cameras' positions ask for{_name(unit)}: photos agree "
+                    f"{agreement:.2f} over the depths divided by that, {given:.2f} over them as they are; they are "
+                    "divided")
+        factors[have] /= unit
+    held = [None if map is None else map / np.float32(unit) for map in held]
+    small = [alignment.reduced(cameras[k], map) for k in have if (map := held[k]) is not None]
+    x, before, after, left = _aligned(small) if len(small) > 1 else (None, 0.0, 0.0, list[int]())
+    if x is not None:
+        own = np.exp(x[:, 0])
+        shift = x[:, 1] * [view.middle for view in small]
+        factors[have] *= own
+        shifts[have] = shift
+        said.append(f"depth maps disagreed by {before:.1%} (median, where two views see the same); factors of "
+                    f"{own.min():.3f} to {own.max():.3f} and shifts of {x[:, 1].min():+.1%} to {x[:, 1].max():+.1%} of "
+                    f"the depth, a pair a view, bring them to {after:.1%}")
+        for k, a, b in zip(have, own, shift):
+            held[k] = adjusted(held[k], float(a), float(b))       # type: ignore[arg-type]
+    common = find_common_scale(views, cameras, held)
+    if common.factor != 1:
+        factors[have] *= common.factor
+        shifts[have] = shifts[have] * common.factor + common.shift
+        more = f", and {common.shift:.4g} is added" if common.shift else ""
+        said.append(f"all depths are multiplied by {common.factor:.4f}{more}: photos agree {common.agreement:.2f} over "
+                    f"them then, {common.given:.2f} before")
+        held = [None if map is None else adjusted(map, common.factor, common.shift) for map in held]
+    off = cameras_off(views, cameras, held) if common.agreement < _LOOKED_AT else 0.0
+    said += _doubts([views[have[k]].name for k in left], common, off)
+    return Together(factors, shifts, unit, (before, after), common.agreement, off, tuple(said))
+
+
+def _small(view: View, depth: np.ndarray, count: int) -> np.ndarray:
+    side = _HELD if count <= _FEW else alignment.SIDE
+    scale = min(1.0, side / max(depth.shape))
+    return depth_down(depth, max(1, round(view.camera.width * scale)), max(1, round(view.camera.height * scale)))
+
+
+def _aligned(small: list[alignment.Reduced]) -> tuple[np.ndarray | None, float, float, list[int]]:
+    """The unknowns, or None where they are not called for; disagreement before and after, on samples that took no part;
+    views that disagree still."""
+    pairs = alignment.pairs_of(small)
+    judges = [replace(view, rays=view.rays[1::2], samples=view.samples[1::2]) for view in small]
+    x = alignment.solve([replace(view, rays=view.rays[::2], samples=view.samples[::2]) for view in small], pairs)
+    none = np.zeros_like(x)
+    before, after = (_disagreement(judges, pairs, y) for y in (none, x))
+    sizes = np.abs(np.exp(x[:, 0]) - 1 + x[:, 1])
+    called = np.nanmedian(after) < _BETTER * np.nanmedian(before) and sizes.max() > _MATTERS if pairs else False
+    now = after if called else before
+    left = [k for k in range(len(small)) if (own := [now[p] for p, pair in enumerate(pairs) if k in pair])
+            and np.nanmedian(own) > _STILL]
+    medians = [float(np.nanmedian(part)) if np.isfinite(part).any() else 0.0 for part in (before, after)]
+    return (x if called else None), medians[0], medians[1] if called else medians[0], left
+
+
+def _disagreement(views: Sequence[alignment.Reduced], pairs: Sequence[tuple[int, int]], x: np.ndarray) -> np.ndarray:
+    """Median |r| of each pair, NaN where they do not meet."""
+    found = []
+    for i, j in pairs:
+        r = np.abs(alignment.residuals(views[i], views[j], x[i], x[j])[0])
+        found.append(float(np.nanmedian(r)) if np.isfinite(r).sum() >= 5 else float("nan"))
+    return np.array(found)
+
+
+def _doubts(names: list[str], common: CommonScale, off: float) -> list[str]:
+    """What is still wrong, and what to run."""
+    said = []
+    if names:
+        said.append(f"{len(names)} views still disagree with their neighbours by more than {_STILL:.0%}: "
+                    + ", ".join(names[:5]) + (", ..." if len(names) > 5 else ""))
+    if off > REACH:
+        said.append(f"photos agree only {common.agreement:.2f} over the depth: they are off by about {off:.1f} pixels "
+                    f"across the direction of depth, which no depth explains; depth refinement by itself bridges some "
+                    f"{REACH:g}. Adjust the cameras: COLMAP's bundle_adjuster with these as its start, or the "
+                    "network's own (VGGT: --use_ba)")
+    elif common.agreement < AGREE:
+        said.append(f"photos agree only {common.agreement:.2f} over the depth, and moving them by some pixels does not "
+                    "mend it: depth or cameras are far off, or photos and cameras are paired wrongly; run COLMAP's "
+                    "bundle adjustment, or give better depth")
+    return said
+
+
+def _name(unit: float) -> str:
+    return {1e3: " (millimetres beside metres)", 1e-3: " (metres beside millimetres)",
+            1e2: " (centimetres beside metres)"}.get(unit, "")

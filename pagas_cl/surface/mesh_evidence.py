@@ -1,0 +1,86 @@
+"""What refined depth maps say of a mesh's vertices, each along its normal, on a device (method section 10.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.depthmap import REFINED, resize_depth
+
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
+    from pagas_cl.surface.raster import Drawing
+
+SLOTS = 12              # words of views that are kept for a vertex, the weightiest
+MOST_WEIGHT = 4.0       # of a vertex' evidence, where 1 is one view that is as sure as can be
+WEIGHT_SHARE = 0.01     # (a tenth of a footprint)^2
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """A view's refined depth, 0 = no surface, and its standard deviation, infinite where no photo speaks for it:
+    float32 (H, W), scene units."""
+
+    camera: Camera
+    depth: np.ndarray = field(repr=False)
+    deviation: np.ndarray = field(repr=False)
+
+    @classmethod
+    def of(cls, result: Any, cells: int = 1) -> Observed:
+        """Of a DepthResult; at 1 / `cells` of its size where a mesh is that much coarser than the pixels: a vertex
+        stands for the area around it."""
+        deviation = np.where(result.status == REFINED, result.deviation, np.float32(np.inf))
+        camera, depth = result.camera, result.depth
+        width, height = camera.width // cells, camera.height // cells
+        if cells == 1 or width < 8 or height < 8:
+            return cls(camera, np.ascontiguousarray(depth, np.float32), deviation)
+        middle = cells // 2
+        return cls(camera.resized(width, height), resize_depth(depth, width, height),
+                   np.ascontiguousarray(deviation[middle::cells, middle::cells][:height, :width]))
+
+
+class Words:
+    """What views say of the vertices of a mesh on the device; a view is asked after the other."""
+
+    def __init__(self, device: Device, count: int, known: dict[str, Any]):
+        import pyopencl as cl
+
+        from pagas_cl.runtime.program import build
+
+        self.device, self.count, self.known = device, count, dict(known)
+        self.program = build(device, "mesh_evidence.cl", (f"SLOTS={SLOTS}", f"MOST_WEIGHT={MOST_WEIGHT!r}f",
+                                                          f"WEIGHT_SHARE={WEIGHT_SHARE!r}f"))
+        for name, size in (("words", 8 * SLOTS), ("unit", 4), ("target", 4), ("weight", 4), ("seen", 4), ("sigma", 4)):
+            self.known[name] = device.memory.buffer(device.context, size * count, name)
+        cl.enqueue_fill_buffer(device.queue, self.known["words"], np.float32(0), 0, 8 * SLOTS * count)
+        cl.enqueue_fill_buffer(device.queue, self.known["unit"], np.float32(np.inf), 0, 4 * count)
+
+    def ask(self, drawing: Drawing, view: Observed, orientation: float) -> None:
+        """Add what a view says, by its depth map and that of the mesh as it is drawn."""
+        from pagas_cl.runtime.memory import upload
+        from pagas_cl.runtime.program import bind, run_once
+        from pagas_cl.surface.raster import eye_of
+
+        device, unit = self.device, 1 / drawing.unit
+        sent = {"drawn": drawing.draw(view.camera, unit), "depth": upload(device, view.depth),
+                "deviation": upload(device, view.deviation),
+                "camera": upload(device, eye_of(view.camera, drawing.middle, drawing.unit))}
+        run_once(device.queue, [bind(self.program, "gather", (self.count,), None, {**self.known, **sent},
+                                     count=self.count, scale=unit, orientation=orientation)])
+        device.queue.finish()
+        for buffer in sent.values():
+            buffer.release()
+
+    def settle(self, least_views: int) -> None:
+        """Targets and weights of all vertices; at least so many views must agree."""
+        from pagas_cl.runtime.program import bind, run_once
+
+        run_once(self.device.queue, [bind(self.program, "settle", (self.count,), None, self.known, count=self.count,
+                                          least_views=least_views)])
+
+    def release(self) -> None:
+        for name in ("words", "unit", "target", "weight", "seen", "sigma"):
+            self.known[name].release()

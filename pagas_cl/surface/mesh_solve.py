@@ -1,0 +1,195 @@
+"""All vertices of a mesh at once onto refined depth maps, on a device (method section 10.3): one unknown each, its way
+along the normal; what views say of it, a smoothness that lets go at creases, and where nothing is said it stays."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.surface.mesh_evidence import Observed, Words
+
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
+
+log = logging.getLogger("pagas_cl")
+
+LAMBDA, STAY, CREASE, JUMP = 2.0, 0.02, 0.1, 0.5
+ROUNDS, LINKINGS, STEPS = 3, 2, 60      # of evidence, of links between neighbours, of conjugate gradients
+_HOLDS = 8                              # times that ways are halved where triangles would turn over
+_GROUP = 128
+_SAMPLES, _ASKED = 20_000, 8            # triangles and views that tell which way normals point
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """Where the vertices are now, (V, 3) float64, those that did not move bit for bit; views that agree on each (V,);
+    standard deviation (V,), scene units, infinite where nothing was said; how many vertices were held back since a
+    triangle would have turned over."""
+
+    vertices: np.ndarray = field(repr=False)
+    seen: np.ndarray = field(repr=False)
+    deviation: np.ndarray = field(repr=False)
+    held: int = 0
+
+
+def solve_mesh(surface: Surface, views: Sequence[Observed], device: Device, *, least_views: int = 2,
+               rounds: int = ROUNDS) -> Solved:
+    """Move the vertices of `surface` along their normals onto what at least `least_views` of the views agree on.
+
+    Vertices at the very same place stay together. Without evidence a vertex follows its neighbours over two or three
+    edges and stays beyond.
+    """
+    from pagas_cl.runtime.device import translate_cl_errors
+
+    points, welded = np.unique(surface.vertices, axis=0, return_inverse=True)
+    welded = welded.reshape(-1)
+    faces = welded[surface.faces].astype(np.int32)
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    with translate_cl_errors(device, "the solve of the mesh"):
+        solved = _solve(Surface(points, faces), views, device, least_views, rounds)
+    return Solved(solved.vertices[welded], solved.seen[welded], solved.deviation[welded], solved.held)
+
+
+def around(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where each vertex' corners begin, int32 (V + 1,), and of each the two other corners of its triangle, (3 F, 2)."""
+    corner = faces.reshape(-1)
+    order = np.argsort(corner, kind="stable")
+    others = np.stack([faces[:, [1, 2, 0]].reshape(-1), faces[:, [2, 0, 1]].reshape(-1)], axis=1)
+    first = np.concatenate([[0], np.cumsum(np.bincount(corner, minlength=count))])
+    return first.astype(np.int32), np.ascontiguousarray(others[order], np.int32)
+
+
+def _solve(surface: Surface, views: Sequence[Observed], device: Device, least_views: int, rounds: int) -> Solved:
+    from pagas_cl.runtime.memory import download, upload
+    from pagas_cl.runtime.program import bind, run_once
+    from pagas_cl.surface.raster import Drawing
+
+    drawing, count = Drawing(device, surface), len(surface.vertices)
+    first, pairs = around(surface.faces, count)
+    start = ((surface.vertices - drawing.middle) / drawing.unit).astype(np.float32)
+    known: dict[str, Any] = {"first": upload(device, first), "pairs": upload(device, pairs),
+                             "positions": upload(device, start)}
+    for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1)):
+        known[name] = device.memory.buffer(device.context, 4 * size * count, name)
+    orientation, vertices, held = _orientation(surface, drawing, views), surface.vertices, 0
+    for number in range(rounds):
+        words = Words(device, count, known)
+        run_once(device.queue, [bind(words.program, "vertex_normals", (count,), None, known, count=count)])
+        if number:
+            drawing.move(vertices)
+        for view in views:
+            words.ask(drawing, view, orientation)
+        words.settle(least_views)
+        unit = download(device, words.known["unit"], count)
+        found = np.isfinite(unit)
+        if not found.any():
+            seen, sigma = np.zeros(count, np.int32), np.full(count, np.inf, np.float32)
+            break
+        middle = float(np.median(unit[found]))
+        words.known["unit"].release()
+        words.known["unit"] = upload(device, np.where(found, unit, np.float32(middle)))
+        _Gradients(device, count, len(pairs), {**known, **words.known}, 1 / middle).run()
+        held = _move(device, count, {**known, **words.known}, 1 / middle)
+        seen, sigma = (download(device, words.known[name], count, kind) for name, kind in
+                       (("seen", np.int32), ("sigma", np.float32)))
+        words.release()
+        known["positions"], known["moved"] = known["moved"], known["positions"]
+        place = download(device, known["positions"], (count, 3))
+        moved = (place != start).any(axis=1)
+        way = (place - start).astype(np.float64) * drawing.unit
+        vertices = np.where(moved[:, None], surface.vertices + way, surface.vertices)
+        log.info("mesh: round %d, %.0f %% of %d vertices have evidence, moved by %.3g footprints (root mean square)",
+                 number + 1, 100 * (np.isfinite(sigma)).mean(), count,
+                 np.sqrt(np.square(place - start).sum(axis=1).mean()) / middle)
+    for buffer in known.values():
+        buffer.release()
+    return Solved(vertices, seen, sigma.astype(np.float64) * drawing.unit, held)
+
+
+class _Gradients:
+    """Conjugate gradients of one round: buffers, and the launches of a step."""
+
+    def __init__(self, device: Device, count: int, corners: int, known: dict[str, Any], scale: float):
+        from pagas_cl.runtime.program import build
+
+        self.device, self.count = device, count
+        self.groups = -(-count // _GROUP)
+        self.program = build(device, "mesh_solve.cl", (f"GROUP={_GROUP}",))
+        self._own = {name: device.memory.buffer(device.context, 4 * size, name) for name, size in
+                     (("links", 2 * corners), ("sums", count), ("inverse_diagonal", count), ("residual", count),
+                      ("p", count), ("q", count), ("y", count), ("partial", self.groups), ("scalars", 3))}
+        self._known = {**known, **self._own, "count": count, "scale": scale, "lambda": LAMBDA, "stay": STAY,
+                       "groups": self.groups}
+
+    def _bound(self, name: str, items: int | None = None, **more: Any) -> Any:
+        from pagas_cl.runtime.program import bind
+
+        signature = self.program.signatures[name]
+        given = {key: value for key, value in self._known.items() if key in signature}
+        return bind(self.program, name, (items or self.count,), (_GROUP,), {}, **{**given, **more})
+
+    def run(self) -> None:
+        """Ways delta of all vertices, in the buffer of that name, in median footprints."""
+        import pyopencl as cl
+
+        from pagas_cl.runtime.program import run_once
+
+        cl.enqueue_fill_buffer(self.device.queue, self._known["delta"], np.float32(0), 0, 4 * self.count)
+        for _ in range(LINKINGS):
+            run_once(self.device.queue, [self._bound("find_links", crease=CREASE, jump=JUMP), self._bound("find_sums"),
+                                         self._bound("start"), self._bound("advance", step=0, first_time=1),
+                                         self._bound("add_up", _GROUP, which=0),
+                                         self._bound("turn", step=0, first_time=1)])
+            laplacian = self._bound("apply_laplacian", x=self._own["p"])
+            matrix, product = self._bound("apply_matrix"), self._bound("add_up", _GROUP, which=2)
+            steps = [(self._bound("advance", step=k, first_time=0), self._bound("add_up", _GROUP, which=1 - k),
+                      self._bound("turn", step=1 - k, first_time=0)) for k in (0, 1)]
+            for step in range(STEPS):
+                for launch in (laplacian, matrix, product, *steps[step & 1]):
+                    launch.enqueue(self.device.queue)
+            for launch in (laplacian, matrix, product, *steps[0], *steps[1]):
+                launch.release()
+        self.device.queue.finish()
+        for buffer in self._own.values():
+            buffer.release()
+
+
+def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> int:
+    """Places along the ways, in the buffer "moved"; no triangle turns over. How many vertices were held back."""
+    import pyopencl as cl
+
+    from pagas_cl.runtime.memory import download
+    from pagas_cl.runtime.program import bind, build, run_once
+
+    program = build(device, "mesh_solve.cl", (f"GROUP={_GROUP}",))
+    cl.enqueue_fill_buffer(device.queue, known["held"], np.int32(0), 0, 4 * count)
+    move = {name: known[name] for name in ("positions", "normals", "unit", "weight", "delta", "moved")}
+    hold = {name: known[name] for name in ("positions", "moved", "first", "pairs", "delta", "held")}
+    for turn in range(_HOLDS):
+        run_once(device.queue, [bind(program, "move", (count,), None, move, count=count, scale=scale),
+                                bind(program, "hold_back", (count,), None, hold, count=count,
+                                     last=int(turn >= _HOLDS - 4))])
+    run_once(device.queue, [bind(program, "move", (count,), None, move, count=count, scale=scale)])
+    return int(np.count_nonzero(download(device, known["held"], count, np.int32)))
+
+
+def _orientation(surface: Surface, drawing: Any, views: Sequence[Observed]) -> float:
+    """1 where the triangles that cameras see face them, -1 where they face away, 0 where they do as it comes."""
+    step, votes, number = max(1, len(surface.faces) // _SAMPLES), 0, 0
+    a, b, c = (surface.vertices[surface.faces[::step, k]] for k in range(3))
+    across, middle = np.cross(b - a, c - a), (a + b + c) / 3
+    for place in range(0, len(views), max(1, len(views) // _ASKED)):
+        camera = views[place].camera
+        uv, z = camera.project(middle)
+        with np.errstate(invalid="ignore"):
+            inside = np.flatnonzero((z > 0) & (uv >= 0).all(axis=1) & (uv < (camera.width, camera.height)).all(axis=1))
+        column, row = uv[inside].astype(int).T
+        near = np.abs(drawing.depth(camera)[row, column] - z[inside]) < z[inside] / camera.fx
+        toward = ((camera.center - middle[inside[near]]) * across[inside[near]]).sum(axis=1)
+        votes, number = votes + int(np.sign(toward).sum()), number + len(toward)
+    return float(np.sign(votes)) if abs(votes) > 0.7 * number else 0.0

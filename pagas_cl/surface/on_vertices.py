@@ -1,0 +1,40 @@
+"""What depth maps say of the vertices of a mesh that lie on them: size of a pixel there, confidence."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pagas_cl.scene.camera import Camera
+
+_ON_MAP = 30.0   # footprints between a vertex and a depth map that it is said to lie on
+
+
+def footprints(vertices: np.ndarray, cameras: list[Camera], depths: list[np.ndarray]) -> np.ndarray:
+    """Size of a pixel at each vertex in the view that sees it finest, scene units; infinite where no view does."""
+    finest = np.full(len(vertices), np.inf)
+    for camera, depth in zip(cameras, depths):
+        index, _, size = _seen(vertices, camera, depth)
+        finest[index] = np.minimum(finest[index], size)
+    return finest
+
+
+def vertex_confidence(vertices: np.ndarray, results) -> np.ndarray:
+    """Mean confidence (0 to 1) of the DepthResults that see each vertex, float64 of shape (V,); 0 where none does."""
+    total, count = np.zeros(len(vertices)), np.zeros(len(vertices))
+    for result in results:
+        index, place, _ = _seen(vertices, result.camera, result.depth)
+        total[index] += result.confidence[place]
+        count[index] += 1
+    return total / np.maximum(count, 1)
+
+
+def _seen(vertices: np.ndarray, camera: Camera, depth: np.ndarray):
+    """Indices of the vertices that lie on the depth map; rows and columns there; the size of a pixel at each."""
+    uv, z = camera.project(vertices)
+    with np.errstate(invalid="ignore"):
+        inside = (z > 0) & (uv >= 0).all(axis=1) & (uv < (camera.width, camera.height)).all(axis=1)
+    index = np.flatnonzero(inside)
+    columns, rows = uv[index].astype(np.intp).T
+    size, found = z[index] / np.sqrt(camera.fx * camera.fy), depth[rows, columns]
+    near = (found > 0) & (np.abs(found - z[index]) < _ON_MAP * size)
+    return index[near], (rows[near], columns[near]), size[near]

@@ -1,0 +1,191 @@
+"""Cameras that are off: errors with the true cameras, with those given, and with refined ones.
+
+    python tests/bench/cameras.py OUT                                    # made scenes: relief, bar
+    python tests/bench/cameras.py OUT --real dtu_scan24 --mesh dtu_scan24/derived/mesh_coarse.ply --share 0.5
+
+Made scenes: cameras turned and moved at random so that photos move by 0, 0.5, 1, 3, 6 pixels (root mean square, with
+the same random numbers), initial depth maps of the smoothed surface. Mean depth error of the refined views, pixels of
+parallax, raw and after taking out what no photo sees (shift, tilt, scale); degrees for normals; pixels that cameras are
+off by after a similarity. Real scenes: every fourth view is held out from everything and judges by the correlation of
+7x7 patches, its pose fitted to each surface first. OUT gets table.md and figures.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from support.camera_noise import after_similarity, noisy, rms_motion
+
+LEVELS = (0.0, 0.5, 1.0, 3.0, 6.0)
+SCENES = {"relief": {}, "bar": {"bar": 8.0, "seed": 1}}
+
+
+def refined(views, depths, config, device, names):
+    """Depth maps of the views `names`, refined as they are."""
+    from pagas_cl.refine import refine_views
+
+    config = config.with_settings(effects__cameras="off")
+    return {result.name: result for result in refine_views(views, depths, names=names, config=config, device=device)}
+
+
+def detrended(error, truth, valid) -> float:
+    """Mean size of an error after the best shift, tilt and scale."""
+    rows, columns = np.nonzero(valid)
+    values = error[valid]
+    basis = np.stack([np.ones(len(values)), rows / error.shape[0], columns / error.shape[1],
+                      truth[valid] / np.median(truth[valid])], -1)
+    return float(np.abs(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]).mean())
+
+
+def errors(scene, cameras, results, depths=None) -> dict:
+    """Means over the refined views."""
+    from pagas_cl.result import normals_of
+
+    rows = []
+    for camera, name in ((c, c.name) for c in cameras if c.name in results):
+        depth = results[name].depth if depths is None else depths[name]
+        truth = scene.true_depth(camera)
+        valid = np.zeros(truth.shape, bool)
+        valid[10:-10, 10:-10] = (truth > 0)[10:-10, 10:-10] & (depth > 0)[10:-10, 10:-10]
+        error = (depth.astype(np.float64) - truth) / scene.relief.parallax
+        cosine = (normals_of(depth, camera) * scene.true_normals(camera)).sum(-1)[valid]
+        rows.append((np.abs(error[valid]).mean(), detrended(error, truth / scene.relief.parallax, valid),
+                     np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean()))
+    return dict(zip(("raw", "detrended", "normals"), np.mean(rows, axis=0).tolist()))
+
+
+def made(name: str, width: int, height: int, contexts: int, config, device, tell) -> list[dict]:
+    """A row a level of noise."""
+    from pagas_cl.cameras.refine import refine_cameras
+    from pagas_cl.scene.view import View
+    from pagas_cl.synthetic import relief_scene
+
+    scene = relief_scene(width, height, contexts, held_out=0, **SCENES[name])
+    true = scene.cameras
+    depths = [scene.initial_depth(camera) for camera in true]
+    names = [true[k].name for k in (0, len(true) // 2, len(true) - 1)]
+    photos = scene.all_views
+
+    def through(cameras):
+        return [View(camera, view.image, view.mask, view.name) for camera, view in zip(cameras, photos)]
+
+    best = errors(scene, true, refined(through(true), depths, config, device, names))
+    start = errors(scene, true, dict.fromkeys(names), {c.name: d for c, d in zip(true, depths)})
+    rows = []
+    for level in LEVELS:
+        cameras = noisy(true, level, 0)
+        clock = time.process_time()
+        found = refine_cameras(through(cameras), depths, config=config, device=device)
+        clock = time.process_time() - clock
+        given = refined(through(cameras), depths, config, device, names)
+        now = refined(through(found.cameras), depths, config, device, names)
+        rows.append({"scene": name, "noise": level, "off": found.report.get("off"), "accepted": found.accepted,
+                     "reason": found.reason, "cpu": clock, "largest_move": float(np.nanmax(found.moved)),
+                     "given": rms_motion(true, after_similarity(cameras, true), depths),
+                     "after": rms_motion(true, after_similarity(found.cameras, true), depths),
+                     "input": start, "true": best, "as_given": errors(scene, true, given),
+                     "returned": sum(bool(r.reason) for r in given.values()), "refined": errors(scene, true, now)})
+        tell(rows[-1])
+    return rows
+
+
+def made_table(rows) -> str:
+    lines = ["| scene | noise, px | cameras off: given, refined | depth, raw: input, true cameras, as given, refined |"
+             " the same, detrended | normals | |", "|" + "---|" * 7]
+    for row in rows:
+        parts = [", ".join(f"{row[who][what]:.3f}" for who in ("input", "true", "as_given", "refined"))
+                 for what in ("raw", "detrended", "normals")]
+        lines.append(f"| {row['scene']} | {row['noise']:g} | {row['given']:.3f}, {row['after']:.3f} | "
+                     + " | ".join(parts) + f" | {'' if row['accepted'] else 'stay as given'} |")
+    return "\n".join(lines)
+
+
+def real(scene: Path, mesh, depth_dir, share: float, number: int, config, device, tell) -> list[dict]:
+    """A row for each of `number` views."""
+    from real import load
+
+    from pagas_cl.cameras.judge import fitted_pose
+    from pagas_cl.cameras.refine import refine_cameras
+    from pagas_cl.evaluate import compare_predictions
+
+    views, depths = load(scene, mesh, depth_dir, share)
+    held = list(range(2, len(views), 4))
+    kept = [k for k in range(len(views)) if k not in held]
+    own, maps = [views[k] for k in kept], [depths[k] for k in kept]
+    found = refine_cameras(own, maps, config=config, device=device)
+    tell({key: value for key, value in found.as_dict().items() if key != "rounds"})
+    moved = [replace(view, camera=camera) for view, camera in zip(own, found.cameras)]
+    names = [own[k].name for k in np.unique(np.linspace(0, len(own) - 1, number).astype(int))]
+    without, with_them = (refined(those, maps, config, device, names) for those in (own, moved))
+    rows = []
+    for view, depth in zip(own, maps):
+        if view.name not in names:
+            continue
+        for k in held:
+            candidates = [depth, without[view.name].depth, with_them[view.name].depth]
+            fitted = [fitted_pose(views[k], view, one, depths[k], device) for one in candidates]
+            told = compare_predictions(view, candidates, fitted, depths[k])
+            if told[0].pixels > 1000:
+                rows.append({"view": view.name, "held_out": views[k].name, "correlation": [p.median for p in told],
+                             "reasons": [without[view.name].reason, with_them[view.name].reason]})
+                tell(rows[-1])
+    return rows
+
+
+def real_table(rows) -> str:
+    lines = ["| view | held-out photo | input | refined | cameras refined first |", "|" + "---|" * 5]
+    lines += [f"| {row['view']} | {row['held_out']} | " + " | ".join(f"{c:.4f}" for c in row["correlation"]) + " |"
+              for row in rows]
+    means = np.mean([row["correlation"] for row in rows], axis=0)
+    better = sum(row["correlation"][2] > row["correlation"][1] for row in rows)
+    return "\n".join([*lines, "| mean | | " + " | ".join(f"{c:.4f}" for c in means) + " |", "",
+                      f"{better} of {len(rows)} pairs better with cameras refined than without"])
+
+
+def main() -> int:
+    parse = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parse.add_argument("out", type=Path)
+    parse.add_argument("--real", type=Path)
+    parse.add_argument("--mesh", type=Path)
+    parse.add_argument("--depth-dir", type=Path)
+    parse.add_argument("--share", type=float, default=1.0, help="of the photos' size")
+    parse.add_argument("--views", type=int, default=4, help="real views that are refined")
+    parse.add_argument("--scenes", nargs="*", default=list(SCENES))
+    parse.add_argument("--width", type=int, default=388)
+    parse.add_argument("--contexts", type=int, default=6)
+    parse.add_argument("--preset", default="balanced")
+    parse.add_argument("--device")
+    ask = parse.parse_args()
+    from pagas_cl.presets import preset
+    from pagas_cl.runtime.device import open_device
+
+    config, device = preset(ask.preset), open_device(ask.device)
+
+    def tell(row):
+        sys.stderr.write(json.dumps(row) + "\n")
+
+    if ask.real:
+        rows = real(ask.real, ask.mesh, ask.depth_dir, ask.share, ask.views, config, device, tell)
+        text = real_table(rows)
+    else:
+        rows = [row for name in ask.scenes for row in made(name, ask.width, round(ask.width * 290 / 388), ask.contexts,
+                                                            config, device, tell)]
+        text = made_table(rows)
+    ask.out.mkdir(parents=True, exist_ok=True)
+    (ask.out / "figures.json").write_text(json.dumps(rows, indent=1))
+    (ask.out / "table.md").write_text(text + "\n")
+    sys.stdout.write(text + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

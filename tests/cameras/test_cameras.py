@@ -1,0 +1,285 @@
+"""Refinement of cameras: made scenes with cameras turned and moved at random, gauge, hard cases, the effect."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.camera_noise import after_similarity, noisy, rms_motion
+
+import pagas_cl
+from pagas_cl.cameras.effect import settle_cameras
+from pagas_cl.cameras.motion import moved, pixel_motion, placed, twist_between
+from pagas_cl.cameras.pairs import choose_pairs
+from pagas_cl.cameras.refine import refine_cameras
+from pagas_cl.cameras.solve import DENSE, Term, Unknowns, assemble, pixel_scales, solve
+from pagas_cl.config import Context
+from pagas_cl.errors import InputError
+from pagas_cl.scene.view import View
+from pagas_cl.synthetic import relief_scene
+
+pytestmark = [pytest.mark.kernels, pytest.mark.slow]
+
+
+class Case:
+    """A made scene: true cameras and initial depth maps, and its views with other cameras."""
+
+    def __init__(self, **settings):
+        self.scene = relief_scene(194, 145, **{"contexts": 6, "held_out": 0, **settings})
+        self.views = self.scene.all_views
+        self.cameras = [view.camera for view in self.views]
+        self.depths = [self.scene.initial_depth(camera) for camera in self.cameras]
+
+    def through(self, cameras):
+        return [View(camera, view.image, view.mask, view.name) for camera, view in zip(cameras, self.views)]
+
+    def error(self, cameras) -> float:
+        """Pixels off, after the similarity that no photo sees."""
+        return rms_motion(self.cameras, after_similarity(cameras, self.cameras), self.depths)
+
+
+@pytest.fixture(scope="module")
+def relief():
+    return Case()
+
+
+@pytest.fixture(scope="module")
+def off_by_one(relief, device):
+    cameras = noisy(relief.cameras, 1.0, 0)
+    return cameras, refine_cameras(relief.through(cameras), relief.depths, device=device)
+
+
+def test_one_pixel(relief, off_by_one):
+    cameras, found = off_by_one
+    assert found.accepted and not found.left_out and found.reason == ""
+    assert relief.error(cameras) > 0.5 and relief.error(found.cameras) < 0.06
+    assert 0.5 < np.median(found.moved) < 2
+    assert all(after < 0.3 * before for *_, before, after in found.pairs) and len(found.pairs) == 3
+    assert found.report["cost_after"] < 0.1 * found.report["cost_before"]
+    assert "moved by" in str(found) and found.as_dict()["accepted"]
+    # the surface stays as large as it was given
+    scale = np.mean([np.linalg.norm(a.center - b.center) / np.linalg.norm(c.center - d.center) for a, c in
+                     zip(found.cameras, relief.cameras) for b, d in zip(found.cameras, relief.cameras) if a is not b])
+    assert scale == pytest.approx(1, abs=1e-3)
+
+
+def test_four_pixels_coarse_to_fine(relief, device):
+    cameras = noisy(relief.cameras, 4.0, 1)
+    found = refine_cameras(relief.through(cameras), relief.depths, device=device)
+    assert found.accepted and found.report["coarse"] and relief.error(found.cameras) < 0.08
+
+
+def test_nothing_moves_where_nothing_is_off(relief, device):
+    views = relief.through(relief.cameras)
+    found = refine_cameras(views, relief.depths, device=device)
+    assert np.max(found.moved) < 0.03 and not found.accepted and "agree clearly better" in found.reason
+    assert all(a is b for a, b in zip(found.cameras, relief.cameras))
+    same, config, told = settle_cameras(views, relief.depths, pagas_cl.preset("balanced"), device)
+    assert told is None and all(a is b for a, b in zip(same, views)) and config.effects.cameras == "set"
+
+
+def test_a_second_round_stays(relief, off_by_one, device):
+    cameras, first = off_by_one
+    again = refine_cameras(relief.through(first.cameras), relief.depths, gauge=cameras, device=device)
+    assert np.max(again.moved) < 0.05
+
+
+def test_same_bytes_twice_in_any_unit_and_place(relief, off_by_one, device):
+    cameras, found = off_by_one
+    again = refine_cameras(relief.through(cameras), relief.depths, device=device)
+    assert all(np.array_equal(a.world_to_camera, b.world_to_camera) for a, b in zip(found.cameras, again.cameras))
+    far = [placed(c, c.world_to_camera[:3, :3], 1e-3 * c.center + 5e5) for c in cameras]
+    other = refine_cameras(relief.through(far), [d * np.float32(1e-3) for d in relief.depths], device=device)
+    back = [placed(c, c.world_to_camera[:3, :3], 1e3 * (c.center - 5e5)) for c in other.cameras]
+    assert rms_motion(found.cameras, back, relief.depths) < 0.01
+
+
+def test_one_wrong_camera_is_named_and_left_out(relief, device):
+    cameras = noisy(relief.cameras, 0.5, 2)
+    cameras[2] = moved(cameras[2], [0, 30 / cameras[2].fx, 0, 0, 0, 0])
+    found = refine_cameras(relief.through(cameras), relief.depths, device=device)
+    assert found.left_out == ("context_01",) and found.cameras[2] is cameras[2]
+    rest = [k for k in range(7) if k != 2]
+    kept, true, depths = ([those[k] for k in rest] for those in (found.cameras, relief.cameras, relief.depths))
+    assert found.accepted and rms_motion(true, after_similarity(kept, true), depths) < 0.1
+    assert "context_01" in str(found)
+
+
+@pytest.mark.parametrize("settings, most", [
+    (dict(exposure=0.3, foreground=True, noise=3.0), 0.2), (dict(zooms=(1.0, 1.4, 0.8), sizes=(1.0, 1.3)), 0.35),
+    (dict(base=0.0, detail=0.0, steps=0), 0.2)], ids=["masks, exposure, noise", "mixed", "plane"])
+def test_hard_scenes(settings, most, device):
+    case = Case(**settings)
+    cameras = noisy(case.cameras, 1.0, 0)
+    found = refine_cameras(case.through(cameras), case.depths, device=device)
+    assert found.accepted and case.error(found.cameras) < most < case.error(cameras)
+
+
+def test_something_that_moves_in_the_middle(relief, device):
+    patch = np.random.default_rng(1).integers(0, 255, (15, 20, 3), np.uint8).repeat(3, 0).repeat(3, 1)
+    views = []
+    for k, (view, camera) in enumerate(zip(relief.views, noisy(relief.cameras, 1.0, 0))):
+        photo = view.load_image().copy()
+        photo[50:95, 50 + 9 * k:110 + 9 * k] = patch
+        views.append(View(camera, photo, name=view.name))
+    found = refine_cameras(views, relief.depths, device=device)
+    assert found.accepted and relief.error(found.cameras) < 0.15
+
+
+def test_what_cannot_be_told_stays_with_a_reason(relief, device):
+    two = refine_cameras(relief.through(relief.cameras)[:2], relief.depths[:2], device=device)
+    assert not two.accepted and "four views" in two.reason and "stay as given" in str(two)
+    turned = [placed(c, relief.cameras[0].world_to_camera[:3, :3], relief.cameras[0].center) for c in relief.cameras]
+    alone = refine_cameras(relief.through(turned), relief.depths, device=device)
+    assert not alone.accepted and "four views" in alone.reason
+    blank = [replace(view, image=np.full((145, 194, 3), 128, np.uint8)) for view in relief.views]
+    empty = refine_cameras(blank, relief.depths, device=device)
+    assert not empty.accepted and np.nanmax(empty.moved) < 0.03
+    none = refine_cameras(relief.views, [None] * 7, device=device)
+    assert not none.accepted and "no view has a surface" in none.reason
+    with pytest.raises(InputError, match="unknowns has 'shape'"):
+        refine_cameras(relief.views, relief.depths, unknowns=("shape",), device=device)
+    with pytest.raises(InputError, match="3 depth maps were given for 7 views"):
+        refine_cameras(relief.views, relief.depths[:3], device=device)
+
+
+def test_the_effect_moves_cameras_before_views_are_refined(relief, off_by_one, device):
+    from pagas_cl.refine import refine_views
+
+    cameras, found = off_by_one
+    config = pagas_cl.preset("balanced").with_settings(pyramid__steps=(4,))
+    views, names = relief.through(cameras), [relief.views[0].name]
+    result, = refine_views(views, relief.depths, names=names, config=config, device=device)
+    assert np.array_equal(result.camera.world_to_camera, found.cameras[0].world_to_camera)
+    assert result.report["camera"]["accepted"] and result.report["camera"]["moved"] == pytest.approx(found.moved[0])
+    as_given, = refine_views(views, relief.depths, names=names, device=device,
+                             config=config.with_settings(effects__cameras="off"))
+    assert as_given.camera is cameras[0]
+
+
+def test_depth_maps_that_disagree_by_a_factor(relief, device):
+    factors = np.array([1.02, 0.95, 1.12, 0.84, 1.05, 0.97, 1.0])
+    depths = [depth * np.float32(factor) for depth, factor in zip(relief.depths, factors)]
+    found = refine_cameras(relief.through(noisy(relief.cameras, 0.5, 0)), depths, unknowns=("pose", "depth_scale"),
+                           device=device)
+    scales = found.depth_scales * factors
+    assert found.accepted and np.ptp(scales) < 0.005 and scales.mean() == pytest.approx(1, abs=0.05)
+    assert (found.depth_shifts == 0).all() and relief.error(found.cameras) < 0.2
+    with pytest.raises(InputError, match="a mesh was given"):
+        refine_cameras(relief.views, (np.eye(3), np.arange(3)[None]), unknowns=("depth_scale",), device=device)
+
+
+def test_a_lens_of_its_own(relief, device):
+    """Half of the views were taken with a longer lens than they say."""
+    lenses = [0, 0, 0, 0, 1, 1, 1]
+    cameras = [replace(c, fx=c.fx * (1 + 0.01 * lens), fy=c.fy * (1 + 0.01 * lens))
+               for c, lens in zip(noisy(relief.cameras, 0.3, 0), lenses)]
+    found = refine_cameras(relief.through(cameras), relief.depths, unknowns=("pose", "focal"), lenses=lenses,
+                           device=device)
+    ratio = found.cameras[5].fx / found.cameras[0].fx
+    assert found.accepted and ratio == pytest.approx(1, abs=0.003) and found.cameras[4].fx == found.cameras[6].fx
+    assert found.cameras[0].cx == cameras[0].cx
+
+
+def test_a_mesh_stays_where_it_is(relief, off_by_one, device):
+    pytest.importorskip("open3d")
+    cameras, by_depth = off_by_one
+    found = refine_cameras(relief.through(cameras), relief.scene.initial_mesh(), device=device)
+    assert found.accepted and relief.error(found.cameras) < 0.1
+
+
+def test_a_colmap_model_keeps_all_but_poses(relief, off_by_one, tmp_path, capsys):
+    """The command, on a model with points, from depth maps; and a scene that has no such model."""
+    pycolmap = pytest.importorskip("pycolmap")
+    from PIL import Image
+
+    from pagas_cl.__main__ import run
+    from pagas_cl.cameras.model import write_model
+    from pagas_cl.scene.depthmap import save_depth
+
+    cameras, found = off_by_one
+    named = [replace(view, image=tmp_path / f"images/{view.name}.png", name=f"{view.name}.png")
+             for view in relief.through(cameras)]
+    (tmp_path / "images").mkdir()
+    (tmp_path / "depth").mkdir()
+    for view, made, depth in zip(named, relief.views, relief.depths):
+        Image.fromarray(made.load_image()).save(view.image)
+        save_depth(tmp_path / f"depth/{view.stem}.npz", depth)
+    model = pycolmap.Reconstruction(str(write_model(tmp_path / "nothing", named, cameras, tmp_path)))
+    model.add_point3D(np.array([1.0, 2.0, 3.0]), pycolmap.Track(), np.array([9, 8, 7], np.uint8))
+    model.write_binary(str(tmp_path / "sparse/0"))
+    told = ["--output", str(tmp_path / "out"), "--quiet"]
+    assert run(["cameras", str(tmp_path), "--depth-dir", str(tmp_path / "depth"), *told]) == 0
+    assert "moved" in capsys.readouterr().out and (tmp_path / "out/cameras_report.json").is_file()
+    after = pycolmap.Reconstruction(str(tmp_path / "out/sparse/0"))
+    assert after.num_points3D() == 1 and {i: im.name for i, im in after.images.items()} == {
+        i: im.name for i, im in model.images.items()}
+    by_name = {image.name: image for image in after.images.values()}
+    read = [pagas_cl.Camera.from_colmap(after.cameras[by_name[v.name].camera_id], by_name[v.name]) for v in named]
+    true = [relief.cameras[[v.name for v in relief.views].index(view.stem)] for view in named]
+    assert rms_motion(true, after_similarity(read, true), relief.depths) < 0.06
+
+
+def test_pairs_that_judge_take_no_part(relief):
+    pairs = choose_pairs(relief.cameras, relief.depths, Context())
+    assert len(pairs.held) == 3
+    for one, two in pairs.held:
+        assert two not in pairs.used[one] and one not in pairs.used[two]
+    assert all(len(others) >= 2 for others in pairs.used)
+    less = pairs.without({0})
+    assert less.used[0] == () and all(0 not in others for others in less.used)
+    assert all(0 not in pair for pair in less.held)
+
+
+def test_twists_come_back(relief):
+    rng = np.random.default_rng(3)
+    for size in (1e-9, 1e-3, 0.5, 3.0):
+        w, v = rng.normal(size=3), rng.normal(size=3)
+        twist = np.concatenate([size * w / np.linalg.norm(w), v])
+        camera = moved(relief.cameras[0], twist, 650.0)
+        assert twist_between(relief.cameras[0], camera, 650.0) == pytest.approx(twist, abs=1e-9)
+    assert np.isnan(pixel_motion(camera, camera, np.zeros((0, 3))))
+
+
+def chain(cameras: int, rng):
+    """Terms of made blocks, each view with its neighbours."""
+    from pagas_cl.cameras.adjust import Block
+
+    terms = []
+    for t in range(cameras):
+        others = tuple(k for k in (t - 2, t - 1, t + 1, t + 2) if 0 <= k < cameras)
+        a = rng.normal(size=(60, 6 * len(others)))
+        matrix = (a.T @ a).reshape(len(others), 6, len(others), 6)
+        terms.append(Term(t, others, Block(matrix, rng.normal(size=(len(others), 6)), np.ones(4), np.ones(4))))
+    return terms
+
+
+def test_a_thousand_cameras_sparse_as_dense(monkeypatch):
+    pytest.importorskip("scipy")
+    from conftest import look_at
+
+    from pagas_cl.cameras import solve as module
+
+    rng = np.random.default_rng(0)
+    cameras = [look_at((0.1 * k, 0, -4), (0.1 * k, 0, 0)) for k in range(1000)]
+    for number in (30, 1000):
+        unknowns = Unknowns(number, pixel_scales(cameras[:number], [1.0] * number))
+        terms = chain(number, rng)
+        monkeypatch.setattr(module, "DENSE", 0)
+        system, right = assemble(terms, cameras, 4.0, unknowns)
+        assert system.nnz < 6 * 6 * 9 * number and not isinstance(system, np.ndarray)
+        y, spread = solve(system, right, np.zeros(6 * number), 1e-6, 1.0)
+        hold = 1e-6 / spread**2
+        monkeypatch.setattr(module, "DENSE", DENSE)
+        if number <= DENSE:
+            dense, same = assemble(terms, cameras, 4.0, unknowns)
+            assert system.toarray() == pytest.approx(dense) and np.array_equal(right, same)
+        assert np.linalg.norm(system @ y + hold * y + right) < 0.1 * np.linalg.norm(right)
+
+
+def test_what_nothing_sees_stays_given():
+    """Unknowns without evidence go back to where they were given; evidence below the noise moves nothing."""
+    system, right = np.diag([1e4, 1e4, 0.0]), np.array([-1e4, 1e4, 0.0])
+    y, spread = solve(system, right, np.array([0.0, 0.0, 0.3]), 1.0, 1.0)
+    assert y == pytest.approx([1, -1, 0], abs=1e-3) and spread == pytest.approx(1, abs=0.1)
+    y, spread = solve(system, 1e-3 * right, np.zeros(3), 1.0, 1.0)
+    assert np.abs(y).max() < 1e-4 and spread < 1e-3

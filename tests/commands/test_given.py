@@ -1,0 +1,73 @@
+"""What refine and check find out by themselves about what they were given, and the examples to try it on."""
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.scenes import relief_scene
+
+from pagas_cl.__main__ import run
+from pagas_cl.commands._given import look, together
+from pagas_cl.errors import InputError
+from pagas_cl.scene.depthmap import load_depth
+from pagas_cl.synthetic.examples import write_example
+from pagas_cl.synthetic.exports_depth import EXPORTS
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def made():
+    return relief_scene(168, 126, 2, held_out=0)
+
+
+@pytest.mark.parametrize("format", EXPORTS)
+def test_every_example_is_understood(format, made, tmp_path):
+    folder = write_example(tmp_path / "scene", format, made)
+    options = {"photos": folder / "photos"} if format == "mapanything-colmap" else \
+        {"format": "meshlab"} if format == "meshlab" else {}
+    given = look(folder, **options)
+    photos, cameras, depth = given.lines()
+    assert photos.startswith("photos: 3 of 168 x 126, from ") and cameras.startswith("cameras: 3, focal length 31")
+    assert depth.startswith("depth: maps of every view, from ") and "; unit: " in depth
+    assert all(np.median(d.load()) == pytest.approx(3.25, rel=0.3) for d in given.depths)
+
+
+def test_png_without_a_unit(made, tmp_path):
+    folder = write_example(tmp_path / "scene", "cameras", made)
+    for path in sorted((folder / "depth").glob("*.npz")):
+        Image.fromarray(np.rint(1000 * load_depth(path)).astype(np.uint16)).save(path.with_suffix(".png"))
+        path.unlink()
+    given = look(folder)
+    assert np.median(together(given, True)[0].load()) == pytest.approx(3.25, rel=0.1)
+    assert "1000 for one scene unit, as you say" in look(folder, depth_scale=1000).lines()[2]
+    for path in (folder / "images").iterdir():      # photos that say nothing
+        Image.fromarray(np.full((126, 168, 3), 90, np.uint8)).save(path)
+    with pytest.raises(InputError, match="do not say their unit, and photos do not show it"):
+        together(look(folder), True)
+
+
+def test_a_mesh_in_the_folder_and_what_is_refused(made, tmp_path):
+    import shutil
+
+    folder = write_example(tmp_path / "scene", "cameras", made)
+    shutil.rmtree(folder / "depth")
+    assert look(folder).lines()[2] == "no depth and no mesh"
+    (folder / "a.ply").write_text("ply\nelement vertex 9\nelement face 3\nend_header\n")
+    (folder / "cloud.ply").write_text("ply\nelement vertex 9\nend_header\n")
+    assert look(folder).mesh == folder / "a.ply"
+    (folder / "b.obj").write_text("")
+    with pytest.raises(InputError, match="several meshes .*a.ply, b.obj.*--mesh"):
+        look(folder)
+    with pytest.raises(InputError, match="--photos does not go with the format"):
+        look(folder, photos=folder)
+    with pytest.raises(InputError, match="--depth-scale is -1"):
+        look(folder, depth_scale=-1)
+
+
+def test_check_answers_for_depth(tmp_path, capsys):
+    assert run(["demo", "--format", "vggt", "--output", str(tmp_path / "a"), "--width", "168", "--context", "2"]) == 0
+    assert "try: pagas-cl refine" in capsys.readouterr().out
+    assert run(["check", str(tmp_path / "a")]) == 0
+    said = capsys.readouterr()
+    assert "the cameras are right as they are" in said.out and "depth maps disagreed by" in said.err
+    assert run(["demo", "--format", "vgtt", "--output", str(tmp_path / "b")]) == 2

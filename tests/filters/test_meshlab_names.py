@@ -1,0 +1,67 @@
+"""pymeshlab's own ways to find and to call a filter know ours, under one name."""
+
+import numpy as np
+import pytest
+from support.scenes import relief_scene
+
+from pagas_cl.errors import InputError
+from pagas_cl.filters.names import METHOD, NOTE
+from pagas_cl.filters.parameters import PARAMETERS
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def pymeshlab():
+    found = pytest.importorskip("pymeshlab")
+    from pagas_cl.filters.pymeshlab_step import register
+
+    register()
+    register()      # twice is once
+    return found
+
+
+def test_it_is_listed_found_and_described(pymeshlab, capfd):
+    assert pymeshlab.filter_list().count(METHOD) == 1
+    pymeshlab.print_filter_list()
+    pymeshlab.search("pagas")
+    assert capfd.readouterr().out.count(METHOD) >= 2
+    pymeshlab.print_filter_parameter_list(METHOD)
+    told = capfd.readouterr().out
+    assert all(f"\t{p.python} = " in told and p.description in told for p in PARAMETERS)
+    pymeshlab.print_filter_parameter_list("meshing_surface_subdivision_midpoint")
+    pymeshlab.search("midpoint")
+    told = capfd.readouterr().out
+    assert "iterations" in told and METHOD not in told
+    with pytest.raises(pymeshlab.PyMeshLabException):
+        pymeshlab.print_filter_parameter_list("foo")
+    defaults = pymeshlab.MeshSet().filter_parameter_values(METHOD)
+    assert set(defaults) == {"scene", *(p.python for p in PARAMETERS)} and defaults["preset"] == "balanced"
+
+
+def test_it_is_applied_by_name_and_its_progress_shows(pymeshlab, tmp_path, capfd):
+    made = relief_scene(64, 48, 2, held_out=0)
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(*(np.asarray(part) for part in made.initial_mesh(8.0))), "coarse")
+    counts = meshes.apply_filter(METHOD, scene=made.views, preset="fast", context_views=2)
+    assert counts["refined"] > 0 and meshes.mesh_number() == 2
+    assert "refine: 3 of 3" in capfd.readouterr().err
+    meshes.apply_filter("compute_normal_per_vertex")
+    meshes.save_filter_script(str(tmp_path / "s.mlx"))
+    text = (tmp_path / "s.mlx").read_text()
+    assert text.count(NOTE) == 1 and "run_script" in NOTE and "pagas-cl script" in NOTE
+    again = pymeshlab.MeshSet()
+    again.create_sphere()
+    again.load_filter_script(str(tmp_path / "s.mlx"))
+    with pytest.raises(InputError, match="run it with pagas_cl.filters.filter_script.run_script"):
+        again.apply_filter_script()
+
+
+@pytest.mark.parametrize("name", ["contextViews", "context_views"])
+def test_a_script_spells_parameters_as_python_does(pymeshlab, tmp_path, name):
+    from pagas_cl.filters.filter_script import check_script
+
+    (tmp_path / "s.mlx").write_text('<!DOCTYPE FilterScript>\n<FilterScript><filter name="PAGaS Depth Refinement">'
+                                    f'<Param type="RichInt" name="{name}" value="3"/></filter></FilterScript>')
+    step, = check_script(tmp_path / "s.mlx")
+    assert step.request.config.context.number == 3

@@ -1,0 +1,128 @@
+"""A real Dask cluster: a scheduler and three workers, each a process with an address of its own (loopback)."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+
+import pytest
+from support import job_scenes as work
+from support.job_scenes import QUICK, TESTS, bytes_of, compile_once, load_small_scene, said, write_small_scene
+
+import pagas_cl.__main__ as command_line
+from pagas_cl.jobs import refine_all
+from pagas_cl.refine import refine_one, refine_views
+
+pytestmark = pytest.mark.slow
+
+distributed = pytest.importorskip("distributed")
+
+VIEWS = 16
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    folder = write_small_scene(tmp_path_factory.mktemp("cluster") / "scene", VIEWS)
+    compile_once(folder)
+    return folder
+
+
+class Cluster:
+    """Scheduler and workers as a person would start them: `dask scheduler`, `dask worker --nthreads 1`."""
+
+    def __init__(self, folder, stack: ExitStack):
+        self.folder, self.stack, self.workers = folder, stack, {}
+        paths = os.pathsep.join([str(TESTS), str(TESTS.parent), os.environ.get("PYTHONPATH", "")])
+        self.environment = {**os.environ, "PYTHONPATH": paths, "PAGAS_CL_SHARE": "4", "TMPDIR": str(folder),
+                            "DASK_DISTRIBUTED__WORKER__DAEMON": "False"}
+        self.file = folder / "scheduler.json"
+        self._start("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
+                    "--scheduler-file", str(self.file))
+        self._until(self.file.is_file, "the scheduler")
+        self.client = stack.enter_context(distributed.Client(scheduler_file=str(self.file), set_as_default=False))
+        self.address = self.client.scheduler.address
+
+    def add(self, host: str) -> None:
+        """Start one worker at the address `host`."""
+        self.workers[host] = self._start("distributed.cli.dask_worker", self.address, "--host", host, "--nthreads", "1",
+                                         "--no-nanny", "--no-dashboard", "--local-directory", str(self.folder / host))
+
+    def ready(self, number: int) -> None:
+        self._until(lambda: len(self.client.scheduler_info()["workers"]) >= number, f"{number} workers")
+
+    def kill(self, host: str) -> None:
+        self.workers[host].send_signal(signal.SIGKILL)
+
+    def _start(self, module: str, *arguments):
+        process = subprocess.Popen([sys.executable, "-m", module, *arguments], env=self.environment, cwd=self.folder,
+                                   stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self.stack.callback(process.wait)
+        self.stack.callback(process.kill)
+        return process
+
+    @staticmethod
+    def _until(holds, what: str) -> None:
+        deadline = time.monotonic() + 60
+        while not holds():
+            if time.monotonic() > deadline:
+                pytest.fail(f"{what} did not come up within a minute")
+            time.sleep(0.1)
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    (tmp_path / "cluster").mkdir()
+    with ExitStack() as stack:
+        yield Cluster(tmp_path / "cluster", stack)
+
+
+def test_a_worker_is_killed_and_another_joins(scene, cluster, tmp_path):
+    views, depths = load_small_scene(scene)
+    alone = tmp_path / "alone"
+    refine_all(refine_one, views, depths, range(VIEWS), QUICK, folder=alone)
+    for host in ("127.0.0.2", "127.0.0.3", "127.0.0.4"):
+        cluster.add(host)
+    cluster.ready(3)
+    happened = []
+
+    def progress(stage, done, total):
+        if stage == "refine" and done >= 3 and not happened:
+            happened.append(done)
+            cluster.kill("127.0.0.3")
+            cluster.add("127.0.0.5")
+
+    out = tmp_path / "out"
+    refine_all(work.slow_refine, views, depths, range(VIEWS), QUICK, folder=out, progress=progress,
+               executor=cluster.client.get_executor(pure=False), extras=False)
+    assert happened and bytes_of(out) == bytes_of(alone) and len(bytes_of(out)) == VIEWS
+    began, ended = said(out, "began"), said(out, "ended")
+    assert sorted(ended) == sorted(view.name for view in views)  # no finished view is done again
+    assert len(began) - len(set(began)) <= 1                     # the killed worker's view is begun twice
+    assert len(list((out / ".pagas_cl" / "journal").iterdir())) >= 3
+    assert cluster.workers["127.0.0.3"].wait(10) == -signal.SIGKILL
+
+
+def test_from_the_command_line(scene, cluster, tmp_path, capsys):
+    cluster.add("127.0.0.2")
+    cluster.ready(1)
+    command = ["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--quiet", "--set", "pyramid.steps=3",
+               "--views", "target", "context_00", "context_01"]
+    assert command_line.run([*command, "--save-depth", str(tmp_path / "a"), "--scheduler", cluster.address]) == 0
+    assert command_line.run([*command, "--save-depth", str(tmp_path / "b")]) == 0
+    assert bytes_of(tmp_path / "a") == bytes_of(tmp_path / "b") and len(bytes_of(tmp_path / "a")) == 3
+    refused = [*command, "--save-depth", str(tmp_path / "c"), "--scheduler", "tcp://127.0.0.1:9"]
+    import pagas_cl.jobs.executors as executors
+
+    executors.PATIENCE = 2
+    assert command_line.run(refused) == 1 and "no Dask scheduler answers" in capsys.readouterr().err
+
+
+def test_temporary_results_come_back_whole(scene, cluster):
+    views, depths = load_small_scene(scene)
+    cluster.add("127.0.0.2")
+    cluster.ready(1)
+    executor = cluster.client.get_executor(pure=False)
+    results = refine_views(views, depths, names=["target"], config=QUICK, executor=executor)
+    assert results[0].confidence.shape == (48, 64) and results[0].report["worker"]

@@ -1,0 +1,344 @@
+"""Many views through executors: the same bytes, shared photos read once, failing views left out, devices not shared."""
+
+import multiprocessing
+import subprocess
+import sys
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import look_at
+from support import job_scenes as work
+from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_small_scene
+from test_package import SOURCES
+
+import pagas_cl.__main__ as command_line
+from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError
+from pagas_cl.jobs import refine_all, task
+from pagas_cl.jobs.plan import Planner, along_curve, groups, on_disk
+from pagas_cl.jobs.store import DepthFile, Store
+from pagas_cl.jobs.task import Batch
+from pagas_cl.jobs.worker import PhotoMemory
+from pagas_cl.refine import refine_one, refine_views
+from pagas_cl.scene import files
+from pagas_cl.scene.choice import PartnerChooser
+from pagas_cl.scene.view import View
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(autouse=True)
+def own_locks(tmp_path, monkeypatch):
+    """Claims of devices apart from those of other programs on this machine."""
+    (tmp_path / "locks").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "locks"))
+    monkeypatch.setattr("tempfile.tempdir", None)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return write_small_scene(tmp_path_factory.mktemp("jobs") / "scene")
+
+
+@pytest.fixture(scope="module")
+def alone(scene, tmp_path_factory):
+    """Results of this process alone, and the bytes of its depth maps."""
+    views, depths = load_small_scene(scene)
+    folder = tmp_path_factory.mktemp("alone")
+    refine_views(views, depths, config=QUICK, folder=folder)
+    return refine_views(views, depths, config=QUICK), bytes_of(folder)
+
+
+def same(results, others):
+    return all(np.array_equal(a.depth, b.depth) and np.array_equal(a.deviation, b.deviation) and a.reason == b.reason
+               and np.array_equal(a.confidence, b.confidence) for a, b in zip(results, others, strict=True))
+
+
+# -- the same bytes, wherever ------------------------------------------------------------------------------------
+
+
+def test_threads_and_files_give_the_bytes_of_the_loop(scene, alone, tmp_path):
+    views, depths = load_small_scene(scene)
+    files = [DepthFile(scene / "depth_initial" / f"{view.stem}.npz", (64, 48)) for view in views]
+    with ThreadPoolExecutor(2) as pool:
+        results = refine_views(views, files, config=QUICK, executor=pool, folder=tmp_path)
+        assert same(results, alone[0]) and bytes_of(tmp_path) == alone[1]
+    assert sorted(said(tmp_path, "ended")) == sorted(view.name for view in views)
+    assert not (tmp_path / ".pagas_cl" / "inputs").exists() and len(bytes_of(tmp_path)) == len(views) == 8
+
+
+def test_processes_give_the_bytes_of_the_loop(scene, alone, monkeypatch):
+    views, depths = load_small_scene(scene)
+    in_memory = [View(view.camera, view.load_image(), None, view.name) for view in views]
+    monkeypatch.setenv("PAGAS_CL_SHARE", "2")
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        results = refine_views(in_memory, depths, config=QUICK, executor=pool)
+    assert same(results, alone[0])
+
+
+def test_all_devices_of_this_machine(scene, alone, tmp_path):
+    views, depths = load_small_scene(scene)
+    seen = []
+    results = refine_views(views, depths, config=QUICK, device="all", folder=tmp_path,
+                           on_view=lambda view, initial, result: seen.append((view.name, initial.shape)))
+    assert bytes_of(tmp_path) == alone[1] and same(results, alone[0])
+    assert seen == [(view.name, (48, 64)) for view in views]  # in the order of the views
+    assert {result.report["device"] for result in results} and all(r.report["worker"] for r in results)
+
+
+def test_a_mesh_through_an_executor(scene):
+    pytest.importorskip("open3d")
+    from pagas_cl import refine_mesh
+
+    views, _ = load_small_scene(scene)
+    arguments = scene / "mesh_coarse.ply", [v.camera for v in views], [v.image for v in views]
+    one = refine_mesh(*arguments, config=QUICK)
+    with ThreadPoolExecutor(1) as pool:
+        other = refine_mesh(*arguments, config=QUICK, executor=pool)
+    assert np.array_equal(one.vertices, other.vertices) and np.array_equal(one.faces, other.faces)
+
+
+def test_a_photo_is_read_once(scene, tmp_path, monkeypatch):
+    views, depths = load_small_scene(scene)
+    import pagas_cl.scene.view as reading
+
+    read, whole = [], reading.read_photo
+    monkeypatch.setattr(reading, "read_photo", lambda path: (read.append(path), whole(path))[1])
+    config = QUICK.with_settings(effects__cameras="off")        # which are measured before, from photos of their own
+    refine_views(views, depths, config=config, folder=tmp_path)
+    assert len(read) == len(set(read)) == len(views)
+
+
+def test_photos_are_kept_while_there_is_room():
+    memory, loads = PhotoMemory(limit=250), []
+
+    def get(key):
+        return memory.get(key, lambda: (loads.append(key), np.zeros(100, np.uint8))[1])
+
+    for key in "aabcba":  # c pushes a out
+        get(key)
+    assert loads == list("abca")
+    PhotoMemory(limit=1).get("large", lambda: np.zeros(100))
+
+
+# -- who fails ---------------------------------------------------------------------------------------------------
+
+
+def test_a_view_that_fails_twice_is_done(scene, tmp_path, monkeypatch):
+    views, depths = load_small_scene(scene)
+    monkeypatch.setenv("PAGAS_CL_TEST_MARK", str(tmp_path / "mark"))
+    results = refine_all(work.fails_twice, views, depths, range(8), QUICK, folder=tmp_path / "out")
+    assert (tmp_path / "mark").read_text() == "2" and all("failed" not in r.report for r in results)
+    assert len(said(tmp_path / "out", "failed")) == 2
+
+
+def test_a_view_that_fails_three_times_is_named_and_left_out(scene, tmp_path, caplog):
+    views, depths = load_small_scene(scene)
+    results = refine_all(work.fails_always, views, depths, range(8), QUICK, folder=tmp_path)
+    assert [k for k, r in enumerate(results) if "failed" in r.report] == [1] and not results[1].depth.any()
+    assert f"view {views[1].name} has failed 3 times and is left out: LinAlgError: never" in caplog.text
+    assert len(bytes_of(tmp_path)) == 7
+
+
+def test_nothing_is_tried_for_ever(scene, tmp_path, monkeypatch):
+    views, depths = load_small_scene(scene)
+    monkeypatch.setattr("pagas_cl.jobs.worker.write_finished", lambda *_: 1 / 0)
+    with pytest.raises(PagasError, match="ZeroDivisionError"):
+        refine_all(work.copy_depth, views, depths, range(8), QUICK, folder=tmp_path)
+
+
+def test_a_killed_process_of_a_pool_is_replaced(scene, tmp_path, monkeypatch):
+    views, depths = load_small_scene(scene)
+    monkeypatch.setenv("PAGAS_CL_TEST_MARK", str(tmp_path / "mark"))
+    results = refine_all(work.killed_once, views, depths, range(8), QUICK, device="all", folder=tmp_path / "out")
+    assert (tmp_path / "mark").exists() and all(r.depth.any() for r in results)
+    assert len(said(tmp_path / "out", "ended")) == 8 and len(said(tmp_path / "out", "began")) == 9
+
+
+def test_a_view_that_kills_its_process_is_left_out(scene, tmp_path):
+    views, depths = load_small_scene(scene)
+    results = refine_all(work.killed_always, views, depths, range(8), QUICK, device="all", folder=tmp_path)
+    assert [k for k, r in enumerate(results) if "failed" in r.report] == [2]
+    assert len(said(tmp_path, "ended")) == 7 and said(tmp_path, "began").count(views[2].name) == 3
+
+
+def test_a_broken_executor_of_the_caller_is_told(scene, tmp_path):
+    views, depths = load_small_scene(scene)
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        with pytest.raises(DeviceError, match="start the same command again"):
+            refine_all(work.killed_always, views, depths, range(8), QUICK, executor=pool, folder=tmp_path)
+
+
+def test_another_version_of_the_code_is_refused(scene, tmp_path, monkeypatch):
+    views, depths = load_small_scene(scene)
+    monkeypatch.setattr("pagas_cl.jobs.worker.code_version", lambda: "other")
+    with pytest.raises(DeviceError, match="another version"):
+        refine_all(work.copy_depth, views, depths, range(8), QUICK, folder=tmp_path)
+
+
+def test_the_exit_status_tells_of_views_left_out(scene, tmp_path, monkeypatch, capsys):
+    import pagas_cl.refine as refining
+
+    monkeypatch.setattr(refining, "refine_one", work.fails_always)
+    status = command_line.run(["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth",
+                               str(tmp_path / "out"), "--quiet"])
+    assert status == 1 and "1 of 8 views failed and were left out: " in capsys.readouterr().err
+    assert len(bytes_of(tmp_path / "out")) == 7
+
+
+# -- what makes two tasks the same -------------------------------------------------------------------------------
+
+
+def test_keys_follow_every_input(scene, monkeypatch):
+    views, depths = load_small_scene(scene)
+
+    def keys(views=views, depths=depths, config=QUICK):
+        store = Store(scene.parent / "store")
+        kept = [store.put(depth) for depth in depths]
+        planner = Planner(on_disk(views, store), kept, depths, config, refine_one)
+        return [planner.task(k).key for k in range(8)]
+
+    first = keys()
+    assert first == keys() and len(set(first)) == 8
+    assert keys(config=QUICK.with_settings(fusion__voxel=2.0)) == first
+    assert all(a != b for a, b in zip(first, keys(config=QUICK.with_settings(solver__rate=0.05))))
+    moved = views[0].camera.world_to_camera.copy()
+    moved[0, 3] += 1e-12
+    other = View(replace(views[0].camera, world_to_camera=moved), views[0].image, None, views[0].name)
+    assert keys(views=[other, *views[1:]])[0] != first[0]
+    photo = views[0].load_image().copy()
+    photo[0, 0, 0] ^= 1
+    assert keys(views=[View(views[0].camera, photo, None, views[0].name), *views[1:]])[0] != first[0]
+    deeper = depths[3].copy()
+    deeper[20, 20] = np.nextafter(deeper[20, 20], np.float32(np.inf))
+    later = keys(depths=[*depths[:3], deeper, *depths[4:]])
+    assert [a == b for a, b in zip(first, later)] == [k != 3 for k in range(8)]
+    monkeypatch.setattr(task, "code_version", lambda: "other")
+    assert not set(first) & set(keys())
+
+
+def test_the_key_knows_the_whole_package(monkeypatch):
+    """A file that takes part in refining and is not hashed would let a run go on from another version's views."""
+    there = {f"{prefix}/{path.relative_to(folder).as_posix()}" for prefix, folder in SOURCES.items()
+             for path in folder.rglob("*") if path.suffix in (".py", ".cl", ".clh")}
+    found = task.sources()
+    assert set(found) == there and "pagas_cl/splat/level.py" in there and "pagas_cl/cl_kernels/loss.cl" in there
+    first = task.code_version.__wrapped__()
+    assert first == task.code_version.__wrapped__()
+    for change in ({"pagas_cl/scene/choice.py": b""}, {"pagas_cl/new.py": b""}):
+        monkeypatch.setattr(task, "sources", lambda change=change: {**found, **change})
+        assert task.code_version.__wrapped__() != first
+
+
+def test_many_threads_read_arrays(tmp_path):
+    """CPython 3.11 fails now and then where two threads parse the header of a .npy file."""
+    arrays = [np.full((3, k + 1), k, np.float32) for k in range(8)]
+    for k, array in enumerate(arrays):
+        np.save(tmp_path / f"{k}.npy", array)
+        np.savez_compressed(tmp_path / f"{k}.npz", depth=array)
+    with ThreadPoolExecutor(8) as readers:
+        for read, suffix in ((files.read_npy, "npy"), (files.read_first, "npz")):
+            paths = [tmp_path / f"{k}.{suffix}" for k in range(8)] * 50
+            assert all(np.array_equal(got, arrays[k % 8]) for k, got in enumerate(readers.map(read, paths)))
+
+
+def test_a_damaged_array_is_found(tmp_path):
+    array = np.arange(5000, dtype=np.float32)
+    stored = Store(tmp_path).put(array)
+    assert np.array_equal(stored.load(), array)
+    stored.file.write_bytes(stored.file.read_bytes()[:-1] + b"\1")
+    with pytest.raises(InputError, match="is damaged"):
+        stored.load()
+    stored.file.write_bytes(stored.file.read_bytes()[:100])
+    with pytest.raises(InputError, match="cannot be read"):
+        stored.load()
+    assert np.array_equal(Store(tmp_path).put(array).load(), array)  # written anew
+
+
+def test_names_that_lead_outside_are_refused(scene, tmp_path):
+    views, depths = load_small_scene(scene)
+    views = [View(v.camera, v.image, None, "../" + v.name) for v in views]
+    with pytest.raises(InputError, match="cannot name files"):
+        refine_all(work.copy_depth, views, depths, range(8), QUICK, folder=tmp_path / "a")
+
+
+def test_a_folder_that_cannot_be_made(scene, tmp_path):
+    views, depths = load_small_scene(scene)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot write .* start the same command again"):
+        refine_all(work.copy_depth, views, depths, range(8), QUICK, folder=tmp_path / "file" / "out")
+
+
+# -- who goes where ----------------------------------------------------------------------------------------------
+
+
+def ring(number):
+    angles = np.linspace(0, 2 * np.pi, number, endpoint=False)
+    return [look_at((4 * np.sin(a), 0.5, -4 * np.cos(a)), (0, 0, 0), name=f"{k:05d}.png")
+            for k, a in enumerate(angles)]
+
+
+def test_neighbours_follow_one_another():
+    centers = np.array([camera.center for camera in ring(256)])
+    shuffled = np.random.default_rng(0).permutation(256)
+    order = along_curve(centers[shuffled])
+    assert sorted(order) == list(range(256))
+    step = np.linalg.norm(np.diff(centers[shuffled][order], axis=0), axis=1)
+    assert np.median(step) < 2 * np.pi * 4 / 256 * 1.01 and step.sum() < 6 * 2 * np.pi * 4
+
+
+def test_groups_hold_every_view_once_and_workers_have_stretches_of_their_own():
+    cameras = ring(400)
+    views = [View(camera, "none.png", None, camera.name) for camera in cameras]
+    chooser = PartnerChooser(cameras, [np.full((120, 160), 4, np.float32)] * 400, QUICK.context)
+    parts = groups(list(range(400)), views, 4)
+    assert sorted(k for part in parts for k in part) == list(range(400)) and 4 * 8 <= len(parts) <= 4 * 10
+    photos = [{i for part in parts[k::4] for target in part for i in chooser.choose(target).all} for k in range(4)]
+    assert max(map(len, photos)) < 140  # given out in turn: 100 of its own, and some at the ends
+    assert groups([7], views, 64) == [[7]]
+
+
+def test_a_batch_can_be_cut_down(scene, tmp_path):
+    views, depths = load_small_scene(scene)
+    store = Store(tmp_path)
+    planner = Planner(views, [store.put(depth) for depth in depths], depths, QUICK, refine_one)
+    template = Batch(refine_one, {}, {}, (), QUICK, tmp_path, None, "")
+    batch = planner.batch([planner.task(k) for k in range(3)], template)
+    one = batch.only(batch.tasks[:1])
+    assert one.views.keys() == one.digests.keys() == set(batch.tasks[0].partners.all) < batch.views.keys()
+
+
+CLAIM = """
+import sys
+from pagas_cl.runtime.claim import claim_device
+from pagas_cl.errors import DeviceError
+from pagas_cl.runtime import claim
+claim.WAIT = 0.0
+try:
+    claim_device("all")
+except DeviceError as error:
+    print(error)
+else:
+    print("mine", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_two_processes_take_different_devices(monkeypatch):
+    monkeypatch.delenv("PAGAS_CL_SHARE", raising=False)
+
+    def start():
+        return subprocess.Popen([sys.executable, "-c", CLAIM], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    first = start()
+    assert first.stdout.readline() == "mine\n"
+    second = start()
+    said_by = second.communicate()[0]
+    assert "at work for another process" in said_by and "PAGAS_CL_SHARE=2" in said_by
+    monkeypatch.setenv("PAGAS_CL_SHARE", "2")
+    assert start().communicate()[0] == "mine\n"
+    first.kill()
+    first.wait()
+    monkeypatch.delenv("PAGAS_CL_SHARE")
+    assert start().communicate()[0] == "mine\n"  # a lost worker's place is free again

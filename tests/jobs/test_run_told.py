@@ -1,0 +1,96 @@
+"""Runs that are interrupted, gone on with, or that keep photos out, say so."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from support.scenes import relief_scene
+
+import pagas_cl.__main__ as command_line
+from pagas_cl.jobs.finished import records_in
+from pagas_cl.scene.depthmap import load_depth
+from pagas_cl.synthetic.scene import write_scene
+
+pytestmark = pytest.mark.slow
+
+NAMES = ["context_00", "context_01", "context_02", "context_03", "held_out_0", "target"]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return write_scene(relief_scene(64, 48, 4, held_out=1), tmp_path_factory.mktemp("told") / "scene")
+
+
+def refine(scene, out, *more):
+    return command_line.run(["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth",
+                             str(out), "--quiet", "--set", "pyramid.steps=3", *map(str, more)])
+
+
+@pytest.mark.parametrize("at", [0, 2])
+def test_ctrl_c_says_what_is_kept_and_the_next_run_begins_with_it(scene, tmp_path, monkeypatch, capsys, at):
+    import pagas_cl.refine as refining
+
+    whole, done = refining.refine_depth, []
+
+    def until(*arguments, **keywords):
+        if len(done) == at:
+            raise KeyboardInterrupt
+        done.append(1)
+        return whole(*arguments, **keywords)
+
+    monkeypatch.setattr(refining, "refine_depth", until)
+    assert refine(scene, tmp_path / "out") == 130
+    last = capsys.readouterr().err.splitlines()[-1]
+    if at == 0:
+        assert last == "pagas-cl: interrupted; nothing is kept, no view was finished"
+        return
+    assert last.startswith("pagas-cl: interrupted; 2 of 6 views are finished and kept in ")
+    assert "the same command goes on" in last
+    monkeypatch.undo()
+    assert refine(scene, tmp_path / "out") == 0
+    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("INFO")]
+    of_runs = [k for k, line in enumerate(told) if "earlier run" in line]
+    assert "an earlier run has left 2 finished views" in told[of_runs[0]]
+    assert "2 of 6 views were finished by an earlier run and are kept" in told[of_runs[1]]
+    assert all(k < of_runs[0] or "of device memory" not in told[k] for k in range(of_runs[1])), "before the work"
+
+
+def test_held_out_photos_take_no_part_at_all(scene, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert refine(scene, out, "--hold-out", "held_out_0", "context_03.png") == 0
+    assert "held out, and seen by nothing: context_03.png, held_out_0.png" in capsys.readouterr().err
+    records = records_in(out)
+    assert sorted(record.stem for record in records) == [n for n in NAMES if n not in ("held_out_0", "context_03")]
+    seen = {name for r in records for name in (*r.report["contexts"], *r.report["held_out"])}
+    assert seen and not seen & {"held_out_0.png", "context_03.png"}
+    # as if they were not there
+    less = shutil.copytree(scene, tmp_path / "less")
+    kept = json.loads((less / "cameras.json").read_text())
+    kept["views"] = [v for v in kept["views"] if v["image"] not in ("held_out_0.png", "context_03.png")]
+    (less / "cameras.json").write_text(json.dumps(kept))
+    assert refine(less, tmp_path / "other") == 0
+    for record in records:
+        assert np.array_equal(*(load_depth(where / f"{record.stem}.npz") for where in (out, tmp_path / "other")))
+
+
+def evaluate(scene, out, name):
+    return command_line.run(["evaluate", str(out), "--scene", str(scene), "--held-out", name])
+
+
+def test_a_photo_that_took_part_is_no_judge(scene, tmp_path, capsys):
+    assert refine(scene, tmp_path / "with", "--views", "target") == 0
+    assert refine(scene, tmp_path / "without", "--views", "target", "--hold-out", "context_01") == 0
+    capsys.readouterr()
+    for name in ("context_01", "context_00.png"):        # a context view, or a judge
+        assert evaluate(scene, tmp_path / "with", name) == 0
+        assert "is no held-out photo" in capsys.readouterr().err
+    assert evaluate(scene, tmp_path / "without", "context_01") == 0
+    assert "is no held-out photo" not in capsys.readouterr().err
+
+
+def test_a_view_is_not_both_asked_for_and_held_out(scene, tmp_path, capsys):
+    assert refine(scene, tmp_path / "out", "--views", "target", "--hold-out", "target.png") == 2
+    assert "'target.png' is in --views and in --hold-out" in capsys.readouterr().err
+    assert refine(scene, tmp_path / "out", "--hold-out", "nobody") == 2
+    assert "there is no view 'nobody'" in capsys.readouterr().err

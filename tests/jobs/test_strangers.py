@@ -1,0 +1,267 @@
+"""Files that are not ours, beside and below every place that a command writes to, are the same afterwards, whether it
+ended well, was refused, or was killed; finished views that somebody has changed are not believed; two runs at once."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_small_scene
+
+import pagas_cl.__main__ as command_line
+from pagas_cl.errors import InputError, OutputError
+from pagas_cl.jobs.finished import one_run
+from pagas_cl.jobs.store import DepthFile
+from pagas_cl.refine import refine_views
+from pagas_cl.report.page import html_page
+from pagas_cl.scene.depthmap import load_depth, save_depth
+from pagas_cl.scene.files import replaced
+
+pytestmark = pytest.mark.slow
+
+STRANGERS = ("notes.txt", ".a.part", ".target.npz.other-7.part", ".fine.ply.other-7.part.ply", "mine.npz",
+             ".hidden/x.part", ".work/journal/a.txt", ".work/inputs/a.npy", ".work/stop", "inputs/a.npy",
+             "journal/a.txt", "views/a.json", ".fine.ply.views/mine.txt", ".fine.ply.views/.work/a.json",
+             ".fusion-a/blocks.npy", "left/target.npz", "fine.mtl", "fine_0.png", "fine.obj.mtl", "stop", "lock",
+             "names.json")
+SETTINGS = ("--set", "pyramid.steps=3", "--context", "3", "--quiet")
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return write_small_scene(tmp_path_factory.mktemp("strangers") / "scene")
+
+
+def settle(*folders) -> dict:
+    """Strangers' files in folders, and a link out of each; their content."""
+    for folder in folders:
+        for name in STRANGERS:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text(f"somebody's {name}")
+        (folder / "link").symlink_to(folder / "notes.txt")
+    return theirs(*folders)
+
+
+def theirs(*folders) -> dict:
+    paths = [folder / name for folder in folders for name in (*STRANGERS, "link")]
+    return {str(path): (path.is_symlink(), path.read_bytes()) if path.exists() else None for path in paths}
+
+
+def commands(scene, out, depths) -> dict:
+    """Every command that writes, each with outputs in `out` and one folder below."""
+    mesh = ("--mesh", str(scene / "mesh_coarse.ply"))
+    from_depths = ("--depth-dir", str(depths))
+    views = ("--views", "target", "context_00", "context_01")
+    return {
+        "depth": ("refine", str(scene), *from_depths, "--save-depth", str(out), *SETTINGS, *views),
+        "report": ("refine", str(scene), *from_depths, "--report", str(out), *SETTINGS, "--views", "target"),
+        "mesh": ("refine", str(scene), *mesh, "--output", str(out / "fine.ply"), *SETTINGS, *views),
+        "object": ("refine", str(scene), *mesh, "--output", str(out / "fine.obj"), *SETTINGS, *views),
+        "kept": ("refine", str(scene), *mesh, "--output", str(out / "fine.ply"), "--keep-mesh", *SETTINGS, *views),
+        "demo": ("demo", "--output", str(out), "--width", "64", "--context", "2", "--quiet"),
+        "analyze": ("analyze", str(scene), *from_depths, "--json", str(out / "a.json"), "--report", str(out / "page"),
+                    "--views", "target", "--no-costs", "--quiet"),
+        "evaluate": ("evaluate", str(depths), str(depths), "--scene", str(scene), "--json", str(out / "e.json")),
+    }
+
+
+@pytest.mark.parametrize("name", ["depth", "report", "mesh", "object", "kept", "demo", "analyze", "evaluate"])
+def test_strangers_files_stay_as_they_are(scene, tmp_path, name):
+    pytest.importorskip("open3d")
+    out = tmp_path / "a" / "out"
+    before = settle(out, out.parent)
+    command = commands(scene, out, scene / "depth_initial")[name]
+    assert command_line.run(list(command)) == 0
+    assert theirs(out, out.parent) == before
+    assert not [path for path in out.rglob("*") if ".part" in path.name and str(path) not in before]
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
+def test_strangers_files_stay_where_a_run_is_killed(scene, tmp_path, how):
+    """Killed once a view is finished, or a little later, then run to its end."""
+    out = tmp_path / "a" / "out"
+    before = settle(out, out.parent)
+    command = [*commands(scene, out, scene / "depth_initial")["depth"], "--set", "pyramid.steps=60"]
+    process = subprocess.Popen([sys.executable, "-m", "pagas_cl", *command], stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60
+    while not bytes_of(out).keys() - {"mine.npz"} and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.02)
+    process.send_signal(how)
+    process.wait(60)
+    assert theirs(out, out.parent) == before
+    assert command_line.run(command) == 0
+    assert theirs(out, out.parent) == before and len(bytes_of(out)) == 4
+
+
+def test_a_depth_map_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):
+    save_depth(tmp_path / "target.npz", np.full((48, 64), 7))
+    command = commands(scene, tmp_path, scene / "depth_initial")["depth"]
+    assert command_line.run(list(command)) == 1
+    assert "target.npz' is there and was not written by a run of ours" in capsys.readouterr().err
+    assert (load_depth(tmp_path / "target.npz") == 7).all() and not (tmp_path / "context_00.npz").exists()
+    (tmp_path / "target.npz").unlink()
+    assert command_line.run(list(command)) == 0 == command_line.run(list(command))
+
+
+def test_a_page_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):
+    assert "pagas" in html_page("any", [], [], [])      # by which our own pages are known
+    (tmp_path / "index.html").write_text("<html>my own page</html>")
+    command = commands(scene, tmp_path, scene / "depth_initial")["report"]
+    assert command_line.run(list(command)) == 2 and "page of somebody else" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["index.html"]
+    (tmp_path / "index.html").unlink()
+    assert command_line.run(list(command)) == 0 == command_line.run(list(command))
+
+
+def test_what_is_started_from_is_not_replaced(scene, tmp_path, capsys):
+    depths, mesh = tmp_path / "depths", tmp_path / "m.ply"
+    shutil.copytree(scene / "depth_initial", depths)
+    shutil.copy(scene / "mesh_coarse.ply", mesh)
+    (tmp_path / "same").symlink_to(depths)
+    before = bytes_of(depths), mesh.read_bytes()
+    for given in (("--depth-dir", str(depths), "--save-depth", str(tmp_path / "same")),
+                  ("--mesh", str(mesh), "--output", str(mesh))):
+        assert command_line.run(["refine", str(scene), *given, *SETTINGS]) == 2
+        assert "would refine the refined" in capsys.readouterr().err
+    views, _ = load_small_scene(scene)
+    with pytest.raises(InputError, match="choose another folder"):
+        refine_views(views, [DepthFile(depths / f"{view.stem}.npz", (64, 48)) for view in views], config=QUICK,
+                     folder=depths)
+    assert (bytes_of(depths), mesh.read_bytes()) == before
+
+
+def test_a_part_is_written_behind_no_link(tmp_path, monkeypatch):
+    """In a folder of several users somebody else may have put a link where we are about to write."""
+    (tmp_path / "victim").write_text("precious")
+    tokens = iter(["0" * 12, "1" * 12])
+    monkeypatch.setattr("secrets.token_hex", lambda _: next(tokens))
+    (tmp_path / f".fine.ply.{'0' * 12}.part").symlink_to(tmp_path / "victim")
+    with pytest.raises(OutputError), replaced(tmp_path / "fine.ply") as beside:
+        beside.write_text("ours")
+    with replaced(tmp_path / "fine.ply") as beside:
+        beside.write_text("ours")
+    assert (tmp_path / "victim").read_text() == "precious" and (tmp_path / "fine.ply").read_text() == "ours"
+
+
+# -- finished views that somebody has changed ------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def undisturbed(scene, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("undisturbed")
+    views, depths = load_small_scene(scene)
+    refine_views(views, depths, config=QUICK, folder=folder)
+    return folder
+
+
+def halved(path):
+    with np.load(path) as archive:
+        arrays = {name: values / 2 if values.dtype.kind == "f" else values for name, values in archive.items()}
+    with open(path, "wb") as file:
+        np.savez(file, **arrays)
+
+
+def one_bit(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def zeros(path):
+    path.write_bytes(bytes(path.stat().st_size))
+
+
+def another(path):
+    shutil.copy(path.with_name(f"context_06{path.suffix}"), path)
+
+
+def nested(path):
+    path.write_text("[" * 100_000)
+
+
+def swapped(path):
+    path.write_text(path.read_text().replace(': 0', ': 1', 1))
+
+
+def cut(path):
+    os.truncate(path, 100)
+
+
+def gone(path):
+    path.unlink()
+
+
+DEPTH, MORE, RECORD = "{}.npz", ".pagas_cl/views/{}.npz", ".pagas_cl/views/{}.json"
+CHANGES = [[(DEPTH, halved), (DEPTH, one_bit), (MORE, halved), (MORE, one_bit), (RECORD, one_bit), (RECORD, nested)],
+           [(DEPTH, zeros), (DEPTH, another), (MORE, zeros), (MORE, another), (RECORD, another), (RECORD, swapped)],
+           [(DEPTH, cut), (DEPTH, gone), (MORE, cut), (MORE, gone), (RECORD, zeros), (RECORD, gone)]]
+
+
+@pytest.mark.parametrize("changes", CHANGES)
+def test_a_finished_view_with_other_bytes_is_refined_anew(scene, undisturbed, tmp_path, changes):
+    out = shutil.copytree(undisturbed, tmp_path / "out")
+    views, depths = load_small_scene(scene)
+    for view, (file, change) in zip(views, changes):
+        change(out / file.format(view.stem))
+    results = refine_views(views, depths, config=QUICK, folder=out)
+    assert sorted(said(out, "began")) == sorted(view.name for view in views[:6])
+    assert bytes_of(out) == bytes_of(undisturbed) and all(result.confidence.any() for result in results)
+
+
+def test_what_is_missing_is_made_and_what_is_there_is_kept(scene, tmp_path, capsys):
+    """Depth maps first; then pictures, a fused mesh and the given mesh moved, without refining anything again."""
+    pytest.importorskip("open3d")
+    out = tmp_path / "out"
+    command = ["refine", str(scene), "--mesh", str(scene / "mesh_coarse.ply"), "--save-depth", str(out), *SETTINGS]
+    assert command_line.run(command) == 0 and len(said(out, "began")) == 8
+    before = bytes_of(out)
+    for more in (["--report", "page"], ["--output", "fused.ply"], ["--output", "kept.ply", "--keep-mesh"],
+                 ["--output", "split.ply", "--keep-mesh", "--subdivide", "4", "--report", "more"]):
+        given = [str(tmp_path / word) if word[0] != "-" and not word.isdigit() else word for word in more]
+        assert command_line.run([*command, *given]) == 0
+        assert not said(out, "began") and bytes_of(out) == before and Path(given[1]).exists()
+    assert len(list((tmp_path / "page").glob("*_confidence.png"))) == 8
+
+
+# -- two at a time ---------------------------------------------------------------------------------------------------
+
+
+def test_two_runs_with_one_output(scene, tmp_path, capsys):
+    """The second one is refused before it does anything; the first one ends as if nothing had been."""
+    pytest.importorskip("open3d")
+    command = ["refine", str(scene), "--mesh", str(scene / "mesh_coarse.ply"), "--output", str(tmp_path / "fine.ply"),
+               *SETTINGS, "--set", "pyramid.steps=60"]
+    first = subprocess.Popen([sys.executable, "-m", "pagas_cl", *command], stderr=subprocess.PIPE, text=True)
+    folder = tmp_path / ".fine.ply.views"
+    deadline = time.monotonic() + 60
+    while not bytes_of(folder) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert command_line.run(command) == 1 and "another run is at work in" in capsys.readouterr().err
+    assert first.wait(120) == 0, first.stderr.read()
+    whole = (tmp_path / "fine.ply").read_bytes()
+    assert [path.name for path in tmp_path.iterdir()] == ["fine.ply"]
+    assert command_line.run(command) == 0 and (tmp_path / "fine.ply").read_bytes() == whole
+
+
+def test_two_threads_with_one_folder(tmp_path):
+    with one_run(tmp_path), one_run(tmp_path):      # the command, and what it calls
+        told = []
+
+        def other():
+            with pytest.raises(OutputError, match="another run"), one_run(tmp_path):
+                pass
+            told.append(True)
+
+        thread = threading.Thread(target=other)
+        thread.start()
+        thread.join()
+        assert told
+    with one_run(tmp_path):
+        pass
+    assert not list(tmp_path.iterdir())

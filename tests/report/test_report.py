@@ -1,0 +1,156 @@
+"""The report: colours, the change in pixels of parallax, and the files of a run."""
+
+import json
+from html import escape
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pagas_cl import Camera, View
+from pagas_cl.report import Report
+from pagas_cl.report.headline import sentence
+from pagas_cl.report.pictures import (
+    NOTHING,
+    colored,
+    depth_range,
+    normal_colors,
+    parallax_change,
+    shaded,
+    view_pictures,
+)
+from pagas_cl.scene.names import flat_stem
+
+WIDTH, HEIGHT = 40, 30
+
+
+def camera(x=0.0, name="a.png"):
+    pose = np.eye(4)
+    pose[0, 3] = -x
+    return Camera(WIDTH, HEIGHT, 50, 50, 20, 15, pose, name)
+
+
+def plane(z):
+    return np.full((HEIGHT, WIDTH), z, np.float32)
+
+
+def test_colored_spans_the_map_and_marks_what_has_no_value():
+    rgb = colored(np.array([[0.0, 1.0, 9.0, np.nan]]), 0, 1, np.array([[True, True, True, False]]))
+    assert rgb.dtype == np.uint8 and tuple(rgb[0, 3]) == NOTHING
+    assert (rgb[0, 1] == rgb[0, 2]).all() and rgb[0, 1].sum() > rgb[0, 0].sum()
+    assert (colored(np.zeros((1, 1)), -1, 1, np.ones((1, 1), bool), "signed") == 255).all()
+
+
+def test_normal_colors_do_not_depend_on_the_sign():
+    n = np.array([[[0.6, 0.0, -0.8]]])
+    valid = np.ones((1, 1), bool)
+    assert (normal_colors(n, valid) == normal_colors(-n, valid)).all()
+    assert tuple(normal_colors(np.array([[[0.0, 0.0, -1.0]]]), valid)[0, 0]) == (128, 128, 255)
+
+
+def test_parallax_change_is_the_move_in_the_context_views():
+    change = parallax_change(camera(), [camera(0.5), camera(-0.5)], plane(4.0), plane(5.0))
+    inside = np.isfinite(change)
+    # the image of a point at depth z moves with f b / z
+    assert inside.any() and change[inside] == pytest.approx(50 * 0.5 * (1 / 4 - 1 / 5))
+    nearer = parallax_change(camera(), [camera(0.5)], plane(4.0), plane(3.9))
+    assert (nearer[np.isfinite(nearer)] < 0).all()
+
+
+def test_parallax_change_is_unknown_without_depth_or_without_a_view():
+    before, after = plane(4.0), plane(4.0)
+    before[0], after[1] = 0, 0
+    change = parallax_change(camera(), [camera(0.5)], before, after)
+    assert np.isnan(change[:2]).all()
+    behind = Camera(WIDTH, HEIGHT, 50, 50, 20, 15, np.diag([-1.0, 1, -1, 1]))
+    assert np.isnan(parallax_change(camera(), [behind], plane(4.0), plane(4.1))).all()
+    assert np.isnan(parallax_change(camera(), [], plane(4.0), plane(4.1))).all()
+
+
+def test_depth_range_of_nothing():
+    assert depth_range(plane(0)) == (0, 1)
+
+
+def test_pictures_have_the_size_of_the_view_even_where_nothing_is_valid():
+    photo = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    pictures = view_pictures(photo, camera(), plane(0), plane(0), change=np.full((HEIGHT, WIDTH), np.nan),
+                             confidence=plane(0))
+    assert [p.key for p in pictures] == ["photo", "depth_before", "depth_after", "normals_before", "normals_after",
+                                         "change", "confidence"]
+    assert all(p.pixels.shape == photo.shape and p.pixels.dtype == np.uint8 for p in pictures)
+
+
+@pytest.mark.parametrize("name, stem", [("a.jpg", "a"), ("cam1/a b.jpg", "cam1_a_b"), ("../..", "view"), ("", "view")])
+def test_file_stem(name, stem):
+    assert flat_stem(name) == stem
+
+
+def test_report_writes_pictures_page_and_numbers(tmp_path):
+    view = View(camera(name="<b>.png"), np.full((HEIGHT, WIDTH, 3), 99, np.uint8))
+    folder = tmp_path / "made" / "here"
+    with pytest.raises(KeyboardInterrupt):
+        with Report(folder, "a <title>", ["one note"]) as report:
+            report.add(view, plane(4.0), plane(4.1), contexts=[camera(0.5)], confidence=plane(0.5),
+                       counts={"refined": 7000})
+            raise KeyboardInterrupt  # the page of what was done is written all the same
+    page = (folder / "index.html").read_text()
+    assert "a &lt;title&gt;" in page and "&lt;b&gt;.png" in page and "<b>.png" not in page
+    assert page.count("data:image/jpeg") == 7 and "http" not in page
+    assert "rejected = the input stays, since" in page and "dark grey = no value" in page
+    told = json.loads((folder / "report.json").read_text())["views"][0]
+    assert told["refined"] == 7000 and "<td>100.0%</td>" in page and told["mean confidence"] == 0.5
+    names = sorted(path.name for path in folder.iterdir())
+    assert len(names) == 9 and not any("part" in name for name in names)
+    assert Image.open(folder / "b_depth_after.png").size == (WIDTH, HEIGHT)
+
+
+def test_report_without_views_has_a_page(tmp_path):
+    assert "nothing" in Report(tmp_path, "nothing").write().read_text()
+
+
+def counts(refined, kept=0, rejected=0, nothing=0):
+    return {"refined": refined, "kept": kept, "rejected": rejected, "no surface": nothing}
+
+
+@pytest.mark.parametrize("rows, reasons, stopped, said", [
+    ([counts(90, 6, 4), counts(80, 20)], ["", ""], "", "The photos refined 85.0% of the surface in 2 views."),
+    ([counts(90, 10), counts(0, 100)], ["", "blurred"], "", "1 of the views came back as it came (blurred)."),
+    ([counts(0, 100), counts(0, 100)], ["too far", "too far"], "", "Nothing was refined: 2 views, each as it came"),
+    ([counts(0, 0, 0, 50)], [""], "", "none with a surface"),
+    ([counts(10)], [""], "disk full", "in 1 view (the run ended with: disk full)"),
+    ([], [], "interrupted", "before a view was done, with: interrupted")])
+def test_the_headline_says_what_became_of_the_views(rows, reasons, stopped, said):
+    assert said in sentence(rows, reasons, stopped)
+
+
+def test_the_page_has_shares_facts_and_pictures_in_pairs(tmp_path):
+    view = View(camera(name="a.png"), np.full((HEIGHT, WIDTH, 3), 99, np.uint8))
+    with Report(tmp_path, facts=[("command", "pagas-cl 'a <b>'"), ("version", "pagas_cl 1")]) as report:
+        for reason in ("", "<i>dark</i>"):
+            report.add(view, plane(4.0), plane(4.1), contexts=[camera(0.5)], reason=reason,
+                       counts=counts(900 * (not reason), 300 + 900 * bool(reason)))
+    page = (tmp_path / "index.html").read_text()
+    assert "37.5% of the surface in 2 views" in page and "&lt;i&gt;dark&lt;/i&gt;" in page and "<i>dark" not in page
+    assert "<td>all 2 views</td><td>37.5%</td><td>62.5%</td><td>0.0%</td><td>0.0%</td>" in page
+    assert "<code>pagas-cl &#x27;a &lt;b&gt;&#x27;</code>" in page and "<dt>time</dt>" in page
+    assert page.count('<div class="pair">') == 4, "depth and normals of two views"
+    told = json.loads((tmp_path / "report.json").read_text())
+    assert told["version"] == "pagas_cl 1" and escape(told["headline"]) in page
+
+
+def test_shaded_pictures_are_brighter_where_the_surface_faces_the_light():
+    x, y = np.meshgrid(np.arange(WIDTH) + 0.5 - 20, np.arange(HEIGHT) + 0.5 - 15)
+    lit, away = (shaded(4 / (1 + side * (x + y) / 50), camera())[10, 20].sum() for side in (0.5, -0.5))
+    assert lit > away + 100 and tuple(shaded(plane(0), camera())[5, 5]) == NOTHING
+
+
+def test_views_of_like_names_have_pictures_of_their_own(tmp_path):
+    names = ["cam/a.png", "cam_a.png", "cam_a.jpg", "CAM/A.png", "mesh.png", "å" * 120 + ".png", "cam_a_2.png"]
+    with Report(tmp_path) as report:
+        for k, name in enumerate(names):
+            report.add(View(camera(name=name), np.full((HEIGHT, WIDTH, 3), 20 * k, np.uint8)), plane(4.0), plane(4.1))
+        report.add_mesh((np.eye(3), [[0, 1, 2]]), (np.eye(3), [[0, 1, 2]]), depths=(plane(4), plane(4)),
+                        view=View(camera(), np.full((HEIGHT, WIDTH, 3), 255, np.uint8)))
+    photos = sorted(tmp_path.glob("*_photo.jpg"))
+    shown = {round(float(np.asarray(Image.open(path)).mean()) / 20) for path in photos}
+    assert len(photos) == 8 and shown == {*range(7), 13}

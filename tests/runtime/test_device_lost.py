@@ -1,0 +1,174 @@
+"""A device that fails in the middle of a run: one sentence, finished views stay whole, the next run goes on from them.
+
+The fault is injected where kernels are started: from one launch on, the driver answers with an error, as a lost device
+does, once or for ever.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
+
+import pyopencl as cl
+import pytest
+from support.job_scenes import QUICK, bytes_of, load_small_scene, write_small_scene
+from support.kill_trials import check_whole
+
+from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError
+from pagas_cl.jobs import run, worker
+from pagas_cl.refine import refine_depth, refine_views
+from pagas_cl.runtime import claim, program
+from pagas_cl.runtime import device as devices
+from pagas_cl.runtime.device import translate_cl_errors
+
+pytestmark = pytest.mark.slow
+
+CODES = {"OUT_OF_RESOURCES": -5, "DEVICE_NOT_AVAILABLE": -2, "INVALID_COMMAND_QUEUE": -36, "NVIDIA": -9999}
+
+
+def driver_error(code: int, routine: str = "clEnqueueNDRangeKernel"):
+    kind = cl.MemoryError if code == -4 else cl.RuntimeError
+    return kind(cl._cl._ErrorRecord(routine, code, ""))
+
+
+@pytest.fixture
+def failing(monkeypatch):
+    """A function: launches number `first` to `last` (counted from now) fail with `code`; `opens`: whether the device
+    can be opened again."""
+    plain, plain_open = program.Launch.enqueue, devices.opened
+
+    def install(first: int, last: float = float("inf"), code: int = -5, opens: bool = True):
+        count = [0]
+
+        def enqueue(launch, queue):
+            count[0] += 1
+            if first <= count[0] <= last:
+                raise driver_error(code)
+            return plain(launch, queue)
+
+        def opened(*arguments):
+            if not opens and count[0] >= first:
+                raise driver_error(-2, "clCreateContext")
+            return plain_open(*arguments)
+
+        monkeypatch.setattr(program.Launch, "enqueue", enqueue)
+        monkeypatch.setattr(devices, "opened", opened)
+        return count
+
+    yield install
+    vars(devices._kept).clear()
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """Views, depth maps, and the bytes of an undisturbed run, with how many launches it took."""
+    folder = tmp_path_factory.mktemp("lost")
+    views, depths = load_small_scene(write_small_scene(folder / "scene", 5))
+    plain, count = program.Launch.enqueue, [0]
+
+    def enqueue(launch, queue):
+        count[0] += 1
+        return plain(launch, queue)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(program.Launch, "enqueue", enqueue)
+        refine_views(views, depths, config=QUICK, folder=folder / "whole")
+    return SimpleNamespace(views=views, depths=depths, wanted=bytes_of(folder / "whole"), launches=count[0])
+
+
+@pytest.mark.parametrize("opens", [False, True])
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.55, 0.75, 0.99])
+def test_lost_for_good(scene, tmp_path, failing, device, opens, share):
+    out = tmp_path / "out"
+    failing(int(share * scene.launches), opens=opens)
+    with pytest.raises(DeviceError, match="lost and cannot be opened again" if not opens else "failed during") as told:
+        refine_views(scene.views, scene.depths, config=QUICK, folder=out)
+    assert "start the same command again" in str(told.value) and "\n" not in str(told.value)
+    finished = check_whole(out)
+    assert finished == int(share * 5)
+    assert all(scene.wanted[name] == data for name, data in bytes_of(out).items())
+    assert not [path for path in out.rglob("*") if path.name.endswith(".part")]
+    failing(10**9)
+    refine_views(scene.views, scene.depths, config=QUICK, folder=out)
+    assert bytes_of(out) == scene.wanted
+
+
+@pytest.mark.parametrize("code", CODES.values(), ids=CODES)
+def test_reset_once(scene, tmp_path, failing, device, code):
+    """Opened anew, the run ends by itself with the same bytes."""
+    first = int(0.5 * scene.launches)
+    failing(first, first, code)
+    refine_views(scene.views, scene.depths, config=QUICK, folder=tmp_path)
+    assert bytes_of(tmp_path) == scene.wanted
+
+
+def test_workers_that_all_lost_their_device_end_the_run(scene, tmp_path, monkeypatch, device):
+    """Some views are done, then every worker says that it has no device: the run ends instead of asking for ever."""
+    plain, asked = worker._worker_context, [0]
+
+    def context(name):
+        asked[0] += 1
+        if asked[0] > 6:
+            raise DeviceError("no device left")
+        return plain(name)
+
+    monkeypatch.setattr(worker, "_worker_context", context)
+    monkeypatch.setattr(run, "STALLED", 0.0)
+    with ThreadPoolExecutor(1) as pool, pytest.raises(DeviceError, match="no device left"):
+        refine_views(scene.views, scene.depths, config=QUICK, folder=tmp_path, executor=pool)
+    assert 0 < check_whole(tmp_path) < 5
+
+
+def test_a_worker_waits_for_a_device_that_does_not_open(monkeypatch, device):
+    def opened(*arguments):
+        raise driver_error(-2, "clCreateContext")
+
+    monkeypatch.setattr(devices, "opened", opened)
+    monkeypatch.setattr(claim, "WAIT", 0.1)
+    with pytest.raises(DeviceError, match="cannot be opened: .*DEVICE_NOT_AVAILABLE"):
+        claim.claim_device(device.info.name)
+    assert not claim._held, "others may try"
+
+
+def test_one_view_says_it_in_one_sentence(scene, failing, device):
+    failing(30)
+    with pytest.raises(DeviceLostError, match=r"failed during the refinement of view '.*' \(clEnqueue.*OUT_OF_RES"):
+        refine_depth(scene.views[0], scene.views[1:3], scene.depths[0], config=QUICK)
+    failing(10**9)
+    again = refine_depth(scene.views[0], scene.views[1:3], scene.depths[0], config=QUICK)
+    assert again.counts["refined"] > 0, "a context of its own, not the one that failed"
+
+
+def test_the_command_ends_with_status_1(scene, tmp_path, failing, device, capsys):
+    import pagas_cl.__main__ as command_line
+
+    folder = write_small_scene(tmp_path / "scene", 5)
+    words = ["refine", str(folder), "--depth-dir", str(folder / "depth_initial"), "--save-depth", str(tmp_path / "out"),
+             "--quiet", "--set", "pyramid.steps=3", "--effect", "agreement=off", "--context", "3"]
+    failing(int(0.5 * scene.launches), opens=False)
+    assert command_line.run(words) == 1
+    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("pagas-cl:")]
+    assert len(told) == 1 and "finished views are kept" in told[0]
+    assert check_whole(tmp_path / "out") == 2
+
+
+@pytest.mark.parametrize("words", [["analyze"], ["bench", "--width", "64", "--context", "2", "--repeat", "1"]],
+                         ids=lambda words: words[0])
+def test_other_commands_say_it_too(tmp_path, failing, device, capsys, words):
+    import pagas_cl.__main__ as command_line
+
+    if words == ["analyze"]:
+        folder = write_small_scene(tmp_path / "scene", 3)
+        words = ["analyze", str(folder), "--depth-dir", str(folder / "depth_initial")]
+    failing(5)
+    assert command_line.run(words) == 1
+    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("pagas-cl:")]
+    assert len(told) == 1 and "failed" in told[0] and "start the same command again" in told[0]
+
+
+def test_what_is_no_loss_stays_what_it_is(device):
+    for code, kind in ((-4, DeviceMemoryError), (-6, DeviceMemoryError), (-52, cl.Error), (-30, cl.Error)):
+        with pytest.raises(kind), translate_cl_errors(device, "a test"):
+            raise driver_error(code)
+    with pytest.raises(ZeroDivisionError), translate_cl_errors(device, "a test"):
+        raise ZeroDivisionError

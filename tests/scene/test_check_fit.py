@@ -1,0 +1,75 @@
+"""Where a mesh would have to be for the photos to agree: offset, scale and unit are found, and told with how sure."""
+
+import numpy as np
+import pytest
+from support.scenes import relief_scene
+
+import pagas_cl.__main__ as command_line
+from pagas_cl.errors import InputError
+from pagas_cl.scene.check import check_cameras, check_seen
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_file import write_mesh
+from pagas_cl.synthetic.scene import write_scene
+
+pytestmark = pytest.mark.slow
+
+# of the mesh, scene units (a pixel is about 2): x -> scale x + offset
+WRONG = {"above": (1, (0, 0, -30)), "below and aside": (1, (40, -25, 25)), "larger": (1.08, (0, 0, 45)),
+         "millimetres": (1000, (0, 0, 0)), "metres": (0.001, (0, 0, 0)),
+         "elsewhere": (1, (5e5, 4e6, 0))}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    made = relief_scene(160, 120, contexts=3, held_out=0, base=40.0)
+    return made, made.initial_mesh()
+
+
+def check(scene, scale=1.0, offset=(0, 0, 0)):
+    made, (vertices, faces) = scene
+    return check_cameras((scale * vertices + np.asarray(offset, float), faces), made.cameras,
+                         [view.image for view in made.views])
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_would_agree_is_found(scene, name):
+    made, (vertices, _) = scene
+    scale, offset = WRONG[name]
+    report = check(scene, scale, offset)
+    assert not report.ok and report.fit.apart and report.fit.agreement > 0.9
+    assert ("do not fit together" in report.sentence) == (report.readings[0].seeing > 0) and "sure: " in report.sentence
+    assert "not judged" in report.half_pixel and not any(r.better for r in report.readings)
+    assert ("another unit" in report.sentence) == (scale in (1000, 0.001))
+    # back on its place, but for sliding along the surface: the height is what shows
+    back = report.fit.scale * (scale * vertices + np.asarray(offset, float)) + np.array(report.fit.offset)
+    assert np.abs(np.median(back - vertices, axis=0))[2] < 3
+    assert abs(report.fit.scale * scale - 1) < 0.02
+    if name == "larger":
+        moved = check(scene, report.fit.scale * scale, report.fit.scale * np.asarray(offset, float) + report.fit.offset)
+        assert moved.ok, moved.sentence
+
+
+def test_a_mesh_in_its_place_is_told_so_and_how_sure(scene):
+    report = check(scene)
+    assert report.ok and not report.fit.apart and report.fit.pixels < 0.5
+    assert "right as they are (sure: " in report.sentence
+    few = check_cameras(scene[1], scene[0].cameras[:2], [view.image for view in scene[0].views[:2]])
+    assert few.ok and "(not sure: " in few.sentence
+
+
+@pytest.mark.parametrize("name", ["above", "millimetres"])
+def test_the_command_says_it_with_status_2(scene, tmp_path, capsys, name):
+    pytest.importorskip("open3d")
+    folder = write_scene(scene[0], tmp_path / "scene")
+    scale, offset = WRONG[name]
+    vertices, faces = scene[1]
+    write_mesh(tmp_path / "m.ply", Surface(scale * vertices + np.asarray(offset, float), faces))
+    assert command_line.run(["check", str(folder), "--mesh", str(tmp_path / "m.ply")]) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert ("scaled by 0.001 " if name == "millimetres" else "the mesh moved by (") in last
+
+
+def test_refining_names_the_unit_too(scene):
+    made, (vertices, faces) = scene
+    with pytest.raises(InputError, match="with the mesh scaled by 0.001 4 of 4 do: is it in another unit"):
+        check_seen(Surface(1000 * vertices, faces), made.cameras)

@@ -1,0 +1,174 @@
+"""What views are called: a property test over awkward names, through everything that writes, finds or asks by name."""
+
+import unicodedata
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from support import job_scenes as work
+from support.job_scenes import QUICK, load_small_scene, write_small_scene
+
+import pagas_cl.__main__ as command_line
+from pagas_cl.errors import InputError
+from pagas_cl.jobs import refine_all
+from pagas_cl.refine import refine_views
+from pagas_cl.report import Report
+from pagas_cl.scene.depthmap import SUFFIXES, find_depths, load_depth, save_depth
+from pagas_cl.scene.names import OWN, file_stems, flat_stem, place_of
+from pagas_cl.scene.readers import camera_file, read_scene
+from pagas_cl.scene.view import View
+
+AWKWARD = ["a.png", "a.tif", "A.png", "left/0001.png", "right/0001.png", "cam/a.png", "cam_a.png", "a.png.jpg",
+           "frame.0001", "frame.0002", "inputs/b.png", "journal/b.png", "views/b.png", "parts/b.png", "lock.png",
+           ".pagas_cl/b.png", ".pagas_cl.png", "a.npz/b.png", "x" * 245 + ".png", "x" * 244 + "y.png", "\u00e9.png",
+           "e\u0301.png", "n\nl.png", "q\udce4.png", "sp ace.png", ".hidden.png", "#?%&.png", "<b>.png"]
+parts = st.sampled_from([".pagas_cl", "a", "A", "a.npz", "a.png", "x" * 250, "\u00e9", "e\u0301", "\ud800",
+                         "inputs", ".a"])
+a_name = st.builds(lambda folders, last, kind: "/".join([*folders, last + kind]), st.lists(parts, max_size=2), parts,
+                   st.sampled_from(["", ".png", ".tif", ".npz", ".0001"]))
+
+
+def key(path):
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFD", path).casefold())
+
+
+@settings(deadline=None, max_examples=300, derandomize=True)
+@given(st.lists(a_name, unique=True, max_size=8))
+@example(AWKWARD)
+def test_no_two_views_share_a_file(names):
+    """Nor does one's file have the place of another's folder, on file systems that know no capitals either."""
+    stems = file_stems(names)
+    files = [key(stem + suffix) for stem in stems for suffix in (".npz", ".json")]
+    folders = {key(str(parent)) for stem in stems for parent in Path(stem).parents}
+    assert len(set(files)) == len(files) and not folders & set(files)
+    assert all(len(part.encode(errors="surrogateescape")) + 5 <= 255 for stem in stems for part in Path(stem).parts)
+    assert not any(part.casefold().startswith(OWN) for stem in stems for part in Path(stem).parts)
+    flat = []
+    for name in names:
+        flat.append(flat_stem(name, flat))
+    assert len({key(stem) for stem in flat}) == len(names) and not any("/" in stem or stem[0] == "." for stem in flat)
+
+
+def test_the_usual_name_where_nothing_speaks_against_it():
+    names = ["left/1.png", "right/1.png", "2.png", "x/3.jpg", "4.png", "4.jpg", "4.png.jpg"]
+    stems = file_stems(names)
+    assert stems[:6] == ["left/1", "right/1", "2", "3", stems[4], "4.jpg"] and stems[4].startswith("4.png")
+
+
+@pytest.mark.parametrize("names", [["a.png", "a.png"], ["", ""], ["../a.png"], ["/a.png"], ["a\0.png"], [""]])
+def test_names_that_cannot_be_told_apart_or_lead_outside(names):
+    with pytest.raises(InputError):
+        file_stems(names)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return write_small_scene(tmp_path_factory.mktemp("names") / "scene", 4)
+
+
+def named(scene, names):
+    """Views of the small scene and their depths under other names, each depth another one."""
+    views, depths = load_small_scene(scene)
+    return ([View(views[k % 4].camera, views[k % 4].image, None, name) for k, name in enumerate(names)],
+            [depths[k % 4] + np.float32(k) for k in range(len(names))])
+
+
+@pytest.mark.slow
+def test_every_view_gets_its_own_depth_back(scene, tmp_path):
+    """One Camera object serves several photos here, too."""
+    views, depths = named(scene, AWKWARD)
+    results = refine_all(work.copy_depth, views, depths, range(len(views)), QUICK, folder=tmp_path)
+    assert [float((result.depth - depth).max()) for result, depth in zip(results, depths)] == [0] * len(views)
+    assert all(result.status.any() and result.name == view.name for result, view in zip(results, views))
+    found = find_depths(tmp_path, AWKWARD)
+    assert all(np.array_equal(load_depth(file), depth) for file, depth in zip(found, depths))
+
+
+@pytest.mark.slow
+def test_equal_names_are_refused_where_they_name_files(scene, tmp_path):
+    views, depths = named(scene, ["a.png", "b.png", "a.png"])
+    with pytest.raises(InputError, match="2 views are called 'a.png'"):
+        refine_views(views, depths, config=QUICK, folder=tmp_path)
+
+
+def test_pictures_of_every_view(scene, tmp_path):
+    views, depths = named(scene, [*AWKWARD, "a.png"])
+    with Report(tmp_path) as page:
+        for view, depth in zip(views, depths):
+            page.add(view, depth, depth)
+    assert len(list(tmp_path.glob("*_photo.jpg"))) == len(views)
+
+
+def test_a_depth_map_of_two_views(tmp_path):
+    names = ["left/0001.png", "right/0001.png", "right/0002.png"]
+    for name in ("left/0001", "0002"):
+        save_depth(tmp_path / f"{name}.npz", np.ones((2, 2)))
+    found = find_depths(tmp_path, names)
+    assert [file and str(file.relative_to(tmp_path)) for file in found] == ["left/0001.npz", None, "0002.npz"]
+    for suffix in SUFFIXES[:2]:
+        (tmp_path / "left/0001.npz").unlink(missing_ok=True)
+        (tmp_path / f"0001{suffix}").write_bytes(b"")
+        with pytest.raises(InputError, match="could be of view 'left/0001.png' and of 'right/0001.png'"):
+            find_depths(tmp_path, names)
+        (tmp_path / f"0001{suffix}").unlink()
+
+
+def rig(folder, names, masks):
+    """A scene whose photos lie in folders, and masks."""
+    views, _ = load_small_scene(write_small_scene(folder, 4))
+    for view, name in zip(views, names):
+        (folder / "images" / name).parent.mkdir(exist_ok=True)
+        Image.fromarray(view.load_image()).save(folder / "images" / name)
+    for name in masks:
+        (folder / "masks" / name).parent.mkdir(parents=True, exist_ok=True)
+        Image.new("L", (64, 48), 255).save(folder / "masks" / name)
+    camera_file.write(folder, [View(v.camera, folder / "images" / n, None, n) for v, n in zip(views, names)])
+    return folder
+
+
+def test_a_mask_of_two_views(tmp_path):
+    names = ["left/0001.png", "right/0001.png", "right/0002.png"]
+    scene = read_scene(rig(tmp_path / "a", names, ["left/0001.png", "right/0001.png.png", "0002.png"]))
+    assert [str(view.mask.relative_to(tmp_path / "a/masks")) for view in scene.views] == \
+        ["left/0001.png", "right/0001.png.png", "0002.png"]
+    with pytest.raises(InputError, match="mask .*0001.png' could be of view"):
+        read_scene(rig(tmp_path / "b", names, ["0001.png"]))
+
+
+def test_who_is_meant():
+    names = ["a.png", "a.tif", "left/1.png", "right/1.png", "right/2.png", "b"]
+    assert [place_of(asked, names) for asked in ("a.png", "a.tif", "left/1.png", "2.png", "2", "b")] == \
+        [0, 1, 2, 4, 4, 5]
+    for asked in ("a", "1", "1.png"):
+        with pytest.raises(InputError, match="could be any of"):
+            place_of(asked, names)
+    with pytest.raises(InputError, match="did you mean"):
+        place_of("left/2.png", names)
+
+
+@pytest.mark.slow
+def test_the_way_through_the_commands(tmp_path, capsys):
+    """A rig with the same names in two folders, and photos that differ in their suffix alone: refine with depth maps
+    and pictures, again, evaluate against them; each view meets its own."""
+    names = ["left/0001.png", "right/0001.png", "b.png", "b.tif"]
+    scene, out = rig(tmp_path / "scene", names, []), tmp_path / "out"
+    views, depths = read_scene(scene).views, load_small_scene(write_small_scene(tmp_path / "plain", 4))[1]
+    for name, depth in zip(file_stems(names), depths):
+        save_depth(tmp_path / f"depth/{name}.npz", depth)
+    refine = ["refine", str(scene), "--depth-dir", str(tmp_path / "depth"), "--save-depth", str(out), "--quiet",
+              "--set", "pyramid.steps=3"]
+    assert command_line.run([*refine, "--report", str(tmp_path / "report")]) == 0
+    assert sorted(str(file.relative_to(out)) for file in out.rglob("*.npz") if OWN not in file.parts) == \
+        ["b.png.npz", "b.tif.npz", "left/0001.npz", "right/0001.npz"]
+    alone = refine_views(views, depths, config=QUICK.with_settings(context__number=5))
+    assert all(np.array_equal(load_depth(file), result.depth)
+               for file, result in zip(find_depths(out, names), alone))
+    assert len(list((tmp_path / "report").glob("*_change.png"))) == 4
+    assert command_line.run([*refine, "--views", "0001"]) == 2 and "could be any of" in capsys.readouterr().err
+    capsys.readouterr()
+    assert command_line.run(["evaluate", str(out), str(out), "--scene", str(scene)]) == 0
+    told = capsys.readouterr().out
+    assert all(name in told for name in names)

@@ -1,0 +1,139 @@
+"""What networks, phones and RGB-D recordings leave: written, read back, the same cameras and depth; else refused."""
+
+import json
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from support import rigs
+from support.scenes import relief_scene
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.placement import ways
+from pagas_cl.scene.readers import FORMATS, read_scene
+from pagas_cl.synthetic import exports, exports_depth
+from pagas_cl.synthetic.examples import METRES, as_network, frames_of, write_example
+from pagas_cl.synthetic.exports_depth import EXPORTS, seen
+
+CENTRED = ("bundler", "vggt-colmap")      # hold no principal point
+OPTIONS = {"meshlab": {"format": "meshlab", "flavour": "meshlab"}}
+
+
+@pytest.fixture(scope="module")
+def made():
+    return relief_scene(168, 126, 2, held_out=0)
+
+
+@pytest.fixture(scope="module")
+def frames(made):
+    return frames_of(made)
+
+
+def read(folder, name):
+    more = {"format": "colmap", "photos": folder / "photos"} if name == "mapanything-colmap" else OPTIONS.get(name, {})
+    return read_scene(folder, **more)
+
+
+@pytest.mark.parametrize("name", EXPORTS)
+def test_round_trip(name, frames, tmp_path):
+    EXPORTS[name](tmp_path, frames)
+    scene = read(tmp_path, name)
+    tolerance = 0.02 if name in CENTRED else 2e-7 if name in ("da3", "da3-npy", "vggt") else 1e-9
+    assert len(scene.views) == len(frames)
+    for view, frame in zip(scene.views, frames):
+        assert rigs.worst_difference(view.camera, frame.camera) < tolerance
+        assert np.array_equal(view.load_image(), frame.photo)
+    for source, frame in zip(scene.depths or (), frames):
+        depth = source.load()
+        assert depth.dtype == np.float32 and (depth > 0).mean() > 0.97 and scene.depth_unit
+        assert np.abs(depth / frame.depth - 1)[depth > 0].mean() < 2e-3
+        assert source.digest == source.digest != scene.depths[0].digest or source is scene.depths[0]
+
+
+def test_every_format_has_an_example():
+    assert {name.split("-")[0] for name in EXPORTS} - {"mvsanywhere"} <= set(FORMATS)
+    assert set(FORMATS) <= set(EXPORTS)
+
+
+@pytest.mark.parametrize("kind", ["stretched", "padded", "cropped"])
+def test_crop_and_padding_are_undone(kind, frames, tmp_path):
+    way = next(w for w in ways((168, 126), (84, 84)) if w.kind == kind)
+    small = [seen(frame, way, (84, 84)) for frame in frames]
+    exports_depth.photos(tmp_path, frames, "photos")
+    exports.colmap_bin(tmp_path / "sparse", exports_depth.photos(tmp_path, small))
+    for view, frame in zip(read_scene(tmp_path, photos=tmp_path / "photos").views, frames):
+        assert rigs.worst_difference(view.camera, frame.camera) < 1e-9
+    depth = way.photo_depth(small[0].depth, 168, 126)
+    valid = depth > 0
+    assert np.abs(depth / frames[0].depth - 1)[valid].mean() < 2e-3
+    assert valid.mean() == pytest.approx(0.75 if kind == "cropped" else 1, abs=0.02)
+
+
+def test_photos_that_the_network_did_not_see_are_refused(frames, tmp_path):
+    EXPORTS["da3"](tmp_path / "a", frames)
+    Image.fromarray(frames[1].photo[::-1]).save(tmp_path / "a" / "images" / "000000.png")
+    with pytest.raises(InputError, match="does not show 000000.png .*another order, or turned"):
+        read_scene(tmp_path / "a")
+    (tmp_path / "a" / "images" / "000002.png").unlink()
+    with pytest.raises(InputError, match="3 cameras and .* 2 photos"):
+        read_scene(tmp_path / "a")
+    EXPORTS["da3-npy"](tmp_path / "b", frames)      # no images to compare with, and another shape
+    for k in range(3):
+        Image.fromarray(np.zeros((168, 84, 3), np.uint8)).save(tmp_path / "b" / "images" / f"{k:06d}.png")
+    with pytest.raises(InputError, match="cropped or padded, and nothing says how"):
+        read_scene(tmp_path / "b")
+
+
+def test_without_photos_the_networks_own_are_refined(frames, tmp_path):
+    import shutil
+
+    EXPORTS["da3"](tmp_path, frames)
+    shutil.rmtree(tmp_path / "images")
+    scene = read_scene(tmp_path)
+    assert scene.views[0].load_image().shape[:2] == scene.depths[0].load().shape == (28, 42)
+
+
+def test_intrinsics_that_a_crop_method_left_small_are_refused(frames, tmp_path):
+    views = exports_depth.photos(tmp_path, frames)
+    exports.colmap_bin(tmp_path, [replace(v, camera=replace(v.camera, fx=v.camera.fx / 4, fy=v.camera.fy / 4,
+                                                            cx=v.camera.cx / 4, cy=v.camera.cy / 4)) for v in views])
+    with pytest.raises(InputError, match="crop method does not scale them back"):
+        read_scene(tmp_path)
+
+
+def test_low_confidence_is_left_out_and_told(frames, tmp_path, caplog):
+    low = [replace(f, confidence=np.where(np.arange(168) < 42, 1, 3 + np.zeros((126, 168))).astype(np.float32))
+           for f in frames]
+    for name in ("da3", "polycam", "record3d"):
+        EXPORTS[name](tmp_path / name, low)
+        with caplog.at_level(logging.INFO, "pagas_cl"):
+            scene = read_scene(tmp_path / name)
+        assert (scene.depths[0].load()[:, :36] == 0).all() and (scene.depths[0].load()[:, 48:] > 0).all(), name
+    assert "confidence below 1.5 are left out" in caplog.text
+    assert (read_scene(tmp_path / "da3", confidence=0.5).depths[0].load() > 0).all()
+
+
+def test_frames_without_a_pose_are_left_out(frames, tmp_path, caplog):
+    EXPORTS["scannet"](tmp_path, frames)
+    (tmp_path / "pose" / "1.txt").write_text("-inf " * 16)
+    with caplog.at_level(logging.INFO, "pagas_cl"):
+        assert [view.name for view in read_scene(tmp_path).views] == ["0.png", "2.png"]
+    assert "1 of 3 frames have no pose" in caplog.text
+
+
+def test_units_are_those_that_files_say(frames, tmp_path):
+    EXPORTS["nerfstudio"](tmp_path, frames)
+    path = tmp_path / "transforms.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "depth_unit_scale_factor": 0.01}))
+    assert read_scene(tmp_path).depths[0].load().max() == pytest.approx(10 * frames[0].depth.max(), rel=1e-3)
+
+
+def test_example_is_never_written_over_something(made, tmp_path):
+    write_example(tmp_path / "new", "tum", made)
+    with pytest.raises(InputError, match="is not empty"):
+        write_example(tmp_path / "new", "tum", made)
+    with pytest.raises(InputError, match="unknown format 'tom'"):
+        write_example(tmp_path / "other", "tom", made)
+    assert METRES < 0.01 and as_network(frames_of(made))[0].depth.shape == (126, 168)

@@ -1,0 +1,167 @@
+"""Kill `pagas-cl refine` at random times, start it again with the same command, compare with an undisturbed run.
+
+    PYTHONPATH=tests python -m support.kill_trials --trials 50 --way all
+
+One trial is one SIGKILL or SIGTERM. A run is killed again and again until it finishes by itself; then the next one
+begins. Ways: in this process, one process a device (--devices), a pool of the caller's, a Dask cluster (one worker,
+which outlives the runs). After each trial no process that the killed one had started may be left.
+"""
+
+import argparse
+import multiprocessing
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+from support.job_scenes import bytes_of, load_small_scene, write_small_scene
+
+COMMAND = [sys.executable, "-m", "pagas_cl", "refine"]
+WAYS = ("in-process", "devices", "executor", "dask")
+
+
+def arguments(scene: Path, out: Path, more=()) -> list[str]:
+    if tuple(more) == ("executor",):
+        return [sys.executable, "-m", "support.kill_trials", "--through-executor", str(scene), str(out)]
+    return [*COMMAND, str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth", str(out), "--quiet",
+            "--set", "pyramid.steps=60", *more]
+
+
+def through_executor(scene: Path, out: Path) -> None:
+    """What somebody's own program does."""
+    from pagas_cl.presets import preset
+    from pagas_cl.refine import refine_views
+
+    views, depths = load_small_scene(scene)
+    config = preset("balanced").with_settings(pyramid__steps=(60,))      # as the command line has it
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        refine_views(views, depths, config=config, folder=out, executor=pool)
+
+
+def run_whole(scene: Path, out: Path, more=()) -> float:
+    """Run undisturbed; seconds it took."""
+    start = time.monotonic()
+    done = subprocess.run(arguments(scene, out, more), capture_output=True, text=True)
+    if done.returncode != 0:
+        raise RuntimeError(done.stderr)
+    return time.monotonic() - start
+
+
+def family(process: int) -> set[int]:
+    """Processes that `process` has started, and those that they have, as Linux tells."""
+    try:
+        tasks = [path / "children" for path in Path(f"/proc/{process}/task").iterdir()]
+        found = {int(number) for task in tasks for number in task.read_text().split()}
+    except OSError:
+        return set()
+    return found.union(*map(family, found)) if found else found
+
+
+def alive(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def kill_once(scene: Path, out: Path, after: float, more=(), how=signal.SIGKILL) -> bool:
+    """Start the command and kill it after so many seconds; whether it was still running. RuntimeError where a process
+    that it has started outlives it by ten seconds."""
+    process = subprocess.Popen(arguments(scene, out, more), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                               env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])})
+    try:
+        process.wait(after)
+        return False
+    except subprocess.TimeoutExpired:
+        started = family(process.pid)
+        process.send_signal(how)
+        process.wait()
+        for _ in range(200):
+            if not any(map(alive, started)):
+                return True
+            time.sleep(0.05)
+        raise RuntimeError(f"{sum(map(alive, started))} processes are left of a run that was killed") from None
+
+
+def check_whole(out: Path) -> int:
+    """Every file under its final name can be read to its end; how many there are."""
+    files = list(out.glob("*.npz")) if out.is_dir() else []
+    for path in files:
+        with np.load(path) as archive:
+            if archive["depth"].shape != (48, 64):
+                raise RuntimeError(f"{path} is not whole")
+    return len(files)
+
+
+def undisturbed(folder: Path) -> tuple[Path, dict, float]:
+    """A scene, what a run in this process gives for it, and the seconds that the second one takes."""
+    scene = write_small_scene(folder / "scene")
+    run_whole(scene, folder / "whole")
+    return scene, bytes_of(folder / "whole"), run_whole(scene, folder / "whole again")
+
+
+def run_trials(trials: int, folder: Path, like: tuple, seed: int = 0, more=()) -> dict:
+    """Kill `trials` times; figures of what happened. `like` is what `undisturbed` gave. RuntimeError where a result is
+    not as it should be."""
+    rng, (scene, wanted, whole) = random.Random(seed), like
+    figures = {"kills": 0, "runs": 0, "kills with some views finished": 0}
+    while figures["kills"] < trials:
+        out, killed = folder / f"run{figures['runs']}", True
+        while killed and figures["kills"] < trials:
+            how = rng.choice((signal.SIGKILL, signal.SIGTERM))
+            killed = kill_once(scene, out, rng.uniform(0.1 * whole, 1.05 * whole), more, how)
+            finished = check_whole(out)
+            figures["kills"] += killed
+            figures["kills with some views finished"] += killed and 0 < finished < len(wanted)
+        run_whole(scene, out, more)
+        figures["runs"] += 1
+        left = [path for path in out.rglob("*") if ".part" in path.name]
+        if bytes_of(out) != wanted or left:
+            raise RuntimeError(f"{out} differs from the undisturbed run, or something is left beside: {left}")
+    return figures
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--trials", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--way", choices=(*WAYS, "all"), default="in-process")
+    parser.add_argument("--through-executor", nargs=2, type=Path)
+    chosen = parser.parse_args()
+    if chosen.through_executor:
+        through_executor(*chosen.through_executor)
+        return
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        like = undisturbed(Path(folder))
+        for way in WAYS if chosen.way == "all" else (chosen.way,):
+            tell(way, run_trials(chosen.trials, Path(folder) / way, like, chosen.seed,
+                                 options(way, Path(folder), stack)))
+
+
+def tell(way: str, figures: dict) -> None:
+    sys.stdout.write(f"{way}: " + ", ".join(f"{name}: {n}" for name, n in figures.items()) + "; 0 failures\n")
+    sys.stdout.flush()
+
+
+def options(way: str, folder: Path, stack: ExitStack) -> tuple[str, ...]:
+    """What the command line gets beside the rest."""
+    if way == "dask":
+        from test_cluster import Cluster
+
+        (folder / "cluster").mkdir()
+        cluster = Cluster(folder / "cluster", stack)
+        cluster.add("127.0.0.2")
+        cluster.ready(1)
+        return ("--scheduler", cluster.address)
+    return {"in-process": (), "devices": ("--devices", "all"), "executor": ("executor",)}[way]
+
+
+if __name__ == "__main__":
+    main()

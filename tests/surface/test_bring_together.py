@@ -1,0 +1,120 @@
+"""Depth maps that disagree are brought together: unit, a factor and a shift a view, the factor of all."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.scenes import relief_scene
+
+from pagas_cl.scene.depth_mesh import mesh_of_depths
+from pagas_cl.scene.depth_source import Adjusted
+from pagas_cl.scene.exr import read_exr
+from pagas_cl.surface import depth_alignment
+from pagas_cl.surface.bring_together import bring_together
+from pagas_cl.synthetic.examples import as_network, frames_of
+from pagas_cl.synthetic.exports_depth import write_exr
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def made():
+    return relief_scene(200, 150, 3, held_out=0)
+
+
+@pytest.fixture(scope="module")
+def coarse(made):
+    return [made.initial_depth(view.camera) for view in made.views]
+
+
+@pytest.fixture(scope="module")
+def networks(made):
+    return [frame.depth for frame in as_network(frames_of(made, 1.0))]
+
+
+def error(depths, made):
+    """Mean, in pixels of parallax."""
+    truth = [made.true_depth(view.camera) for view in made.views]
+    return np.mean([np.abs(d - t)[(d > 0) & (t > 0)].mean() for d, t in zip(depths, truth)]) / made.relief.parallax
+
+
+def test_factors_and_shifts(made, coarse, networks):
+    found = bring_together(made.views, networks)
+    assert error(networks, made) > 5 > 0.5 > error(found.apply(networks), made)
+    assert found.unit == 1 and found.disagreement[0] > 0.05 > 0.01 > found.disagreement[1]
+    assert "disagreed by" in found.said[0] and "all depths are multiplied by" in found.said[-1]
+    again = bring_together(made.views, networks)
+    assert again.factors.tobytes() == found.factors.tobytes() and again.shifts.tobytes() == found.shifts.tobytes()
+
+
+def test_depth_maps_that_agree_stay_the_same_objects(made, coarse):
+    found = bring_together(made.views, coarse)
+    assert all(a is b for a, b in zip(found.apply(coarse), coarse)) and found.said == ()
+
+
+@pytest.mark.parametrize("unit", [1000, 0.001])
+def test_units_are_found_and_said(made, coarse, unit):
+    found = bring_together(made.views, [depth * np.float32(unit) for depth in coarse])
+    assert found.unit == unit and f"{unit:g} times as large" in found.said[0] and "metre" in found.said[0]
+    assert error(found.apply([depth * np.float32(unit) for depth in coarse]), made) < 0.4
+    assert bring_together(made.views, [d * np.float32(unit) for d in coarse], unit_is_known=True).unit == 1
+
+
+def test_views_without_depth_and_result_are_free_of_scene_units(made, networks):
+    some = [None, *networks[1:]]
+    found = bring_together(made.views, some)
+    assert found.apply(some)[0] is None and found.factors[0] == 1
+    alone = [networks[0], None, None, None]       # photos say the factor of a single map
+    assert error(bring_together(made.views, alone).apply(alone)[:1], made) < 0.5 < 2 < error(alone[:1], made)
+    assert bring_together(made.views, [None] * 4).said == ()
+    x, y = (depth_alignment.solve(*_reduced(made, networks, scale)) for scale in (1.0, 1e-4))
+    assert np.abs(x - y).max() < 1e-6
+
+
+def _reduced(made, depths, scale):
+    views = []
+    for view, depth in zip(made.views, depths):
+        pose = view.camera.world_to_camera.copy()
+        pose[:3, 3] *= scale
+        views.append(depth_alignment.reduced(replace(view.camera, world_to_camera=pose), depth * np.float32(scale)))
+    return views, [(i, j) for i in range(len(views)) for j in range(len(views)) if i != j]
+
+
+@pytest.mark.parametrize("pixels, words", [(2, "off by about [1-6].* pixels across"), (60, "paired wrongly")])
+def test_cameras_that_are_off_are_told(made, coarse, pixels, words):
+    off = []
+    for k, view in enumerate(made.views):
+        pose = view.camera.world_to_camera.copy()
+        pose[:2, 3] += np.array([(-1) ** k, (-1) ** (k // 2)]) * pixels * made.relief.footprint
+        off.append(replace(view, camera=replace(view.camera, world_to_camera=pose)))
+    found = bring_together(off, coarse)
+    assert re.search(words, found.said[-1]) and "bundle" in found.said[-1]
+
+
+def test_adjusted_depth_is_a_file_still(coarse):
+    class File:
+        digest = "a"
+
+        def load(self):
+            return coarse[0]
+
+    moved = Adjusted(File(), 2.0, -1.0)
+    assert np.allclose(moved.load(), 2 * coarse[0] - 1) and moved.digest != Adjusted(File(), 2.0, 1.0).digest
+
+
+def test_mesh_of_depths_lies_on_them(made, coarse):
+    surface = mesh_of_depths([view.camera for view in made.views], coarse)
+    uv, z = made.views[0].camera.project(surface.vertices)
+    inside = (uv >= 0).all(axis=1) & (uv < (200, 150)).all(axis=1)
+    column, row = uv[inside].astype(int).T
+    assert np.median(np.abs(z[inside] / coarse[0][row, column] - 1)) < 2e-3
+
+
+def test_exr(tmp_path):
+    for shape in ((5, 7), (40, 33)):
+        values = np.random.default_rng(0).random(shape).astype(np.float32)
+        write_exr(tmp_path / "a.exr", values)
+        assert np.array_equal(read_exr(tmp_path / "a.exr"), values)
+        write_exr(tmp_path / "a.exr", np.ones(shape, np.float32))
+        assert (read_exr(tmp_path / "a.exr") == 1).all()

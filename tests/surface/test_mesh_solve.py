@@ -1,0 +1,318 @@
+"""The mesh solve: vertices go where the refined depths are, all at once, and everything on the mesh stays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.scenes import relief_scene
+from twins import mesh_evidence as evidence_twin
+from twins import mesh_solve as solve_twin
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_attributes import load_whole, with_vertices
+from pagas_cl.surface.mesh_evidence import Observed
+from pagas_cl.surface.mesh_solve import solve_mesh
+from pagas_cl.surface.on_vertices import footprints
+from pagas_cl.surface.subdivide import subdivide, undivided
+
+pytestmark = [pytest.mark.slow, pytest.mark.kernels]
+
+
+@pytest.fixture(scope="module")
+def made():
+    return relief_scene(160, 120, contexts=4, held_out=0, steps=0)
+
+
+@pytest.fixture(scope="module")
+def coarse(made):
+    return Surface(*made.initial_mesh(2.0))
+
+
+def observed(made, change=lambda depth: depth):
+    """The true depth maps, as sure as a tenth of a pixel of parallax."""
+    return [Observed(camera, change(made.true_depth(camera)).astype(np.float32),
+                     np.full((camera.height, camera.width), 0.1 * made.relief.parallax, np.float32))
+            for camera in made.cameras[:5]]
+
+
+def height_error(made, vertices):
+    """Distance of vertices from the true relief along z, inside its middle part."""
+    inner = (np.abs(vertices[:, 0]) < 90) & (np.abs(vertices[:, 1]) < 60)
+    x, y, z = vertices[inner].T
+    return np.abs(z - made.true_solid.height(x, y)[0])
+
+
+def across(surface, vertices):
+    a, b, c = (vertices[surface.faces[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)
+
+
+def test_vertices_go_onto_the_refined_surface(made, coarse, device):
+    views = observed(made)
+    result, again = (solve_mesh(coarse, views, device) for _ in range(2))
+    assert np.array_equal(result.vertices, again.vertices) and np.array_equal(result.deviation, again.deviation)
+    before, after = height_error(made, coarse.vertices), height_error(made, result.vertices)
+    assert after.mean() < 0.3 * before.mean()  # what is left is detail finer than the mesh's edges
+    inner = np.abs(coarse.vertices[:, :2]).max(axis=1) < 60
+    assert (result.seen[inner] >= 2).mean() > 0.95
+    assert np.isfinite(result.deviation[result.seen >= 2]).all() and np.isinf(result.deviation[result.seen < 2]).all()
+    pixel = made.relief.footprint
+    assert np.median(result.deviation[inner]) < 0.5 * pixel
+
+
+def test_finer_edges_take_finer_detail(made, device):
+    """A mesh with edges of 8 pixels holds only part of the detail; split to 1.5 pixels it holds it, and of the splits
+    those that are not needed can be undone."""
+    views, coarse = observed(made), Surface(*made.initial_mesh(8.0))
+    size = footprints(coarse.vertices, [v.camera for v in views], [v.depth for v in views])
+    fine = subdivide(coarse.vertices, coarse.faces, 1.5 * size)
+    lifted = Surface(fine.vertices(coarse.vertices), fine.faces)
+    assert (lifted.vertices[:len(coarse.vertices)] == coarse.vertices).all()
+
+    def error(surface, vertices):
+        return height_error(made, vertices[surface.faces].mean(axis=1)).mean()  # at the middles of the faces
+
+    given = error(coarse, coarse.vertices)
+    split = solve_mesh(lifted, views, device).vertices
+    assert error(coarse, solve_mesh(coarse, views, device).vertices) < 0.9 * given
+    assert error(lifted, split) < 0.25 * given
+    within = 0.1 * made.relief.footprint
+    needed, keep = undivided(coarse.faces, fine, split, np.full(len(split), within))
+    simple = Surface(split[keep], needed.faces)
+    assert len(simple.faces) < 0.6 * len(lifted.faces)
+    assert error(simple, simple.vertices) < error(lifted, split) + within
+    assert np.array_equal(needed.vertices(coarse.vertices), lifted.vertices[keep])
+
+
+def test_nothing_moves_without_a_second_view_or_a_refined_depth(made, coarse, device):
+    views = observed(made)
+    unsure = [replace(v, deviation=np.full_like(v.deviation, np.inf)) for v in views]
+    for few in (views[:1], unsure):
+        assert np.array_equal(solve_mesh(coarse, few, device).vertices, coarse.vertices)
+
+
+def test_views_that_disagree_do_not_move_the_mesh(made, coarse, device):
+    far = 8 * made.relief.parallax
+    apart = [replace(v, depth=v.depth + np.float32(k * far)) for k, v in enumerate(observed(made))]
+    result = solve_mesh(coarse, apart, device)
+    assert (result.seen >= 2).mean() < 0.02
+
+
+def test_far_from_the_origin_and_in_other_units(made, coarse, device):
+    """An offset of 5e6 and a factor of 1e3 change the moves by rounding only."""
+    views, shift, factor = observed(made), np.array([450123.25, 4649876.5, 123.75]), 1e3
+    moved = []
+    for view in views:
+        pose = view.camera.world_to_camera.copy()
+        pose[:3, 3] = -pose[:3, :3] @ (factor * view.camera.center + shift)
+        moved.append(Observed(replace(view.camera, world_to_camera=pose), view.depth * np.float32(factor),
+                              view.deviation * np.float32(factor)))
+    near = solve_mesh(coarse, views, device)
+    far = solve_mesh(Surface(factor * coarse.vertices + shift, coarse.faces), moved, device)
+    apart = np.abs((far.vertices - shift) / factor - near.vertices).max(axis=1)
+    assert (apart > 1e-2 * made.relief.footprint).mean() < 2e-3      # vertices on a threshold
+    assert np.percentile(apart, 99) < 2e-3 * made.relief.footprint
+
+
+def test_seams_do_not_open(made, coarse, device):
+    """Vertices that are there twice, as texture seams have them, stay together."""
+    half, rest = np.array_split(coarse.faces, 2)
+    doubled = Surface(np.concatenate([coarse.vertices] * 2), np.concatenate([half, rest + len(coarse.vertices)]))
+    result = solve_mesh(doubled, observed(made), device)
+    n = len(coarse.vertices)
+    assert (result.vertices[:n] == result.vertices[n:]).all() and (result.vertices[:n] != coarse.vertices).any()
+
+
+def test_no_triangle_turns_over(made, coarse, device):
+    rng = np.random.default_rng(0)
+    rough = coarse.vertices + rng.normal(scale=0.6 * made.relief.footprint, size=coarse.vertices.shape)
+    result = solve_mesh(Surface(rough, coarse.faces), observed(made), device, rounds=1)
+    assert result.held > 0 and (result.vertices != rough).mean() > 0.5
+    assert ((across(coarse, result.vertices) * across(coarse, rough)).sum(axis=1) > 0).all()
+
+
+def test_what_no_view_sees_stays_and_joins(made, coarse, device):
+    """Half of the depth maps are gone: the other half goes where it goes, what is beyond a few edges stays bit for bit,
+    to a hundredth of a footprint, and no edge between the two is longer than it must be."""
+    views = []
+    for view in observed(made):
+        depth = view.depth.copy()
+        depth[:, :80] = 0
+        views.append(replace(view, depth=depth))
+    result, pixel = solve_mesh(coarse, views, device), made.relief.footprint
+    way = np.linalg.norm(result.vertices - coarse.vertices, axis=1) / pixel
+    x = coarse.vertices[:, 0] / pixel
+    assert way[x < -40].max() < 0.02 and way[(x > 25) & (result.seen >= 2)].mean() > 0.2
+    a, b = coarse.faces[:, 0], coarse.faces[:, 1]
+    assert np.percentile(abs(way[a] - way[b]), 99.9) < 2.5
+
+
+# -- against the twins ------------------------------------------------------------------------------------------------
+
+def test_a_round_is_that_of_the_twin(made, device):
+    pytest.importorskip("scipy")
+    from pagas_cl.surface.raster import each_depth
+
+    mesh, views = Surface(*made.initial_mesh(8.0)), observed(made)
+    normals = evidence_twin.vertex_normals(mesh.vertices, mesh.faces)
+    said = [evidence_twin.gather(mesh.vertices, normals, view, drawn)
+            for view, drawn in zip(views, each_depth(mesh, [view.camera for view in views], device))]
+    ways, weights, units = (np.array(part) for part in zip(*said))
+    unit = units.min(axis=0)
+    target, weight, seen, sigma = evidence_twin.settle(ways, weights, unit, 2)
+    unit = np.where(np.isfinite(unit), unit, np.median(unit[np.isfinite(unit)]))
+    delta = solve_twin.ways(mesh.vertices, mesh.faces, normals, unit, target, weight)
+    result = solve_mesh(mesh, views, device, rounds=1)
+    way = ((result.vertices - mesh.vertices) * normals).sum(axis=1)
+    same = result.seen == seen
+    assert (seen >= 2).mean() > 0.3 and same.mean() > 0.99
+    known = same & np.isfinite(sigma)
+    assert np.abs(result.deviation[known] / sigma[known] - 1).max() < 1e-3
+    # sixty steps of conjugate gradients against none
+    assert np.percentile(np.abs(way - delta), 98) < 2e-3 * np.abs(delta).max() and result.held == 0
+
+
+# -- subdividing ------------------------------------------------------------------------------------------------------
+
+def test_subdivision_is_the_same_surface_without_cracks():
+    rng = np.random.default_rng(1)
+    vertices, faces = rng.normal(size=(4, 3)), np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    fine = subdivide(vertices, faces, np.array([0.3, 0.5, 0.2, 1.0]))
+    new = fine.vertices(vertices)
+    edges = np.sort(np.concatenate([fine.faces[:, [0, 1]], fine.faces[:, [1, 2]], fine.faces[:, [2, 0]]]), axis=1)
+    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()  # closed as before
+    directed = np.concatenate([fine.faces[:, [0, 1]], fine.faces[:, [1, 2]], fine.faces[:, [2, 0]]])
+    assert len(np.unique(directed, axis=0)) == len(directed)  # and orientated as before
+
+    def area(v, f):
+        return np.linalg.norm(np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]]), axis=1).sum()
+
+    assert area(new, fine.faces) == pytest.approx(area(vertices, faces))
+    assert (new[:4] == vertices).all()
+    corners = fine.corners(vertices[faces])  # barycentric weights find the same places
+    assert np.allclose(corners, new[fine.faces])
+    assert fine.on_faces(np.arange(4)).shape == (len(fine.faces),)
+
+
+def test_subdivision_is_bounded():
+    with pytest.raises(InputError, match="more than 1000 vertices"):
+        subdivide(np.eye(3), np.array([[0, 1, 2]]), np.full(3, 1e-3), most=1000)
+    same = subdivide(np.eye(3), np.array([[0, 1, 2]]), np.full(3, np.inf))
+    assert len(same.faces) == 1 and not same.rounds
+
+
+# -- what sits on the mesh --------------------------------------------------------------------------------------------
+
+VERTICES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
+FACES = np.array([[0, 1, 2], [0, 2, 3]])
+UVS = np.array([[0, 0], [1, 0], [1, 1], [0.5, 0], [1, 0.5], [0, 1.0]])  # a seam along the diagonal
+COLORS = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [51, 102, 153]]) / 255
+
+
+@pytest.fixture(params=[False, True], ids=["same", "subdivided"])
+def division(request):
+    return subdivide(VERTICES, FACES, np.full(4, 0.8)) if request.param else None
+
+
+def lifted(division, values):
+    return values if division is None else division.vertices(values)
+
+
+def expected_uvs(division):
+    corners = UVS.reshape(2, 3, 2)
+    return (corners if division is None else division.corners(corners)).reshape(-1, 2)
+
+
+def test_open3d_legacy_keeps_all(division):
+    o3d = pytest.importorskip("open3d")
+    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(VERTICES), o3d.utility.Vector3iVector(FACES))
+    mesh.triangle_uvs = o3d.utility.Vector2dVector(UVS)
+    mesh.triangle_material_ids = o3d.utility.IntVector([0, 1])
+    mesh.vertex_colors = o3d.utility.Vector3dVector(COLORS)
+    mesh.textures = [o3d.geometry.Image(np.zeros((2, 2, 3), np.uint8))]
+    mesh.compute_vertex_normals()
+    new = with_vertices(mesh, lifted(division, VERTICES) + [0, 0, 5], division)
+    assert np.array_equal(np.asarray(new.triangle_uvs), expected_uvs(division))
+    assert np.allclose(np.asarray(new.vertex_colors), lifted(division, COLORS))
+    assert len(new.triangle_material_ids) == len(new.triangles) and len(new.textures) == 1
+    assert np.allclose(np.asarray(new.vertex_normals), [0, 0, 1])
+    assert np.asarray(mesh.vertices)[0, 2] == 0  # the given one is left alone
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_open3d_tensor_keeps_all(division, dtype):
+    o3d = pytest.importorskip("open3d")
+    o3c = o3d.core
+    mesh = o3d.t.geometry.TriangleMesh()
+    mesh.vertex["positions"] = o3c.Tensor(VERTICES.astype(dtype))
+    mesh.triangle["indices"] = o3c.Tensor(FACES.astype(np.int64))
+    mesh.triangle["texture_uvs"] = o3c.Tensor(UVS.reshape(2, 3, 2).astype(np.float32))
+    mesh.vertex["colors"] = o3c.Tensor((COLORS * 255).astype(np.uint8))
+    mesh.vertex["label"] = o3c.Tensor(np.arange(4)[:, None])
+    mesh.triangle["part"] = o3c.Tensor(np.array([[7], [8]]))
+    quality = np.linspace(0, 1, len(lifted(division, VERTICES)))
+    new = with_vertices(mesh, lifted(division, VERTICES) + [0, 0, 5], division, quality)
+    assert new.vertex["positions"].numpy().dtype == dtype
+    assert np.allclose(new.triangle["texture_uvs"].numpy().reshape(-1, 2), expected_uvs(division))
+    count = len(new.triangle["indices"])
+    assert set(new.triangle["part"].numpy().ravel()) == {7, 8} and len(new.triangle["part"]) == count
+    assert len(new.vertex["label"]) == len(quality) and new.vertex["colors"].numpy().dtype == np.uint8
+    assert np.allclose(new.vertex["quality"].numpy().ravel(), quality)
+
+
+def test_pymeshlab_keeps_texture_coordinates_and_colours(division):
+    pymeshlab = pytest.importorskip("pymeshlab")
+    mesh = pymeshlab.Mesh(VERTICES, FACES, w_tex_coords_matrix=UVS, f_scalar_array=np.array([3.0, 4]),
+                          v_color_matrix=np.column_stack([COLORS, np.ones(4)]))
+    quality = np.linspace(0, 1, len(lifted(division, VERTICES)))
+    new = with_vertices(mesh, lifted(division, VERTICES) + [0, 0, 5], division, quality)
+    assert np.allclose(new.wedge_tex_coord_matrix(), expected_uvs(division), atol=1e-7)
+    assert np.abs(new.vertex_color_matrix()[:4, :3] - COLORS).max() < 1e-12
+    assert np.array_equal(new.vertex_scalar_array(), quality) and set(new.face_scalar_array()) == {3.0, 4.0}
+
+
+def test_pair_surface_and_file(division, tmp_path):
+    new = lifted(division, VERTICES) + 1.0
+    vertices, faces = with_vertices((VERTICES, FACES), new, division)
+    assert np.array_equal(vertices, new) and faces.max() < len(new)
+    surface = with_vertices(Surface(VERTICES, FACES, colors=COLORS), new, division)
+    assert len(surface.colors) == len(new)
+    o3d = pytest.importorskip("open3d")
+    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(VERTICES), o3d.utility.Vector3iVector(FACES))
+    mesh.triangle_uvs = o3d.utility.Vector2dVector(UVS)
+    o3d.io.write_triangle_mesh(str(tmp_path / "m.obj"), mesh)
+    assert load_whole(tmp_path / "m.obj").has_triangle_uvs()
+    with pytest.raises(InputError, match="does not exist"):
+        load_whole(tmp_path / "none.obj")
+
+
+# -- with the engine --------------------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("subdivide", [None, 2.0])
+def test_refine_mesh_keeps_the_mesh(made, subdivide):
+    o3d = pytest.importorskip("open3d")
+    import pagas_cl
+
+    vertices, faces = made.initial_mesh(4.0)
+    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(faces))
+    mesh.triangle_uvs = o3d.utility.Vector2dVector(np.tile([[0, 0], [1, 0], [0, 1.0]], (len(faces), 1)))
+    result = pagas_cl.refine_mesh(mesh, made.cameras[:5], [v.image for v in made.views], preset="fast",
+                                  output="displace", subdivide=subdivide)
+    new, split = np.asarray(result.vertices), np.asarray(result.triangles)
+    assert len(result.triangle_uvs) == 3 * len(split)
+    assert np.array_equal(split, faces) if subdivide is None else len(split) > 2 * len(faces)
+    before = height_error(made, vertices[faces].mean(axis=1)).mean()
+    after = height_error(made, new[split].mean(axis=1)).mean()
+    assert after < (0.8 if subdivide is None else 0.6) * before
+
+
+def test_wrong_settings():
+    import pagas_cl
+
+    with pytest.raises(InputError, match="expected 'mesh', 'tsdf' or 'displace'"):
+        pagas_cl.refine_mesh((VERTICES, FACES), [], [], output="other")
+    with pytest.raises(InputError, match="flat is -1"):
+        pagas_cl.refine_mesh((VERTICES, FACES), [], [], flat=-1)
+    with pytest.raises(InputError, match="pixel footprints"):
+        pagas_cl.refine_mesh((VERTICES, FACES), [], [], output="displace", subdivide=0)

@@ -1,0 +1,111 @@
+"""Messages speak to the one who reads them: names that are near, words of the command line there and of Python here."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.scenes import relief_scene
+
+import pagas_cl
+import pagas_cl.__main__ as command_line
+from pagas_cl.commands._console import log_to_stderr
+from pagas_cl.errors import InputError
+from pagas_cl.filters import parameters
+from pagas_cl.filters.open3d_frames import read_frames
+from pagas_cl.jobs.finished import StoredResult
+from pagas_cl.jobs.task import Record
+from pagas_cl.result import DepthResult
+from pagas_cl.scene.camera import Camera, inverse_pose
+from pagas_cl.scene.readers import camera_file
+from pagas_cl.scene.view import View
+from pagas_cl.synthetic.scene import write_scene
+
+
+@pytest.mark.parametrize("name, near", [
+    ("splatting.radus", "splatting.radius"), ("radius", "splatting.radius"), ("Voxel", "fusion.voxel"),
+    ("fusion.voxle", "fusion.voxel"), ("beta", "solver.beta")])
+def test_a_setting_nearly_right_is_named(name, near):
+    with pytest.raises(InputError, match=f"nearest known one is '{near}"):
+        pagas_cl.preset("fast").with_settings(**{name: 1})
+
+
+@pytest.mark.parametrize("name", ["foo", "x", "fast", "splatting.foo" * 9])
+def test_no_setting_is_named_that_has_nothing_to_do_with_it(name):
+    with pytest.raises(InputError, match="expected stage.field, of the stages splatting, loss, "):
+        pagas_cl.preset("fast").with_settings(**{name: 1})
+    with pytest.raises(InputError, match="unknown parameter 'qqqq'; expected one of preset, output"):
+        parameters.check_parameter({"name": "qqqq", "type": "RichInt"}, parameters.TYPES, {}, "here")
+
+
+@pytest.mark.parametrize("values", [{"effects": "exposure"}, {"settings": "splatting.radius"},
+                                    {"settings": "splatting.radius=wide"}, {"effects": "foo=on"}])
+def test_meshlab_and_python_hear_nothing_of_options(values):
+    with pytest.raises(InputError) as told:
+        parameters.request({name: value for name, value in values.items()}, "here")
+    assert "--" not in str(told.value) and str(told.value).startswith("here")
+
+
+def test_a_view_without_a_name_leaves_no_gap():
+    camera = Camera(8, 6, 10, 10, 4, 3, np.eye(4))
+    view = View(camera, np.zeros((6, 8, 3), np.uint8))
+    assert view.name == "unnamed" == view.stem
+    with pytest.raises(InputError) as told:
+        View(camera, np.zeros((6, 9, 3), np.uint8))
+    assert "''" not in str(told.value) and "  " not in str(told.value)
+
+
+def test_a_depth_map_of_another_size_than_its_photo_is_told_as_that():
+    frames = [(np.zeros((12, 16, 3), np.uint8), np.ones((12, 16), np.float32)) for _ in range(3)]
+    frames[1] = frames[1][0], np.ones((6, 8), np.float32)
+    K = [np.eye(3)] * 3
+    with pytest.raises(InputError, match="frame 00001: color is 16 x 12 and depth 8 x 6"):
+        read_frames(frames, K, [np.eye(4)] * 3)
+
+
+@pytest.fixture(scope="module")
+def inverted(tmp_path_factory):
+    """A scene whose files hold camera-to-world poses, and the mesh."""
+    pytest.importorskip("open3d")
+
+    made = relief_scene(64, 48, 2, held_out=0)
+    folder = write_scene(made, tmp_path_factory.mktemp("messages") / "scene")
+    camera_file.write(folder, [replace(view, name=f"{view.name}.png", camera=replace(
+        view.camera, world_to_camera=inverse_pose(view.camera.world_to_camera))) for view in made.views])
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["refine", "check", "analyze", "tradeoff"])
+def test_the_command_line_hears_nothing_of_python(inverted, tmp_path, capsys, command):
+    more = ["--output", str(tmp_path / "fine.ply")] if command == "refine" else []
+    assert command_line.run([command, str(inverted), "--mesh", str(inverted / "mesh_coarse.ply"), *more]) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "invert each pose there" in last and "Camera" not in last and "(K" not in last
+
+
+def test_a_result_prints_as_a_line(tmp_path):
+    camera = Camera(4, 3, 10, 10, 2, 1.5, np.eye(4), "a.png")
+    result = DepthResult.unrefined(camera, np.ones((3, 4)), "nobody sees it")
+    assert repr(result) == "DepthResult('a.png', 4 x 3: 12 kept; as it came: nobody sees it)"
+    stored = StoredResult(camera, tmp_path, Record("a.png", "a", "k", "", {"refined": 12345}))
+    assert repr(stored) == "StoredResult('a.png', 4 x 3: 12,345 refined)"
+
+
+def test_a_scene_has_its_images(inverted):
+    scene = pagas_cl.read_scene(inverted)
+    assert [image.name for image in scene.images] == ["target.png", "context_00.png", "context_01.png"]
+
+
+@pytest.mark.parametrize("debug", [False, True])
+def test_warnings_are_told_once(capsys, debug):
+    log = logging.getLogger("pagas_cl")
+    with log_to_stderr(debug):
+        for k in range(20):
+            log.warning("the same")
+            log.warning("view %s is odd", k)
+            log.info("as it is")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines.count("WARNING the same") == (20 if debug else 1) and lines.count("INFO as it is") == 20
+    assert sum("is odd" in line and "more" not in line for line in lines) == (20 if debug else 5)
+    assert ("WARNING 15 more warnings like 'view ... is odd' (--debug shows all)" in lines) == (not debug)

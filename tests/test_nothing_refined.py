@@ -1,0 +1,129 @@
+"""Refined means that evidence moved it; a run that refines nothing says so, and why, wherever it was started."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.scenes import relief_scene
+
+import pagas_cl.__main__ as command_line
+from pagas_cl.errors import NothingRefinedWarning
+from pagas_cl.refine import refine_depth, refine_views
+from pagas_cl.result import KEPT, REFINED
+from pagas_cl.scene.camera import inverse_pose
+from pagas_cl.scene.reasons import likely_reasons
+from pagas_cl.synthetic.scene import write_scene
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def made():
+    return relief_scene(96, 72, 3, held_out=0)
+
+
+@pytest.fixture
+def given(made):
+    return list(made.views), [made.initial_depth(camera) for camera in made.cameras]
+
+
+def painted(views, grey):
+    return [replace(view, image=np.full_like(view.load_image(), grey)) for view in views]
+
+
+def masked(views, depths, keep):
+    return [replace(view, mask=(depth > 0) == keep) for view, depth in zip(views, depths)]
+
+
+# what is done to views and depths, and words of the reason that is named
+MISTAKES = {
+    "black photos": (lambda views, depths: (painted(views, 0), depths), "of one colour"),
+    "white photos": (lambda views, depths: (painted(views, 255), depths), "of one colour"),
+    "inverted masks": (lambda views, depths: (masked(views, depths, False), depths), "masks leave 0.0%"),
+    "millimetres": (lambda views, depths: (views, [depth * 1000 for depth in depths]), "depths times 0.001"),
+    "metres": (lambda views, depths: (views, [depth / 1000 for depth in depths]), "depths times 1000"),
+    "inches": (lambda views, depths: (views, [depth / 0.0254 for depth in depths]), "depths times 0.0254"),
+    "inverted poses": (lambda views, depths: ([replace(v, camera=replace(
+        v.camera, world_to_camera=inverse_pose(v.camera.world_to_camera))) for v in views], depths), "inverse matr"),
+    "photos of their neighbours": (lambda views, depths: (
+        [replace(view, image=other.image) for view, other in zip(views, views[1:] + views[:1])], depths),
+        "paired rightly"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_the_likeliest_reason_is_named(given, mistake):
+    spoil, words = MISTAKES[mistake]
+    assert words in likely_reasons(*spoil(*given))[0]
+
+
+def test_nothing_is_blamed_where_all_is_right(given):
+    assert likely_reasons(*given) == []
+
+
+@pytest.mark.parametrize("mistake", ["black photos", "inverted masks", "millimetres"])
+@pytest.mark.parametrize("kept", [False, True], ids=["memory", "folder"])
+def test_python_is_warned(given, mistake, kept, tmp_path, device):
+    spoil, words = MISTAKES[mistake]
+    views, depths = spoil(*given)
+    with pytest.warns(NothingRefinedWarning, match=f"nothing was refined: 0 of .*{words}") as told:
+        results = refine_views(views, depths, preset="fast", device=device, folder=tmp_path if kept else None)
+    assert len([one for one in told if one.category is NothingRefinedWarning]) == 1
+    for result, depth in zip(results, depths):
+        assert result.reason and result.counts["refined"] == 0 and np.array_equal(result.depth, depth)
+
+
+def test_nobody_is_warned_of_a_run_that_refines(given, device):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        results = refine_views(*given, preset="fast", device=device)
+    assert all(result.counts["refined"] > 0.9 * result.depth.size for result in results)
+
+
+@pytest.mark.parametrize("preset", ["fast", "balanced"])
+def test_refined_is_what_evidence_moved(given, device, preset):
+    """Half of each photo is black: what lies far inside it stays, bit for bit; so does all that is not refined."""
+    views, depths = given
+    views = [replace(view, image=view.load_image() * (np.arange(96) >= 48)[None, :, None].astype(np.uint8))
+             for view in views]
+    result = refine_depth(views[0], views[1:], depths[0], preset=preset, device=device)
+    refined = result.status == REFINED
+    assert np.array_equal(refined, result.depth != depths[0])
+    assert (result.status[:, :24] == KEPT).all() and np.isinf(result.deviation[:, :24]).all()
+    assert refined[:, 72:].mean() > 0.9
+
+
+@pytest.fixture(scope="module")
+def spoilt(made, tmp_path_factory):
+    """A scene on disk whose masks are inverted."""
+    folder = write_scene(made, tmp_path_factory.mktemp("nothing") / "scene")
+    (folder / "masks").mkdir()
+    for photo in (folder / "images").iterdir():
+        Image.fromarray(np.zeros((72, 96), np.uint8)).save(folder / "masks" / photo.name)
+    return folder
+
+
+@pytest.mark.parametrize("way", ["depth maps", "mesh", "same mesh", "script"])
+def test_every_command_says_so_and_ends_with_status_3(spoilt, tmp_path, capsys, way):
+    if way != "depth maps":
+        pytest.importorskip("open3d")
+    mesh = ["--mesh", str(spoilt / "mesh_coarse.ply"), "--output", str(tmp_path / "fine.ply")]
+    words = {"depth maps": ["refine", str(spoilt), "--depth-dir", str(spoilt / "depth_initial"), "--save-depth",
+                            str(tmp_path / "out")],
+             "mesh": ["refine", str(spoilt), *mesh, "--report", str(tmp_path / "page")],
+             "same mesh": ["refine", str(spoilt), *mesh, "--keep-mesh"]}
+    if way == "script":
+        pytest.importorskip("pymeshlab")
+        (tmp_path / "s.mlx").write_text('<!DOCTYPE FilterScript>\n<FilterScript><filter name="PAGaS Depth Refinement">'
+                                        '<Param type="RichString" name="preset" value="fast"/></filter></FilterScript>')
+        words[way] = ["script", str(tmp_path / "s.mlx"), str(spoilt), *mesh]
+    fast = [] if way == "script" else ["--preset", "fast"]
+    assert command_line.run([*words[way], "--quiet", *fast]) == 3
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("pagas-cl: NOTHING WAS REFINED: 0 of ") and "masks leave 0.0%" in last
+    if way == "mesh":
+        page = (tmp_path / "page" / "index.html").read_text()
+        assert "Nothing was refined: " in page and "masks leave 0.0%" in page
+    assert (tmp_path / ("out/target.npz" if way == "depth maps" else "fine.ply")).is_file()

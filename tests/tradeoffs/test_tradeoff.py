@@ -1,0 +1,235 @@
+"""Accuracy against time: the figures by hand, and small real studies."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.scenes import relief_scene
+
+import pagas_cl
+from pagas_cl.__main__ import run as run_command
+from pagas_cl.costs import view_steps
+from pagas_cl.errors import InputError
+from pagas_cl.presets import preset
+from pagas_cl.runtime.device import open_device
+from pagas_cl.splat import PhotoStore
+from pagas_cl.synthetic.scene import write_scene
+from pagas_cl.tradeoffs import plan
+from pagas_cl.tradeoffs.case import make_cases, score
+from pagas_cl.tradeoffs.front import _MARKERS, Point, _ticks, pareto, rank_correlation
+from pagas_cl.tradeoffs.page import ablation_table, closing, headline, write_report
+from pagas_cl.tradeoffs.plan import ablation_plan
+from pagas_cl.tradeoffs.run import initial_depth, run
+from pagas_cl.tradeoffs.study import Study, measure
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def made():
+    return relief_scene(96, 72, 6, held_out=1)
+
+
+@pytest.fixture(scope="module")
+def case(made):
+    views = made.all_views
+    return make_cases(views, [made.initial_depth(v.camera) for v in views], names=[views[0].name],
+                        truth=[made.true_depth(v.camera) for v in views], held_out=[made.held_out[0].name])[0]
+
+
+def short(name, steps, **settings):
+    return plan.changed(name, "steps", plan.fixed("balanced"), pyramid__steps=(steps,), solver__rate=0.08, **settings)
+
+
+def test_front_is_what_no_other_point_beats():
+    costs, errors = [1, 2, 2, 3, 4], [5, 4, 3, 3, 1]
+    assert pareto(costs, errors).tolist() == [True, False, True, False, True]
+    assert pareto([1, 1], [2, 2]).sum() == 1
+    assert not pareto([1.0], [np.nan]).any()
+
+
+def test_rank_correlation_is_spearmans():
+    stats = pytest.importorskip("scipy.stats")
+    rng = np.random.default_rng(0)
+    a, b = rng.integers(0, 8, 40).astype(float), rng.integers(0, 8, 40).astype(float)
+    assert rank_correlation(a, b) == pytest.approx(stats.spearmanr(a, b).statistic)
+    assert rank_correlation([1, 2, 3, np.nan], [10, 20, 30, 0]) == pytest.approx(1)
+    assert np.isnan(rank_correlation([1, 2], [1, 2]))
+
+
+@pytest.mark.parametrize("settings", [plan.front_plan(), ablation_plan("paper"), ablation_plan("balanced")])
+def test_plans_have_no_setting_twice(settings):
+    assert len({s.name for s in settings}) == len({s.key for s in settings}) == len(settings)
+
+
+def test_plan_covers_what_was_asked_for():
+    groups = {s.group for s in plan.front_plan()}
+    assert groups == {"preset", "effects", "steps", "views a step", "context views", "model", "levels", "solver",
+                      "staged"}
+    rows = " ".join(s.name for s in ablation_plan("paper"))
+    for row in ("initial depth per view", "random initial depth", "1 context view", "9 context views", "scales 4, 2, 1",
+                "steps 200, 100", "steps 100, 200", "rate 1e-4", "radius 3", "4 slices", "no occlusion", "SSIM 0.8",
+                "exposure", "view-dependent colour", "stereo consistency"):
+        assert row in rows
+
+
+def test_settings_that_few_views_make_equal_are_measured_once():
+    base = preset("balanced")
+    settings = [plan.changed(f"{n}", "", base, context__number=n) for n in (1, 3, 5, 10)]
+    assert [s.name for s in plan.distinct(settings, 4)] == ["1", "3", "5"]
+
+
+def test_work_counts_levels_by_their_pixels():
+    config = preset("balanced").with_settings(pyramid__scales=(0.5, 1), pyramid__steps=(40, 10),
+                                              solver__views_per_step=2)
+    assert view_steps(config, 10) == pytest.approx(2 * (10 + 10))
+    assert view_steps(config, 1) == pytest.approx(10 + 10)
+
+
+def test_held_out_views_take_no_part(case, made):
+    assert made.held_out[0].name not in {view.name for view in case.contexts}
+    assert [view.name for view in case.held_out] == [made.held_out[0].name]
+    assert case.truth is not None and len(case.contexts) == 6
+
+
+def test_case_needs_a_depth(made):
+    with pytest.raises(InputError, match="no view can be measured on"):
+        make_cases(made.views, [None] * len(made.views))
+
+
+def test_made_initial_depths_are_the_same_every_time_and_of_the_right_size(case):
+    own = plan.changed("own", "", preset("balanced"), initial=plan.OWN_ERROR)
+    random = plan.changed("random", "", preset("balanced"), initial=plan.RANDOM)
+    for setting in (own, random):
+        assert np.array_equal(initial_depth(setting, case), initial_depth(setting, case))
+    moved = np.abs(initial_depth(own, case) - case.initial) / case.parallax
+    assert moved[case.parallax > 0].mean() == pytest.approx(0.5, rel=0.2)
+    drawn = initial_depth(random, case)
+    assert drawn.min() >= case.initial.min() * 0.999 and drawn.max() <= case.initial.max() * 1.001
+
+
+def test_stages_go_on_from_one_another(case):
+    device = open_device(None)
+    photos, one = PhotoStore(device), short("one", 15)
+    both = plan.Setting("both", (one.stages[0], one.stages[0]), "staged")
+    single, staged = (run(setting, case, device, photos) for setting in (one, both))
+    assert staged.view_steps == 2 * single.view_steps
+    assert score(case, staged.depth)["depth"] < score(case, single.depth)["depth"]
+
+
+def test_consistency_leaves_out_what_views_do_not_confirm(case):
+    device = open_device(None)
+    setting = short("agreed", 15, fusion__agree_pixels=0.2)
+    depth = run(setting, case, device, PhotoStore(device)).depth
+    agreed = run(plan.replace(setting, agree=1), case, device, PhotoStore(device))
+    kept = agreed.depth > 0
+    assert 0 < kept.sum() < (depth > 0).sum()
+    assert np.array_equal(agreed.depth[kept], depth[kept])
+
+
+def test_a_study_is_written_resumed_and_ranked(case, tmp_path, caplog):
+    settings = [short("10 steps", 10), short("40 steps", 40)]
+    first = measure([case], settings[:1], report=tmp_path)
+    study = measure([case], settings, report=tmp_path)
+    told = json.loads((tmp_path / "tradeoff.json").read_text())
+    assert len(told["records"]) == 2, "the first setting was not run again"
+    assert first.points[0].seconds == next(p.seconds for p in study.points if p.name == "10 steps")
+    assert study.figure == "depth" and study.front
+    by_name = {p.name: p for p in study.points}
+    assert by_name["40 steps"].error("depth") < by_name["10 steps"].error("depth") < 1
+    assert by_name["40 steps"].view_steps == 40 and by_name["40 steps"].device_bytes > 0
+    page = (tmp_path / "index.html").read_text()
+    assert "&quot;40 steps&quot; leaves the least, " in page and "<td>40 steps</td><td>2</td>" in page
+    assert "<table>" in page and (tmp_path / "tradeoff.png").stat().st_size > 1000
+    assert "| 40 steps |" in ablation_table(study.points)
+
+
+def test_a_spent_budget_leaves_settings_out_and_says_so(case, caplog):
+    study = measure([case], [short("long", 10**6)], budget=0.01)
+    assert study.points == [] and study.left_out == ["long"]
+    with pytest.raises(InputError, match="budget"):
+        measure([case], [short("x", 1)], budget=0)
+
+
+def study_of(**errors):
+    """A study of settings with these depth errors, each taking a second longer than the one before."""
+    points = [Point(name, "steps", "", k + 1.0, 10**6, 5, {"depth": error}, 1, k == 0)
+              for k, (name, error) in enumerate(errors.items())]
+    return Study(points, "depth", {"a.png": {}}, float("nan"), "a <device>", ["last"])
+
+
+@pytest.mark.parametrize("errors, said", [
+    (dict(quick=0.51, slow=0.5), '"slow" leaves the least, 50.0% of the initial depth\'s error, in 2 s a view; "quick" '
+                                 'leaves 51.0% in 1 s.'),
+    (dict(quick=0.9, slow=0.5), '"slow" leaves the least, 50.0% of the initial depth\'s error, in 2 s a view.'),
+    (dict(bad=1.04), 'No setting betters the initial depth: the best, "bad", has 104.0% of the initial depth\'s err'),
+    (dict(nothing=float("nan")), "No setting could be judged"), ({}, "Nothing was measured")])
+def test_the_headline_of_a_study(errors, said):
+    assert headline(study_of(**errors)).startswith(said)
+
+
+def test_the_page_of_a_study_ends_with_what_was_left_out(tmp_path):
+    study = study_of(**{"<b>": 0.5, "other": 0.5})
+    page = write_report(tmp_path, study, "d").read_text()
+    assert "<b>" not in page and "a &lt;device&gt;" in page
+    assert page.index("</table>") < page.index(closing(study)[0]) and "number is that of the point" in page
+
+
+@pytest.mark.parametrize("low, high", [(0.26, 0.45), (0.9, 1.3), (1e-3, 1e4), (0.15, 30)])
+def test_axes_have_a_few_round_numbers(low, high):
+    ticks = _ticks(low, high)
+    assert 4 <= len(ticks) <= 12 and low <= ticks[0] and ticks[-1] <= high
+
+
+def test_command_without_truth_judges_by_held_out_photos(tmp_path, capsys, monkeypatch):
+    made = relief_scene(80, 60, 6, held_out=1)
+    folder = write_scene(made, tmp_path / "scene")
+    monkeypatch.setattr("pagas_cl.tradeoffs.study.front_plan", lambda: [short("8 steps", 8), short("20 steps", 20)])
+    status = run_command(["tradeoff", str(folder), "--depth-dir", str(folder / "depth_initial"), "--views",
+                          made.views[0].name, "--report", str(tmp_path / "out"), "--quiet"])
+    assert status == 0
+    out = capsys.readouterr().out
+    assert "no truth here" in out and "20 steps" in out and (tmp_path / "out" / "index.html").is_file()
+    assert json.loads((tmp_path / "out" / "tradeoff.json").read_text())["figure"] == "unpredicted"
+
+
+@pytest.mark.parametrize("number", [2, 5])
+def test_without_truth_a_photo_is_spared_to_judge(made, number):
+    """Views of a choice that cannot be judged are left out for others; where none can, that is an error."""
+    views = made.all_views[:1 + number]
+    depths = [made.initial_depth(view.camera) for view in views]
+    cases = make_cases(views, depths, sample=2)
+    assert len(cases) == 2 and all(case.held_out and case.contexts for case in cases)
+    study = measure(cases, [short("4 steps", 4)])
+    assert study.figure == "unpredicted" and all(np.isfinite(point.error("unpredicted")) for point in study.points)
+    assert headline(study).startswith(('"4 steps" leaves the least', "No setting betters the initial depth"))
+
+
+def test_what_nobody_can_judge_is_refused(made):
+    views = made.all_views[:2]
+    depths = [made.initial_depth(view.camera) for view in views]
+    with pytest.raises(InputError, match="none has .* a judge"):
+        make_cases(views, depths)
+    away = np.diag([-1.0, 1, -1, 1]) @ views[1].camera.world_to_camera
+    blind = replace(views[1], camera=replace(views[1].camera, world_to_camera=away), name="away")
+    with pytest.raises(InputError, match="no view can be judged"):
+        measure(make_cases([*views, blind], [*depths, None], held_out=["away"]), [short("4 steps", 4)])
+
+
+def test_groups_can_be_told_apart():
+    assert all("both" not in setting.name for setting in plan.front_plan())
+    assert len(set(_MARKERS)) == len(_MARKERS) >= len({setting.group for setting in plan.front_plan()})
+
+
+def test_command_refuses_what_it_cannot_do(tmp_path, capsys):
+    folder = write_scene(relief_scene(64, 48, 2, held_out=0), tmp_path / "scene")
+    assert run_command(["tradeoff", str(folder)]) == 2
+    assert "either --mesh or --depth-dir" in capsys.readouterr().err
+    depths = str(folder / "depth_initial")
+    assert run_command(["tradeoff", str(folder), "--depth-dir", depths, "--truth", "nowhere"]) == 2
+    assert "nowhere" in capsys.readouterr().err
+
+
+def test_public_name_is_the_function():
+    assert callable(pagas_cl.tradeoff) and pagas_cl.tradeoff.__name__ == "tradeoff"

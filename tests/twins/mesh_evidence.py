@@ -1,0 +1,74 @@
+"""Twin of cl_kernels/mesh_evidence.cl in float64 NumPy (method section 10.2)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+FACING, ON_SURFACE, NO_EDGE, LEAST_SIGMA, OUTLIER, DOUBT = 0.3, 1.0, 3.0, 0.1, 1.0, 0.3
+MOST_WEIGHT, WEIGHT_SHARE = 4.0, 0.01
+
+
+def vertex_normals(vertices, faces) -> np.ndarray:
+    """Mean of the normals around each vertex by angle, unit length (V, 3)."""
+    normals = np.zeros_like(vertices)
+    for k in range(3):
+        p, q, r = (vertices[faces[:, (k + turn) % 3]] for turn in range(3))
+        across = np.cross(q - p, r - p)
+        area = np.linalg.norm(across, axis=1)
+        angle = np.arctan2(area, ((q - p) * (r - p)).sum(axis=1))
+        np.add.at(normals, faces[:, k], across * (angle / np.maximum(area, 1e-300))[:, None])
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+
+
+def gather(vertices, normals, view, drawn, orientation=1.0):
+    """Way along the normal and weight (0: no word) that a view gives each vertex, and its footprint there (infinite
+    where it does not see it): float64 (V,) each, scene units."""
+    camera, depth, deviation = view.camera, view.depth.astype(np.float64), view.deviation
+    turn = camera.world_to_camera[:3, :3]
+    way, weight, unit = np.zeros(len(vertices)), np.zeros(len(vertices)), np.full(len(vertices), np.inf)
+    for i, (place, normal) in enumerate(zip(vertices, normals)):
+        p, n = turn @ (place - camera.center), turn @ normal
+        facing = -orientation * (p @ n) / np.linalg.norm(p)
+        if not (p[2] > 0 and facing > FACING):
+            continue
+        u, v = camera.fx * p[0] / p[2] + camera.cx, camera.fy * p[1] / p[2] + camera.cy
+        if not (1.5 < u < camera.width - 1.5 and 1.5 < v < camera.height - 1.5):
+            continue
+        size, column, row = p[2] / np.sqrt(camera.fx * camera.fy), int(u), int(v)
+        lean = 1 + np.sqrt(1 / facing**2 - 1)
+        if not (drawn[row, column] > 0 and abs(drawn[row, column] - p[2]) < ON_SURFACE * size * lean):
+            continue
+        unit[i] = size
+        slope = p @ n / p[2]
+        sigma = deviation[row, column] * abs(slope)
+        rays = camera.rays()[row - 1:row + 2, column - 1:column + 2]
+        window = depth[row - 1:row + 2, column - 1:column + 2]
+        along = (rays * window[..., None]) @ n
+        if not ((window > 0).all() and np.isfinite(sigma) and (abs(along - along[1, 1]) < NO_EDGE * size).all()):
+            continue
+        left, top = int(np.floor(u - 0.5)), int(np.floor(v - 0.5))
+        a, b = u - 0.5 - left, v - 0.5 - top
+        share = np.outer([1 - b, b], [1 - a, a])
+        way[i] = (1 / (share / depth[top:top + 2, left:left + 2]).sum() - p[2]) * slope
+        weight[i] = 1 / max(sigma, LEAST_SIGMA * size) ** 2
+    return way, weight, unit
+
+
+def settle(ways, weights, unit, least_views):
+    """Robust mean of ways (views, V): target, weight, views that agree, standard deviation; (V,) each."""
+    count = ways.shape[1]
+    target, weight, seen, sigma = np.zeros(count), np.zeros(count), np.zeros(count, int), np.full(count, np.inf)
+    for i in range(count):
+        order = np.argsort(ways[:, i], kind="stable")
+        order = order[weights[order, i] > 0]
+        if not len(order):
+            continue
+        t, w = ways[order, i], weights[order, i]
+        apart = abs(t - t[np.searchsorted(np.cumsum(w), 0.5 * w.sum())]) / unit[i]
+        share = np.where(apart <= OUTLIER, w / np.maximum(1, apart / DOUBT), 0)
+        seen[i] = (apart <= OUTLIER).sum()
+        if seen[i] >= least_views:
+            target[i], sigma[i] = (share @ t) / share.sum(), share.sum() ** -0.5
+            weight[i] = min(share.sum() * unit[i] ** 2 * WEIGHT_SHARE, MOST_WEIGHT)
+    return target, weight, seen, sigma
