@@ -178,9 +178,14 @@ def records_in(folder: Path) -> list[Record]:
     for path in sorted((work_folder(folder) / "views").rglob("*.json")):
         try:
             found.append(_read_record(path))
-        except (OSError, ValueError, TypeError, AttributeError):
+        except (*DAMAGE, TypeError, AttributeError):
             log.debug("%s is no record", path)
     return found
+
+
+def begun_in(folder: Path) -> int:
+    """How many views have a result of a round before the last one in `folder`."""
+    return max((len(records_in(place)) for place in work_folder(folder).glob("round_*")), default=0)
 
 
 def users_of(folder: Path) -> dict[str, list[str]]:

@@ -45,10 +45,14 @@ def through_executor(scene: Path, out: Path) -> None:
         refine_views(views, depths, config=config, folder=out, executor=pool)
 
 
+def _environment() -> dict:
+    return {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+
+
 def run_whole(scene: Path, out: Path, more=()) -> float:
     """Run undisturbed; seconds it took."""
     start = time.monotonic()
-    done = subprocess.run(arguments(scene, out, more), capture_output=True, text=True)
+    done = subprocess.run(arguments(scene, out, more), capture_output=True, text=True, env=_environment())
     if done.returncode != 0:
         raise RuntimeError(done.stderr)
     return time.monotonic() - start
@@ -75,7 +79,7 @@ def kill_once(scene: Path, out: Path, after: float, more=(), how=signal.SIGKILL)
     """Start the command and kill it after so many seconds; whether it was still running. RuntimeError where a process
     that it has started outlives it by ten seconds."""
     process = subprocess.Popen(arguments(scene, out, more), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                               env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])})
+                               env=_environment())
     try:
         process.wait(after)
         return False
