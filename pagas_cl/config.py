@@ -246,9 +246,9 @@ class Fusion(_Stage):
     least_weight: float = _number(1.0, 0, 1)
     """What a depth counts, in thirds, however unsure it is: below 1 depths are weighted by their confidence, at 0 those
     that no photo speaks for are left out. A view that is sure then counts three times for `min_views`."""
-    polish: bool = _switch(True)
+    polish: bool = _switch(False)
     """Whether the vertices of the fused mesh are put where the depth maps agree (method section 10): no ripples of
-    voxels. Needs an OpenCL device."""
+    voxels. Off: where depth maps contradict each other, its triangles fold. Needs an OpenCL device."""
     min_component: float = _number(0.05, 0, 1)
     """Pieces with fewer triangles than this share of the largest one are dropped; 0 keeps all."""
 

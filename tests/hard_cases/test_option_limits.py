@@ -41,6 +41,7 @@ FUSION = {
     "fusion.agree_views = 1000": dict(agree_views=1000),
     "fusion.agree_views = 1, agree_pixels = 0": dict(agree_views=1, agree_pixels=0.0),
     "fusion.agree_views = 1, agree_pixels = 1e6": dict(agree_views=1, agree_pixels=1e6),
+    "fusion.polish = true": dict(polish=True),
     "fusion.least_weight = 0": dict(least_weight=0.0),
     "fusion.least_weight = 1": dict(least_weight=1.0),
     "fusion.min_component = 0": dict(min_component=0.0),
@@ -77,8 +78,9 @@ def test_context_at_its_limit(device, made, name):
 
 
 @pytest.mark.parametrize("name", FUSION)
-def test_fusion_at_its_limit(made, name):
+def test_fusion_at_its_limit(device, made, name):
     pytest.importorskip("open3d", reason="fusion takes Open3D")
+    from pagas_cl.keep_mesh import polished
     from pagas_cl.result import DepthResult
     from pagas_cl.surface.agree import confirmed
     from pagas_cl.surface.blocks import fuse_within
@@ -98,6 +100,8 @@ def test_fusion_at_its_limit(made, name):
         assert "\n" not in str(error)
         return
     assert name not in REFUSED
+    if settings.polish:
+        surface = polished(surface, sure, BALANCED, device)
     assert np.isfinite(surface.vertices).all() and len(surface.faces)
     assert surface.faces.min() >= 0 and surface.faces.max() < len(surface.vertices)
 
