@@ -254,6 +254,18 @@ class Fusion(_Stage):
 
 
 @dataclass(frozen=True)
+class Agreement(_Stage):
+    """Rounds after the first, in which refined depth maps are evidence for one another (method section 8.1)."""
+
+    rounds: int = _whole(0, 0, 20)
+    """How often each depth is averaged with what its context views' depth maps say; 0: not at all."""
+    steps: float = _number(0.11, 0, 10)
+    """Steps of the photos between two rounds, as a share of those of the last level."""
+    pixels: float = _number(2.0, 1e-3, 100)
+    """A depth map that says something else by more than this, pixels of parallax, is of another surface."""
+
+
+@dataclass(frozen=True)
 class Effects(_Stage):
     """Which effects are simulated (method section 8): "on", "off", "auto" (decided from measurements of the scene), or
     "set" (the settings of the other stages hold as they are). What each one sets, and on what evidence:
@@ -268,13 +280,15 @@ class Effects(_Stage):
     noise: str = _effect()
     pyramid: str = _effect()
     consistency: str = _effect()
+    agreement: str = _effect()
     cameras: str = _effect()
 
     @property
     def measured(self) -> bool:
-        """Whether a view is measured for them; the consistency check and the cameras are of a whole scene."""
+        """Whether a view is measured for them before it is refined: consistency and agreement rest on refined depth
+        maps, the cameras are of a whole scene."""
         return any(getattr(self, f.name) not in ("set", "off") for f in fields(self)
-                   if f.name not in ("consistency", "cameras"))
+                   if f.name not in ("consistency", "agreement", "cameras"))
 
     @classmethod
     def every(cls, choice: str) -> Effects:
@@ -293,6 +307,7 @@ class Config:
     pyramid: Pyramid = field(default_factory=Pyramid)
     context: Context = field(default_factory=Context)
     fusion: Fusion = field(default_factory=Fusion)
+    agreement: Agreement = field(default_factory=Agreement)
     effects: Effects = field(default_factory=Effects)
 
     def __post_init__(self) -> None:

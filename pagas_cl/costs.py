@@ -83,7 +83,7 @@ def rungs() -> list[tuple[str, Config]]:
 
 def probe(target, contexts, depth, config: Config, device, *, photo: float, held_out=()) -> Cost:
     """Measure the cost of `config`'s kind of settings on one view by short runs; `photo` as `photo_seconds` found."""
-    from pagas_cl.refine import settle
+    from pagas_cl.effects import settle
     from pagas_cl.splat import PhotoStore, refine_levels
 
     photos = PhotoStore(device)

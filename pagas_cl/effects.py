@@ -1,15 +1,27 @@
 """Simulate only what the scene calls for (method section 8): from the measurements of a view, decide, and say why; and
 whether refined views that contradict each other are cleaned before they are fused."""
 
-from collections.abc import Callable
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pagas_cl.config import MOST_WEIGHT, Config
-from pagas_cl.measurements import FAR_OFF, Measurements
+from pagas_cl.errors import log
+from pagas_cl.measurements import FAR_OFF, Measurements, measure
 from pagas_cl.splat.constants import SPECULAR_VIEW
 
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
+    from pagas_cl.scene.view import View
+    from pagas_cl.splat import NormalizedDepth, PhotoStore
+
+DIFFERENT = 0.02         # pixels of parallax by which refined depth maps differ, from which on they are averaged: less
+                         # no photo resolves
+AGREEMENT_ROUNDS = 2     # each averages; between them, and not after the last, the photos have some steps
 CONTRADICTED = 0.04      # share of depths that others contradict, above which those are left out of a fusion
 MOST_RAISED = 40.0       # times the weight of the smoothness
 SHINY_DISCONTINUITY = 0.6  # smoothness.discontinuity at least: what a highlight bends is no discontinuity
@@ -125,6 +137,41 @@ def _decision(config: Config, name: str, measured: Measurements) -> Decision:
         called_for, what = False, "the order-free blend compares only what is covered"
     on = choice == "on" or (choice == "auto" and called_for)
     return Decision(name, evidence, effect.threshold, on, what if choice == "auto" else f"asked for: {choice}")
+
+
+def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
+           photos: PhotoStore, *,
+           normalized: NormalizedDepth | None = None) -> tuple[Config, list[Decision], Measurements | None]:
+    """Decide which effects this view calls for: the settings that follow, the decisions, and what they rest on.
+
+    Parameters are those of refine_depth; `normalized`: the depth where it is on the device already.
+    """
+    if not config.effects.measured:
+        return *decide(config, None), None
+    measured = measure(target, contexts, depth, config, device, photos, normalized=normalized)
+    config, decisions = decide(config, measured)
+    for decision in decisions:
+        log.debug("view %s: %s %s (%.4g, threshold %.4g)", target.name, decision.effect, "on" if decision.on else "off",
+                  decision.evidence, decision.threshold)
+    return config, decisions, measured
+
+
+def agreement_rounds(config: Config, views: int) -> int:
+    """How many rounds of agreement so many refined views may have; each view's own decision is decide_agreement."""
+    choice = config.effects.agreement
+    if choice == "off" or views < 2:
+        return 0
+    return config.agreement.rounds if choice == "set" else config.agreement.rounds or AGREEMENT_ROUNDS
+
+
+def decide_agreement(spread: float, config: Config) -> Decision:
+    """Whether a view is averaged with others, whose depth maps differ by `spread` (surface.agreement); NaN: there are
+    none to speak of."""
+    choice = config.effects.agreement
+    if choice == "auto":
+        return Decision("agreement", spread, DIFFERENT, spread > DIFFERENT,
+                        "difference of refined depth maps, pixels of parallax")
+    return Decision("agreement", spread, DIFFERENT, spread == spread, f"asked for: {choice}")
 
 
 def decide_consistency(cameras, depths, config: Config, device=None) -> tuple[Config, Decision | None]:

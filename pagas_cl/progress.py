@@ -14,14 +14,14 @@ class ViewProgress:
     A view that is tried again says nothing until it is further than it was. `progress` None: nobody is told.
     """
 
-    def __init__(self, progress: Progress | None, total: int):
-        self.progress, self.total, self._most = progress, total, -1.0
+    def __init__(self, progress: Progress | None, total: int, stage: str = "refine"):
+        self.progress, self.total, self.stage, self._most = progress, total, stage, -1.0
 
     def at(self, done: float) -> None:
         """`done` views are."""
         if self.progress and done > self._most:
             self._most = done
-            self.progress("refine", done, self.total)
+            self.progress(self.stage, done, self.total)
 
     def inside(self, done: int) -> Progress | None:
         """Progress of refine_depth for the view after the first `done`; None where nobody is told."""

@@ -14,13 +14,14 @@ import numpy.typing as npt
 from pagas_cl.acceptance import moved_by_evidence, nothing_reason, rejection_reason
 from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
-from pagas_cl.effects import Decision, decide, decide_consistency
+from pagas_cl.effects import Decision, decide_consistency, settle
 from pagas_cl.errors import InputError, log
 from pagas_cl.keep_mesh import DETAIL, FLAT, check_flat, check_subdivide, displaced_mesh, polished
-from pagas_cl.measurements import Measurements, measure
+from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
 from pagas_cl.result import DepthResult, OnDisk, joined
+from pagas_cl.rounds import later_rounds
 from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth, depth_maps
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from pagas_cl.runtime.device import Device
-    from pagas_cl.splat import NormalizedDepth, PhotoStore
+    from pagas_cl.splat import PhotoStore
     from pagas_cl.splat.view import Refinement
 
 
@@ -167,7 +168,8 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
                  executor: Executor | str | None = None, folder: str | Path | None = None,
                  extras: bool = True) -> list[DepthResult]:
     """Refine the depth maps of many views, each by itself; where cameras are off, these first (effects.cameras): each
-    result has the camera that its depth map belongs to.
+    result has the camera that its depth map belongs to. Then, where the effect `agreement` is called for, in rounds in
+    which depth maps of views that see the same surface are evidence for one another (method section 8.1).
 
     Parameters
     ----------
@@ -177,7 +179,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     names : collection of str, optional
         Views to refine; all that have a depth map by default. The others are context views still.
     on_view : callable of (view, initial depth, DepthResult), optional
-        Called as soon as a view is finished; what it returns is dropped.
+        Called as soon as a view is finished, which is in the last round; what it returns is dropped.
     executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
         Where the views are refined instead of in this process; see pagas_cl.jobs.
     folder : path, optional
@@ -204,23 +206,33 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
         from pagas_cl.jobs import refine_all
 
         return refine_all(refine_one, views, depths, asked, config, device=device, executor=executor, folder=folder,
-                          extras=extras, progress=progress, on_view=on_view)
+                          extras=extras, progress=progress, on_view=on_view, later=later_rounds(config, len(asked)))
     device, results, view_progress = open_device(device), [], ViewProgress(progress, len(asked))
     arrays = {place: depth.load() if isinstance(depth, Loads) else depth
               for place, depth in enumerate(depths) if depth is not None}
     photos, chooser = PhotoStore(device), PartnerChooser([view.camera for view in views],
                                                          [arrays.get(k) for k in range(len(views))], config.context)
+    later, partners = later_rounds(config, len(asked)), {index: chooser.choose(index) for index in asked}
     for done, index in enumerate(asked):
         view_progress.at(done)
-        result = refine_one(views, chooser.choose(index), arrays[index], config, device, photos,
-                            progress=view_progress.inside(done))
+        results.append(refine_one(views, partners[index], arrays[index], config, device, photos,
+                                  progress=view_progress.inside(done)))
         if cameras is not None:
-            result.report["camera"] = {"moved": float(cameras.moved[index]), "accepted": cameras.accepted}
-        results.append(result)
-        if on_view:
-            on_view(views[index], arrays[index], result)
-    photos.clear()
+            results[-1].report["camera"] = {"moved": float(cameras.moved[index]), "accepted": cameras.accepted}
+        if on_view and not later:
+            on_view(views[index], arrays[index], results[-1])
     view_progress.at(len(asked))
+    for number, later_round in enumerate(later, start=1):
+        view_progress, before = ViewProgress(progress, len(asked), f"agree, round {number}"), dict(zip(asked, results))
+        for done, index in enumerate(asked):
+            view_progress.at(done)
+            given = [before[k] for k in partners[index].refined(before)]
+            results[done] = later_round.work(views, partners[index], given, config, device, photos,
+                                             progress=view_progress.inside(done))
+            if on_view and number == len(later):
+                on_view(views[index], arrays[index], results[done])
+        view_progress.at(len(asked))
+    photos.clear()
     warn_of_nothing(views, depths, results)
     return results
 
@@ -237,20 +249,6 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
         return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
     return refine_depth(target, [views[k] for k in partners.contexts], depth, config=config, device=device,
                         progress=progress, photos=photos, held_out=[views[k] for k in partners.held_out])
-
-
-def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
-           photos: PhotoStore, *,
-           normalized: NormalizedDepth | None = None) -> tuple[Config, list[Decision], Measurements | None]:
-    """Decide which effects this view calls for: the settings that follow, the decisions, and what they rest on."""
-    if not config.effects.measured:
-        return *decide(config, None), None
-    measured = measure(target, contexts, depth, config, device, photos, normalized=normalized)
-    config, decisions = decide(config, measured)
-    for decision in decisions:
-        log.debug("view %s: %s %s (%.4g, threshold %.4g)", target.name, decision.effect, "on" if decision.on else "off",
-                  decision.evidence, decision.threshold)
-    return config, decisions, measured
 
 
 def initial_depths(surface: Surface, views: Sequence[View], progress: Progress | None = None,

@@ -24,9 +24,10 @@ ALLOWED = {
     "jobs": {"scene", "runtime", "splat", "result", "progress"},
     "acceptance": {"result"},
     "cameras": {"scene", "runtime", "surface", "splat", "measurements", "effects", "progress"},
-    "effects": {"measurements", "splat", "surface"}, "measurements": {"splat"},
+    "effects": {"measurements", "runtime", "scene", "splat", "surface"}, "measurements": {"splat"},
+    "rounds": {"scene", "runtime", "surface", "splat", "result", "effects", "progress"},
     "refine": {"acceptance", "cameras", "jobs", "scene", "runtime", "surface", "splat", "result", "measurements",
-               "effects", "keep_mesh", "progress"},
+               "effects", "keep_mesh", "progress", "rounds"},
     "evaluate": {"scene"}, "synthetic": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
     "selftest": {"scene", "runtime", "splat", "reference", "refine"},
 }

@@ -55,17 +55,22 @@ def load_scene(scene, format, outside: bool):
 def resumable(folder: Path | None, total: int):
     """Context of a run of `total` views that keeps finished ones in `folder`: says first what an earlier run has left
     there, and where it is interrupted (InterruptedRunError) what is kept now, and how to go on."""
-    from pagas_cl.jobs.finished import records_in
+    from pagas_cl.jobs.finished import begun_in, records_in
 
-    left = len(records_in(folder)) if folder is not None else 0
+    def found() -> tuple[int, str]:
+        """How many views are kept, and as what: those of the last round, or else of earlier ones."""
+        done = len(records_in(folder)) if folder is not None else 0
+        return (done, "finished") if done or folder is None else (begun_in(folder), "begun")
+
+    left, how = found()
     if left:
-        log.info("an earlier run has left %d finished view%s in %s: what this run would do alike is not done again",
-                 left, "" if left == 1 else "s", folder)
+        log.info("an earlier run has left %d %s view%s in %s: what this run would do alike is not done again",
+                 left, how, "" if left == 1 else "s", folder)
     try:
         yield
     except KeyboardInterrupt as error:
-        done = len(records_in(folder)) if folder is not None else 0
-        what = (f"{done} of {total} views are finished and kept in {str(folder)!r}: the same command goes on from them"
+        done, how = found()
+        what = (f"{done} of {total} views are {how} and kept in {str(folder)!r}: the same command goes on from them"
                 if done else "nothing is kept, no view was finished" if folder is not None
                 else "nothing is kept but pictures; with --save-depth finished views are")
         raise InterruptedRunError(f"interrupted; {what}") from error

@@ -7,6 +7,7 @@
     FOLDER/.pagas_cl/lock                held by the run that is at work
     FOLDER/.pagas_cl/journal/            what each worker began and ended, one file a process
     FOLDER/.pagas_cl/inputs/             arrays that came from memory; removed when all views are done
+    FOLDER/.pagas_cl/round_0/, ...       a folder like this one of each round before the last; removed as inputs/ is
     FOLDER/.pagas_cl/parts/              files that are being written
 
 Nothing else in FOLDER is written, replaced or removed.
@@ -42,6 +43,11 @@ _EXTRAS = ("status", "deviation", "parallax")
 def work_folder(folder: Path) -> Path:
     """Where a run keeps what only it needs, inside its folder of results."""
     return Path(folder) / OWN
+
+
+def round_folder(folder: Path, number: int) -> Path:
+    """Where the results of a round (0 is the first) are kept until the last one is done."""
+    return work_folder(folder) / f"round_{number}"
 
 
 @contextmanager
@@ -140,14 +146,18 @@ def _seal(known: dict) -> str:
     return digest_of([json.dumps(known, sort_keys=True).encode()])
 
 
+def _read_record(path: Path) -> Record:
+    known = json.loads(read_bytes(path))
+    if known.pop("seal", "") != _seal(known):
+        raise ValueError("it is not as it was written")
+    return Record(**known)
+
+
 def find_finished(folder: Path, task: ViewTask, extras: bool) -> Record | None:
     """The record of `task`, if an earlier attempt or run has finished it and its files are what was written."""
     path = _view_file(folder, task.stem, ".json")
     try:
-        known = json.loads(read_bytes(path))
-        if known.pop("seal") != _seal(known):
-            raise ValueError("it is not as it was written")
-        record = Record(**known)
+        record = _read_record(path)
         if record.key != task.key or (extras and f"{OWN}/views/{task.stem}.npz" not in record.digests):
             return None
         other = [name for name, digest in record.digests.items()
@@ -167,12 +177,15 @@ def records_in(folder: Path) -> list[Record]:
     found = []
     for path in sorted((work_folder(folder) / "views").rglob("*.json")):
         try:
-            known = json.loads(read_bytes(path))
-            if known.pop("seal", "") == _seal(known):
-                found.append(Record(**known))
+            found.append(_read_record(path))
         except (*DAMAGE, TypeError, AttributeError):
             log.debug("%s is no record", path)
     return found
+
+
+def begun_in(folder: Path) -> int:
+    """How many views have a result of a round before the last one in `folder`."""
+    return max((len(records_in(place)) for place in work_folder(folder).glob("round_*")), default=0)
 
 
 def users_of(folder: Path) -> dict[str, list[str]]:
@@ -182,6 +195,23 @@ def users_of(folder: Path) -> dict[str, list[str]]:
         for name in (record.name, *record.report.get("contexts", ()), *record.report.get("held_out", ())):
             users.setdefault(name, []).append(record.name)
     return users
+
+
+@dataclass(frozen=True)
+class EarlierResults:
+    """Stands for a depth map in the task of a later round: results of the round before, in `folder`, each by camera,
+    stem and key; the view's own comes first."""
+
+    folder: Path
+    results: tuple[tuple[Camera, str, str], ...]
+
+    @property
+    def digest(self) -> str:
+        """What they are is told by the keys of their tasks."""
+        return " ".join(key for _, _, key in self.results)
+
+    def load(self) -> list[DepthResult]:
+        return [StoredResult.found(camera, self.folder, stem, key).loaded() for camera, stem, key in self.results]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -209,6 +239,20 @@ class StoredResult:
         """Everything in memory."""
         return DepthResult(self.camera, self.depth, self.status, self.deviation, self.parallax, self.reason,
                            self.report, self.name)
+
+    @classmethod
+    def found(cls, camera: Camera, folder: Path, stem: str, key: str) -> "StoredResult":
+        """The finished view that the round before has left; InputError where it is not there, or of another key."""
+        path = _view_file(folder, stem, ".json")
+        try:
+            record = _read_record(path)
+        except (*DAMAGE, TypeError, AttributeError) as error:
+            raise InputError(f"record {str(path)!r} of the round before cannot be read ({error}): start the same "
+                             "command again") from error
+        if record.key != key:
+            raise InputError(f"record {str(path)!r} is of another run, expected that of the round before: start the "
+                             "same command again, and no other one in its folder")
+        return cls(camera, folder, record)
 
     def _extra(self, name: str) -> np.ndarray:
         path = _view_file(self.folder, self.record.stem, ".npz")

@@ -1,13 +1,17 @@
 """Which views go together, and in what order: neighbours share photos."""
 
+from collections.abc import Collection
+from copy import copy
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from pagas_cl.config import Config
+from pagas_cl.jobs.finished import EarlierResults
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch, ViewTask, task_key, view_digest
-from pagas_cl.scene.choice import PartnerChooser
+from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.view import View
 
@@ -27,13 +31,40 @@ class Planner:
     def __init__(self, views: list[View], depths: list, samples: list, config: Config, work):
         self.views, self._depths, self._config, self._work = views, depths, config, work
         self._chooser = PartnerChooser([view.camera for view in views], samples, config.context)
-        self.stems, self._digests = file_stems([view.name for view in views]), {}
+        self.stems = file_stems([view.name for view in views])
+        self._digests, self._partners, self._keys = {}, {}, {}
+        self._earlier = None
+
+    def after(self, folder: Path, refined: Collection[int], work) -> "Planner":
+        """Of the round after this one, whose results of the views `refined` are in `folder`."""
+        planner = copy(self)
+        planner._earlier, planner._keys, planner._work = (self, folder, set(refined)), {}, work
+        return planner
+
+    def partners(self, index: int) -> Partners:
+        """Of the view `index`, chosen once."""
+        if index not in self._partners:
+            self._partners[index] = self._chooser.choose(index)
+        return self._partners[index]
 
     def task(self, index: int) -> ViewTask:
         """The task of the view `index`."""
-        partners, depth = self._chooser.choose(index), self._depths[index]
+        partners, depth = self.partners(index), self._given(index)
         key = task_key(partners, {k: self.digest(k) for k in partners.all}, depth.digest, self._config, self._work)
         return ViewTask(self.views[index].name, self.stems[index], partners, depth, key)
+
+    def _given(self, index: int):
+        """What the view starts from: its depth map, or what the round before has left of it and its context views."""
+        if self._earlier is None:
+            return self._depths[index]
+        before, folder, refined = self._earlier
+        return EarlierResults(folder, tuple((self.views[k].camera, self.stems[k], before._key(k))
+                                            for k in self.partners(index).refined(refined)))
+
+    def _key(self, index: int) -> str:
+        if index not in self._keys:
+            self._keys[index] = self.task(index).key
+        return self._keys[index]
 
     def digest(self, index: int) -> str:
         """Hash of a view's photo, mask and camera; read once."""
@@ -51,6 +82,8 @@ class Planner:
 def groups(asked: list[int], views: list[View], workers: int) -> list[list[int]]:
     """Views that go together, in the order in which to give them out: a curve through the camera centres is cut into
     one stretch a worker, and each worker that keeps pace goes along a stretch of its own."""
+    if not asked:
+        return []
     order = np.asarray(asked)[along_curve([views[index].camera.center for index in asked])]
     size = int(np.clip(len(asked) // (workers * _SHARES), 1, _BATCH))
     stretches = [[part[start:start + size].tolist() for start in range(0, len(part), size)]

@@ -46,6 +46,7 @@ class Batch:
     device: Any                 # see runtime.claim.claim_device; a Device is taken as it is (in this process only)
     code: str                   # the code_version that planned it
     extras: bool = True         # whether status, deviation and parallax are kept beside the depth
+    photos: bool = True         # whether the work looks at photos
 
     def only(self, tasks) -> "Batch":
         """The same with fewer tasks."""

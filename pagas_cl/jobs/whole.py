@@ -4,11 +4,20 @@ import logging
 import shutil
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 from pagas_cl.errors import InputError, PagasError
 from pagas_cl.jobs.executors import Workers
-from pagas_cl.jobs.finished import StoredResult, claim_names, find_finished, one_run, records_in, work_folder
+from pagas_cl.jobs.finished import (
+    StoredResult,
+    claim_names,
+    find_finished,
+    one_run,
+    records_in,
+    round_folder,
+    work_folder,
+)
 from pagas_cl.jobs.plan import Planner, groups, on_disk
 from pagas_cl.jobs.run import Run
 from pagas_cl.jobs.store import DepthFile, Store, translate_os_errors
@@ -23,7 +32,7 @@ log = logging.getLogger("pagas_cl")
 
 
 def refine_all(work, views, depths, asked, config, *, device=None, executor=None, folder=None, extras=True,
-               progress=None, on_view=None) -> list:
+               progress=None, on_view=None, later=()) -> list:
     """Refine the views `asked`, resuming what an earlier run has finished.
 
     Parameters
@@ -43,18 +52,22 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
     on_view : callable of (view, initial depth, result), optional
         Called in the order of `asked`, in which the results come too: StoredResult (DepthResult without a folder). A
         view that failed three times has no surface, and its error in `report["failed"]`.
+    later : sequence of rounds.Round
+        What is done after it, round by round, with each view's result and those of its context views. What the rounds
+        before the last one leave is in the work folder until all views are done.
     """
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="pagas_cl-") as temporary:
             results = refine_all(work, views, depths, asked, config, device=device, executor=executor, folder=temporary,
-                                 progress=progress, on_view=on_view)
+                                 progress=progress, on_view=on_view, later=later)
             return [result if isinstance(result, DepthResult) else result.loaded() for result in results]
     folder = Path(folder).resolve()
     with one_run(folder):
-        return _refine_in(folder, work, views, depths, asked, config, device, executor, extras, progress, on_view)
+        return _refine_in(folder, work, views, depths, asked, config, device, executor, extras, progress, on_view,
+                          later)
 
 
-def _refine_in(folder, work, views, depths, asked, config, device, executor, extras, progress, on_view) -> list:
+def _refine_in(folder, work, views, depths, asked, config, device, executor, extras, progress, on_view, later) -> list:
     store = Store(work_folder(folder) / "inputs")
     for depth in depths:
         if isinstance(depth, DepthFile) and depth.file.resolve().parent == folder:
@@ -66,21 +79,69 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
     claim_names(folder, [planner.stems[index] for index in asked])
     workers = Workers(executor, device)
     template = Batch(work, {}, {}, (), config, folder, workers.device, code_version(), extras)
-    collect = _Collect(asked, views, depths, folder, progress, on_view)
     _make_ready(folder)
-    run = Run(workers, folder, collect, progress and collect.inside)
+    runs, failed, wanted = [], [], _wanted(planner, asked, folder, extras, later)
     try:
-        run.finish(_unfinished(planner, groups(asked, views, workers.count()), template, collect))
+        for number, views_of_round in enumerate(wanted[:-1]):
+            place = round_folder(folder, number)
+            _make_ready(place)
+            collect = _Collect(views_of_round, views, depths, place, progress, None, _stage(number))
+            runs.append(Run(workers, place, collect, progress and collect.inside))
+            runs[-1].finish(_unfinished(planner, groups(views_of_round, views, workers.count()),
+                                        replace(template, folder=place, extras=True), collect))
+            collect.results()        # raises where every view has failed
+            failed += [record for record in collect.records.values() if record.error]
+            lost = {record.name for record in failed}
+            asked_next = [k for k in asked if views[k].name not in lost]
+            wanted[number + 1] = [k for k in wanted[number + 1] if k in asked_next]
+            planner = planner.after(place, asked_next, later[number].work)
+            template = replace(template, work=later[number].work, photos=later[number].photos)
+        collect = _Collect(asked, views, depths, folder, progress, on_view, _stage(len(later)))
+        for record in failed:
+            collect(record)
+        runs.append(Run(workers, folder, collect, progress and collect.inside))
+        runs[-1].finish(_unfinished(planner, groups(wanted[-1], views, workers.count()), template, collect))
     except _Ended as ended:
         raise ended.error from None
     finally:
         if workers.own:
-            run.close()
+            (runs[-1] if runs else Run(workers, folder, None)).close()
         close_worker_contexts()
     results = collect.results()
+    if not any(record.error for record in collect.records.values()):
+        for place in work_folder(folder).glob("round_*"):      # of killed runs with other settings, too
+            shutil.rmtree(place, ignore_errors=True)
     warn_of_nothing(views, depths, results)     # which may read the depth maps
     shutil.rmtree(store.folder, ignore_errors=True)
     return results
+
+
+def _stage(number: int) -> str:
+    """What progress calls a round."""
+    return f"agree, round {number}" if number else "refine"
+
+
+def _wanted(planner: Planner, asked, folder: Path, extras: bool, later) -> list[list[int]]:
+    """Views that each round has to work on: all, or, where an earlier run has left finished views, those that are not
+    finished, and before them those that they take results of."""
+    wanted, places = [list(asked)], [round_folder(folder, number) for number in range(len(later))]
+    if later and any(records_in(place) for place in (folder, *places)):
+        last = planner
+        for place, step in zip(places, later):
+            last = last.after(place, asked, step.work)
+        needed = {k for k in asked if not _is_finished(last, k, folder, extras)}
+        for _ in later:
+            needed = {j for k in needed for j in planner.partners(k).refined(asked)}
+            wanted.insert(0, [k for k in asked if k in needed])
+        return wanted
+    return wanted * (len(later) + 1)
+
+
+def _is_finished(planner: Planner, index: int, folder: Path, extras: bool) -> bool:
+    try:
+        return find_finished(folder, planner.task(index), extras) is not None
+    except InputError:        # told of when it is planned
+        return False
 
 
 def _unfinished(planner: Planner, parts, template: Batch, collect: "_Collect"):
@@ -128,9 +189,9 @@ class _Ended(BaseException):
 class _Collect:
     """Takes the records as they come, tells of them in the order of the views."""
 
-    def __init__(self, asked, views, depths, folder, progress, on_view):
+    def __init__(self, asked, views, depths, folder, progress, on_view, stage: str = "refine"):
         self.asked, self.views, self.depths, self.folder = asked, views, depths, folder
-        self.progress, self.on_view = ViewProgress(progress, len(asked)), on_view
+        self.progress, self.on_view = ViewProgress(progress, len(asked), stage), on_view
         self.records, self._told = {}, 0
         self.progress.at(0)
 

@@ -131,19 +131,19 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
             if record is not None:
                 ended.append(record)
                 continue
-            depth = ahead.pop(task.name, None) or _read_ahead(readers, task, views)
+            depth = ahead.pop(task.name, None) or _read_ahead(readers, task, views, batch.photos)
             if following is not None:
-                ahead[following.name] = _read_ahead(readers, following, views)
+                ahead[following.name] = _read_ahead(readers, following, views, batch.photos)
             ended.append(_attempt(batch, task, views, depth, writer, inside and inside(len(ended))))
             if len(ended) > 1 and isinstance(ended[-2], Future):
                 ended[-2] = ended[-2].result()  # no more than one result waits to be written
         return [record.result() if isinstance(record, Future) else record for record in ended]
 
 
-def _read_ahead(readers: ThreadPoolExecutor, task: ViewTask, views: dict) -> Future:
-    """Have the photos of `task` read, and its depth map, which is what is promised."""
+def _read_ahead(readers: ThreadPoolExecutor, task: ViewTask, views: dict, photos: bool) -> Future:
+    """Have the `photos` of `task` read, and its depth map, which is what is promised."""
     depth = readers.submit(task.depth.load)
-    for k in task.partners.all:
+    for k in task.partners.all if photos else ():
         readers.submit(views[k].load_image)  # who needs the photo is told what was wrong with it
     return depth
 

@@ -5,7 +5,7 @@ the share that lands in front and inside, is not hidden behind that view's own i
 useful for depth. With many cameras the candidates are first cut by cheap geometry.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -205,6 +205,10 @@ class Partners:
     @property
     def all(self) -> tuple[int, ...]:
         return (self.target, *self.contexts, *self.held_out)
+
+    def refined(self, views: Collection[int]) -> list[int]:
+        """The view itself, then its context views, as far as they are among the refined `views`."""
+        return [self.target, *(k for k in self.contexts if k in views)]
 
 
 def for_planning(depth: np.ndarray | DepthSample | None, views: int) -> np.ndarray | DepthSample | None:

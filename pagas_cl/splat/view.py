@@ -6,6 +6,7 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
+from pagas_cl.runtime.memory import download
 from pagas_cl.scene.camera import viewing_distance
 from pagas_cl.splat.budget import plan_for
 from pagas_cl.splat.buffers import Size, level_size
@@ -37,13 +38,16 @@ class Refinement:
 
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
-                  progress=None, held_out=(), measured=None, normalized: NormalizedDepth | None = None) -> Refinement:
+                  progress=None, held_out=(), measured=None, normalized: NormalizedDepth | None = None,
+                  start: np.ndarray | None = None) -> Refinement:
     """Run the pyramid on one view with at least one context view; `depth` (H, W), z in scene units, 0 = no surface.
 
     `photos` are a PhotoStore (a new one by default) or StreamedPhotos; `progress(done, total)` is told of the steps
     that the device has done, of those of all levels; `held_out` views take no part and judge the result; evidence and
     deviations depend on `measured` (Measurements); `normalized` is the depth where it is on the device already, and is
-    used up. DeviceMemoryError comes before the first step, where the device may not hold what is planned.
+    used up. `start` (H, W): where the steps of a full-size level alone start from, in place of `depth`, which the
+    evidence compares with. DeviceMemoryError comes before the first step, where the device may not hold what is
+    planned.
     """
     photos = photos or PhotoStore(device)
     cameras = [view.camera for view in (target, *contexts, *held_out)]
@@ -56,7 +60,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
                specularity=measured.local_specularity if measured else None)
     before, done, losses, total = None, [], [], sum(config.pyramid.steps)
     for number, (scale, steps) in enumerate(zip(config.pyramid.scales, config.pyramid.steps)):
-        level = run.level(scale, before)
+        level = run.level(scale, before, start)
         earlier = sum(config.pyramid.steps[:number])
         done.append(level.run(steps, progress and (lambda done, _, earlier=earlier: progress(earlier + done, total))))
         if level.buffers.history is not None:
@@ -112,7 +116,7 @@ class _Run:
     def write_initial(self, out: cl.Buffer, size: Size):
         self.resampler.shrink_depth(self.normalized.buffer, self.full, out, size)
 
-    def level(self, scale: float, before: tuple[cl.Buffer, Size] | None = None) -> Level:
+    def level(self, scale: float, before: tuple[cl.Buffer, Size] | None = None, start=None) -> Level:
         """The level at `scale`, ready for its first step from the initial depth, or from that of the level `before`, of
         its size."""
         level = Level(self.device, self.config, self.at(scale))
@@ -123,6 +127,9 @@ class _Run:
             at_size = self.device.memory.buffer(self.device.context, 4 * size.pixels)
             self.write_initial(at_size, size)
             self.resampler.enlarge_depth(*before, at_size, out, size)
+        if start is not None:
+            valid = download(self.device, out, start.shape) > 0
+            cl.enqueue_copy(self.device.queue, out, np.where(valid, start / self.scene_scale, 0).astype(np.float32))
         level.start()
         return level
 

@@ -43,7 +43,7 @@ def run(setting: Setting, case: BenchmarkCase, device, photos, repeats: int = 1)
 
 
 def _stages(stages, target, contexts, depth, device, photos):
-    from pagas_cl.refine import settle
+    from pagas_cl.effects import settle
     from pagas_cl.splat import refine_levels
 
     work, most = 0.0, 0

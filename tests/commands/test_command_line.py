@@ -124,7 +124,7 @@ def test_an_interrupted_run_keeps_what_is_done(scene, tmp_path, monkeypatch, fai
     monkeypatch.setattr(refining, "refine_depth", once)
     out, page = tmp_path / "out", tmp_path / "page"
     assert "interrupted" in fails(130, *refine(scene, "--depth-dir", scene / "depth_initial", "--save-depth", out,
-                                               "--report", page))
+                                               "--report", page, "--effect", "agreement=off"))
     assert len(list(out.glob("*.npz"))) == 1 and (page / "index.html").is_file()
 
 

@@ -49,7 +49,7 @@ def finished(whole_run, tmp_path):
 
 def command(scene, out, *more):
     return ["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth", str(out), "--quiet",
-            "--set", "pyramid.steps=3", "--context", "3", *map(str, more)]
+            "--set", "pyramid.steps=3", "--effect", "agreement=off", "--context", "3", *map(str, more)]
 
 
 def refine(scene, folder, **more):
@@ -115,7 +115,7 @@ def test_interrupted_by_ctrl_c(scene, wanted, tmp_path):
     """In a process group of its own, as in a terminal; with a pool, so that its processes get the signal too."""
     out = tmp_path / "out"
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
-    more = ["--set", "pyramid.steps=3", "--context", "3", "--devices", "all"]
+    more = ["--set", "pyramid.steps=3", "--effect", "agreement=off", "--context", "3", "--devices", "all"]
     process = subprocess.Popen([*arguments(scene, out, ("--views", *SLOW)), *more], stderr=subprocess.PIPE, text=True,
                                start_new_session=True, env=environment)
     deadline = time.monotonic() + 60

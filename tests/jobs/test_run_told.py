@@ -27,8 +27,10 @@ def refine(scene, out, *more):
                              str(out), "--quiet", "--set", "pyramid.steps=3", *map(str, more)])
 
 
-@pytest.mark.parametrize("at", [0, 2])
-def test_ctrl_c_says_what_is_kept_and_the_next_run_begins_with_it(scene, tmp_path, monkeypatch, capsys, at):
+@pytest.mark.parametrize("at, agreement, how", [(0, "off", ""), (2, "off", "finished"), (2, "on", "begun")])
+def test_ctrl_c_says_what_is_kept_and_the_next_run_begins_with_it(scene, tmp_path, monkeypatch, capsys, at, agreement,
+                                                                  how):
+    """Views are begun until the last round of agreement."""
     import pagas_cl.refine as refining
 
     whole, done = refining.refine_depth, []
@@ -40,18 +42,19 @@ def test_ctrl_c_says_what_is_kept_and_the_next_run_begins_with_it(scene, tmp_pat
         return whole(*arguments, **keywords)
 
     monkeypatch.setattr(refining, "refine_depth", until)
-    assert refine(scene, tmp_path / "out") == 130
+    rounds = "--effect", f"agreement={agreement}"
+    assert refine(scene, tmp_path / "out", *rounds) == 130
     last = capsys.readouterr().err.splitlines()[-1]
     if at == 0:
         assert last == "pagas-cl: interrupted; nothing is kept, no view was finished"
         return
-    assert last.startswith("pagas-cl: interrupted; 2 of 6 views are finished and kept in ")
+    assert last.startswith(f"pagas-cl: interrupted; 2 of 6 views are {how} and kept in ")
     assert "the same command goes on" in last
     monkeypatch.undo()
-    assert refine(scene, tmp_path / "out") == 0
+    assert refine(scene, tmp_path / "out", *rounds) == 0
     told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("INFO")]
     of_runs = [k for k, line in enumerate(told) if "earlier run" in line]
-    assert "an earlier run has left 2 finished views" in told[of_runs[0]]
+    assert f"an earlier run has left 2 {how} views" in told[of_runs[0]]
     assert "2 of 6 views were finished by an earlier run and are kept" in told[of_runs[1]]
     assert all(k < of_runs[0] or "of device memory" not in told[k] for k in range(of_runs[1])), "before the work"
 

@@ -144,7 +144,7 @@ def test_the_command_ends_with_status_1(scene, tmp_path, failing, device, capsys
 
     folder = write_small_scene(tmp_path / "scene", 5)
     words = ["refine", str(folder), "--depth-dir", str(folder / "depth_initial"), "--save-depth", str(tmp_path / "out"),
-             "--quiet", "--set", "pyramid.steps=3", "effects.cameras=off", "--context", "3"]
+             "--quiet", "--set", "pyramid.steps=3", "--effect", "agreement=off", "cameras=off", "--context", "3"]
     failing(int(0.5 * scene.launches), opens=False)
     assert command_line.run(words) == 1
     told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("pagas-cl:")]

@@ -19,8 +19,10 @@ from pagas_cl.scene.readers import read_scene
 from pagas_cl.synthetic.scene import write_scene
 
 TESTS = Path(__file__).resolve().parents[1]
-# cameras off: whether a scene calls for them is measured before any job
-QUICK = preset("balanced").with_settings(pyramid__steps=(3,), context__number=3, effects__cameras="off")
+# cameras off: whether a scene calls for them is measured before any job; agreement off: one round, whose files are
+# final as they come (more of them: tests/surface/test_agreement.py, and what kill_trials.py kills)
+QUICK = preset("balanced").with_settings(pyramid__steps=(3,), context__number=3, effects__cameras="off",
+                                         effects__agreement="off")
 
 
 def write_small_scene(folder, views=8) -> Path:

@@ -1,0 +1,103 @@
+// Refined depth maps of other views as evidence for one another (method section 8.1). Lengths in units; `scale` is
+// units per scene unit, in which the maps come.
+//   count_differences   how far one other view's surface is from the target's, counted in bins
+//   add_view            what that view says of each depth, weighted by deviations
+//   average             depth, deviation and status that follow
+#define CAMERA_SPACE __global const      // all views of a scene at once, more than constant memory may hold
+#include "camera.clh"
+
+#define EDGE 3.0f                        // pixels of parallax: corners of a cell that differ by more are two surfaces
+#define MOST_UNSURE 0.5f                 // pixels of parallax: more than that a deviation does not count
+#define LENIENCE 2.0f                    // of `spread`: weights know no smaller deviation
+#define IN_COMMON 0.3f                   // share of their variance that views have in common and no average takes out
+
+// How much the target's depth would have to change for its point to lie on the other view's surface: the plane through
+// the cell of four pixels that the point lands in, whose inverse depth w is linear in the image, so that z w = 1 is
+// solved by one step. False where that view says nothing: it does not see the point, one of the four has no refined
+// depth, or there is a depth edge between them.
+bool difference(const Camera target, const Camera other, int column, int row, float d, float u,
+                __global const float *map, __global const float *deviations, float scale, float *change, float *unsure)
+{
+    const float3 q = turned_ray(target, other, column, row), m = project_ray(other, q, d);
+    const float x = m.x - 0.5f, y = m.y - 0.5f;
+    if (!(m.z > NEAR && x >= 0.0f && y >= 0.0f && x < other.width - 1 && y < other.height - 1))
+        return false;
+    const int left = (int)x, top = (int)y, i = top * other.width + left, j = i + other.width;
+    const float near = fmin(fmin(map[i], map[i + 1]), fmin(map[j], map[j + 1])) * scale;
+    const float far = fmax(fmax(map[i], map[i + 1]), fmax(map[j], map[j + 1])) * scale;
+    if (!(near > 0.0f && far - near < EDGE * u))
+        return false;
+    const float a = x - left, b = y - top;
+    const float w00 = 1.0f / (map[i] * scale), w10 = 1.0f / (map[i + 1] * scale);
+    const float w01 = 1.0f / (map[j] * scale), w11 = 1.0f / (map[j + 1] * scale);
+    const float2 slope = (float2)((1 - b) * (w10 - w00) + b * (w11 - w01), (1 - a) * (w01 - w00) + a * (w11 - w10));
+    const float w = (1 - b) * ((1 - a) * w00 + a * w10) + b * ((1 - a) * w01 + a * w11);
+    const float d_zw = q.z * w + dot(slope, dmean_ddepth(other, q)) / m.z;      // d (z w) / d depth
+    *change = (1.0f - m.z * w) / d_zw;
+    *unsure = fmax(fmax(deviations[i], deviations[i + 1]), fmax(deviations[j], deviations[j + 1])) * scale;
+    return d_zw > 0.0f;
+}
+
+// Pixels of parallax; beyond BINS / PER_PIXEL views mean different surfaces. depth: 0 where it is not refined.
+__kernel void count_differences(__global const float *depth, __global const float *depth_per_parallax,   // scene units
+                                CAMERA_SPACE float *cameras, int view, float scale, __global const float *map,
+                                __global const float *deviations, int bins, float per_pixel, __global uint *counts)
+{
+    const Camera target = load_camera(cameras, 0), other = load_camera(cameras, view);
+    EACH_PIXEL(column, row, i, target.width, target.height)
+    const float d = depth[i] * scale, u = depth_per_parallax[i] * scale;
+    float change, unsure;
+    if (!(d > 0.0f && u > 0.0f) || !difference(target, other, column, row, d, u, map, deviations, scale, &change, &unsure))
+        return;
+    const float bin = fabs(change) / u * per_pixel;
+    if (bin < bins)
+        atomic_inc(counts + (int)bin);
+}
+
+// Variance that a depth counts with: its own deviation as far as it can be believed, and what maps differ by.
+float variance_of(float deviation, float u, float floor)
+{
+    const float s = fmin(deviation, MOST_UNSURE * u), least = floor * u;
+    return s * s + least * least;
+}
+
+__kernel void add_view(__global const float *depth, __global const float *depth_per_parallax,      // scene units
+                       CAMERA_SPACE float *cameras, int view, float scale, __global const float *map,
+                       __global const float *deviations, float spread, float pixels,
+                       __global float *sums)                       // [H, W, 4] w change, w, w^2 and w times variances
+{
+    const Camera target = load_camera(cameras, 0), other = load_camera(cameras, view);
+    EACH_PIXEL(column, row, i, target.width, target.height)
+    const float d = depth[i] * scale, u = depth_per_parallax[i] * scale;
+    float change, unsure;
+    if (!(d > 0.0f && u > 0.0f) || !difference(target, other, column, row, d, u, map, deviations, scale, &change, &unsure))
+        return;
+    const float off = fabs(change) / (pixels * u);
+    if (!(off < 1.0f))
+        return;
+    const float t = off * off, rest = 1.0f - t * t * t * t;
+    const float w = rest * rest / variance_of(unsure, u, LENIENCE * spread);
+    const float v = variance_of(unsure, u, spread);
+    vstore4(vload4(i, sums) + (float4)(w * change, w, w * w * v, w * v), i, sums);
+}
+
+// status: of the depth as it is; one that was rejected has no weight of its own, and where the others are to `propose`
+// another one that is refined from then on.
+__kernel void average(int count, float scale, float spread, int propose, __global const float *sums, __global const float *depth,
+                      __global const float *depth_per_parallax, __global float *deviation, __global uchar *status,
+                      __global float *averaged)                    // [H, W] scene units
+{
+    EACH(i, count)
+    const float4 sum = vload4(i, sums);
+    averaged[i] = depth[i];
+    if (!(sum.s1 > 0.0f) || (status[i] != REFINED && !propose))
+        return;
+    const float u = depth_per_parallax[i] * scale, s = deviation[i] * scale;
+    const bool own = status[i] == REFINED && s < INFINITY;
+    const float w = own ? 1.0f / variance_of(s, u, LENIENCE * spread) : 0.0f, v = variance_of(s, u, spread);
+    const float weight = sum.s1 + w;
+    const float alone = (sum.s2 + w * w * v) / (weight * weight), mean = (sum.s3 + w * v) / weight;
+    averaged[i] = depth[i] + sum.s0 / weight / scale;
+    deviation[i] = sqrt(IN_COMMON * mean + (1.0f - IN_COMMON) * alone) / scale;
+    status[i] = REFINED;
+}

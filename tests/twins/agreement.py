@@ -1,0 +1,59 @@
+"""Twin of agreement.cl: refined depth maps of other views as evidence for one another (method section 8.1)."""
+
+import numpy as np
+
+EDGE, MOST_UNSURE, LENIENCE, IN_COMMON = 3.0, 0.5, 2.0, 0.3
+REFINED = 1
+
+
+def difference(target, d, u, other, surface, deviations):
+    """By how much each depth d (H, W) of the camera `target` would have to change to lie on the surface of the camera
+    `other`, its depth map (H', W') with 0 where it is not refined; and that view's deviation there. NaN where it says
+    nothing. `u`: one pixel of parallax, (H, W)."""
+    rotation, tau = other.relative_to(target)
+    q = target.rays() @ rotation.T
+    point = d[..., None] * q + tau
+    z = np.where(point[..., 2] > 1e-3 * np.median(d[d > 0]), point[..., 2], np.nan)
+    focal = np.array([other.fx, other.fy])
+    at = point[..., :2] / z[..., None] * focal + (other.cx, other.cy) - 0.5
+    inside = ((at >= 0) & (at < (other.width - 1, other.height - 1))).all(axis=-1) & (d > 0) & (u > 0)
+    left, top = np.moveaxis(np.where(inside[..., None], at, 0).astype(int), -1, 0)
+    corners = [(top + j, left + i) for j in (0, 1) for i in (0, 1)]
+    depths = np.array([surface[corner] for corner in corners], float)
+    known = inside & (depths > 0).all(axis=0) & (np.ptp(depths, axis=0) < EDGE * u)
+    w00, w10, w01, w11 = 1 / np.where(depths > 0, depths, np.nan)
+    a, b = at[..., 0] - left, at[..., 1] - top
+    slope = np.stack([(1 - b) * (w10 - w00) + b * (w11 - w01), (1 - a) * (w01 - w00) + a * (w11 - w10)], axis=-1)
+    w = (1 - b) * ((1 - a) * w00 + a * w10) + b * ((1 - a) * w01 + a * w11)
+    moved = focal * (q[..., :2] * tau[2] - q[..., 2:] * tau[:2])       # d mean / d depth, times z^2
+    d_zw = q[..., 2] * w + (slope * moved).sum(axis=-1) / z
+    known &= d_zw > 0
+    unsure = np.array([deviations[corner] for corner in corners]).max(axis=0)
+    return np.where(known, (1 - z * w) / d_zw, np.nan), np.where(known, unsure, np.nan)
+
+
+def variance(deviation, u, floor):
+    """That a depth counts with."""
+    return np.minimum(deviation, MOST_UNSURE * u) ** 2 + (floor * u) ** 2
+
+
+def average(depth, deviation, u, status, differences, spread, pixels):
+    """Depth, deviation and status of a view (H, W) with `differences`, one (change, deviation) a view."""
+    total, weight, alone, mean = (np.zeros(depth.shape) for _ in range(4))
+    for change, unsure in differences:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            off = np.abs(change) / (pixels * u)
+            w = np.where(off < 1, (1 - off**8) ** 2 / variance(unsure, u, LENIENCE * spread), 0)
+            v = np.where(w > 0, variance(unsure, u, spread), 0)
+        total += w * np.where(w > 0, change, 0)
+        weight, alone, mean = weight + w, alone + w**2 * v, mean + w * v
+    others = weight > 0
+    own = (status == REFINED) & np.isfinite(deviation) & others
+    with np.errstate(invalid="ignore", divide="ignore"):
+        w = np.where(own, 1 / variance(deviation, u, LENIENCE * spread), 0)
+        v = np.where(own, variance(deviation, u, spread), 0)
+        weight += w
+        alone, mean = (alone + w**2 * v) / weight**2, (mean + w * v) / weight
+        return (np.where(others, depth + total / weight, depth),
+                np.where(others, np.sqrt(IN_COMMON * mean + (1 - IN_COMMON) * alone), deviation),
+                np.where(others, REFINED, status))
