@@ -42,6 +42,8 @@ LEAST_GAIN = 0.03         # of the held-back pairs' cost: less may be chance
 WRONG = 2.0               # a view whose pairs agree so many times worse than the others' has a wrong camera
 UNLIKE = 0.1              # and so badly: photos of different things have a cost of 0.18
 _FINEST = 640_000         # pixels of a photo at the finest size: more say the same of a camera
+_WIDE = 0.25              # of the finest size: views far apart are off by too many pixels for fine detail to tell
+_WIDE_LOSS = 0.01         # of their cost: less may be chance
 _MEASURED = 4             # views that are measured
 
 
@@ -111,7 +113,7 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     Returns
     -------
     CameraRefinement
-        Accepted only where pairs of photos that took no part agree better.
+        Accepted only where pairs of photos that took no part agree better (neighbours) and no worse (views far apart).
 
     Raises
     ------
@@ -187,21 +189,28 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
 
 
 def _judged(views, given, pairs, rounds, state, wrong, samples, unknowns, report) -> CameraRefinement:
-    """Whether pairs that took no part agree better."""
-    held, stage = rounds.pairs.held, Stage(1.0, 0.7, 0)
+    """Whether pairs that took no part agree better: neighbours, and those far apart."""
     neutral = np.tile([1.0, 0.0], (len(views), 1))
-    before, after = (rounds.judged(cameras, maps, held, stage) for cameras, maps in
-                     ((given, neutral), (state.cameras, state.maps)))
-    both = np.isfinite(before[:, 0]) & np.isfinite(after[:, 0])
-    told = [(views[one].name, views[two].name, float(a), float(b))
-            for (one, two), a, b, known in zip(held, before[:, 0], after[:, 0], both) if known]
+
+    def costs_of(pairs, share):
+        """Names, costs (n, 2) and pixels seen (n, 2), before and after, of pairs that see the same surface in both."""
+        both = np.stack([rounds.judged(cameras, maps, pairs, Stage(share, 0.7, 0)) for cameras, maps in
+                         ((given, neutral), (state.cameras, state.maps))], -1)
+        known = np.isfinite(both[:, 0]).all(axis=-1)
+        names = [(views[one].name, views[two].name) for (one, two), k in zip(pairs, known) if k]
+        return names, both[known, 0], both[known, 1].sum(axis=0)
+
+    names, costs, seen = costs_of(rounds.pairs.held, 1.0)
+    told = [(*pair, float(a), float(b)) for pair, (a, b) in zip(names, costs)]
+    wide_names, wide, wide_seen = costs_of(rounds.pairs.wide, _WIDE)
     moved = np.array([pixel_motion(old, new, points) if len(points) else np.nan
                       for old, new, (points, _) in zip(given, state.cameras, samples)])
-    costs = np.array([pair[2:] for pair in told]).reshape(-1, 2)
-    reason = _reason(costs, before[both, 1].sum(), after[both, 1].sum())
+    reason = _reason(costs, *seen) or _bent(wide, *wide_seen)
     maps = state.map_numbers > 0
     report |= {"cost_before": float(costs[:, 0].mean()) if len(costs) else None,
-               "cost_after": float(costs[:, 1].mean()) if len(costs) else None, "spread": state.spread}
+               "cost_after": float(costs[:, 1].mean()) if len(costs) else None, "spread": state.spread,
+               "wide_pairs": [{"views": pair, "before": a, "after": b}
+                              for pair, (a, b) in zip(wide_names, wide.tolist())]}
     left_out = tuple(views[k].name for k in sorted(wrong))
     for name in left_out:
         log.warning("the camera of view %s is wrong: its photo does not fit the surface that the others see", name)
@@ -221,6 +230,18 @@ def _reason(costs: np.ndarray, seen_before: float, seen_after: float) -> str:
     if seen_after < 0.8 * seen_before:
         return f"pairs that took no part see less of the same surface {told}"
     return ""
+
+
+def _bent(costs: np.ndarray, seen_before: float, seen_after: float) -> str:
+    """Why cameras of which neighbours agree better are refused all the same: views far apart agree worse."""
+    if not len(costs):
+        return ""
+    before, after = costs.mean(axis=0)
+    better = int((costs[:, 1] < costs[:, 0]).sum())
+    if after <= (1 + _WIDE_LOSS) * before and seen_after >= 0.8 * seen_before:
+        return ""
+    return (f"neighbouring photos agree better, those of views far apart do not: a chain of views bends (mean cost "
+            f"{before:.4f} before, {after:.4f} after; {better} of {len(costs)} wide pairs better)")
 
 
 def _wrong(rounds: Rounds, state: State, stage: Stage) -> set[int]:

@@ -230,6 +230,25 @@ def test_pairs_that_judge_take_no_part(relief):
     assert all(0 not in pair for pair in less.held)
 
 
+def test_wide_pairs_judge_too(relief, device):
+    """Of views with few context views the farthest that see the same; a made scene gains there, a bent one does not."""
+    from pagas_cl.cameras.refine import _bent
+
+    context = Context(number=3)
+    pairs = choose_pairs(relief.cameras, relief.depths, context)
+    assert pairs.wide and pairs == choose_pairs(relief.cameras, relief.depths, context)
+    for one, two in pairs.wide:
+        assert two not in pairs.used[one] and one not in pairs.used[two] and (one, two) not in pairs.held
+    assert all(0 not in pair for pair in pairs.without({0}).wide)
+    config = pagas_cl.preset("balanced").with_settings(context__number=3)
+    found = refine_cameras(relief.through(noisy(relief.cameras, 1.0, 0)), relief.depths, config=config, device=device)
+    assert found.accepted and len(found.report["wide_pairs"]) >= 3
+    assert all(pair["after"] < pair["before"] for pair in found.report["wide_pairs"])
+    assert _bent(np.zeros((0, 2)), 0, 0) == "" == _bent(np.array([[0.2, 0.1], [0.1, 0.09]]), 100, 90)
+    assert "1 of 2 wide pairs better" in _bent(np.array([[0.1, 0.09], [0.1, 0.15]]), 100, 100)
+    assert "bends" in _bent(np.array([[0.2, 0.1]]), 100, 50)
+
+
 def test_twists_come_back(relief):
     rng = np.random.default_rng(3)
     for size in (1e-9, 1e-3, 0.5, 3.0):
