@@ -54,7 +54,7 @@ def decide_cameras(views: Sequence[View], depths_or_mesh, config: Config,
     from pagas_cl.splat import PhotoStore
 
     device, choice = open_device(device), config.effects.cameras
-    depths = _depth_maps(views, depths_or_mesh)
+    depths = _depth_maps(views, depths_or_mesh, device)
     off = photos_off(views, depths, config, device, PhotoStore(device))
     on = choice == "on" or (choice == "auto" and off[0] > OFF)
     return Decision("cameras", off[0], OFF, on, WORDS if choice == "auto" else f"asked for: {choice}"), off
@@ -66,14 +66,14 @@ def with_cameras(views: Sequence[View], found: CameraRefinement) -> list[View]:
             for view, camera in zip(views, found.cameras)]
 
 
-def _depth_maps(views: Sequence[View], given) -> list[np.ndarray | None]:
+def _depth_maps(views: Sequence[View], given, device) -> list[np.ndarray | None]:
     from pagas_cl.cameras.frames import is_mesh
 
     if not is_mesh(given):
         return [None if depth is None else depth_array(depth) for depth in given]
     from pagas_cl.surface.raster import each_depth
 
-    return list(each_depth(to_surface(given), [view.camera for view in views]))
+    return list(each_depth(to_surface(given), [view.camera for view in views], device))
 
 
 def _device(given: Any, choice: str):

@@ -22,9 +22,9 @@ from pagas_cl.splat.resample import Resampler
 Depths = Callable[[Sequence[Camera]], "list[np.ndarray]"]
 
 
-def depths_of(given) -> tuple[Depths, bool]:
-    """How to get depth maps for cameras, and whether they change with the cameras: those of a mesh do, others stay with
-    their views."""
+def depths_of(given, device=None) -> tuple[Depths, bool]:
+    """How to get depth maps for cameras, and whether they change with the cameras: those of a mesh, drawn on `device`,
+    do, others stay with their views."""
     if not is_mesh(given):
         def stay(cameras: Sequence[Camera]) -> list[np.ndarray]:
             return [np.zeros((camera.height, camera.width), np.float32) if depth is None else depth_array(depth)
@@ -35,7 +35,7 @@ def depths_of(given) -> tuple[Depths, bool]:
     def render(cameras: Sequence[Camera]) -> list[np.ndarray]:
         from pagas_cl.surface.raster import each_depth
 
-        return list(each_depth(surface, cameras))
+        return list(each_depth(surface, cameras, device))
     return render, True
 
 

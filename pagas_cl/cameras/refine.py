@@ -148,7 +148,7 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
             photos) -> CameraRefinement:
     from pagas_cl.splat import PhotoStore
 
-    start, (depths, moves) = time.perf_counter(), depths_of(depths_or_mesh)
+    start, (depths, moves) = time.perf_counter(), depths_of(depths_or_mesh, device)
     _check(views, depths_or_mesh, unknowns, moves, gauge)
     given, photos = [view.camera for view in views], photos or PhotoStore(device)
     surfaces = depths(given)

@@ -316,3 +316,17 @@ def test_wrong_settings():
         pagas_cl.refine_mesh((VERTICES, FACES), [], [], flat=-1)
     with pytest.raises(InputError, match="pixel footprints"):
         pagas_cl.refine_mesh((VERTICES, FACES), [], [], output="displace", subdivide=0)
+
+
+def test_mesh_to_mesh_needs_no_open3d(device, monkeypatch):
+    import sys
+
+    from pagas_cl import preset, refine_mesh
+
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    scene = relief_scene(64, 48, contexts=4, held_out=0)
+    photos = [view.load_image() for view in scene.views]
+    for cameras in ("auto", "on"):
+        config = preset("fast").with_settings(pyramid__steps=(5,), effects__cameras=cameras)
+        vertices, faces = refine_mesh(scene.initial_mesh(), scene.cameras, photos, config=config, device=device)[:2]
+        assert len(vertices) and len(faces) and np.isfinite(vertices).all()
