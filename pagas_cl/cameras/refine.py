@@ -39,6 +39,7 @@ OFF = 0.13                # pixels that photos are off by across the direction o
 FAR = 0.8                 # the same from which coarse photos come first;
 FAR_OFF = 0.15            # so they do where this share of samples matches elsewhere
 LEAST_GAIN = 0.03         # of the held-back pairs' cost: less may be chance
+LEAST_FALL = 1e-4         # of that cost itself: photos that show nothing cost next to nothing
 WRONG = 2.0               # a view whose pairs agree so many times worse than the others' has a wrong camera
 UNLIKE = 0.1              # and so badly: photos of different things have a cost of 0.18
 _FINEST = 640_000         # pixels of a photo at the finest size: more say the same of a camera
@@ -225,7 +226,7 @@ def _reason(costs: np.ndarray, seen_before: float, seen_after: float) -> str:
     before, after = costs.mean(axis=0)
     better = int((costs[:, 1] < costs[:, 0]).sum())
     told = f"(mean cost {before:.4f} before, {after:.4f} after; {better} of {len(costs)} pairs better)"
-    if before - after < LEAST_GAIN * before or 2 * better < len(costs):
+    if before - after < max(LEAST_GAIN * before, LEAST_FALL) or 2 * better < len(costs):
         return f"the pairs of photos that took no part do not agree clearly better {told}"
     if seen_after < 0.8 * seen_before:
         return f"pairs that took no part see less of the same surface {told}"

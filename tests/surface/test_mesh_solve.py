@@ -328,5 +328,6 @@ def test_mesh_to_mesh_needs_no_open3d(device, monkeypatch):
     photos = [view.load_image() for view in scene.views]
     for cameras in ("auto", "on"):
         config = preset("fast").with_settings(pyramid__steps=(5,), effects__cameras=cameras)
-        vertices, faces = refine_mesh(scene.initial_mesh(), scene.cameras, photos, config=config, device=device)[:2]
+        vertices, faces = refine_mesh(scene.initial_mesh(), scene.cameras, photos, config=config, device=device,
+                                      output="mesh")[:2]
         assert len(vertices) and len(faces) and np.isfinite(vertices).all()
