@@ -69,7 +69,7 @@ def test_a_run_takes_about_what_was_expected(made):
     device = open_device(None)
     depths = [made.initial_depth(view.camera) for view in made.views]
     expected = costs.Costs(made.views, depths, device, names=[made.views[0].name])
-    config = preset("balanced").with_settings(pyramid__steps=(60,))
+    config = preset("balanced").with_settings(pyramid__steps=(60,), effects__cameras="off")
     seconds = expected.seconds(config)
     start = time.perf_counter()
     refine_views(made.views, depths, names=[made.views[0].name], config=config, device=device)

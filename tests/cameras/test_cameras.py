@@ -17,7 +17,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene.view import View
 from pagas_cl.synthetic import relief_scene
 
-pytestmark = [pytest.mark.kernels, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
 
 class Case:

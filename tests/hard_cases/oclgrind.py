@@ -70,6 +70,7 @@ def inside() -> None:
     scene = make.base(size=(18, 16))
     adjust_cameras(scene, device)
     solve_a_mesh(scene, device)
+    agree(scene, device)
     counts(scene.target.camera, scene.depth, [view.camera for view in scene.contexts], [scene.depth, scene.depth],
            device=device)
     sys.stdout.write(f"kernels: {' '.join(sorted(launched))}\n")
@@ -95,6 +96,21 @@ def adjust_cameras(scene, device) -> None:
     adjuster.costs(frames[0], frames[1:], 0.1)
     adjuster.carry(frames[1], upload(device, scene.depth), frames[0])
     adjuster.rescale(frames[0], 1.01, 0.0)
+
+
+def agree(scene, device) -> None:
+    """Every kernel of the rounds of agreement."""
+    import numpy as np
+
+    from pagas_cl.scene.depthmap import REFINED
+    from pagas_cl.surface.agreement import Agreement, DepthEvidence
+
+    parallax = np.full(scene.depth.shape, 0.05, np.float32)
+    said = [DepthEvidence(view.camera, scene.depth, 0.1 * parallax, np.full(scene.depth.shape, REFINED, np.uint8),
+                          parallax) for view in (scene.target, *scene.contexts)]
+    compared = Agreement(said[0], said[1:], device)
+    compared.spread()
+    compared.average(0.1, 2.0)
 
 
 def solve_a_mesh(scene, device) -> None:

@@ -47,6 +47,12 @@ FUSION = {
     "fusion.min_component = 0": dict(min_component=0.0),
     "fusion.min_component = 1": dict(min_component=1.0),
 }
+AGREEMENT = {
+    "agreement.rounds = 20": dict(rounds=20, steps=0.0),
+    "agreement.steps = 10": dict(rounds=2, steps=10.0),
+    "agreement.pixels = 0.001": dict(rounds=1, pixels=1e-3),
+    "agreement.pixels = 100": dict(rounds=1, pixels=100.0),
+}
 REFUSED = {"fusion.voxel = 1000", "fusion.truncation = 100", "fusion.min_views = 1000", "fusion.agree_views = 1000",
            "fusion.agree_views = 1, agree_pixels = 0"}
 
@@ -106,13 +112,22 @@ def test_fusion_at_its_limit(device, made, name):
     assert surface.faces.min() >= 0 and surface.faces.max() < len(surface.vertices)
 
 
+@pytest.mark.parametrize("name", AGREEMENT)
+def test_agreement_at_its_limit(device, made, name):
+    views, depths = made
+    config = with_values("agreement", AGREEMENT[name]).with_settings(effects__agreement="set", effects__cameras="off")
+    first, again = (refine_views(views[:3], depths[:3], config=config, device=device.info.name) for _ in range(2))
+    for one, other in zip(first, again):
+        assert np.isfinite(one.depth).all() and one.depth.tobytes() == other.depth.tobytes()
+
+
 def test_every_setting_is_at_a_limit_somewhere():
     """A setting that is added gets a case: here, in selftest/table.py, or among those that the other cases vary."""
     from pagas_cl.config import setting_names
     from pagas_cl.selftest.table import CAMERAS, SETTINGS
 
     elsewhere = {"splatting.blend"} | {name for name in setting_names() if name.startswith("effects.")}   # every case
-    stages = {"context": CONTEXT, "fusion": FUSION}
+    stages = {"context": CONTEXT, "fusion": FUSION, "agreement": AGREEMENT}
     there = {f"{stage}.{key}" for stage, cases in stages.items() for values in cases.values() for key in values}
     there |= {key.replace("__", ".") for case in (*CAMERAS, *SETTINGS) for key in case.settings}
     assert set(setting_names()) - elsewhere <= there
@@ -120,5 +135,5 @@ def test_every_setting_is_at_a_limit_somewhere():
 
 def test_readme_lists_them():
     page = (Path(__file__).parent / "README.md").read_text()
-    missing = [name for name in (*CONTEXT, *FUSION) if f"| {name} |" not in page]
+    missing = [name for name in (*CONTEXT, *FUSION, *AGREEMENT) if f"| {name} |" not in page]
     assert not missing, missing
