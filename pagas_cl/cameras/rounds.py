@@ -18,6 +18,7 @@ NEAR_ENOUGH, LOOSE, ANY = 0.01, 0.03, 0.5      # share of the depth by which vie
 STEP, FARTHEST_STEP = 1.0, 3.0       # most that a round moves: a depth, pixels of parallax; a camera, pixels
 STILL = 0.01              # pixels of a size: a round that moves cameras by less is the last one there
 INFLATION = 40.0          # residuals that say the same, within a window
+LEAST_VARIANCE = 1e-6     # of a residual: photos of 8 bits leave more, what rounding alone leaves says nothing
 SETTLE = 3                # steps of the depths alone before pairs are judged
 
 
@@ -101,7 +102,8 @@ class Rounds:
         system, right = assemble(terms, cameras, self.scene_scale, unknowns)
         there = self._moved(frames, state, unknowns)
         share = frames[0].camera.width / state.cameras[0].width
-        y, spread = solve(system, right, there, INFLATION * squares / used, max(state.spread * share, 1e-3))
+        variance = INFLATION * max(squares / used, LEAST_VARIANCE)
+        y, spread = solve(system, right, there, variance, max(state.spread * share, 1e-3))
         state.spread, state.used, state.residual = spread / share, used, squares / used
         steps = y - there
         poses = steps[:6 * len(frames)].reshape(-1, 6)
