@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import glob
-import logging
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,15 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.errors import DeviceMemoryError, InputError
+from pagas_cl.errors import DeviceMemoryError, InputError, log
 from pagas_cl.result import joined
 from pagas_cl.scene.files import differing, replaced_with_others
 from pagas_cl.scene.mesh import Surface, to_surface
 from pagas_cl.scene.mesh_attributes import load_whole, with_vertices
 from pagas_cl.scene.mesh_losses import losses
 from pagas_cl.scene.view import View
-
-log = logging.getLogger("pagas_cl")
 
 DETAIL, FLAT = 1.5, 0.05     # footprints: edges that hold what photos show; how flat is flat
 _POLISH = 1                  # rounds of the solve on a fused mesh, which lies on the depth maps

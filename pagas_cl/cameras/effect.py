@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,13 +11,11 @@ import numpy as np
 from pagas_cl.cameras.refine import OFF, CameraRefinement, photos_off, refine_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision
-from pagas_cl.errors import DeviceError
+from pagas_cl.errors import DeviceError, log
 from pagas_cl.progress import Progress
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.mesh import Mesh, to_surface
 from pagas_cl.scene.view import View
-
-log = logging.getLogger("pagas_cl")
 
 FEWEST = 4                # views: three to tell how far a camera is off, and one more to judge
 MOST = 300                # views for which it is decided unasked: all depth maps are in memory at once

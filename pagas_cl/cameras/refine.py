@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
@@ -17,8 +16,8 @@ from pagas_cl.cameras.pairs import choose_pairs
 from pagas_cl.cameras.rounds import COARSE, FINE, MAPS, Rounds, Stage, State
 from pagas_cl.cameras.scales import first_scales
 from pagas_cl.config import Config
-from pagas_cl.errors import InputError
-from pagas_cl.measurements import measure
+from pagas_cl.errors import InputError, log
+from pagas_cl.measurements import FAR_OFF, measure
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress
 from pagas_cl.scene.camera import Camera
@@ -32,12 +31,9 @@ if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
     from pagas_cl.splat import PhotoStore
 
-log = logging.getLogger("pagas_cl")
-
 UNKNOWNS = ("pose", "focal", "principal_point", "depth_scale", "depth_shift")
 OFF = 0.13                # pixels that photos are off by across the direction of depth, from which cameras are refined
-FAR = 0.8                 # the same from which coarse photos come first;
-FAR_OFF = 0.15            # so they do where this share of samples matches elsewhere
+FAR = 0.8                 # the same from which coarse photos come first
 LEAST_GAIN = 0.03         # of the held-back pairs' cost: less may be chance
 LEAST_FALL = 1e-4         # of that cost itself: photos that show nothing cost next to nothing
 WRONG = 2.0               # a view whose pairs agree so many times worse than the others' has a wrong camera
@@ -262,8 +258,7 @@ def _samples(camera: Camera, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         return np.zeros((0, 3)), np.zeros(0)
     rows, columns = sample_pixels(depth, 2000)
     z = depth[rows, columns].astype(np.float64)
-    ray = np.stack([(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy, np.ones(len(z))], -1)
-    return (ray * z[:, None]) @ camera.world_to_camera[:3, :3] + camera.center, z
+    return (camera.rays_at(rows, columns) * z[:, None]) @ camera.world_to_camera[:3, :3] + camera.center, z
 
 
 def _lenses(cameras: Sequence[Camera], unknowns, given) -> tuple[int, ...]:

@@ -22,9 +22,7 @@ def first_scales(cameras: Sequence[Camera], depths: Sequence[np.ndarray], used: 
     logs, samples = np.zeros(len(cameras)), []
     for camera, depth in zip(cameras, depths):
         rows, columns = sample_pixels(depth, _POINTS) if (depth > 0).any() else (np.zeros(0, int),) * 2
-        ray = np.stack([(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy,
-                        np.ones(len(rows))], -1)
-        samples.append(ray * depth[rows, columns, None])
+        samples.append(camera.rays_at(rows, columns) * depth[rows, columns, None])
     for _ in range(_ROUNDS):
         equations, sides, weights = [], [], []
         for one, others in enumerate(used):

@@ -9,9 +9,7 @@ from collections import Counter
 from contextlib import contextmanager
 from functools import cache
 
-from pagas_cl.errors import NothingRefinedError, NothingRefinedWarning
-
-log = logging.getLogger("pagas_cl")
+from pagas_cl.errors import NothingRefinedError, NothingRefinedWarning, log
 
 _LINE_EVERY = 10.0  # seconds between lines where standard error is a file
 

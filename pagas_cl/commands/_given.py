@@ -3,7 +3,6 @@ three lines."""
 
 from __future__ import annotations
 
-import logging
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,9 +11,7 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.commands._start import without
-from pagas_cl.errors import InputError
-
-log = logging.getLogger("pagas_cl")
+from pagas_cl.errors import InputError, log
 
 DEPTH_FOLDERS = ("mvsa_predictions", "depth", "depths", "depth_maps", "stereo/depth_maps", "depth_initial")
 _UNIT_OF_FLOATS = "as the cameras' positions"

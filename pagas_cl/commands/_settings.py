@@ -1,12 +1,9 @@
 """Settings of a command line: `--set stage.field=value`, or the best for `--time-per-view` and `--time-budget`."""
 
-import logging
 
 from pagas_cl.config import Config, setting_names
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.presets import preset
-
-log = logging.getLogger("pagas_cl")
 
 _YES_NO = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 

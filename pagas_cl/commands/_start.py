@@ -1,15 +1,12 @@
 """What commands do before the work: try the places they write to, read the scene and the initial depth of its views."""
 
-import logging
 import tempfile
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from pagas_cl.errors import InputError, InterruptedRunError
+from pagas_cl.errors import InputError, InterruptedRunError, log
 from pagas_cl.scene.files import read_bytes
-
-log = logging.getLogger("pagas_cl")
 
 
 def check_source(mesh, other, what: str, option: str = "--depth-dir") -> None:

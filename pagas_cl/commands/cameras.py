@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import sys
 from pathlib import Path
 
@@ -11,10 +10,9 @@ import typer
 
 from pagas_cl.commands._console import shown_progress
 from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
+from pagas_cl.errors import log
 
 MANY = ("--unknowns",)
-
-log = logging.getLogger("pagas_cl")
 
 
 def command(

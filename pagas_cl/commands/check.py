@@ -1,7 +1,6 @@
 """`pagas-cl check`: are these the right cameras for this mesh and these photos?"""
 
 import json
-import logging
 import sys
 from pathlib import Path
 from typing import Any
@@ -9,8 +8,7 @@ from typing import Any
 import typer
 
 from pagas_cl.commands._given import look, together
-
-log = logging.getLogger("pagas_cl")
+from pagas_cl.errors import log
 
 
 def command(

@@ -1,17 +1,14 @@
 """`pagas-cl evaluate`: errors of a mesh, a point cloud or depth maps, in the figures that benchmarks use."""
 
 import json
-import logging
 import sys
 from pathlib import Path
 
 import typer
 
 from pagas_cl.commands._start import check_writable
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.files import write_text
-
-log = logging.getLogger("pagas_cl")
 
 
 def command(

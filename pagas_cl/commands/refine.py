@@ -1,6 +1,5 @@
 """`pagas-cl refine`: the whole way from a folder of photos to refined depth maps and a mesh."""
 
-import logging
 from collections import Counter
 from contextlib import nullcontext
 from dataclasses import replace
@@ -20,11 +19,9 @@ from pagas_cl.commands._start import (
     loaded,
     resumable,
 )
-from pagas_cl.errors import InputError, PagasError, need
+from pagas_cl.errors import InputError, PagasError, log, need
 
 MANY = ("--views", "--hold-out", "--set", "--effect")  # options that take several words: `--views a b c`
-
-log = logging.getLogger("pagas_cl")
 
 
 @nothing_refined()

@@ -1,7 +1,6 @@
 """`pagas-cl script`: a MeshLab filter script (.mlx) with our step in it, without MeshLab's window or OpenGL."""
 
 import glob
-import logging
 import os
 import sys
 import tempfile
@@ -12,10 +11,8 @@ import typer
 
 from pagas_cl.commands._console import nothing_refined, shown_progress
 from pagas_cl.commands._start import check_source, check_writable, load_scene
-from pagas_cl.errors import InputError, need
+from pagas_cl.errors import InputError, log, need
 from pagas_cl.scene.files import is_file, read_bytes, replaced_with_others
-
-log = logging.getLogger("pagas_cl")
 
 
 @nothing_refined()

@@ -15,7 +15,6 @@ Nothing else in FOLDER is written, replaced or removed.
 
 import io
 import json
-import logging
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError, OutputError
+from pagas_cl.errors import InputError, OutputError, log
 from pagas_cl.jobs.store import translate_os_errors, written
 from pagas_cl.jobs.task import Record, ViewTask
 from pagas_cl.result import DepthResult, confidence_of, in_short, normals_of
@@ -34,8 +33,6 @@ from pagas_cl.scene.digest import digest_of, in_chunks
 from pagas_cl.scene.files import DAMAGE, opened, read_bytes
 from pagas_cl.scene.locks import locked
 from pagas_cl.scene.names import OWN
-
-log = logging.getLogger("pagas_cl")
 
 _EXTRAS = ("status", "deviation", "parallax")
 

@@ -1,6 +1,5 @@
 """Batches to an executor, records back; a view that fails is asked for again, three times at most."""
 
-import logging
 import math
 import time
 from collections import deque
@@ -8,13 +7,11 @@ from collections.abc import Iterable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from pathlib import Path
 
-from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError
+from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError, log
 from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.finished import find_finished, work_folder
 from pagas_cl.jobs.task import Batch, Record
 from pagas_cl.jobs.worker import STOP, attempts, on_a_line, run_batch
-
-log = logging.getLogger("pagas_cl")
 
 TRIES = 3
 STALLED = 1800.0  # seconds without a view done, while workers tell that they have no device, until the run ends

@@ -1,13 +1,12 @@
 """From views and depth maps to refined depth maps in a folder, by any executor."""
 
-import logging
 import shutil
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-from pagas_cl.errors import InputError, PagasError
+from pagas_cl.errors import InputError, PagasError, log
 from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.finished import (
     StoredResult,
@@ -27,8 +26,6 @@ from pagas_cl.progress import ViewProgress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import for_planning
 from pagas_cl.scene.reasons import warn_of_nothing
-
-log = logging.getLogger("pagas_cl")
 
 
 def refine_all(work, views, depths, asked, config, *, device=None, executor=None, folder=None, extras=True,

@@ -1,6 +1,5 @@
 """What happens in a worker: a batch in, records out; device, kernels and photos stay for the next batch."""
 
-import logging
 import multiprocessing
 import os
 import socket
@@ -21,8 +20,6 @@ from pagas_cl.jobs.finished import find_finished, work_folder, write_finished
 from pagas_cl.jobs.store import translate_os_errors
 from pagas_cl.jobs.task import Batch, Record, ViewTask, code_version
 from pagas_cl.scene.view import View
-
-log = logging.getLogger("pagas_cl")
 
 STOP = "stop"              # a file of this name in the work folder asks every worker to end after its present view
 _READERS = 6               # photos that are decoded at a time

@@ -7,7 +7,6 @@ is. A user who sets OCL_ICD_VENDORS has chosen, and nothing is done.
 """
 
 import atexit
-import logging
 import os
 import shutil
 import sys
@@ -17,10 +16,8 @@ from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from types import ModuleType
 
-from pagas_cl.errors import DeviceError, NoDeviceError
+from pagas_cl.errors import DeviceError, NoDeviceError, log
 from pagas_cl.runtime import cache, icd
-
-log = logging.getLogger("pagas_cl")
 
 VARIABLE = "OCL_ICD_VENDORS"
 _INTEL, _LIBRARY = "intel-opencl-rt", "libintelocl.so"

@@ -111,11 +111,16 @@ class Camera:
         return self.world_to_camera[2, :3].copy()
 
     def rays(self) -> npt.NDArray[np.float64]:
-        """Rays through the pixel centres with z = 1, camera coordinates: float64 of shape (height, width, 3)."""
+        """Rays through all pixel centres with z = 1, camera coordinates: float64 of shape (height, width, 3)."""
         x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
         y = (np.arange(self.height) + 0.5 - self.cy) / self.fy
         x, y = np.meshgrid(x, y)
         return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+    def rays_at(self, rows: npt.NDArray[Any], columns: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        """The same through some pixel centres: float64 of shape (..., 3)."""
+        return np.stack([(columns + 0.5 - self.cx) / self.fx, (rows + 0.5 - self.cy) / self.fy,
+                         np.ones(np.shape(rows))], axis=-1)
 
     def project(self, points: npt.ArrayLike) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Project world `points` of shape (..., 3): pixel positions of shape (..., 2) and depth z of shape (...)."""

@@ -92,9 +92,7 @@ class ContextChooser:
             rows, columns = sample_pixels(depth, samples)
             z = depth[rows, columns]
         z = z.astype(np.float64)
-        rho = np.stack([(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy,
-                        np.ones(len(z))], -1)
-        return (rho * z[:, None]) @ self._rotations[target] + self._centers[target], z
+        return (camera.rays_at(rows, columns) * z[:, None]) @ self._rotations[target] + self._centers[target], z
 
     def _candidates(self, target: int, points: np.ndarray) -> np.ndarray:
         """Other cameras worth a close look, in their order; all of them while they are few."""

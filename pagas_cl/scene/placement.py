@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,8 +16,6 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import resize_depth
 from pagas_cl.scene.images import bilinear, image_size, photo_to, read_photo
 from pagas_cl.scene.patches import grey_of
-
-log = logging.getLogger("pagas_cl")
 
 PATCH = 14            # networks of this family see sides that are multiples of it
 _SAME = 0.8           # least correlation of the photo and the small image

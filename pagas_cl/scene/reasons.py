@@ -125,10 +125,8 @@ def _unprojected(camera: Camera, depth: np.ndarray, rows: np.ndarray, columns: n
     """World points (N, 3) of pixels, NaN where there is no depth."""
     z = depth[rows, columns].astype(np.float64)
     z = np.where(np.isfinite(z) & (z > 0), z, np.nan)
-    x, y = (columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy
-    local = np.stack([x, y, np.ones(len(z))], axis=1)
     rotation = camera.world_to_camera[:3, :3]
-    return (local * z[:, None] - camera.world_to_camera[:3, 3]) @ rotation
+    return (camera.rays_at(rows, columns) * z[:, None] - camera.world_to_camera[:3, 3]) @ rotation
 
 
 def warn_of_nothing(views: Sequence[View], depths: Sequence[Depth | None], results: Sequence[Any]) -> None:

@@ -1,7 +1,6 @@
 """Which depths other views confirm (method section 7), on a device, or in NumPy where there is none; how much and how
 far depth maps contradict each other."""
 
-import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,12 +8,10 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.config import Fusion
-from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError
+from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, log
 from pagas_cl.reference import agree as twin
 from pagas_cl.scene.camera import Camera, camera_table
 from pagas_cl.scene.sampling import NEAR
-
-log = logging.getLogger("pagas_cl")
 
 _SAMPLED, _ASKED, _EVERY = 6, 5, 4      # views looked at, neighbours of each, every n-th row and column
 _WINDOW = 4       # pixels to each side over which differences are averaged

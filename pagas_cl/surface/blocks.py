@@ -5,7 +5,6 @@ of its own cells. A cell is in exactly one box: the pieces fit without a seam, t
 one grid, in another order; at the seams doubled vertices become one.
 """
 
-import logging
 import pickle
 import tempfile
 from collections.abc import Sequence
@@ -16,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.config import Fusion
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
 from pagas_cl.surface.fuse import (
@@ -33,8 +32,6 @@ from pagas_cl.surface.fuse import (
 )
 from pagas_cl.surface.grid import block_resolution
 from pagas_cl.surface.pieces import in_order, pieces
-
-log = logging.getLogger("pagas_cl")
 
 _NEAR = 0.1           # voxels: a vertex that two boxes share lies on the side between them
 _PHOTO_BYTES = 40     # a pixel of the view at hand: depth, colours, and what Open3D copies of them (measured)

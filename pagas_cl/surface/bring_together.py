@@ -6,7 +6,6 @@ evidence is clear, and told.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -19,8 +18,6 @@ from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.view import View
 from pagas_cl.surface import depth_alignment as alignment
 from pagas_cl.surface.common_scale import AGREE, CommonScale, cameras_off, find_common_scale, find_unit
-
-log = logging.getLogger("pagas_cl")
 
 _HELD, _FEW = 400, 200        # pixels of the longer side of the maps that are kept in memory, of so many views
 _BETTER = 0.7                 # disagreement must fall to this share of it

@@ -240,8 +240,7 @@ def _patches(camera: Camera, grey: np.ndarray, depth: np.ndarray) -> _Patches:
     good = np.flatnonzero((near > 0).all(axis=1) & (deviation > _FLAT))
     good = good[evenly(len(good), _PATCHES)] if len(good) else good
     x, y = x[good], y[good]
-    rays = np.stack([(x + 0.5 - camera.cx) / camera.fx, (y + 0.5 - camera.cy) / camera.fy, np.ones(x.shape)], -1)
-    return _Patches(camera, rays, near[good], unit[good])
+    return _Patches(camera, camera.rays_at(y, x), near[good], unit[good])
 
 
 def _unit(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

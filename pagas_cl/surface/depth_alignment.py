@@ -51,8 +51,7 @@ def reduced(camera: Camera, depth: np.ndarray) -> Reduced:
     small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
     depth = depth_down(depth, small.width, small.height)
     rows, columns = sample_pixels(depth, _SAMPLES)
-    rays = np.stack([(columns + 0.5 - small.cx) / small.fx, (rows + 0.5 - small.cy) / small.fy,
-                     np.ones(len(rows))], -1)
+    rays = small.rays_at(rows, columns)
     values = depth[rows, columns].astype(np.float64)
     return Reduced(small, depth, float(np.median(values)) if len(values) else 1.0, rays, values)
 

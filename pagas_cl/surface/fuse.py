@@ -4,7 +4,6 @@ The grid works relative to the middle of the depths and in units of their median
 coordinates of 5e6 or units of 1e-6 cost nothing. Voxel, truncation and range come from the depths.
 """
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,15 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.config import Fusion
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import clean_depth, load_depth
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
 from pagas_cl.surface.grid import Grid, block_resolution, grid_shift
 from pagas_cl.surface.pieces import in_order, without_small_pieces
-
-log = logging.getLogger("pagas_cl")
 
 _VOXEL_BYTES = 20 * 1.1 + 16  # tsdf, weight, colour, with the grid's spare room; and what extracting the mesh adds
 _VERTEX_BYTES = 80            # a vertex and its two triangles as extracted (measured)
@@ -227,9 +224,8 @@ def _measured(cameras: list[Camera], depths) -> tuple[float, float, np.ndarray, 
             step = 1
         rows, columns = step * np.array(np.nonzero(depth[::step, ::step] > 0))
         z = depth[rows, columns].astype(np.float64)
-        rays = np.stack([(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy,
-                         np.ones(len(z))], -1)
-        points.append(np.median(rays * z[:, None], axis=0) @ camera.world_to_camera[:3, :3] + camera.center)
+        points.append(np.median(camera.rays_at(rows, columns) * z[:, None], axis=0) @ camera.world_to_camera[:3, :3]
+                      + camera.center)
         footprints.append(z / np.sqrt(camera.fx * camera.fy))
         samples.append(z)
         lows.append(depth[depth > 0].min())

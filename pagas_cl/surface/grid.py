@@ -1,13 +1,10 @@
 """Open3D's VoxelBlockGrid with nothing left to its defaults; its pixel-centre convention, measured (Open3D#7580)."""
 
-import logging
 from functools import lru_cache
 
 import numpy as np
 
-from pagas_cl.errors import PagasError, need
-
-log = logging.getLogger("pagas_cl")
+from pagas_cl.errors import PagasError, log, need
 
 _STRIDE = 4      # Open3D looks at every fourth pixel of every fourth row when it touches blocks (measured)
 # One look in each row and column of a 4 x 4 cell, so that a line one pixel wide is touched too.

@@ -3,20 +3,18 @@ along the normal; what views say of it, a smoothness that lets go at creases, an
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pagas_cl.errors import log
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.surface.mesh_evidence import Observed, Words
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
-
-log = logging.getLogger("pagas_cl")
 
 LAMBDA, STAY, CREASE, JUMP = 2.0, 0.02, 0.1, 0.5
 ROUNDS, LINKINGS, STEPS = 3, 2, 60      # of evidence, of links between neighbours, of conjugate gradients

@@ -1,19 +1,16 @@
 """Tables of a study, its record, and the page that a person opens."""
 
 import json
-import logging
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from pagas_cl import __version__
-from pagas_cl.errors import MissingExtraError
+from pagas_cl.errors import MissingExtraError, log
 from pagas_cl.report.page import html_page
 from pagas_cl.scene.files import write_text
 from pagas_cl.tradeoffs.front import plot_front
-
-log = logging.getLogger("pagas_cl")
 
 FILE = "tradeoff.json"
 _COLUMNS = (("depth", "depth error"), ("normal", "normal error"), ("edges", "near edges"),

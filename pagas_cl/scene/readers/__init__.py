@@ -7,12 +7,11 @@ numbers, texts and cameras go through `untrusted`, paths through `photos.inside`
 damaged, distorted or unclear ends in one InputError sentence. A new format is a new module and a line in FORMATS.
 """
 
-import logging
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.readers.photos import refuse_shared_masks, tell_links
 from pagas_cl.scene.view import Scene
 
@@ -22,8 +21,6 @@ FORMATS = {"cameras": "camera_file", "colmap": "colmap", "nerfstudio": "nerfstud
            "da3": "depth_anything", "vggt": "vggt", "mapanything": "mapanything", "record3d": "record3d",
            "polycam": "polycam", "scannet": "scannet", "7scenes": "seven_scenes", "tum": "tum",
            "dvmvs": "video_mvs"}
-
-log = logging.getLogger("pagas_cl")
 
 
 def read_scene(folder: str | Path, format: str | None = None, **options: Any) -> Scene:

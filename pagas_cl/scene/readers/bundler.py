@@ -5,12 +5,11 @@ it is the photo's middle. Sizes come from the photos. What the format cannot hol
 non-square pixels) is lost by whoever writes it.
 """
 
-import logging
 from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import intrinsics
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
@@ -18,8 +17,6 @@ from pagas_cl.scene.view import Scene
 FILES = ("bundle.out", "bundle.rd.out", "bundle/bundle.out")
 LISTS = ("list.txt", "bundle.out.list.txt", "bundle.rd.out.list.txt", "bundle/list.txt")
 _FLIP = np.diag([1.0, -1.0, -1.0])
-log = logging.getLogger("pagas_cl")
-
 
 def detect(folder: Path) -> bool:
     """Whether `folder` holds a bundle.out."""

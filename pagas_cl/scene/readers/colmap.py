@@ -5,20 +5,17 @@ photos of other models are undistorted as they are loaded, by pycolmap's lens mo
 belong to small copies of the photos (MapAnything) are read with `photos=`, the folder of the originals.
 """
 
-import logging
 from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.lens import Lens, ThroughLens
 from pagas_cl.scene.readers import untrusted
 from pagas_cl.scene.readers.colmap_model import Model, ModelImage, read_model
 from pagas_cl.scene.readers.originals import with_originals
 from pagas_cl.scene.readers.photos import find_mask, inside
 from pagas_cl.scene.view import Scene, View
-
-log = logging.getLogger("pagas_cl")
 
 _SMALL = 0.25      # of the photo's size: no principal point of a photo itself is nearer to the corner
 

@@ -6,7 +6,6 @@ from the left and y from the BOTTOM, from the image's corner (pixel centres at +
 with CenterPx from the top and pixel centres at whole numbers: flavour "openmvs".
 """
 
-import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from pagas_cl.errors import InputError, MissingExtraError
+from pagas_cl.errors import InputError, MissingExtraError, log
 from pagas_cl.scene import patches
 from pagas_cl.scene.camera import Camera, intrinsics
 from pagas_cl.scene.files import write_text
@@ -31,8 +30,6 @@ _FLIP = np.diag([1.0, -1.0, -1.0])
 # of a VCGCamera: attribute, how many numbers, what it is where it is left out
 _NUMBERS = (("FocalMm", 1, None), ("PixelSizeMm", 2, None), ("CenterPx", 2, None), ("ViewportPx", 2, None),
             ("LensDistortion", 2, "0 0"), ("RotationMatrix", 16, None), ("TranslationVector", 4, None))
-log = logging.getLogger("pagas_cl")
-
 
 @dataclass(frozen=True, eq=False)
 class MeshLayer:

@@ -6,14 +6,13 @@ meshes that nerfstudio writes beside them, share the file's world. Depth maps (`
 times `depth_unit_scale_factor` (0.001 where it is not given); NerfCapture says `depth_path`, `integer_depth_scale`.
 """
 
-import logging
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera, intrinsics
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.readers import photos, untrusted
@@ -28,8 +27,6 @@ _KNOWN = _PINHOLE + _DISTORTION + ("w", "h", "camera_angle_x", "camera_angle_y",
 _DEPTH = (("depth_file_path", "depth_unit_scale_factor"), ("depth_path", "integer_depth_scale"))
 _DEPTH_UNIT = 1e-3      # nerfstudio's where the file does not say
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
-log = logging.getLogger("pagas_cl")
-
 
 def detect(folder: Path) -> bool:
     """Whether `folder` holds a transforms.json (or transforms_train.json)."""

@@ -4,7 +4,6 @@ Convention: x ~ world_mat_i[:3] (X, 1), OpenCV axes, world-to-camera, in the sce
 scale_mat_i takes the unit sphere, in which NeuS works, to that world. Where the pixel centres are is not said.
 """
 
-import logging
 import re
 import zipfile
 from collections.abc import Iterable
@@ -22,8 +21,6 @@ FILES = ("cameras_sphere.npz", "cameras.npz", "cameras_large.npz")
 _KEY = re.compile(r"(world_mat|scale_mat)_(\d+)", re.ASCII)
 _SKEW_PIXELS = 0.05  # a skew that moves no pixel by more is calibration noise and is dropped
 _ENTRIES = 1_000_000
-log = logging.getLogger("pagas_cl")
-
 
 def detect(folder: Path) -> bool:
     """Whether `folder` holds one of the npz files with a world_mat in it."""

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.placement import find_placement
 from pagas_cl.scene.readers import photos as photo_files
 from pagas_cl.scene.view import View
-
-log = logging.getLogger("pagas_cl")
 
 
 def with_originals(views: Sequence[View], folder: Path) -> list[View]:

@@ -1,20 +1,17 @@
 """Finding the photos that a camera file speaks of, inside the scene's folder only unless told otherwise."""
 
-import logging
 import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.files import is_file
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.readers.untrusted import IMAGE_SUFFIXES, MAX_SIDE, short
 from pagas_cl.scene.view import View
-
-log = logging.getLogger("pagas_cl")
 
 FOLDERS = ("images", "image", "color", "rgb", "blended_images")
 

@@ -7,14 +7,13 @@ views of the photos themselves, where those are found, else of the network's own
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.arrays import ArrayRef, PhotoInArray, members
 from pagas_cl.scene.camera import inverse_pose
 from pagas_cl.scene.depth_source import DepthSource, Stored, least_confidence
@@ -26,8 +25,6 @@ from pagas_cl.scene.view import Scene, View
 
 MOST_ROWS = 100_000
 _COMPARED = 3       # photos that are compared with the network's
-log = logging.getLogger("pagas_cl")
-
 
 @dataclass(frozen=True)
 class Row:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import inverse_pose
 from pagas_cl.scene.depth_source import DepthSource, Stored
 from pagas_cl.scene.placement import Placement
@@ -18,8 +17,6 @@ from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
 
 _UNIT = 1e-2         # length of a quaternion in text: one further from 1 is damage
-log = logging.getLogger("pagas_cl")
-
 
 @dataclass(frozen=True)
 class Frame:

@@ -7,12 +7,11 @@ Convention: pose camera-to-world, metres, OpenCV; depth in millimetres, 65535 = 
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import intrinsics
 from pagas_cl.scene.readers import photos, rgbd
 from pagas_cl.scene.view import Scene
@@ -21,8 +20,6 @@ INTRINSICS = ("camera-intrinsics.txt", "intrinsics.txt", "K.txt", "../camera-int
 _KINECT, _SIZE = (585.0, 585.0, 320.0, 240.0), (640, 480)
 _COLOR = (".color.png", ".color.jpg")
 _PLACES = (".", "data", "seq-01")
-log = logging.getLogger("pagas_cl")
-
 
 def _place(folder: Path) -> Path | None:
     return next((folder / name for name in _PLACES if (folder / name).is_dir()

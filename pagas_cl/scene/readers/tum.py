@@ -7,12 +7,11 @@ pixel centres at whole numbers. Intrinsics are not in the folder: `camera-intrin
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import intrinsics
 from pagas_cl.scene.readers import photos, rgbd, untrusted
 from pagas_cl.scene.view import Scene
@@ -22,8 +21,6 @@ _INTRINSICS = ("camera-intrinsics.txt", "K.txt", "intrinsics.txt")
 _SIZE, _DEFAULT = (640, 480), (525.0, 525.0, 319.5, 239.5)
 _APART = 0.03        # seconds between a photo and its depth map or pose
 _ROWS = 1_000_000
-log = logging.getLogger("pagas_cl")
-
 
 def _trajectory(folder: Path) -> Path | None:
     return photos.first_file(folder, ("groundtruth.txt", "trajectory.txt", "CameraTrajectory.txt",

@@ -6,16 +6,13 @@ name; K counts pixel centres at whole numbers; depth/<name>.png is registered, i
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.readers import photos, rgbd, untrusted
 from pagas_cl.scene.view import Scene
-
-log = logging.getLogger("pagas_cl")
 
 
 def detect(folder: Path) -> bool:
