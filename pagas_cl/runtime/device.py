@@ -43,8 +43,7 @@ class Device:
         """The buffers that this process holds on the device, counted."""
         from pagas_cl.runtime.memory import Memory, limit_of
 
-        limit = limit_of(self.info.memory, shares())
-        return Memory(self.info.title, limit, limit // 16 if self.info.kind == "GPU" else 0)
+        return Memory(self.info.title, limit_of(self.info.memory, shares()))
 
     def has(self, extension: str) -> bool:
         """Whether the device reports the OpenCL `extension`."""

@@ -20,12 +20,12 @@ ENVIRONMENT = "PAGAS_CL_MEMORY"      # most MB of device memory that a process m
 class Memory:
     """Buffers of one device.
 
-    `title` is the device's name, for messages. Bytes: `limit` allowed, `held` now, `peak` at most since `begin`,
-    `waiting` in buffers that were given back and are kept, and `spare`, up to which they are kept whatever is planned.
+    `title` is the device's name, for messages. Bytes: `limit` allowed, `held` now, `peak` at most since `begin`, and
+    `waiting` in buffers that were given back and are kept.
     """
 
-    def __init__(self, title: str, limit: int, spare: int = 0):
-        self.title, self.limit, self.spare = title, limit, spare
+    def __init__(self, title: str, limit: int):
+        self.title, self.limit = title, limit
         self.held = self.peak = self.waiting = self._planned = 0
         self._kept: defaultdict[tuple[str, int], deque[_Counted]] = defaultdict(deque)      # never an empty one
 
@@ -54,8 +54,8 @@ class Memory:
                                     "that it holds") from error
 
     def begin(self, planned: int) -> None:
-        """Count the peak from here on; `planned` bytes in all will do, or `spare`, what waits included."""
-        self.peak, self._planned = self.held, min(self.limit, max(planned, self.spare))
+        """Count the peak from here on; `planned` bytes in all will do, what waits included."""
+        self.peak, self._planned = self.held, min(self.limit, planned)
         self._free(self._planned)
 
     def count(self, nbytes: int) -> None:

@@ -230,17 +230,6 @@ def test_what_is_given_back_waits_for_its_role_and_never_beyond_the_plan():
     assert not counter._kept                             # nor is there anything for sizes that never come again
 
 
-def test_what_is_spare_waits_beyond_a_plan():
-    device, counter = open_device(), Memory("a device", 1000, spare=500)
-    for _ in range(2):
-        counter.begin(100)
-        for buffer in [counter.buffer(device.context, 100, str(number)) for number in range(6)]:
-            buffer.release()
-        assert counter.waiting == 600       # of one run; the next one has what it needs
-    counter.begin(100)
-    assert counter.waiting == 500
-
-
 def test_a_run_leaves_nothing_waiting():
     made = relief_scene(48, 36, contexts=2)
     device = open_device()
