@@ -40,7 +40,7 @@ def command(
     from pagas_cl.analysis import analyze
     from pagas_cl.commands._settings import build_config, effect_settings
 
-    check_source(mesh, depth_dir, "where a refinement would start")
+    check_source(mesh, depth_dir, "where a refinement would start", outside)
     config = build_config(preset, [*settings, *effect_settings(effects)])
     found = load_scene(scene, format, outside)
     names = [found.views[found.index(name)].name for name in views] or None

@@ -37,7 +37,7 @@ def command(
     from pagas_cl.scene.files import write_text
     from pagas_cl.scene.mesh import to_surface
 
-    check_source(mesh, depth_dir, "the surface that photos are compared through")
+    check_source(mesh, depth_dir, "the surface that photos are compared through", outside)
     found = load_scene(scene, format, outside)
     for view in found.views:
         view.check_files()

@@ -75,7 +75,8 @@ def command(
     from pagas_cl.refine import fuse_results, refine_views
     from pagas_cl.scene.mesh_file import write_mesh
 
-    _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide, allow_loss)
+    _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide, allow_loss,
+                   outside)
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
     settings = [*settings, *effect_settings(effects)]
     more = {} if context is None else {"context__number": context}
@@ -173,13 +174,13 @@ def _place(device, devices, scheduler) -> dict:
 
 
 def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh: bool, subdivide,
-                   allow_loss: bool) -> None:
+                   allow_loss: bool, outside: bool) -> None:
     """Refuse what cannot end well before any work is done."""
     from pagas_cl.keep_mesh import check_kept, check_subdivide
     from pagas_cl.scene.mesh_file import check_mesh_path
 
-    if mesh is not None and depth_dir is not None:
-        check_source(mesh, depth_dir, "where the refinement starts")
+    if mesh is not None:
+        check_source(mesh, depth_dir, "where the refinement starts", outside)
     if memory is not None and not memory > 0:
         raise InputError(f"--memory is {memory:g} MB, expected more than 0")
     if output is None and save_depth is None and report is None:

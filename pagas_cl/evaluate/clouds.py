@@ -11,6 +11,7 @@ import numpy as np
 from pagas_cl.errors import InputError, need
 from pagas_cl.evaluate.depth import Figures
 from pagas_cl.scene.files import DAMAGE, read_first, read_npy
+from pagas_cl.scene.readers.mesh_parts import check_parts
 
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])  # Roberts' low-discrepancy sequence in the plane
 _MOST = 50_000_000
@@ -276,6 +277,7 @@ def _read(path):
     except DAMAGE as error:
         raise InputError(f"{str(path)!r} is no list of points, expected (n, 3): {error}") from error
     o3d = need("open3d", "mesh", f"reading {path.name}")
+    check_parts(path)
     mesh = o3d.io.read_triangle_mesh(str(path))
     if len(mesh.triangles):
         return np.asarray(mesh.vertices), np.asarray(mesh.triangles)
