@@ -27,6 +27,17 @@ from pagas_cl.tradeoffs.study import Book, Study, measure
 pytestmark = pytest.mark.slow
 
 
+@pytest.fixture(autouse=True, scope="module")
+def one_probe():
+    """The device is probed once: every study would, and takes seconds for it."""
+    import pagas_cl.tradeoffs.run as running
+
+    whole, found = running.probe, []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(running, "probe", lambda *given, **more: (found or found.append(whole(*given, **more)) or found)[0])
+        yield
+
+
 @pytest.fixture(scope="module")
 def made():
     return relief_scene(96, 72, 6, held_out=1)
