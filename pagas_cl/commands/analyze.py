@@ -2,6 +2,7 @@
 
 import json
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from textwrap import wrap
 
@@ -39,6 +40,7 @@ def command(
     """Measure what SCENE calls for; refines nothing. The decisions are those that refine takes."""
     from pagas_cl.analysis import analyze
     from pagas_cl.commands._settings import build_config, effect_settings
+    from pagas_cl.jobs.finished import one_run
 
     check_source(mesh, depth_dir, "where a refinement would start", outside)
     config = build_config(preset, [*settings, *effect_settings(effects)])
@@ -46,17 +48,17 @@ def command(
     names = [found.views[found.index(name)].name for name in views] or None
     check_writable("--json", output and output.parent)
     check_writable("--report", report)
-    with shown_progress(quiet) as progress:
+    with shown_progress(quiet) as progress, one_run(report) if report else nullcontext():
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, names=names)
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
                            progress=progress)
-    show(analysis, table)
-    text = json.dumps(analysis.as_dict(), indent=1) + "\n"
-    if output is not None:
-        write_text(output, text)
-    if report is not None:
-        write_text(report / "analysis.json", text)
-        write_text(report / "index.html", page(analysis, found.source))
+        show(analysis, table)
+        text = json.dumps(analysis.as_dict(), indent=1) + "\n"
+        if output is not None:
+            write_text(output, text)
+        if report is not None:
+            write_text(report / "analysis.json", text)
+            write_text(report / "index.html", page(analysis, found.source))
 
 
 def rows(analysis) -> list[list[str]]:

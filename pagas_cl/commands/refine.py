@@ -101,7 +101,7 @@ def command(
     names = [found.views[found.index(name)].name for name in views] or None
     config_words = ", ".join([preset, *settings])
     with (resumable(folder, len(names or found.views)), shown_progress(quiet) as progress,
-          one_run(folder) if folder else nullcontext(),
+          one_run(folder) if folder else nullcontext(), one_run(report) if report else nullcontext(),
           _report(report, found, config_words, place, asked.obj) as page):
         found, config = _settled_cameras(found, mesh, config, place["device"], progress, page)
         if mesh is not None:
