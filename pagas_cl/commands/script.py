@@ -35,6 +35,7 @@ def command(
     """Run SCRIPT on a mesh, or on a MeshLab project; the whole script is checked before anything runs."""
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
     from pagas_cl.filters import filter_script
+    from pagas_cl.scene.readers.meshlab import check_names
 
     check_source(mesh, project, "what the script starts from", outside, "--project")
     if mesh is None and scene is not None:
@@ -46,6 +47,8 @@ def command(
     _check_layers(output)
     with _meshlab_chatter():
         meshes, found = _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside)
+        if found is not None and output.suffix.lower() == ".mlp":
+            check_names(found.views)
         with shown_progress(quiet) as progress:
             filter_script.run_script(meshes, script, found, outside=outside, device=device, progress=progress)
         _save(meshes, output, found)
