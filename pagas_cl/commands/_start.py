@@ -85,6 +85,8 @@ def without(found, hold_out: list[str], asked: list[str]):
         raise InputError(f"view {both[0]!r} is in --views and in --hold-out, expected one of them")
     if out:
         log.info("held out, and seen by nothing: %s", ", ".join(found.views[place].name for place in sorted(out)))
+    if len(out) == len(found.views):
+        raise InputError(f"--hold-out names all {len(out)} views, so that none is left to refine")
     return replace(found, views=[view for place, view in enumerate(found.views) if place not in out])
 
 

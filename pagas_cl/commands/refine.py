@@ -163,12 +163,14 @@ def _save_cameras(folder: Path, views, results) -> None:
 
 def _place(device, devices, scheduler) -> dict:
     """Where the work is done, as refine_views takes it."""
+    from pagas_cl.jobs.executors import check_address
     from pagas_cl.runtime.device import open_device
 
     if device is not None and devices is not None:
         raise InputError("got both --device and --devices, expected one of them")
     several = "all" if devices == "all" else devices.split(",") if devices else None
     if scheduler is not None:
+        check_address(scheduler)
         return {"executor": scheduler, "device": several or device}
     return {"device": several or open_device(device)}
 

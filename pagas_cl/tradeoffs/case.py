@@ -69,6 +69,8 @@ def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int
     judged; `held_out`: names of views that no setting may see, by default two well-placed ones of each target with six
     context views or more, one where there are fewer and no truth.
     """
+    if sample < 1:
+        raise InputError(f"the number of views to measure on (sample) is {sample}, expected 1 or more")
     truth = truth or [None] * len(views)
     known = [view.name for view in views]
     banned = {place_of(name, known) for name in held_out or ()}

@@ -82,6 +82,8 @@ def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *
     settings, device = distinct(settings or front_plan(), most), open_device(device)
     if budget is not None and not budget > 0:
         raise InputError(f"the budget is {budget!r} minutes, expected more than 0")
+    if repeats < 1:
+        raise InputError(f"the number of timed runs of a setting (repeats) is {repeats}, expected 1 or more")
     cases = [loaded(case) for case in cases]
     cases, initial = _judged(cases)
     with nullcontext() if report is None else one_run(Path(report)):
