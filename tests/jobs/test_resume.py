@@ -64,7 +64,7 @@ def test_killed_at_random_times(tmp_path, monkeypatch):
         pytest.skip("asks /proc what is left of a run")
     pytest.importorskip("distributed")
     monkeypatch.setenv("TMPDIR", str(tmp_path))      # locks of devices apart from those of other programs
-    like = undisturbed(tmp_path)
+    like = undisturbed(tmp_path, 4)
     with ExitStack() as stack:
         for way, trials in zip(WAYS, (1, 1, 1, 1)):
             figures = run_trials(trials, tmp_path / way, like, 1, options(way, tmp_path, stack))

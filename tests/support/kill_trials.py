@@ -128,9 +128,9 @@ def check_others(out: Path) -> None:
         raise RuntimeError(f"{out}: {changed} are not as they were")
 
 
-def undisturbed(folder: Path) -> tuple[Path, dict, float]:
-    """A scene, what a run in this process gives for it, and the seconds that the second one takes."""
-    scene = write_small_scene(folder / "scene")
+def undisturbed(folder: Path, views: int = 8) -> tuple[Path, dict, float]:
+    """A scene of so many views, what a run in this process gives for it, and the seconds that the second one takes."""
+    scene = write_small_scene(folder / "scene", views)
     run_whole(scene, folder / "whole")
     return scene, bytes_of(folder / "whole"), run_whole(scene, folder / "whole again")
 
