@@ -58,8 +58,8 @@ def refine(scene, folder, **more):
 
 
 def test_killed_at_random_times(tmp_path, monkeypatch):
-    """A trial of each way to run; for many: `PYTHONPATH=tests python -m support.kill_trials --trials 50 --way
-    all`."""
+    """A trial of each way to run; for many: `PYTHONPATH=tests:tests/jobs python -m support.kill_trials --trials
+    50 --way all`."""
     if sys.platform != "linux":
         pytest.skip("asks /proc what is left of a run")
     pytest.importorskip("distributed")

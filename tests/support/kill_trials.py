@@ -1,6 +1,6 @@
 """Kill `pagas-cl refine` at random times, start it again with the same command, compare with an undisturbed run.
 
-    PYTHONPATH=tests python -m support.kill_trials --trials 50 --way all
+    PYTHONPATH=tests:tests/jobs python -m support.kill_trials --trials 50 --way all
 
 One trial is one SIGKILL or SIGTERM. A run is killed again and again until it finishes by itself; then the next one
 begins. Ways: in this process, one process a device (--devices), a pool of the caller's, a Dask cluster (one worker,
