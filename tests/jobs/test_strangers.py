@@ -119,6 +119,16 @@ def test_a_page_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):
     assert command_line.run(list(command)) == 0 == command_line.run(list(command))
 
 
+def test_a_model_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):
+    """The scene's own, say, where --output names the scene."""
+    (tmp_path / "sparse/0").mkdir(parents=True)
+    (tmp_path / "sparse/0/images.bin").write_text("precious")
+    assert command_line.run(list(commands(scene, tmp_path, scene / "depth_initial")["cameras"])) == 2
+    assert "is a model of somebody else" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.rglob("*")] == ["sparse", "0", "images.bin"]
+    assert (tmp_path / "sparse/0/images.bin").read_text() == "precious"
+
+
 def test_what_is_started_from_is_not_replaced(scene, tmp_path, capsys):
     depths, mesh = tmp_path / "depths", tmp_path / "m.ply"
     shutil.copytree(scene / "depth_initial", depths)
