@@ -7,12 +7,16 @@ from pathlib import Path
 
 from pagas_cl.errors import InputError, InterruptedRunError, log
 from pagas_cl.scene.files import read_bytes
+from pagas_cl.scene.readers.mesh_parts import check_parts
 
 
-def check_source(mesh, other, what: str, option: str = "--depth-dir") -> None:
-    """Raise InputError unless exactly one of both is given; `what` says in the message what they are for."""
+def check_source(mesh, other, what: str, outside: bool, option: str = "--depth-dir") -> None:
+    """Raise InputError unless exactly one of both is given, `what` says in the message what they are for, and files
+    that the mesh names lie in its folder, where they have to."""
     if (mesh is None) == (other is None):
         raise InputError(f"expected either --mesh or {option} ({what}), got {'neither' if mesh is None else 'both'}")
+    if mesh is not None:
+        check_parts(mesh, outside=outside)
 
 
 def check_writable(option: str, folder: Path | None) -> None:
@@ -81,6 +85,8 @@ def without(found, hold_out: list[str], asked: list[str]):
         raise InputError(f"view {both[0]!r} is in --views and in --hold-out, expected one of them")
     if out:
         log.info("held out, and seen by nothing: %s", ", ".join(found.views[place].name for place in sorted(out)))
+    if len(out) == len(found.views):
+        raise InputError(f"--hold-out names all {len(out)} views, so that none is left to refine")
     return replace(found, views=[view for place, view in enumerate(found.views) if place not in out])
 
 

@@ -39,7 +39,7 @@ def command(
     from pagas_cl.tradeoffs.page import ablation_table, closing, headline, markdown, notes
     from pagas_cl.tradeoffs.plan import ablation_plan
 
-    check_source(mesh, depth_dir, "where the refinement starts")
+    check_source(mesh, depth_dir, "where the refinement starts", outside)
     found = load_scene(scene, format, outside)
     for view in found.views:
         view.check_files()
