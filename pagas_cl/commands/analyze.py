@@ -9,7 +9,7 @@ from textwrap import wrap
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
+from pagas_cl.commands._start import check_report, check_source, check_writable, initial_depths, load_scene
 from pagas_cl.effects import EFFECTS
 from pagas_cl.scene.files import write_text
 
@@ -47,7 +47,7 @@ def command(
     found = load_scene(scene, format, outside)
     names = [found.views[found.index(name)].name for name in views] or None
     check_writable("--json", output and output.parent)
-    check_writable("--report", report)
+    check_report(report)
     with shown_progress(quiet) as progress, one_run(report) if report else nullcontext():
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, names=names)
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,

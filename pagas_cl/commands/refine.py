@@ -12,13 +12,7 @@ import typer
 from pagas_cl.commands._console import noted, nothing_refined, shown_progress
 from pagas_cl.commands._given import look, together
 from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
-from pagas_cl.commands._start import (
-    check_source,
-    check_writable,
-    initial_depths,
-    loaded,
-    resumable,
-)
+from pagas_cl.commands._start import check_report, check_source, check_writable, initial_depths, loaded, resumable
 from pagas_cl.errors import InputError, PagasError, log, need
 
 MANY = ("--views", "--hold-out", "--set", "--effect")  # options that take several words: `--views a b c`
@@ -92,8 +86,9 @@ def command(
     as_given = found.views
     for view in as_given:
         view.check_files()
-    for option, where in (("--output", output and output.parent), ("--save-depth", save_depth), ("--report", report)):
-        check_writable(option, where)
+    check_writable("--output", output and output.parent)
+    check_writable("--save-depth", save_depth)
+    check_report(report, "report.json")
     # finished views are kept with the depth maps, or beside the mesh until it is written; all that can be asked of
     # them later is kept, so that nothing is refined again for it
     folder = output.parent / f".{output.name}.views" if save_depth is None and output is not None else save_depth

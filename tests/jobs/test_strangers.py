@@ -119,6 +119,20 @@ def test_a_page_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):
     assert command_line.run(list(command)) == 0 == command_line.run(list(command))
 
 
+def test_pages_of_two_commands_do_not_replace_each_other(scene, tmp_path, capsys):
+    page = html_page("any", [], [], [])
+    refine = commands(scene, tmp_path, scene / "depth_initial")["report"]
+    study = ["tradeoff", str(scene), "--depth-dir", str(scene / "depth_initial"), "--report", str(tmp_path)]
+    (tmp_path / "tradeoff.png").write_text("mine")
+    assert command_line.run(study) == 2 and "tradeoff.png' is not ours to replace" in capsys.readouterr().err
+    (tmp_path / "tradeoff.json").write_text("{}")
+    (tmp_path / "index.html").write_text(page)
+    analyze = ["analyze", *study[1:]]
+    for command in (refine, analyze):
+        assert command_line.run(list(command)) == 2 and "is the page of another command" in capsys.readouterr().err
+    assert (tmp_path / "index.html").read_text() == page and (tmp_path / "tradeoff.png").read_text() == "mine"
+
+
 def test_a_model_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):
     """The scene's own, say, where --output names the scene."""
     (tmp_path / "sparse/0").mkdir(parents=True)
