@@ -38,19 +38,6 @@ columns_t sum_v_alpha(__global const float *v_rendered, int pixels[PLACES][COLUM
 }
 #endif
 
-// Add to the lanes from `first` on: those before belong to the vector before.
-void add_columns(__global float *places, columns_t values, int first)
-{
-    if (first == 0) {
-        STORE_COLUMNS(LOAD_COLUMNS(places) + values, places);
-        return;
-    }
-    float lanes[COLUMNS];
-    STORE_COLUMNS(values, lanes);
-    for (int k = first; k < COLUMNS; ++k)
-        places[k] += lanes[k];
-}
-
 __kernel void gather_gradient(__global const float *depth, __global const uchar4 *target_photo,
                               __constant float *cameras, int view, float low_pass, float threshold, float relative,
                               __global const uint *z_first, __global const float *exposure,
