@@ -2,24 +2,6 @@
 // pixels of parallax.
 #include "camera.clh"
 
-// Pixels of [H, W] from (x, y) on, 0 outside.
-columns_t load_around(__global const float *values, int x, int y, int width, int height)
-{
-    if (y < 0 || y >= height)
-        return ZERO;
-    __global const float *row = values + y * width;
-    if (x >= 0 && x + COLUMNS <= width)
-        return LOAD_COLUMNS(row + x);
-#if ONE_PIXEL
-    return ZERO;
-#else
-    float lanes[COLUMNS];
-    for (int k = 0; k < COLUMNS; ++k)
-        lanes[k] = x + k >= 0 && x + k < width ? row[x + k] : 0.0f;
-    return LOAD_COLUMNS(lanes);
-#endif
-}
-
 // Slope of the penalty of the second difference e at d by inverse depth w of its ends, 0 where one is missing; twice that,
 // negated, is the slope by its middle. The penalty is Huber's, up to h, and fades towards `discontinuity`.
 columns_t v_bend(columns_t before, columns_t d, columns_t after, columns_t kappa, columns_t weight, float inverse_h,
