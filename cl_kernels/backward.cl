@@ -18,14 +18,14 @@ float load_v_alpha(__global const float *v_rendered, int pixel, const float colo
 }
 #else
 // Of each Gaussian: what its pixels pass back, times the `slopes` of its weight in them, summed; then G . c + h.
-columns_t sum_v_alpha(__global const float *v_rendered, int pixels[PLACES][COLUMNS], float slopes[PLACES][COLUMNS],
+columns_t sum_v_alpha(__global const float *v_rendered, const mask_t pixels[PLACES], const columns_t slopes[PLACES],
                       const columns_t color[CHANNELS])
 {
     float passed[(CHANNELS + 1) * COLUMNS];
     for (int k = 0; k < COLUMNS; ++k) {
         PAINT(float) sum = 0.0f;
-        for (int place = 0; place < PLACES; ++place)
-            sum += slopes[place][k] * PAINT(vload)(pixels[place][k], v_rendered);
+        UNROLL_SPAN for (int place = 0; place < PLACES; ++place)
+            sum += LANE(float, slopes[place], k) * PAINT(vload)(LANE(int, pixels[place], k), v_rendered);
         PAINT(vstore)(sum, k, passed);
     }
 #ifdef GREY
@@ -56,8 +56,8 @@ __kernel void gather_gradient(__global const float *depth, __global const uchar4
         load_exposed(target_photo, i, exposure, view, color);
         const LogSlope slope = log_slope(g.splat, g.dsplat_ddepth);
 #if !ONE_PIXEL
-        int pixels[PLACES][COLUMNS];
-        float slopes[PLACES][COLUMNS];
+        mask_t pixels[PLACES];
+        columns_t slopes[PLACES];
 #endif
         EACH_PLACE(u, v) {
             const Reach r = reach_pixel(&g, context.width, 0, context.height, u, v);
@@ -68,8 +68,8 @@ __kernel void gather_gradient(__global const float *depth, __global const uchar4
 #if ONE_PIXEL
             sum += taken ? share * load_v_alpha(v_rendered, r.reached ? r.pixel : 0, color) * dalpha : 0.0f;
 #else
-            STORE_COLUMNS(select(ZERO, share * dalpha, taken), slopes[v * SPAN + u]);
-            STORE_COLUMNS(r.pixel, pixels[v * SPAN + u]);
+            slopes[v * SPAN + u] = select(ZERO, share * dalpha, taken);
+            pixels[v * SPAN + u] = r.pixel;
 #endif
         }
 #if !ONE_PIXEL

@@ -123,25 +123,26 @@ __kernel void splat_order_free(__global const float *depth, __global const uchar
         const columns_t one = 1.0f;
         columns_t color[CHANNELS];
         load_exposed(target_photo, row * target.width + column, exposure, view, color);
-        float paint[(CHANNELS + 1) * COLUMNS], weights[PLACES][COLUMNS];
-        int pixels[PLACES][COLUMNS];
+        columns_t paint[CHANNELS + 1], weights[PLACES];
+        mask_t pixels[PLACES];
 #ifdef GREY
-        STORE_TWO(one, color[0], paint)
+        STORE_TWO(one, color[0], (float *)paint)
 #else
-        STORE_FOUR(one, color[0], color[1], color[2], paint)
+        STORE_FOUR(one, color[0], color[1], color[2], (float *)paint)
 #endif
         EACH_PLACE(u, v) {
             const Reach r = reach_pixel(&g, context.width, strip.from, strip.to, u, v);
             const columns_t share = share_of(&g, r, z_first, threshold, relative);
             const columns_t weight = faded_alpha(g.splat, r.dx, r.dy) * (share * FIXED_ONE);
-            STORE_COLUMNS(select(ZERO, weight, share > 0.0f), weights[v * SPAN + u]);
-            STORE_COLUMNS(r.pixel, pixels[v * SPAN + u]);
+            weights[v * SPAN + u] = select(ZERO, weight, share > 0.0f);
+            pixels[v * SPAN + u] = r.pixel;
         }
         for (int k = 0; k < COLUMNS; ++k) {
-            const PAINT(float) own = PAINT(vload)(k, paint);
-            for (int place = 0; place < PLACES; ++place) {
-                const PAINT(int) part = PAINT(convert_int)(weights[place][k] * own + 0.5f);
-                PAINT(vstore)(PAINT(vload)(pixels[place][k], sums) + part, pixels[place][k], sums);
+            const PAINT(float) own = PAINT(vload)(k, (const float *)paint);
+            UNROLL_SPAN for (int place = 0; place < PLACES; ++place) {
+                const PAINT(int) part = PAINT(convert_int)(LANE(float, weights[place], k) * own + 0.5f);
+                const int pixel = LANE(int, pixels[place], k);
+                PAINT(vstore)(PAINT(vload)(pixel, sums) + part, pixel, sums);
             }
         }
     }

@@ -30,8 +30,9 @@ __kernel void nearest(__global const float *depth, __constant float *cameras, in
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     const Strip strip = own_strip(context);
     EACH_LANDING(item, row, landing, strip, target, BLOCKS_ACROSS(target)) {
-        int column, pixels[PLACES][COLUMNS];
-        float z[PLACES][COLUMNS];
+        int column;
+        mask_t pixels[PLACES];
+        columns_t z[PLACES];
         const Gaussians g = load_gaussians(depth, target, context, item, row, low_pass, &column);
         if (!ANY(g.own & (g.y < strip.to) & (g.y + SPAN > strip.from)))
             continue;
@@ -39,13 +40,14 @@ __kernel void nearest(__global const float *depth, __constant float *cameras, in
         EACH_PLACE(u, v) {
             const Reach r = reach_pixel(&g, context.width, strip.from, strip.to, u, v);
             const mask_t seen = r.reached & (falloff(g.splat, r.dx, r.dy) < visible);
-            STORE_COLUMNS(select((columns_t)INFINITY, g.splat.z, seen), z[v * SPAN + u]);
-            STORE_COLUMNS(r.pixel, pixels[v * SPAN + u]);
+            z[v * SPAN + u] = select((columns_t)INFINITY, g.splat.z, seen);
+            pixels[v * SPAN + u] = r.pixel;
         }
         for (int k = 0; k < COLUMNS; ++k)
-            for (int place = 0; place < PLACES; ++place) {
-                __global float *first = z_first + pixels[place][k];
-                *first = z[place][k] < *first ? z[place][k] : *first;
+            UNROLL_SPAN for (int place = 0; place < PLACES; ++place) {
+                __global float *first = z_first + LANE(int, pixels[place], k);
+                const float own = LANE(float, z[place], k);
+                *first = own < *first ? own : *first;
             }
     }
 }
