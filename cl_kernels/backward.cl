@@ -4,8 +4,8 @@
 #include "exposed.clh"
 
 #if ONE_PIXEL
-// G . c + h. Loads do not wait for what decides whether they are needed: those of all pixels of a Gaussian are under way
-// together.
+// G . c + h. Loads do not wait for what decides whether they are needed: those of all pixels of a Gaussian are under
+// way together.
 float load_v_alpha(__global const float *v_rendered, int pixel, const float color[CHANNELS])
 {
 #ifdef GREY

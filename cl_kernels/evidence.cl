@@ -1,4 +1,4 @@
-// What is concluded from how well patches match (patches.cl), apart from the loss that was minimised (method section 7).
+// What is concluded from how well patches match (patches.cl; method section 7).
 //
 //   sum_window   1 - correlation and views of one line of pixels around each pixel, by rows and then by columns
 //   decide       which refined depths are kept

@@ -50,7 +50,8 @@ __kernel void warp_photo(__global const float *depth, __constant float *cameras,
         const columns_t z = d * q[2] + context.t.z, inverse_z = 1.0f / z;
         const columns_t u = context.fx * (d * q[0] + context.t.x) * inverse_z + context.cx - 0.5f;
         const columns_t v = context.fy * (d * q[1] + context.t.y) * inverse_z + context.cy - 0.5f;
-        mask_t seen = (d > 0.0f) & (z > NEAR) & (u >= 0.0f) & (v >= 0.0f) & (u <= width - 1.001f) & (v <= height - 1.001f);
+        mask_t seen = (d > 0.0f) & (z > NEAR) & (u >= 0.0f) & (v >= 0.0f) & (u <= width - 1.001f)
+                      & (v <= height - 1.001f);
         const columns_t inside_u = select(ZERO, u, seen), inside_v = select(ZERO, v, seen);
         const mask_t x = TO_WHOLE(inside_u), y = TO_WHOLE(inside_v), pixel = y * width + x;
         const columns_t a = inside_u - TO_COLUMNS(x), b = inside_v - TO_COLUMNS(y);
@@ -106,7 +107,8 @@ __kernel void weigh(__global const float *warped, __global const float *grey, in
             }
         const float noise = NOISE * NOISE, flat = fmax(noise - noise_variance, 1e-9f);
         const columns_t inverse = 1.0f / fmax(n, 1.0f);
-        const columns_t var_w = fmax(ww - w * w * inverse, 0.0f) * inverse, var_t = fmax(tt - t * t * inverse, 0.0f) * inverse;
+        const columns_t var_w = fmax(ww - w * w * inverse, 0.0f) * inverse;
+        const columns_t var_t = fmax(tt - t * t * inverse, 0.0f) * inverse;
         const columns_t cov = (wt - w * t * inverse) * inverse;
         const columns_t clear_w = 1.0f - 4.0f / 9 * noise_variance / (var_w + flat);
         const columns_t clear_t = 1.0f - noise_variance / (var_t + flat);

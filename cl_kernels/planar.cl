@@ -1,9 +1,9 @@
-// What draws a depth map to planes (method section 5): the slope of a penalty of second differences of inverse depth, in
-// pixels of parallax.
+// What draws a depth map to planes (method section 5): the slope of a penalty of second differences of inverse depth,
+// in pixels of parallax.
 #include "camera.clh"
 
-// Slope of the penalty of the second difference e at d by inverse depth w of its ends, 0 where one is missing; twice that,
-// negated, is the slope by its middle. The penalty is Huber's, up to h, and fades towards `discontinuity`.
+// Slope of the penalty of the second difference e at d by inverse depth w of its ends, 0 where one is missing; twice
+// that, negated, is the slope by its middle. The penalty is Huber's, up to h, and fades towards `discontinuity`.
 columns_t v_bend(columns_t before, columns_t d, columns_t after, columns_t kappa, columns_t weight, float inverse_h,
                  float inverse_discontinuity)
 {
