@@ -86,7 +86,8 @@ def dimensions(config: Config, target: Size, others: list[Size], contexts: int) 
         photos=1 + contexts, samples=SampleGrid.over(target).count, layers=channels + 1, places=side**2,
         bins=max((size.width + side) * (size.height + side) for size in sizes),
         partials=3 * channels * max(pitch(size.width) * size.height for size in sizes) + 2 * MARGIN,
-        blocks=prod(blocks(target)), words=[size.pixels // 32 + 2 for size in others[:contexts]], losses=max(config.pyramid.steps) + 1,
+        words=[size.pixels // 32 + 2 for size in others[:contexts]], losses=max(config.pyramid.steps) + 1,
+        blocks=prod(blocks(target)),
         occlusion=config.splatting.occlusion, alpha=config.splatting.blend == "alpha", ssim=config.loss.ssim > 0,
         exposure=config.loss.exposure, unseen_mask=config.loss.unseen_mask, filter=config.solver.gradient_filter > 0,
         smooth=smooth, normal=config.smoothness.kind == "normal", follows_loss=follows_loss,
@@ -105,7 +106,7 @@ class SurfaceBuffers(Buffers):
         ("most_pixels",), np.uint32, "units", "bits of the nearest depth in each pixel of the view at hand",
         needed="occlusion")
     landing: MaybeBuffer = declared(
-        ("blocks", 2), np.int32, "pixels", "first and last row of the view at hand that each block of the target reaches")
+        ("blocks", 2), np.int32, "pixels", "first and last row of the view at hand that each block of pixels reaches")
 
 
 @dataclass(eq=False)

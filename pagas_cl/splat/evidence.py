@@ -1,4 +1,5 @@
-"""Launches of patches.cl, evidence.cl and deviation.cl: which depths the photos confirm, how sure each is (method section 7)."""
+"""Launches of patches.cl, evidence.cl and deviation.cl: which depths the photos confirm, how sure each is (method
+section 7)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
