@@ -235,7 +235,8 @@ def _bent(costs: np.ndarray, seen_before: float, seen_after: float) -> str:
         return ""
     before, after = costs.mean(axis=0)
     better = int((costs[:, 1] < costs[:, 0]).sum())
-    if after <= (1 + _WIDE_LOSS) * before and seen_after >= 0.8 * seen_before:
+    bent = after > (1 + _WIDE_LOSS) * before and 2 * better <= len(costs)      # most pairs: one that is off is no bend
+    if not bent and seen_after >= 0.8 * seen_before:
         return ""
     return (f"neighbouring photos agree better, those of views far apart do not: a chain of views bends (mean cost "
             f"{before:.4f} before, {after:.4f} after; {better} of {len(costs)} wide pairs better)")
