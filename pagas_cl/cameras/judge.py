@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,12 +12,22 @@ from pagas_cl.cameras.frames import Frames, depths_of, release, through
 from pagas_cl.cameras.motion import moved, twist_between
 from pagas_cl.cameras.rounds import FARTHEST_STEP, INFLATION, LOOSE, STILL, Stage
 from pagas_cl.cameras.solve import pixel_scales, solve
+from pagas_cl.errors import DeviceError, log
 from pagas_cl.scene.view import View
 from pagas_cl.splat import PhotoStore
 
 _STAGES = (Stage(0.25, 0.7, 4), Stage(0.5, 0.7, 4), Stage(1.0, 0.7, 8))
 _SPREAD, _HELD = 1.0, 1.0      # pixels that a camera is off by, and how many of its six numbers that counts for
 _SEEN = 1e6               # share of the depth: a view without a depth map sees everything
+
+
+def fitted_poses(judge: View, target: View, depths: Sequence[np.ndarray]) -> list[View]:
+    """`judge` once for each depth map of `target`, its pose fitted to it; as it is where there is no device."""
+    try:
+        return [fitted_pose(judge, target, depth) for depth in depths]
+    except DeviceError as error:
+        log.warning("held-out cameras are taken as they are: %s", error)
+        return [judge] * len(depths)
 
 
 def fitted_pose(judge: View, target: View, depth: np.ndarray, judge_depth: np.ndarray | None = None, device=None,

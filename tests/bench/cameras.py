@@ -132,7 +132,8 @@ def made(name: str, width: int, height: int, contexts: int, config, device, tell
                      "given": rms_motion(true, after_similarity(cameras, true), depths),
                      "after": rms_motion(true, after_similarity(found.cameras, true), depths),
                      "input": start, "true": best, "as_given": errors(scene, parallax, true, given),
-                     "returned": sum(bool(r.reason) for r in given.values()), "refined": errors(scene, parallax, true, now)})
+                     "refined": errors(scene, parallax, true, now),
+                     "returned": sum(bool(r.reason) for r in given.values())})
         tell(rows[-1])
     return rows
 
