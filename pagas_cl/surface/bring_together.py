@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.scene.depth_source import Adjusted, adjusted
+from pagas_cl.scene.depth_source import adjusted, rescaled
 from pagas_cl.scene.depthmap import depth_down
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.view import View
@@ -47,13 +47,7 @@ class Together:
 
     def apply(self, depths: Sequence[Any]) -> list[Any]:
         """The depth maps (arrays, or what loads them) with it done; those that stay are the same objects."""
-        return [_applied(depth, float(a), float(b)) for depth, a, b in zip(depths, self.factors, self.shifts)]
-
-
-def _applied(depth: Any, factor: float, shift: float) -> Any:
-    if depth is None or (factor == 1 and shift == 0):
-        return depth
-    return Adjusted(depth, factor, shift) if hasattr(depth, "load") else adjusted(np.asarray(depth), factor, shift)
+        return [rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, self.factors, self.shifts)]
 
 
 def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_is_known: bool = False) -> Together:

@@ -1,21 +1,27 @@
 """From what networks, phones and RGB-D recordings leave: errors of depth as read, brought together, and refined.
 
-    python tests/bench/feeds.py OUT [--width 288] [--formats da3 tum ...] [--seed 0]
+    python tests/bench/feeds.py OUT [--width 288] [--formats da3 tum ...] [--seed 0] [--off 2]
 
 A made scene (metres) is written in each form with depth as a network leaves it: a factor a view within 20 %, a shift
-within 5 %, errors that neighbours share, 3 % holes; the maps of networks and phones at a quarter of the photos' size.
-It is read, brought together and refined as `pagas-cl refine` does. "perfect": the same form with the coarse depth as it
-is, its detail (the size of the maps, the unit of the file) the same. Errors are mean absolute depth in pixels of
-parallax, over all views; OUT gets table.md.
+within 5 %, errors that neighbours share, 3 % holes, cameras off by some pixels; the maps of networks and phones at a
+quarter of the photos' size. It is read, brought together and refined as `pagas-cl refine` does. "perfect": the same
+form with the coarse depth as it is, its detail (the size of the maps, the unit of the file) the same. Errors are mean
+absolute depth in pixels of parallax, over all views; OUT gets table.md.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from support.camera_noise import noisy
 
 from pagas_cl.refine import refine_views
 from pagas_cl.surface.bring_together import bring_together
@@ -72,10 +78,13 @@ def main() -> None:
     parser.add_argument("--formats", nargs="*", default=list(EXPORTS))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--noise", type=float, default=0.002)
+    parser.add_argument("--off", type=float, default=0.0, help="pixels that cameras are off by")
     given = parser.parse_args()
     made = relief_scene(given.width, round(given.width * 0.75), given.context, held_out=0, seed=given.seed)
     best = dict[str, float]()
     frames = as_network(frames_of(made), seed=given.seed, noise=given.noise)
+    cameras = noisy([frame.camera for frame in frames], given.off, given.seed, 650 * METRES)
+    frames = [replace(frame, camera=camera) for frame, camera in zip(frames, cameras)]
     text = f"{len(frames)} photos of {given.width} x {round(given.width * 0.75)}\n\n{HEAD}"
     for name in given.formats:
         start, kind = time.process_time(), KIND.get(name, "quarter")
