@@ -19,7 +19,8 @@ STEP, FARTHEST_STEP = 1.0, 3.0       # most that a round moves: a depth, pixels 
 STILL = 0.01              # pixels of a size: a round that moves cameras by less is the last one there
 INFLATION = 40.0          # residuals that say the same, within a window
 LEAST_VARIANCE = 1e-6     # of a residual: photos of 8 bits leave more, what rounding alone leaves says nothing
-STRANGE = 3.0             # deviations of the cameras' scale from which on that of depth maps is taken to be their own
+STRANGE = 0.015           # by so much more than cameras and maps are off the scale of maps is taken to be their own:
+                          # that of the cameras wanders by up to 0.5 % while they move
 SETTLE = 3                # steps of the depths alone before pairs are judged
 
 
@@ -186,7 +187,7 @@ class Rounds:
         focal = float(np.mean([camera.fx for camera in state.cameras]))
         error = state.spread * float(np.median(self.typical)) * self.scene_scale / focal      # of a centre's coordinate
         by_cameras = error**2 / max(float(((centers - middle) ** 2).sum()), 1e-300)
-        strange = not self.frames.moves and wanted**2 > by_surface + STRANGE**2 * by_cameras
+        strange = not self.frames.moves and wanted**2 > by_surface + 9 * by_cameras + STRANGE**2
         scale = 1.0 if strange else float(np.exp(wanted * by_cameras / (by_cameras + by_surface)))
         if strange:              # the maps have a scale of their own, which says nothing of the cameras'
             state.maps *= np.exp(-wanted)
