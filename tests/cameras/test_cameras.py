@@ -249,6 +249,21 @@ def test_wide_pairs_judge_too(relief, device):
     assert "bends" in _bent(np.array([[0.2, 0.1]]), 100, 50)
 
 
+def test_the_pose_of_a_photo_that_judges_is_fitted(relief, device):
+    """To the surface that it judges, also where coarse photos are too small to tell anything of it."""
+    from pagas_cl.cameras.judge import fitted_pose
+
+    target, truth = relief.views[0], [relief.scene.true_depth(camera) for camera in relief.cameras]
+    for k, pixels in ((1, 0.0), (2, 0.5), (5, 2.0)):
+        off = noisy(relief.cameras, pixels, 4)[k]
+        judge = fitted_pose(replace(relief.views[k], camera=off), target, truth[0], truth[k], device)
+        left = rms_motion([relief.cameras[k]], [judge.camera], [truth[k]])
+        assert left < 0.05, (k, pixels, left)
+    blank = replace(target, image=np.full((145, 194, 3), 128, np.uint8))      # tells of no pose
+    stays = fitted_pose(replace(relief.views[5], camera=off), blank, truth[0], None, device)
+    assert rms_motion([off], [stays.camera], [truth[5]]) < 0.1
+
+
 def test_twists_come_back(relief):
     rng = np.random.default_rng(3)
     for size in (1e-9, 1e-3, 0.5, 3.0):
