@@ -36,6 +36,9 @@ def command(
     check_writable("--json", output and output.parent)
     if result.is_dir():
         figures = _depth_figures(result, truth, scene, held_out, before, depth_scale)
+    elif held_out or scene is not None or before is not None:
+        raise InputError(f"--scene, --held-out and --before go with a folder of depth maps, and {str(result)!r} is a "
+                         "file")
     else:
         figures = _cloud_figures(result, truth, spacing, threshold, max_distance, visible, ground)
     for group, rows in figures.items():

@@ -13,6 +13,7 @@ from pagas_cl.evaluate.depth import compare_depth, depth_per_parallax, find_disc
 from pagas_cl.evaluate.predict import compare_predictions
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import central_normals
+from pagas_cl.scene.digest import digest_array, digest_of
 from pagas_cl.scene.names import file_stems, place_of
 from pagas_cl.scene.view import View
 
@@ -34,6 +35,15 @@ class BenchmarkCase:
     @property
     def pixels(self) -> int:
         return self.target.camera.width * self.target.camera.height
+
+    @cached_property
+    def digest(self) -> str:
+        """By which a view of the same name is told apart: what is measured on, and what judges."""
+        views = self.target, *self.held_out
+        arrays = [array for view in views for array in (view.camera.world_to_camera, view.camera.K, view.load_image(),
+                                                        view.load_mask())]
+        return digest_of(digest_array(array).encode() for array in (*arrays, self.initial, self.truth)
+                         if array is not None)
 
     # of the truth and the initial depth, as in evaluate, and held-out photos with the pose that fits it: found once for
     # all settings
@@ -65,6 +75,8 @@ def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int
     judged; `held_out`: names of views that no setting may see, by default two well-placed ones of each target with six
     context views or more, one where there are fewer and no truth.
     """
+    if sample < 1:
+        raise InputError(f"the number of views to measure on (sample) is {sample}, expected 1 or more")
     truth = truth or [None] * len(views)
     known = [view.name for view in views]
     banned = {place_of(name, known) for name in held_out or ()}
