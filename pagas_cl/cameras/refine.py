@@ -72,8 +72,10 @@ class CameraRefinement:
         wrong = f"; wrong and left out: {', '.join(self.left_out)}" if self.left_out else ""
         if not self.accepted:
             return f"cameras stay as given: {self.reason}{wrong}"
+        scales = self.depth_scales
+        scaled = "" if scales is None else f"; depth maps scaled by {np.median(scales):.4f} (median)"
         return (f"cameras moved by {np.nanmedian(self.moved):.2f} pixels (median), at most "
-                f"{np.nanmax(self.moved):.2f}{wrong}")
+                f"{np.nanmax(self.moved):.2f}{scaled}{wrong}")
 
     def scaled(self, depths: Sequence[Any]) -> list[Any]:
         """Depth maps, or what loads them, with these scales and shifts; the same objects where they stay."""

@@ -168,6 +168,18 @@ def test_depth_maps_that_disagree_by_a_factor(relief, device):
         refine_cameras(relief.views, (np.eye(3), np.arange(3)[None]), unknowns=("depth_scale",), device=device)
 
 
+def test_depth_maps_of_another_scale_are_scaled(relief, off_by_one, device):
+    """The cameras keep theirs, which tell it to 0.2 % here; a scale that is nearly theirs is the surface's."""
+    large = [depth * np.float32(1.04) for depth in relief.depths]
+    found = refine_cameras(relief.through(off_by_one[0]), large, device=device)
+    assert found.accepted and found.depth_scales == pytest.approx(np.full(7, 1 / 1.04), abs=8e-3)
+    scaled = found.scaled(large)
+    assert np.median(scaled[0] / relief.depths[0]) == pytest.approx(1, abs=8e-3) and "scaled by 0.96" in str(found)
+    assert relief.error(found.cameras) < 0.1
+    kept = off_by_one[1].scaled(large)
+    assert off_by_one[1].depth_scales is None and all(a is b for a, b in zip(kept, large))
+
+
 def test_a_lens_of_its_own(relief, device):
     """Half of the views were taken with a longer lens than they say."""
     lenses = [0, 0, 0, 0, 1, 1, 1]
