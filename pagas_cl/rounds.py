@@ -56,12 +56,20 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
 def _averaged(results: Sequence[DepthResult], config: Config, device: Device, photos: PhotoStore,
               propose: bool) -> DepthResult:
     """`propose`: also in place of depths that photos refused."""
-    own, start = results[0], time.perf_counter()
-    others = [_evidence(result) for result in results[1:] if not result.reason]
-    if own.reason or not others:
+    own, start, owners = results[0], time.perf_counter(), {}
+    if own.reason or all(result.reason for result in results[1:]):
         return own
+    for result in results:
+        if not result.reason:
+            owners[_evidence(result)] = result
     photos.trim(_BYTES * max(result.depth.size for result in results))
-    comparison = Agreement(_evidence(own), others, device)
+
+    def send(evidence: DepthEvidence) -> tuple[Any, Any]:
+        """Once for all views of a round that are compared with it."""
+        return photos.held(owners[evidence], 8 * evidence.depth.size, lambda: evidence.send(device))
+
+    mine, *others = owners
+    comparison = Agreement(mine, others, device, send)
     spread = comparison.spread()
     decision = decide_agreement(spread, config)
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]

@@ -16,7 +16,7 @@ _NORMAL = 0.6745     # median of |x| where x has a standard deviation of 1
 # adds up, and of errors, which have nothing to do with one another over 4 pixels. Fitted, as the two below, to made
 # scenes with and without mismatch and to real pairs with truth (tests/bench/AGREEMENT.md).
 _SURFACE, _ERRORS = 9.6, 2.0
-_MATCH = 1.2         # variance of a depth, of that which one patch of one photo leaves
+_MATCH = 1.5         # variance of a depth, of that which one patch of one photo leaves
 _BALANCED = 3.0      # variance of a surface's bends over that of errors for which the default weight is right
 
 
@@ -54,6 +54,11 @@ def balance(near: float, far: float, match: float) -> float:
 def is_asked(config: Config) -> bool:
     """Whether it is measured, and the smoothness raised by it."""
     return config.effects.mismatch in ("auto", "on") and config.smoothness.kind == "planar"
+
+
+def nbytes(samples: int, contexts: int) -> int:
+    """Bytes of the device that measuring takes."""
+    return Rows.nbytes(_BENDS + min(VIEWS, contexts), samples)
 
 
 def raised(weight: float, evidence: float) -> float:
