@@ -2,7 +2,7 @@
 
     python tests/bench/agreement_time.py [--sizes 777x581 1554x1162] [--views 12] [--device NAME]
 
-A made scene is refined once to compile everything, then view by view, and then in the rounds; --profile: the host's part
+A made scene: a few views to compile everything, then view by view, and then in the rounds; --profile: the host's part
 of these by function.
 """
 
