@@ -15,9 +15,15 @@
 // the cell of four pixels that the point lands in, whose inverse depth w is linear in the image, so that z w = 1 is
 // solved by one step. False where that view says nothing: it does not see the point, one of the four has no refined
 // depth, or there is a depth edge between them.
-bool difference(const Camera target, const Camera other, int column, int row, float d, float u,
-                __global const float *map, __global const float *deviations, float scale, float *change, float *unsure)
+bool difference(const Camera target, CAMERA_SPACE float *cameras, int view, int column, int row,
+                __global const float *depth, __global const float *depth_per_parallax, __global const float *map,
+                __global const float *deviations, float scale, float *per_pixel, float *change, float *unsure)
 {
+    const Camera other = load_camera(cameras, view);
+    const int own = row * target.width + column;
+    const float d = depth[own] * scale, u = *per_pixel = depth_per_parallax[own] * scale;
+    if (!(d > 0.0f && u > 0.0f))
+        return false;
     const float3 q = turned_ray(target, other, column, row), m = project_ray(other, q, d);
     const float x = m.x - 0.5f, y = m.y - 0.5f;
     if (!(m.z > NEAR && x >= 0.0f && y >= 0.0f && x < other.width - 1 && y < other.height - 1))
@@ -43,11 +49,11 @@ __kernel void count_differences(__global const float *depth, __global const floa
                                 CAMERA_SPACE float *cameras, int view, float scale, __global const float *map,
                                 __global const float *deviations, int bins, float per_pixel, __global uint *counts)
 {
-    const Camera target = load_camera(cameras, 0), other = load_camera(cameras, view);
+    const Camera target = load_camera(cameras, 0);
     EACH_PIXEL(column, row, i, target.width, target.height)
-    const float d = depth[i] * scale, u = depth_per_parallax[i] * scale;
-    float change, unsure;
-    if (!(d > 0.0f && u > 0.0f) || !difference(target, other, column, row, d, u, map, deviations, scale, &change, &unsure))
+    float u, change, unsure;
+    if (!difference(target, cameras, view, column, row, depth, depth_per_parallax, map, deviations, scale, &u, &change,
+                    &unsure))
         return;
     const float bin = fabs(change) / u * per_pixel;
     if (bin < bins)
@@ -66,11 +72,11 @@ __kernel void add_view(__global const float *depth, __global const float *depth_
                        __global const float *deviations, float spread, float pixels,
                        __global float *sums)                       // [H, W, 4] w change, w, w^2 and w times variances
 {
-    const Camera target = load_camera(cameras, 0), other = load_camera(cameras, view);
+    const Camera target = load_camera(cameras, 0);
     EACH_PIXEL(column, row, i, target.width, target.height)
-    const float d = depth[i] * scale, u = depth_per_parallax[i] * scale;
-    float change, unsure;
-    if (!(d > 0.0f && u > 0.0f) || !difference(target, other, column, row, d, u, map, deviations, scale, &change, &unsure))
+    float u, change, unsure;
+    if (!difference(target, cameras, view, column, row, depth, depth_per_parallax, map, deviations, scale, &u, &change,
+                    &unsure))
         return;
     const float off = fabs(change) / (pixels * u);
     if (!(off < 1.0f))

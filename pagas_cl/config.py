@@ -279,16 +279,17 @@ class Effects(_Stage):
     smoothness: str = _effect()
     noise: str = _effect()
     pyramid: str = _effect()
+    mismatch: str = _effect()
     consistency: str = _effect()
     agreement: str = _effect()
     cameras: str = _effect()
 
     @property
     def measured(self) -> bool:
-        """Whether a view is measured for them before it is refined: consistency and agreement rest on refined depth
-        maps, the cameras are of a whole scene."""
+        """Whether a view is measured for them before it is refined: mismatch, consistency and agreement rest on refined
+        depth maps, the cameras are of a whole scene."""
         return any(getattr(self, f.name) not in ("set", "off") for f in fields(self)
-                   if f.name not in ("consistency", "agreement", "cameras"))
+                   if f.name not in ("mismatch", "consistency", "agreement", "cameras"))
 
     @classmethod
     def every(cls, choice: str) -> Effects:

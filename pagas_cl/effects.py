@@ -156,6 +156,13 @@ def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Co
     return config, decisions, measured
 
 
+def decide_mismatch(evidence: float, config: Config) -> Decision:
+    """What smoothness was raised by for photos that do not match, or was not (splat.mismatch, while it was refined)."""
+    choice = config.effects.mismatch
+    return Decision("mismatch", evidence, 1.0, evidence > 1.0, "errors by mismatch over bending, factor of smoothness"
+                    if choice == "auto" else f"asked for: {choice}")
+
+
 def agreement_rounds(config: Config, views: int) -> int:
     """How many rounds of agreement so many refined views may have; each view's own decision is decide_agreement."""
     choice = config.effects.agreement

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from pagas_cl.acceptance import moved_by_evidence, nothing_reason, rejection_reason
 from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
-from pagas_cl.effects import Decision, decide_consistency, settle
+from pagas_cl.effects import Decision, decide_consistency, decide_mismatch, settle
 from pagas_cl.errors import InputError, log
 from pagas_cl.keep_mesh import DETAIL, FLAT, check_flat, check_subdivide, displaced_mesh, polished
 from pagas_cl.measurements import Measurements
@@ -149,6 +149,8 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
 
     refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos or PhotoStore(device),
                                               held_out=held_out)
+    if refined.mismatch == refined.mismatch:
+        decisions.append(decide_mismatch(refined.mismatch, config))
     report = {"contexts": [view.name for view in contexts], "held_out": [view.name for view in held_out],
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,

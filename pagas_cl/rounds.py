@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pagas_cl.config import Config
+from pagas_cl.config import MOST_WEIGHT, Config
 from pagas_cl.effects import agreement_rounds, decide_agreement, settle
 from pagas_cl.progress import Progress
 from pagas_cl.result import DepthResult
@@ -56,12 +56,20 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
 def _averaged(results: Sequence[DepthResult], config: Config, device: Device, photos: PhotoStore,
               propose: bool) -> DepthResult:
     """`propose`: also in place of depths that photos refused."""
-    own, start = results[0], time.perf_counter()
-    others = [_evidence(result) for result in results[1:] if not result.reason]
-    if own.reason or not others:
+    own, start, owners = results[0], time.perf_counter(), {}
+    if own.reason or all(result.reason for result in results[1:]):
         return own
+    for result in results:
+        if not result.reason:
+            owners[_evidence(result)] = result
     photos.trim(_BYTES * max(result.depth.size for result in results))
-    comparison = Agreement(_evidence(own), others, device)
+
+    def send(evidence: DepthEvidence) -> tuple[Any, Any]:
+        """Once for all views of a round that are compared with it."""
+        return photos.held(owners[evidence], 8 * evidence.depth.size, lambda: evidence.send(device))
+
+    mine, *others = owners
+    comparison = Agreement(mine, others, device, send)
     spread = comparison.spread()
     decision = decide_agreement(spread, config)
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
@@ -83,8 +91,9 @@ def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partn
     if averaged.depth is results[0].depth or not steps:
         return averaged
     start, target, contexts = time.perf_counter(), views[partners.target], [views[k] for k in partners.contexts]
-    stepped = _steps(target, contexts, results[0].depth, averaged.depth, _few(config, steps, len(contexts)), device,
-                     photos, [views[k] for k in partners.held_out], progress)
+    few = _few(config, steps, len(contexts), results[0].report)
+    stepped = _steps(target, contexts, results[0].depth, averaged.depth, few, device, photos,
+                     [views[k] for k in partners.held_out], progress)
     # what no view has spoken for, or the photos speak against, is as it was
     kept, refined = results[0], (averaged.status == REFINED) & (stepped.status == REFINED)
     report = {**averaged.report, "seconds": averaged.report["seconds"] + time.perf_counter() - start}
@@ -93,12 +102,15 @@ def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partn
                    deviation=np.where(refined, stepped.deviation, kept.deviation), report=report)
 
 
-def _few(config: Config, steps: int, contexts: int) -> Config:
-    """The settings for so few steps from a depth that is nearly right: at full size, smoothness raised at once. Photos
-    that do not match anywhere around (mismatch) do not tell one depth from another."""
+def _few(config: Config, steps: int, contexts: int, report: Mapping[str, Any]) -> Config:
+    """The settings for so few steps from a depth that is nearly right: at full size, smoothness raised at once, for
+    mismatch by what was measured (`report`). Photos that do not match anywhere around (solver.mismatch) do not tell one
+    depth from another."""
+    raised = [e["evidence"] for e in report.get("effects", ()) if e["effect"] == "mismatch" and e["on"]] or [1.0]
+    weight = min(MOST_WEIGHT, config.smoothness.weight_with(contexts) * raised[0])
     return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__early_damping=1.0,
-                                smoothness__weight=config.smoothness.weight_with(contexts), smoothness__full_views=1,
-                                effects__pyramid="set", solver__mismatch=2.0)
+                                smoothness__weight=weight, smoothness__full_views=1,
+                                effects__pyramid="set", effects__mismatch="set", solver__mismatch=2.0)
 
 
 def _steps(target: View, contexts: Sequence[View], depth: np.ndarray, start: np.ndarray, config: Config,

@@ -9,6 +9,7 @@ from pagas_cl.errors import DeviceMemoryError, log
 from pagas_cl.runtime.arena import total_bytes
 from pagas_cl.runtime.device import translate_cl_errors
 from pagas_cl.scene.camera import Camera
+from pagas_cl.splat import mismatch
 from pagas_cl.splat.buffers import EvidenceBuffers, LevelBuffers, Size, dimensions, level_size
 from pagas_cl.splat.evidence import HISTOGRAM
 from pagas_cl.splat.measure import probe_bytes
@@ -71,6 +72,7 @@ def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, stre
         judges = 2 if len(cameras) > 1 + contexts else 1
         after = total_bytes(EvidenceBuffers.plan(lengths)) + depths
         after += (24 * judges + 5) * full[0].pixels + HISTOGRAM * (judges - 1)
+        during += mismatch.nbytes(lengths["samples"], contexts) if mismatch.is_asked(config) else 0
     return Plan(_photos(full, sizes, streamed), max(during, after))
 
 

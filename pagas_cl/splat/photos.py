@@ -1,5 +1,8 @@
 """Photos on the device: all of them, each uploaded once, or one at a time."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pyopencl as cl
 
@@ -11,24 +14,32 @@ PHOTO_MARGIN = 16         # pixels behind a photo that may be read
 class PhotoStore:
     """Photos on the device, 8-bit RGB with validity in the fourth channel; each one uploaded once.
 
-    Full-size photos stay until `limit_bytes` is reached, then the one unused for longest goes.
+    Full-size photos stay until `limit_bytes` is reached, then the one unused for longest goes. So do depth maps that
+    views are compared with (`held`).
     """
 
     def __init__(self, device, limit_bytes: int | None = None):
         self.device, self.limit = device, limit_bytes or device.memory.limit // 4
-        self._photos: dict[object, cl.Buffer] = {}
+        self._held: dict[int, tuple] = {}        # by id: owner, which keeps its id, what is on the device, bytes
 
     def photo(self, view) -> cl.Buffer:
         """Buffer of (height, width) uchar4 of `view`, a pagas_cl.scene.view.View."""
-        key = id(view)
-        held = self._photos.pop(key, None)
-        if held is None:
-            pixels = rgba(view.load_image(), view.load_mask())
-            self._make_room(pixels.nbytes)
-            held = (view, photo_buffer(self.device, _full_size(view).pixels))
-            cl.enqueue_copy(self.device.queue, held[1], pixels)
-        self._photos[key] = held       # last in the order of use; the view is held so that its id stays its own
-        return held[1]
+        def send() -> cl.Buffer:
+            pixels, buffer = rgba(view.load_image(), view.load_mask()), photo_buffer(self.device, size)
+            cl.enqueue_copy(self.device.queue, buffer, pixels)
+            return buffer
+
+        size = _full_size(view).pixels
+        return self.held(view, photo_bytes(size), send)
+
+    def held(self, owner: object, nbytes: int, send: Callable[[], Any]) -> Any:
+        """What `send()` brings to the device for `owner`, `nbytes` of it: kept as long as photos are."""
+        found = self._held.pop(id(owner), None)
+        if found is None:
+            self._make_room(nbytes)
+            found = owner, send(), nbytes
+        self._held[id(owner)] = found            # last in the order of use
+        return found[1]
 
     def level(self, views, sizes: list[Size], resampler):
         """Photos of `views` at `sizes`, all on the device; none on the host (see StreamedPhotos)."""
@@ -37,13 +48,12 @@ class PhotoStore:
 
     def clear(self) -> None:
         """Forget every photo, and the buffers that wait for another view."""
-        self._photos.clear()
+        self._held.clear()
         self.device.memory.clear()
 
     def beside(self, views) -> int:
-        """Bytes of the photos that are here and are not of `views`."""
-        own = {id(view) for view in views}
-        return sum(buffer.size for view, buffer in self._photos.values() if id(view) not in own)
+        """Bytes of what is here and is not of `views`."""
+        return sum(self._held[key][2] for key in self._held.keys() - {id(view) for view in views})
 
     def trim(self, nbytes: int):
         """Keep no more photos than leave room for `nbytes` of other buffers."""
@@ -51,8 +61,8 @@ class PhotoStore:
         self._make_room(0)
 
     def _make_room(self, nbytes: int):
-        while self._photos and sum(buffer.size for _, buffer in self._photos.values()) + nbytes > self.limit:
-            self._photos.pop(next(iter(self._photos)))
+        while self._held and sum(size for *_, size in self._held.values()) + nbytes > self.limit:
+            self._held.pop(next(iter(self._held)))
 
 
 class StreamedPhotos:

@@ -12,7 +12,7 @@ from pagas_cl.splat.budget import plan_for
 from pagas_cl.splat.buffers import Size, level_size
 from pagas_cl.splat.evidence import Evidence, EvidencePrior
 from pagas_cl.splat.inputs import LevelInput
-from pagas_cl.splat.level import Level
+from pagas_cl.splat.level import Level, Schedule
 from pagas_cl.splat.measure import Probe
 from pagas_cl.splat.photos import PhotoStore, StreamedPhotos
 from pagas_cl.splat.resample import Resampler
@@ -32,6 +32,7 @@ class Refinement:
     """Median 1 - correlation with each photo that took no part, before and after, over the pixels that it sees; NaN
     where there are none."""
     steps: tuple[int, ...]      # those done at each level
+    mismatch: float             # as splat.mismatch measures it, NaN where it was not asked for
     losses: list[float]         # of each step, where the schedule follows it
     device_bytes: int           # most that this process held on the device meanwhile, photos of other views included
     planned_bytes: int          # planned before it began, without those
@@ -62,7 +63,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     for number, (scale, steps) in enumerate(zip(config.pyramid.scales, config.pyramid.steps)):
         level = run.level(scale, before, start)
         earlier = sum(config.pyramid.steps[:number])
-        done.append(level.run(steps, progress and (lambda done, _, earlier=earlier: progress(earlier + done, total))))
+        done.append(level.run(steps, progress and (lambda done, _, earlier=earlier: progress(earlier + done, total)),
+                              Schedule.of(config, steps, measure=scale == 1)))
         if level.buffers.history is not None:
             losses += level.read("history", max(config.pyramid.steps))[:done[-1]].tolist()
         if scale < 1:
@@ -142,5 +144,5 @@ class _Run:
             buffers.depth, buffers.depth_per_parallax, decision.status, decision.deviation, self.depth.shape)
         for held in (buffers, contexts, decision, self.normalized):
             held.release()
-        return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out, steps, losses,
-                          self.device.memory.peak, planned)
+        return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out, steps, level.mismatch,
+                          losses, self.device.memory.peak, planned)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -38,14 +38,24 @@ class DepthEvidence:
         return np.where(known, self.depth, np.float32(0))
 
 
-class Agreement:
-    """Compares `own` with `others`, depth maps of one round, in their order; on `device`, one of them at a time."""
+    def send(self, device: Device) -> tuple[Any, Any]:
+        """`trusted` and `deviation`, on the device."""
+        from pagas_cl.runtime.memory import upload
 
-    def __init__(self, own: DepthEvidence, others: Sequence[DepthEvidence], device: Device):
+        return upload(device, self.trusted), upload(device, self.deviation)
+
+
+class Agreement:
+    """Compares `own` with `others`, depth maps of one round, in their order; on `device`, one of them at a time.
+    `send(evidence)`: as its method does it, where some are on the device already."""
+
+    def __init__(self, own: DepthEvidence, others: Sequence[DepthEvidence], device: Device,
+                 send: Callable[[DepthEvidence], tuple[Any, Any]] | None = None):
         from pagas_cl.runtime.memory import upload
         from pagas_cl.runtime.program import build
 
         self.own, self.others, self.device = own, list(others), device
+        self._send = send or (lambda evidence: evidence.send(device))
         self.scale = 1 / scene_scale_of(own.depth, None)
         self._program = build(device, "agreement.cl", (f"NEAR={NEAR!r}f", f"REFINED={REFINED}"))
         self._cameras = upload(device, camera_table(own.camera, [view.camera for view in others], 1 / self.scale))
@@ -54,9 +64,9 @@ class Agreement:
     def spread(self) -> float:
         """Standard deviation of a depth by how far the maps differ, pixels of parallax: median over all pixels and
         views, of two depths' difference. NaN where hardly any two are of one surface."""
-        from pagas_cl.runtime.memory import download, upload
+        from pagas_cl.runtime.memory import download
 
-        counts, trusted = self._zeros(4 * _BINS), upload(self.device, self.own.trusted)
+        counts, (trusted, _) = self._zeros(4 * _BINS), self._send(self.own)
         for given in self._each():
             self._run("count_differences", depth=trusted, bins=_BINS, per_pixel=_PER_PIXEL, counts=counts, **given)
         found = np.cumsum(download(self.device, counts, _BINS, np.uint32), dtype=np.int64)
@@ -84,11 +94,10 @@ class Agreement:
 
     def _each(self) -> Iterator[dict[str, Any]]:
         """Arguments of a comparison with each other view."""
-        from pagas_cl.runtime.memory import upload
-
         for number, other in enumerate(self.others, start=1):
+            depth, deviations = self._send(other)
             yield {"view": number, "scale": self.scale, "cameras": self._cameras, "depth_per_parallax": self._parallax,
-                   "map": upload(self.device, other.trusted), "deviations": upload(self.device, other.deviation)}
+                   "map": depth, "deviations": deviations}
 
     def _run(self, kernel: str, size: tuple[int, ...] | None = None, **arguments: Any) -> None:
         from pagas_cl.runtime.program import bind, run_once
