@@ -9,6 +9,7 @@
 #include "constants.clh"
 #include "sums.clh"
 
+#define SOFT(r) ((r)*(r))
 #define STILL 0.02f                      // footprints
 
 #define EACH_IN_GROUP(i) \
@@ -44,6 +45,12 @@ __kernel void find_sums(__global const int *first, __global const float2 *links,
     sums[i] = sum > 0.0f ? 1.0f / sum : 0.0f;
 }
 
+float soft(float unit, float reach)
+{
+    const float ratio = fmin(1.0f, 1.5f * unit / reach);
+    return SOFT(ratio);
+}
+
 float smoothed(__global const float *x, __global const int *first, __global const int2 *pairs,
                __global const float2 *links, __global const float *factor, int i)
 {
@@ -57,7 +64,7 @@ float smoothed(__global const float *x, __global const int *first, __global cons
 // residual = D w t (delta = 0), and the preconditioner 1 / diagonal
 __kernel void start(__global const int *first, __global const int2 *pairs, __global const float2 *links,
                     __global const float *sums, __global const float *unit, __global const float *weight,
-                    __global const float *target, int count, float scale, float lambda, float stay,
+                    __global const float *target, __global const float *reach, int count, float scale, float lambda, float stay,
                     __global float *inverse_diagonal, __global float *residual, __global float *delta)
 {
     EACH(i, count)
@@ -66,21 +73,21 @@ __kernel void start(__global const int *first, __global const int2 *pairs, __glo
     for (int k = first[i]; k < first[i + 1]; ++k) {
         const int2 j = pairs[k];
         const float a = links[k].x * sums[j.x] / (unit[j.x] * scale), b = links[k].y * sums[j.y] / (unit[j.y] * scale);
-        sum += 2.0f * (a * a + b * b);               // an edge lies in two triangles, which are counted one by one
+        sum += 2.0f * (soft(unit[j.x], reach[j.x]) * a * a + soft(unit[j.y], reach[j.y]) * b * b);               // an edge lies in two triangles, which are counted one by one
     }
-    inverse_diagonal[i] = 1.0f / (each * (w > 0.0f ? w : stay) + lambda * (each + sum));
+    inverse_diagonal[i] = 1.0f / (each * (w > 0.0f ? w : stay) + lambda * (soft(unit[i], reach[i]) * each + sum));
     residual[i] = each * w * target[i] * scale;
     delta[i] = 0.0f;
 }
 
 // y = D L x
 __kernel void apply_laplacian(__global const float *x, __global const int *first, __global const int2 *pairs,
-                              __global const float2 *links, __global const float *sums, __global const float *unit,
+                              __global const float2 *links, __global const float *sums, __global const float *unit, __global const float *reach,
                               int count, float scale, __global float *y)
 {
     EACH(i, count)
     const float each = 1.0f / (unit[i] * unit[i] * scale * scale);
-    y[i] = sums[i] > 0.0f ? each * (x[i] - sums[i] * smoothed(x, first, pairs, links, 0, i)) : 0.0f;
+    y[i] = sums[i] > 0.0f ? soft(unit[i], reach[i]) * each * (x[i] - sums[i] * smoothed(x, first, pairs, links, 0, i)) : 0.0f;
 }
 
 // q = D (w + stay) p + lambda L^T y, and the sum of p q by groups

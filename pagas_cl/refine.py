@@ -16,7 +16,7 @@ from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide_consistency, settle
 from pagas_cl.errors import InputError, log
-from pagas_cl.keep_mesh import DETAIL, FLAT, check_flat, check_subdivide, displaced_mesh, polished
+from pagas_cl.keep_mesh import DETAIL, FLAT, check_flat, check_subdivide, detailed_mesh, displaced_mesh, polished
 from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
@@ -98,7 +98,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         return displaced_mesh(mesh, views, depths, results, config, subdivide, device=device)
     if output == "mesh":
         given = surface if isinstance(mesh, (str, Path)) else mesh
-        return displaced_mesh(given, views, depths, results, config, subdivide or DETAIL, flat, device)
+        return detailed_mesh(given, views, depths, results, config, subdivide or DETAIL, flat, device)
     fused = fuse_results(views, results, config, progress, executor=executor, folder=folder, device=device)
     return from_surface(fused, like=mesh)
 

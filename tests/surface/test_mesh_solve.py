@@ -78,7 +78,7 @@ def test_finer_edges_take_finer_detail(made, device):
     assert error(coarse, solve_mesh(coarse, views, device).vertices) < 0.9 * given
     assert error(lifted, split) < 0.25 * given
     within = 0.1 * made.relief.footprint
-    needed, keep = undivided(coarse.faces, fine, split, np.full(len(split), within))
+    needed, keep = undivided(fine, split, np.full(len(split), within))
     simple = Surface(split[keep], needed.faces)
     assert len(simple.faces) < 0.6 * len(lifted.faces)
     assert error(simple, simple.vertices) < error(lifted, split) + within
