@@ -76,7 +76,7 @@ def detailed_mesh(mesh, views: list[View], depths, results, config: Config, deta
     given = to_surface(mesh)
     most = int((memory_mb or min(available_mb() / 4, _MEMORY)) * 1e6 / TRIANGLE_BYTES)
     division, solved, place = fit_mesh(given, Observations(used), solve_device(device),
-                                       _finest(given, views, depths, results), detail=detail,
+                                       _finest(given, views, depths, results), flat=flat, detail=detail,
                                        least_views=_least_views(config), most=most)
     if flat > 0:
         within = flat * solved.unit

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pagas_cl.surface.raster import Drawing
 
 SLOTS = 12              # words of views that are kept for a vertex, the weightiest
-MOST_WEIGHT = 4.0       # of a vertex' evidence, where 1 is one view that is as sure as can be
+MOST_WEIGHT = 4.0       # of a vertex' evidence, where the views are as sure as can be
 WEIGHT_SHARE = 0.01     # (a tenth of a footprint)^2
 DEFINES = (f"SLOTS={SLOTS}", f"MOST_WEIGHT={MOST_WEIGHT!r}f", f"WEIGHT_SHARE={WEIGHT_SHARE!r}f")
 

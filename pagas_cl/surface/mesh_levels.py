@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
 
 COARSE, DETAIL = 6.0, 1.5   # footprints: edges to begin with, and the longest that are never split
-OFF = 0.1                   # footprints that the middle of an edge lies off, for which it is split
+_OFF = 2.0                  # times `flat` that the middle of an edge lies off, for which it is split
 _LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
 TRIANGLE_BYTES = 450        # of host and device memory together, at the peak (measured)
 _FACE = 0.35                # area of a face whose edges are all just short enough, of their square
 
 
-def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, *, detail: float = DETAIL,
-             least_views: int = 2, most: int) -> tuple[Subdivision, Solved, np.ndarray]:
-    """Move the vertices of `surface` as solve_mesh does, its edges split where the depth maps lie off their middles, at
-    most to `most` triangles: the largest deviations first.
+def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, *, flat: float,
+             detail: float = DETAIL, least_views: int = 2, most: int) -> tuple[Subdivision, Solved, np.ndarray]:
+    """Move the vertices of `surface` as solve_mesh does, its edges split where the depth maps lie off their middles by
+    more than twice `flat` footprints, at most to `most` triangles: the largest deviations first.
 
     `unit` (V,) is the footprint at each vertex, infinite where no view sees it. Gives how the mesh was split, where
     its vertices are, and which of them are at one place (V',).
@@ -48,7 +48,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
             break
         pairs, of_face = long_edges(mesh.points, mesh.place[mesh.faces], detail * mesh.unit)
         off = _off_middles(mesh.welded(), pairs, views, device, orientation, least_views)
-        wanted, count = np.flatnonzero(off > OFF), len(mesh.faces)
+        wanted, count = np.flatnonzero(off > _OFF * flat), len(mesh.faces)
         room = max(0, (most - count) // 3)      # an edge has two faces, and the longest of theirs are split with it
         if len(wanted) > room:
             log.warning("mesh: %d edges are not split though depth maps show detail there: %d triangles are all that "
@@ -56,7 +56,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
             wanted = wanted[np.argsort(-off[wanted], kind="stable")[:room]]
         mesh.split_longest_with(wanted, pairs, of_face)
         log.info("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
-                 len(wanted), len(pairs), OFF, count, len(mesh.faces))
+                 len(wanted), len(pairs), _OFF * flat, count, len(mesh.faces))
     division = Subdivision(len(surface.vertices), surface.faces, mesh.faces, mesh.rounds)
     return division, solved.at(mesh.place), mesh.place
 

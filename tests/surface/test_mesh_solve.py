@@ -156,13 +156,14 @@ def test_a_round_is_that_of_the_twin(made, device):
 
     mesh, views = Surface(*made.initial_mesh(8.0)), observed(made)
     normals = evidence_twin.vertex_normals(mesh.vertices, mesh.faces)
-    said = [evidence_twin.gather(mesh.vertices, normals, view, drawn)
+    reach = evidence_twin.mean_edges(mesh.vertices, mesh.faces)
+    said = [evidence_twin.gather(mesh.vertices, normals, reach, view, drawn)
             for view, drawn in zip(views, each_depth(mesh, [view.camera for view in views], device))]
     ways, weights, units = (np.array(part) for part in zip(*said))
     unit = units.min(axis=0)
     target, weight, seen, sigma = evidence_twin.settle(ways, weights, unit, 2)
     unit = np.where(np.isfinite(unit), unit, np.median(unit[np.isfinite(unit)]))
-    delta = solve_twin.ways(mesh.vertices, mesh.faces, normals, unit, target, weight)
+    delta = solve_twin.ways(mesh.vertices, mesh.faces, normals, reach, unit, target, weight)
     result = solve_mesh(mesh, views, device, rounds=1)
     way = ((result.vertices - mesh.vertices) * normals).sum(axis=1)
     same = result.seen == seen
