@@ -49,12 +49,10 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
         pairs, of_face = long_edges(mesh.points, mesh.place[mesh.faces], detail * mesh.unit)
         off = _off_middles(mesh.welded(), pairs, views, device, orientation, least_views)
         wanted, count = np.flatnonzero(off > _OFF * flat), len(mesh.faces)
-        room = max(0, (most - count) // 3)      # an edge has two faces, and the longest of theirs are split with it
-        if len(wanted) > room:
+        done = mesh.split_longest_with(wanted[np.argsort(-off[wanted], kind="stable")], pairs, of_face, most)
+        if done < len(wanted):
             log.warning("mesh: %d edges are not split though depth maps show detail there: %d triangles are all that "
-                        "the memory is for", len(wanted) - room, most)
-            wanted = wanted[np.argsort(-off[wanted], kind="stable")[:room]]
-        mesh.split_longest_with(wanted, pairs, of_face)
+                        "the memory is for", len(wanted) - done, most)
         log.info("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
                  len(wanted), len(pairs), _OFF * flat, count, len(mesh.faces))
     division = Subdivision(len(surface.vertices), surface.faces, mesh.faces, mesh.rounds)
@@ -90,20 +88,26 @@ class _Splitting:
         self._split(pairs, of_face)
         return pairs
 
-    def split_longest_with(self, wanted: np.ndarray, pairs: np.ndarray, of_face: np.ndarray) -> None:
-        """Split the edges `wanted` of `pairs`, and with them the longest edge of each of their faces: no slivers."""
+    def split_longest_with(self, wanted: np.ndarray, pairs: np.ndarray, of_face: np.ndarray, most: int) -> int:
+        """Split the edges `wanted` of `pairs`, and with them the longest edge of each of their faces: no slivers. So
+        many of the first ones as make at most `most` faces; how many."""
         length = np.linalg.norm(self.points[pairs[:, 0]] - self.points[pairs[:, 1]], axis=1)
-        chosen = np.zeros(len(pairs) + 1, bool)            # the last: of sides that are none of them
-        chosen[wanted] = True
         sides = np.append(length, -1.0).astype(np.float32)[of_face]
         longest = np.take_along_axis(of_face, sides.argmax(axis=1)[:, None], axis=1)[:, 0]
         while True:
+            chosen = np.zeros(len(pairs) + 1, bool)            # the last: of sides that are none of them
+            chosen[wanted] = True
             more = longest[chosen[of_face].any(axis=1)]
-            if chosen[more].all():
+            while not chosen[more].all():
+                chosen[more] = True
+                more = longest[chosen[of_face].any(axis=1)]
+            added, room = np.count_nonzero(chosen[of_face]), max(0, most - len(self.faces))
+            if added <= room:
                 break
-            chosen[more] = True
+            wanted = wanted[:int(0.95 * len(wanted) * room / added)]
         number = np.where(chosen, np.cumsum(chosen) - 1, -1)
         self._split(pairs[chosen[:-1]], number[of_face])
+        return len(wanted)
 
     def _split(self, pairs: np.ndarray, of_face: np.ndarray) -> None:
         count, here = len(self.place), of_face >= 0

@@ -1,4 +1,4 @@
-"""Seconds by stage and peak host memory from mesh and photos to mesh, on a made scene; needs NumPy, pyopencl and Pillow.
+"""Seconds by stage and peak host memory from mesh and photos to mesh, on a made scene, without Open3D or SciPy.
 
     python tests/bench/mesh_times.py [--views 12] [--size 1554 1162] [--device gpu] [--output tsdf]
     python tests/bench/mesh_times.py --given     # the mesh stages alone, on the depth maps of a true mesh
