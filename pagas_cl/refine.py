@@ -65,12 +65,14 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     output : str
         "tsdf": a new mesh, fused from the refined depth maps. "mesh": the given mesh with as many triangles as the
         detail that photos show needs, nearer to the truth; what no photo sees stays, and so do texture coordinates and
-        attributes; some 500 bytes of host memory for each triangle that it is split to. "displace": the same with the
-        given triangles; a path gives an Open3D mesh with its textures.
+        attributes; at most 350 MB of host memory. "displace": the same with the given triangles; a path gives an Open3D
+        mesh with its textures.
     subdivide : float, optional
-        First split edges longer than this many pixel footprints; with "mesh" 1.5 where it is left out.
+        First split edges longer than this many pixel footprints; with "mesh" (1.5 where it is left out) only those that
+        depth maps lie off.
     flat : float
-        With "mesh": splits are undone where the surface stays true to within this many pixel footprints.
+        With "mesh": edges are split that depth maps lie off by more than twice this many pixel footprints; splits are
+        undone where the surface stays true to within it.
     executor, folder
         As in refine_views.
 
