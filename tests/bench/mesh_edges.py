@@ -1,5 +1,5 @@
 """The picture of edges in MESH.md: `python tests/bench/mesh_edges.py OUT.png [--preset balanced] [SCENE ...]`. A row a
-scene (detail, a wire, a border, a step with a crease), five times enlarged: mesh given, fused, `output="mesh"`, truth."""
+scene (detail, a wire, a border, a step and a crease), five times enlarged: given, fused, `output="mesh"`, truth."""
 
 from __future__ import annotations
 
