@@ -47,7 +47,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
         if level == _LEVELS:
             break
         pairs, of_face = long_edges(mesh.points, mesh.place[mesh.faces], detail * mesh.unit)
-        off = _off_middles(mesh.welded(), pairs, views, device, orientation, least_views)
+        off = off_middles(mesh.welded(), pairs, views, device, orientation, least_views)
         wanted, count = np.flatnonzero(off > _OFF * flat), len(mesh.faces)
         done = mesh.split_longest_with(wanted[np.argsort(-off[wanted], kind="stable")], pairs, of_face, most)
         if done < len(wanted):
@@ -125,7 +125,7 @@ class _Splitting:
         self.unit = np.concatenate([self.unit, self.unit[pairs].min(axis=1)])
 
 
-def _off_middles(surface: Surface, pairs: np.ndarray, views: Sequence[Observed], device: Device, orientation: float,
+def off_middles(surface: Surface, pairs: np.ndarray, views: Sequence[Observed], device: Device, orientation: float,
                  least_views: int) -> np.ndarray:
     """How far, in footprints, the depth maps lie off the middles of the edges `pairs`; 0 where too few views agree."""
     from pagas_cl.runtime.device import translate_cl_errors
