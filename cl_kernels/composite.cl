@@ -2,6 +2,7 @@
 //
 // sums holds, per context pixel, fixed-point [weight, red, green, blue] ([weight, grey] with GREY).
 #include "box.clh"
+#include "strip.clh"
 #include "exposed.clh"
 
 #ifdef INT64_ATOMICS
@@ -42,7 +43,7 @@ __kernel IN_BOXES
 void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
                       __constant float *cameras, int view, float low_pass, float threshold, float relative,
                       __global const uint *z_first, __global const float *exposure,
-                      __global volatile uint *sums)                // [H', W', CHANNELS + 1]
+                      __global const int *landing, __global volatile uint *sums)                // [H', W', CHANNELS + 1]
 {
     __local uint boxed[(CHANNELS + 1) * BOX];
     __local int corners[4];
@@ -59,7 +60,7 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
         float color[CHANNELS];
         load_exposed(target_photo, row * target.width + column, exposure, view, color);
         EACH_PLACE(u, v) {
-            const Reach r = reach_pixel(&g, context, u, v);
+            const Reach r = reach_pixel(&g, context.width, 0, context.height, u, v);
             const float share = r.reached ? share_of(&g, r, z_first, threshold, relative) : 0.0f;
             if (!(share > 0.0f))
                 continue;
@@ -82,36 +83,67 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
             add_to_image(sums + pixel_of_box(box, k, context.width) * (CHANNELS + 1), parts);
     }
 }
-#else
+#elif ONE_PIXEL
 __kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
                                __constant float *cameras, int view, float low_pass, float threshold, float relative,
                                __global const uint *z_first, __global const float *exposure,
-                               __global volatile uint *sums)                // [H', W', CHANNELS + 1]
+                               __global const int *landing, __global volatile uint *sums)     // [H', W', CHANNELS + 1]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;
     const int row = get_global_id(1);
     const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, low_pass, &column);
-    if (!ANY(g.own))
+    if (!g.own)
         return;
-    columns_t color[CHANNELS];
+    float color[CHANNELS];
     load_exposed(target_photo, row * target.width + column, exposure, view, color);
     EACH_PLACE(u, v) {
-        const Reach r = reach_pixel(&g, context, u, v);
-        if (!ANY(r.reached))
+        const Reach r = reach_pixel(&g, context.width, 0, context.height, u, v);
+        const float share = r.reached ? share_of(&g, r, z_first, threshold, relative) : 0.0f;
+        if (!(share > 0.0f))
             continue;
-        int pixel[COLUMNS], taken[COLUMNS], parts[CHANNELS + 1][COLUMNS];
-        STORE_COLUMNS(r.pixel, pixel);
-        const columns_t share = share_of(&g, r, z_first, threshold, relative);
-        STORE_COLUMNS(share > 0.0f, taken);
+        int parts[CHANNELS + 1][1];
         weigh_colors(&g, r, share, color, parts);
+        add_to_image(sums + r.pixel * (CHANNELS + 1), (const uint *)parts);
+    }
+}
+#else
+__kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
+                               __constant float *cameras, int view, float low_pass, float threshold, float relative,
+                               __global const uint *z_first, __global const float *exposure,
+                               __global const int *landing, __global int *sums)     // [H', W', CHANNELS + 1]
+{
+    const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
+    const Strip strip = own_strip(context);
+    EACH_LANDING(item, row, landing, strip, target, BLOCKS_ACROSS(target)) {
+        int column;
+        const Gaussians g = load_gaussians(depth, target, context, item, row, low_pass, &column);
+        if (!ANY(g.own & (g.y < strip.to) & (g.y + SPAN > strip.from)))
+            continue;
+        const columns_t one = 1.0f;
+        columns_t color[CHANNELS];
+        load_exposed(target_photo, row * target.width + column, exposure, view, color);
+        columns_t paint[CHANNELS + 1], weights[PLACES];
+        mask_t pixels[PLACES];
+#ifdef GREY
+        STORE_TWO(one, color[0], (float *)paint)
+#else
+        STORE_FOUR(one, color[0], color[1], color[2], (float *)paint)
+#endif
+        EACH_PLACE(u, v) {
+            const Reach r = reach_pixel(&g, context.width, strip.from, strip.to, u, v);
+            const columns_t share = share_of(&g, r, z_first, threshold, relative);
+            const columns_t weight = faded_alpha(g.splat, r.dx, r.dy) * (share * FIXED_ONE);
+            weights[v * SPAN + u] = select(ZERO, weight, share > 0.0f);
+            pixels[v * SPAN + u] = r.pixel;
+        }
         for (int k = 0; k < COLUMNS; ++k) {
-            if (!taken[k])
-                continue;
-            uint own[CHANNELS + 1];
-            for (int c = 0; c <= CHANNELS; ++c)
-                own[c] = parts[c][k];
-            add_to_image(sums + pixel[k] * (CHANNELS + 1), own);
+            const PAINT(float) own = PAINT(vload)(k, (const float *)paint);
+            UNROLL_SPAN for (int place = 0; place < PLACES; ++place) {
+                const PAINT(int) part = PAINT(convert_int)(LANE(float, weights[place], k) * own + 0.5f);
+                const int pixel = LANE(int, pixels[place], k);
+                PAINT(vstore)(PAINT(vload)(pixel, sums) + part, pixel, sums);
+            }
         }
     }
 }

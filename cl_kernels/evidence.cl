@@ -1,100 +1,12 @@
-// What the photos say of each depth, apart from the loss that was minimised: patches of the target against the
-// context photos warped through the depth map (method section 7).
+// What is concluded from how well patches match (patches.cl; method section 7).
 //
-//   warp_photo   a context photo seen from the target: grey value and its slope by the depth, per target pixel
-//   weigh        5x5 patches of it against the target: correlation, and how sharply it fixes the depth
 //   sum_window   1 - correlation and views of one line of pixels around each pixel, by rows and then by columns
 //   decide       which refined depths are kept
 //   feather      no seams between those and the others
 #include "camera.clh"
 #include "photo.clh"
 
-#define PATCH 2                      // half the width of a patch
-#define LEAST_PIXELS 6               // of a patch must be visible
-#define NOISE (1.0f / 255.0f)        // of a photo: what a residual never falls below
-#define LEAST_POSSIBLE 0.3f          // below this a patch is all noise
-#define UNSEEN -1.0f
 #define CHANCE 0.02f                 // growth of 1 - correlation in a photo, mean around a pixel, that says nothing
-
-__kernel void warp_photo(__global const float *depth, __constant float *cameras, int view, float threshold,
-                         __global const uint *z_first, __global const uchar4 *photo,
-                         __global float2 *warped)                  // [H, W] grey 0 to 1 or UNSEEN, slope by depth
-{
-    const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    EACH_PIXEL(column, row, i, target.width, target.height)
-    const float d = depth[i];
-    warped[i] = (float2)(UNSEEN, 0.0f);
-    if (!(d > 0.0f))
-        return;
-    const float3 q = turned_ray(target, context, column, row), m = project_ray(context, q, d);
-    const float u = m.x - 0.5f, v = m.y - 0.5f, inverse_z = 1.0f / m.z, zz = inverse_z * inverse_z;
-    if (!(m.z > NEAR && u >= 0.0f && v >= 0.0f && u <= context.width - 1.001f && v <= context.height - 1.001f))
-        return;
-    const int x = (int)u, y = (int)v, pixel = y * context.width + x;
-    const float a = u - x, b = v - y;
-#ifdef OCCLUSION
-    if (m.z > as_float(z_first[(int)(v + 0.5f) * context.width + (int)(u + 0.5f)]) + threshold)
-        return;
-#endif
-    const int right = x + 1 < context.width ? 1 : 0, below = y + 1 < context.height ? context.width : 0;
-    const uchar4 p00 = photo[pixel], p10 = photo[pixel + right], p01 = photo[pixel + below];
-    const uchar4 p11 = photo[pixel + right + below];
-    if (p00.w == 0 || p10.w == 0 || p01.w == 0 || p11.w == 0)
-        return;
-    const float g00 = grey_of(p00), g10 = grey_of(p10), g01 = grey_of(p01), g11 = grey_of(p11);
-    const float value = (1 - b) * ((1 - a) * g00 + a * g10) + b * ((1 - a) * g01 + a * g11);
-    const float slope_u = (1 - b) * (g10 - g00) + b * (g11 - g01), slope_v = (1 - a) * (g01 - g00) + a * (g11 - g10);
-    const float2 moved = mean_slope(context, q);
-    const float slope = slope_u * context.fx * moved.x * zz + slope_v * context.fy * moved.y * zz;
-    warped[i] = (float2)(value, slope);
-}
-
-// evidence per pixel: sum of 1 - correlation, number of views, sum of information (1 / variance of the depth)
-//
-// noise_variance: of the photos' noise beyond NOISE. A correlation is taken as a share of what that much noise lets a
-// perfect match have; looking up between pixels leaves 4/9 of it. Without it two flat patches match; with it, nothing
-// is known of them.
-__kernel void weigh(__global const float2 *warped, __global const uchar4 *target_photo, int width, int height,
-                    float noise_variance, __global float *evidence)     // [H, W, 3], added
-{
-    EACH_PIXEL(column, row, i, width, height)
-    if (warped[i].x == UNSEEN)
-        return;
-    float n = 0.0f, w = 0.0f, t = 0.0f, s = 0.0f, ww = 0.0f, tt = 0.0f, wt = 0.0f, ss = 0.0f;
-    const float origin = warped[i].x, middle = grey_of(target_photo[i]);
-    for (int y = max(row - PATCH, 0); y <= min(row + PATCH, height - 1); ++y)
-        for (int x = max(column - PATCH, 0); x <= min(column + PATCH, width - 1); ++x) {
-            const float2 seen = warped[y * width + x];
-            if (seen.x == UNSEEN)
-                continue;
-            const float a = seen.x - origin, b = grey_of(target_photo[y * width + x]) - middle;
-            n += 1.0f;
-            w += a;
-            t += b;
-            s += seen.y;
-            ww += a * a;
-            tt += b * b;
-            wt += a * b;
-            ss += seen.y * seen.y;
-        }
-    if (n < LEAST_PIXELS)
-        return;
-    const float inverse = 1.0f / n, noise = NOISE * NOISE;
-    const float var_w = fmax(ww - w * w * inverse, 0.0f) * inverse, var_t = fmax(tt - t * t * inverse, 0.0f) * inverse;
-    const float cov = (wt - w * t * inverse) * inverse;
-    const float flat = fmax(noise - noise_variance, 1e-9f);
-    const float clear_w = 1.0f - 4.0f / 9 * noise_variance / (var_w + flat);
-    const float clear_t = 1.0f - noise_variance / (var_t + flat);
-    const float possible = fmax(sqrt(fmax(clear_w, 0.0f) * fmax(clear_t, 0.0f)), LEAST_POSSIBLE);
-    const float correlation = (cov + flat) / sqrt((var_w + flat) * (var_t + flat)) / possible;
-    const float share = fmin(fmax(cov, 0.0f) / sqrt(fmax(var_w * var_t, noise * noise)), 1.0f);
-    const float explained = share * share, unexplained = var_w * (1.0f - explained) + noise;
-    float3 e = vload3(i, evidence);
-    e.x += 1.0f - correlation;
-    e.y += 1.0f;
-    e.z += explained * fmax(ss - s * s * inverse, 0.0f) / unexplained;
-    vstore3(e, i, evidence);
-}
 
 #define WINDOW 7                     // half the width of the surroundings in which patches must match
 

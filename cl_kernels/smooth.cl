@@ -1,5 +1,5 @@
 // What holds a depth map together where photos say little (method section 5): per target pixel, added to the gradient.
-//   smoothness_scale, smoothness_planar    second differences of inverse depth, in pixels of parallax
+//   smoothness_scale                       units and weights of second differences of inverse depth (planar.cl)
 //   normal_map, normal_slope, normal_vjp   the paper's angle between neighbouring normals
 //   raise_weights                          more where a surface is specular
 //   planar_loss, normal_loss               their penalties, summed for the schedule
@@ -42,13 +42,6 @@ __kernel void raise_weights(__global const float *factors,         // [down, acr
                             + b * ((1 - a) * factors[below * across + left] + a * factors[below * across + right]);
 }
 
-// Slope of the penalty: Huber's, fading towards `discontinuity`.
-float penalty_slope(float e, float h, float discontinuity)
-{
-    const float x = fmin(fabs(e) / discontinuity, 1.0f), t = x * x, rest = 1.0f - t * t * t * t;
-    return clamp(e / h, -1.0f, 1.0f) * rest * rest;
-}
-
 // Integral of what fades, (1 - (t / discontinuity)^8)^2, from 0 to e.
 float fading_integral(float e, float discontinuity)
 {
@@ -73,32 +66,6 @@ float bend(__global const float *depth, __global const float *kappa, int i, int 
     if (!(d > 0.0f && before > 0.0f && after > 0.0f))
         return 0.0f;
     return kappa[i] * second_difference(before, d, after);
-}
-
-// Slope of its penalty by w of its ends, 0 where `along` is at or beyond an end of the line; twice that, negated, is
-// the slope by w_i.
-float v_bend(__global const float *depth, __global const float *kappa, __global const float *weights, int i, int stride,
-             int along, int length, float h, float discontinuity)
-{
-    const float e = bend(depth, kappa, i, stride, along, length);
-    return e == 0.0f ? 0.0f : weights[i] * kappa[i] * penalty_slope(e, h, discontinuity);
-}
-
-__kernel void smoothness_planar(__global const float *depth, __global const float *kappa,
-                                __global const float *weights, int width, int height, float scale, float h,
-                                float discontinuity, __global float *gradient)         // [H, W] N dL/dd is added
-{
-    EACH_PIXEL(x, y, i, width, height)
-    const float d = depth[i];
-    if (!(d > 0.0f))
-        return;
-    float v_inverse = -2.0f * (v_bend(depth, kappa, weights, i, 1, x, width, h, discontinuity)
-                                + v_bend(depth, kappa, weights, i, width, y, height, h, discontinuity));
-    v_inverse += v_bend(depth, kappa, weights, i - 1, 1, x - 1, width, h, discontinuity);
-    v_inverse += v_bend(depth, kappa, weights, i + 1, 1, x + 1, width, h, discontinuity);
-    v_inverse += v_bend(depth, kappa, weights, i - width, width, y - 1, height, h, discontinuity);
-    v_inverse += v_bend(depth, kappa, weights, i + width, width, y + 1, height, h, discontinuity);
-    gradient[i] -= scale * v_inverse / (d * d);
 }
 
 float3 point_at(__global const float *depth, const Camera camera, int x, int y)

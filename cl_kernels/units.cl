@@ -53,9 +53,10 @@ __kernel void denormalize_depth(__global const float *given, int count, float sc
     EACH(i, count)
     const uint kept = is_surface(given[i]) ? as_uint(given[i]) : 0u;
     const bool without_gaussian = status[i] == NO_SURFACE && kept;
-    ((__global uint *)depth)[i] = status[i] == REFINED ? as_uint(depth[i] * scene_scale) : kept;
+    const uint found = status[i] == REFINED ? as_uint(depth[i] * scene_scale) : kept;
+    ((__global uint *)depth)[i] = found;
     parallax[i] *= scene_scale;
     deviation[i] = without_gaussian ? INFINITY : deviation[i] * scene_scale;
-    if (without_gaussian)
+    if (without_gaussian || (status[i] == REFINED && found == kept))
         status[i] = KEPT;
 }

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.filters import native, parameters
+from pagas_cl.filters.names import HINT
 from pagas_cl.filters.parameters import FILTER
 from pagas_cl.scene.readers.untrusted import read_xml, short
 
@@ -78,6 +79,7 @@ def _checked_step(number: int, element, known: native.Known, where: str, outside
         given = [{**attributes, "name": parameters.in_scripts(attributes.get("name", ""))} for attributes in given]
     if len(given) != len(element):
         raise InputError(f"{where}: holds elements that are not <Param>")
+    given = [attributes for attributes in given if name != FILTER or attributes["name"] != HINT]
     _check_runs(known, name, where)
     for attributes in given:
         parameters.check_parameter(attributes, known.types, values, where)

@@ -16,6 +16,7 @@ from pagas_cl.filters.parameters import FILTER, PARAMETERS
 
 METHOD = "apply_pagas_depth_refinement"
 CALL = "pagas_cl.filters.filter_script.run_script(meshes, script, scene), or on the command line: pagas-cl script"
+HINT = "run_with"     # a parameter that only says CALL: all that pymeshlab alone shows of a script are its parameters
 NOTE = f"<!-- {FILTER!r} is a step of pagas_cl, which MeshLab and pymeshlab alone do not run: {CALL} -->"
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from pagas_cl.commands._console import shown_progress
 from pagas_cl.errors import InputError, need
-from pagas_cl.filters.names import METHOD, add_name
+from pagas_cl.filters.names import CALL, HINT, METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
 from pagas_cl.scene.view import Scene, View
 
@@ -90,6 +90,7 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
         for p in (p for p in PARAMETERS if p.name in values):
             ElementTree.SubElement(element, "Param", type=p.rich, name=p.name, value=values[p.name],
                                    description=p.description, tooltip="")
+        ElementTree.SubElement(element, "Param", type="RichString", name=HINT, value=CALL, description="", tooltip="")
         history.append(element)
     finally:
         restore_history(self, history)

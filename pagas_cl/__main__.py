@@ -47,6 +47,13 @@ def expand_lists(arguments: list[str], many) -> list[str]:
     return result
 
 
+def refuse_empty(arguments: list[str]) -> None:
+    """InputError where a place to write to is an empty word ("$OUT", not set): it would be the present folder."""
+    for option, word in zip(arguments, arguments[1:]):
+        if not word and option in ("--output", "--save-depth", "--report", "--json", "--save-script"):
+            raise InputError(f"{option} is empty, expected the name of a file or folder ('.' is the present one)")
+
+
 def build_app(names) -> typer.Typer:
     """The typer application with the commands `names`, whose files are imported here and not before."""
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, callback=_options,
@@ -84,6 +91,7 @@ def _run(arguments: list[str], debug: bool) -> int:
     wanted = [word for word in arguments if not word.startswith("-")][:1]
     try:
         one = wanted if wanted and wanted[0] in known else []
+        refuse_empty(arguments)
         many = getattr(_module(one[0]), "MANY", ()) if one else ()      # options that take several words
         status = build_app(one or known)(expand_lists(arguments, many), prog_name="pagas-cl", standalone_mode=False,
                                          obj=shlex.join(["pagas-cl", *arguments]))  # what was asked, for reports

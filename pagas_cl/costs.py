@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from pagas_cl.config import Config, Context
+from pagas_cl.effects import agreement_rounds
 from pagas_cl.errors import InputError
 from pagas_cl.presets import preset
 from pagas_cl.scene.choice import MOST_HELD_OUT, ContextChooser, shared_out
@@ -160,7 +161,8 @@ class Costs:
         raise InputError("no view has a usable context view: nothing would be refined")
 
     def seconds(self, config: Config) -> float:
-        """Expected mean time per view, with the effects that the probed view calls for."""
+        """Expected mean time per view, with the effects that the probed view calls for, and with all rounds of
+        agreement that views may have; that of refining cameras is not counted."""
         contexts, held_out = shared_out(self.chosen, config.context.number)
         settled = self._settled(config, contexts)
         kind = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(1,), solver__views_per_step=1,
@@ -170,7 +172,11 @@ class Costs:
                                       held_out=held_out)
         cost = self._known[kind]
         photos = self._photos(config.context.number)
-        return float(np.mean([cost.seconds(settled, pixels, len(contexts), photos) for pixels in self.pixels]))
+        between = max(agreement_rounds(config, len(self.pixels)) - 1, 0) if config.agreement.steps else 0
+        steps = max(1, round(config.agreement.steps * config.pyramid.steps[-1]))
+        again = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,))
+        return float(np.mean([cost.seconds(settled, pixels, len(contexts), photos) + between
+                              * cost.seconds(again, pixels, len(contexts), photos) for pixels in self.pixels]))
 
     @cached_property
     def _photo(self) -> float:

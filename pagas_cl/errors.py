@@ -12,7 +12,7 @@ def nearest_of(word: str, known: Iterable[str]) -> str:
     """What a sentence ends with where one of `known`, or what follows its last dot, is nearly `word`; else empty."""
     known = list(known)
     ends = {name.rpartition(".")[2].lower(): name for name in known} | {name.lower(): name for name in known}
-    near = get_close_matches(word.lower(), ends, n=1)
+    near = get_close_matches(word.rpartition(".")[2].lower(), ends, n=1)
     return f"the nearest known one is {ends[near[0]]!r}" if near else ""
 
 

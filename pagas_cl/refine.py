@@ -204,6 +204,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     config, depths = settings_of(preset, config), depth_maps(views, depths)
     asked = asked_views(views, depths, names)
     views, config, cameras = settle_cameras(views, depths, config, device, progress)
+    depths = depths if cameras is None else cameras.scaled(depths)
     if executor is not None or folder is not None or device == "all" or isinstance(device, (list, tuple)):
         from pagas_cl.jobs import refine_all
 

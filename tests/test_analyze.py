@@ -42,6 +42,7 @@ def test_the_command_writes_table_json_and_page(made, scene, tmp_path, capsys):
     assert all(name in printed and told["costs"][name]["seconds_on"] > 0 for name in EFFECTS)
     assert told["costs"]["exposure"]["device_bytes"] > 0 and told["costs"]["noise"]["device_bytes"] == 0
     page = (tmp_path / "page" / "index.html").read_text()
+    assert 'class="headline">The scene calls for ' in page and "<td class=words>" in page
     assert all(name in page for name in EFFECTS) and (tmp_path / "page" / "analysis.json").exists()
 
 

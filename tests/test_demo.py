@@ -76,7 +76,7 @@ def test_demo_with_a_faked_refinement(tmp_path, capsys, monkeypatch):
 def test_demo_on_a_device(tmp_path):
     from pagas_cl.demo import run_demo
 
-    result = run_demo(tmp_path, width=200, height=150, contexts=4)
+    result = run_demo(tmp_path, width=140, height=105, contexts=4)
     old, new = result.before["target"].smooth, result.after["target"].smooth
     assert new.mean < 0.6 * old.mean and new.normal_mean < old.normal_mean
     assert result.prediction[1] > result.prediction[0]

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from support.scenes import relief_scene
 
 import pagas_cl
@@ -109,3 +110,10 @@ def test_warnings_are_told_once(capsys, debug):
     assert lines.count("WARNING the same") == (20 if debug else 1) and lines.count("INFO as it is") == 20
     assert sum("is odd" in line and "more" not in line for line in lines) == (20 if debug else 5)
     assert ("WARNING 15 more warnings like 'view ... is odd' (--debug shows all)" in lines) == (not debug)
+
+
+def test_whom_a_cluster_trusts_is_said_where_it_is_asked_for(capsys):
+    assert command_line.run(["refine", "--help"]) == 0
+    told = " ".join(capsys.readouterr().out.replace("\u2502", " ").split())
+    assert "one that you trust, since it may run any program here" in told
+    assert "pickles, which run code when they are read" in " ".join((ROOT / "docs/usage.md").read_text().split())

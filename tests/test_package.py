@@ -46,7 +46,7 @@ OLD_WORDS = {
 }
 # Kernel files that belong to a stage, and a twin, of another name.
 STAGE = {"alpha": "composite", "backward": "composite", "deviation": "evidence", "image_noise": "measure",
-         "ssim": "loss", "summary": "measure"}
+         "patches": "evidence", "planar": "smooth", "ssim": "loss", "summary": "measure"}
 TWINS = ("pagas_cl/reference", "tests/twins")
 
 

@@ -160,7 +160,7 @@ def test_a_large_photo_is_no_attack(tmp_path, monkeypatch):
 def test_a_damaged_record_of_a_study(tmp_path, text):
     (tmp_path / "tradeoff.json").write_text(text)
     with pytest.raises(InputError, match="is no record of a study"):
-        Book(tmp_path, "a")
+        Book(tmp_path, "a", [])
 
 
 @slow

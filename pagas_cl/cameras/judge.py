@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,13 +10,24 @@ import numpy as np
 from pagas_cl.cameras.adjust import Adjuster
 from pagas_cl.cameras.frames import Frames, depths_of, release, through
 from pagas_cl.cameras.motion import moved, twist_between
-from pagas_cl.cameras.rounds import FARTHEST_STEP, INFLATION, LOOSE, Stage
+from pagas_cl.cameras.rounds import FARTHEST_STEP, INFLATION, LOOSE, STILL, Stage
 from pagas_cl.cameras.solve import pixel_scales, solve
+from pagas_cl.errors import DeviceError, log
 from pagas_cl.scene.view import View
 from pagas_cl.splat import PhotoStore
 
-_STAGES = (Stage(0.25, 0.7, 4), Stage(0.5, 0.7, 4), Stage(1.0, 0.7, 4))
+_STAGES = (Stage(0.25, 0.7, 4), Stage(0.5, 0.7, 4), Stage(1.0, 0.7, 8))
+_SPREAD, _HELD = 1.0, 1.0      # pixels that a camera is off by, and how many of its six numbers that counts for
 _SEEN = 1e6               # share of the depth: a view without a depth map sees everything
+
+
+def fitted_poses(judge: View, target: View, depths: Sequence[np.ndarray]) -> list[View]:
+    """`judge` once for each depth map of `target`, its pose fitted to it; as it is where there is no device."""
+    try:
+        return [fitted_pose(judge, target, depth) for depth in depths]
+    except DeviceError as error:
+        log.warning("held-out cameras are taken as they are: %s", error)
+        return [judge] * len(depths)
 
 
 def fitted_pose(judge: View, target: View, depth: np.ndarray, judge_depth: np.ndarray | None = None, device=None,
@@ -36,7 +48,7 @@ def fitted_pose(judge: View, target: View, depth: np.ndarray, judge_depth: np.nd
     own = np.full(shape, scene_scale, np.float32) if judge_depth is None else judge_depth
     adjuster = Adjuster(device, scene_scale)
     frames = Frames(adjuster, [target, judge], *depths_of([depth, own]), photos or PhotoStore(device))
-    camera, spread, tolerance = judge.camera, 1.0, _SEEN if judge_depth is None else LOOSE
+    camera, tolerance = judge.camera, _SEEN if judge_depth is None else LOOSE
     for stage in _STAGES:
         pair = frames.at([target.camera, camera], stage.share, stage.sigma)
         for _ in range(stage.rounds):
@@ -45,12 +57,13 @@ def fitted_pose(judge: View, target: View, depth: np.ndarray, judge_depth: np.nd
                 break
             scales = pixel_scales([pair[1].camera], [1.0])
             there = twist_between(judge.camera, camera, scene_scale) * scales
-            y, spread = solve(block.matrix[0, :, 0] / scales[:, None] / scales, block.right[0] / scales, there,
-                              INFLATION * float(block.squares[0] / block.used[0]), max(spread * stage.share, 1e-3))
-            spread /= stage.share
+            y, _ = solve(block.matrix[0, :, 0] / scales[:, None] / scales, block.right[0] / scales, there,
+                         INFLATION * float(block.squares[0] / block.used[0]), _SPREAD * stage.share, _HELD)
             step = y - there
             camera = moved(camera, step * min(1.0, FARTHEST_STEP / max(float(np.abs(step).max()), 1e-9)) / scales,
                            scene_scale)
             pair = through(pair, [target.camera, camera])
+            if np.abs(step).max() < STILL:
+                break
         release(pair)
     return judge if camera is judge.camera else replace(judge, camera=camera)

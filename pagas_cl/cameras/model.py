@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,9 +11,26 @@ import numpy as np
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.files import translated
+from pagas_cl.scene.files import replaced, translated
 from pagas_cl.scene.readers.colmap import model_folder
 from pagas_cl.scene.view import View
+
+REPORT = "cameras_report.json"      # of a model of ours, beside sparse/
+
+
+def check_place(out: str | Path, views: Sequence[View]) -> None:
+    """Before the work: InputError where OUT/sparse/0 is a model of somebody else (the scene's own, say), or a name is
+    none that a COLMAP model can have."""
+    place = Path(out) / "sparse" / "0"
+    if place.exists() and not (place.is_dir() and not any(place.iterdir())) and not (Path(out) / REPORT).is_file():
+        raise InputError(f"--output: {str(place)!r} is a model of somebody else, which ours would replace: choose "
+                         "another folder")
+    for view in views:
+        try:
+            view.name.encode()
+        except UnicodeEncodeError as error:
+            raise InputError(f"view {view.name!r} has a name that is no UTF-8, which a COLMAP model cannot hold: "
+                             "rename the photo") from error
 
 
 def write_model(folder: str | Path, views: Sequence[View], cameras: Sequence[Camera], out: str | Path) -> Path:
@@ -41,11 +60,12 @@ def write_model(folder: str | Path, views: Sequence[View], cameras: Sequence[Cam
                 params=[camera.fx, camera.fy, camera.cx, camera.cy]))
             model.add_image_with_trivial_frame(pycolmap.Image(name=view.name, camera_id=number, image_id=number),
                                                _pose(pycolmap, camera))
-    out.mkdir(parents=True, exist_ok=True)
-    if place is not None and not (place / "cameras.bin").is_file():
-        model.write_text(str(out))
-    else:
-        model.write_binary(str(out))
+    as_text = place is not None and not (place / "cameras.bin").is_file()
+    with tempfile.TemporaryDirectory() as folder:
+        (model.write_text if as_text else model.write_binary)(folder)
+        for file in sorted(Path(folder).iterdir()):
+            with replaced(out / file.name) as beside:
+                shutil.copyfile(file, beside)
     return out
 
 

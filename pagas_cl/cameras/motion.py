@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.sampling import sample_pixels
 
 
 def cross_matrix(v: np.ndarray) -> np.ndarray:
@@ -66,3 +67,13 @@ def pixel_motion(given: Camera, now: Camera, points: np.ndarray) -> float:
     (uv, z), (other, z_other) = given.project(points), now.project(points)
     front = (z > 0) & (z_other > 0)
     return float(np.sqrt(((uv - other)[front] ** 2).sum(-1).mean())) if front.any() else float("nan")
+
+
+def surface_points(camera: Camera, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Some points of a depth map (H, W) in the world (n, 3), and their depths (n,)."""
+    depth = np.where(np.isfinite(depth), depth, 0)
+    if not (depth > 0).any():
+        return np.zeros((0, 3)), np.zeros(0)
+    rows, columns = sample_pixels(depth, 2000)
+    z = depth[rows, columns].astype(np.float64)
+    return (camera.rays_at(rows, columns) * z[:, None]) @ camera.world_to_camera[:3, :3] + camera.center, z

@@ -11,7 +11,7 @@ import numpy as np
 
 from pagas_cl.cameras.adjust import Adjuster
 from pagas_cl.cameras.frames import Frames, depths_of
-from pagas_cl.cameras.motion import pixel_motion
+from pagas_cl.cameras.motion import pixel_motion, surface_points
 from pagas_cl.cameras.pairs import choose_pairs
 from pagas_cl.cameras.rounds import COARSE, FINE, MAPS, Rounds, Stage, State
 from pagas_cl.cameras.scales import first_scales
@@ -22,9 +22,9 @@ from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import PartnerChooser
+from pagas_cl.scene.depth_source import rescaled
 from pagas_cl.scene.inputs import Depth
 from pagas_cl.scene.mesh import Mesh
-from pagas_cl.scene.sampling import sample_pixels
 from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class CameraRefinement:
     part and keep their camera."""
     depth_scales: np.ndarray | None = field(default=None, repr=False)
     """Scale (and `depth_shifts`, shift in scene units) of each view's depth map, (N,): depth = scale * given + shift.
-    None where they were not asked for."""
+    None where they stay: not asked for, and of the scale that the cameras have."""
     depth_shifts: np.ndarray | None = field(default=None, repr=False)
     report: dict[str, Any] = field(default_factory=dict, repr=False)
     """Plain numbers: off (pixels), rounds, residual before and after, seconds."""
@@ -72,8 +72,16 @@ class CameraRefinement:
         wrong = f"; wrong and left out: {', '.join(self.left_out)}" if self.left_out else ""
         if not self.accepted:
             return f"cameras stay as given: {self.reason}{wrong}"
+        scales = self.depth_scales
+        scaled = "" if scales is None else f"; depth maps scaled by {np.median(scales):.4f} (median)"
         return (f"cameras moved by {np.nanmedian(self.moved):.2f} pixels (median), at most "
-                f"{np.nanmax(self.moved):.2f}{wrong}")
+                f"{np.nanmax(self.moved):.2f}{scaled}{wrong}")
+
+    def scaled(self, depths: Sequence[Any]) -> list[Any]:
+        """Depth maps, or what loads them, with these scales and shifts; the same objects where they stay."""
+        scales, shifts = self.depth_scales, self.depth_shifts
+        return list(depths) if scales is None or shifts is None else [
+            rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, scales, shifts)]
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -150,7 +158,7 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     given, photos = [view.camera for view in views], photos or PhotoStore(device)
     surfaces = depths(given)
     nothing = np.full(len(views), np.nan)
-    samples = [_samples(camera, depth) for camera, depth in zip(given, surfaces)]
+    samples = [surface_points(camera, depth) for camera, depth in zip(given, surfaces)]
     typical = [float(np.median(z)) if len(z) else np.nan for _, z in samples]
     if not np.isfinite(typical).any():
         return CameraRefinement(given, False, "no view has a surface", nothing, [])
@@ -203,7 +211,7 @@ def _judged(views, given, pairs, rounds, state, wrong, samples, unknowns, report
     moved = np.array([pixel_motion(old, new, points) if len(points) else np.nan
                       for old, new, (points, _) in zip(given, state.cameras, samples)])
     reason = _reason(costs, *seen) or _bent(wide, *wide_seen)
-    maps = state.map_numbers > 0
+    maps = not reason and (state.map_numbers > 0 or bool((state.maps != neutral).any()))
     report |= {"cost_before": float(costs[:, 0].mean()) if len(costs) else None,
                "cost_after": float(costs[:, 1].mean()) if len(costs) else None, "spread": state.spread,
                "wide_pairs": [{"views": pair, "before": a, "after": b}
@@ -212,8 +220,8 @@ def _judged(views, given, pairs, rounds, state, wrong, samples, unknowns, report
     for name in left_out:
         log.warning("the camera of view %s is wrong: its photo does not fit the surface that the others see", name)
     return CameraRefinement(given if reason else state.cameras, not reason, reason, moved, told, left_out,
-                            (neutral if reason else state.maps)[:, 0] if maps else None,
-                            (neutral if reason else state.maps)[:, 1] * rounds.scene_scale if maps else None, report)
+                            state.maps[:, 0] if maps else None,
+                            state.maps[:, 1] * rounds.scene_scale if maps else None, report)
 
 
 def _reason(costs: np.ndarray, seen_before: float, seen_after: float) -> str:
@@ -235,7 +243,8 @@ def _bent(costs: np.ndarray, seen_before: float, seen_after: float) -> str:
         return ""
     before, after = costs.mean(axis=0)
     better = int((costs[:, 1] < costs[:, 0]).sum())
-    if after <= (1 + _WIDE_LOSS) * before and seen_after >= 0.8 * seen_before:
+    bent = after > (1 + _WIDE_LOSS) * before and 2 * better <= len(costs)      # most pairs: one that is off is no bend
+    if not bent and seen_after >= 0.8 * seen_before:
         return ""
     return (f"neighbouring photos agree better, those of views far apart do not: a chain of views bends (mean cost "
             f"{before:.4f} before, {after:.4f} after; {better} of {len(costs)} wide pairs better)")
@@ -249,16 +258,6 @@ def _wrong(rounds: Rounds, state: State, stage: Stage) -> set[int]:
         return set()
     usual = float(np.median(costs[known]))
     return {int(k) for k in np.flatnonzero(known & (costs > max(WRONG * usual, UNLIKE)))}
-
-
-def _samples(camera: Camera, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points of a depth map in the world (n, 3), and their depths (n,)."""
-    depth = np.where(np.isfinite(depth), depth, 0)
-    if not (depth > 0).any():
-        return np.zeros((0, 3)), np.zeros(0)
-    rows, columns = sample_pixels(depth, 2000)
-    z = depth[rows, columns].astype(np.float64)
-    return (camera.rays_at(rows, columns) * z[:, None]) @ camera.world_to_camera[:3, :3] + camera.center, z
 
 
 def _lenses(cameras: Sequence[Camera], unknowns, given) -> tuple[int, ...]:

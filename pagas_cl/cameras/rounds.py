@@ -19,6 +19,7 @@ STEP, FARTHEST_STEP = 1.0, 3.0       # most that a round moves: a depth, pixels 
 STILL = 0.01              # pixels of a size: a round that moves cameras by less is the last one there
 INFLATION = 40.0          # residuals that say the same, within a window
 LEAST_VARIANCE = 1e-6     # of a residual: photos of 8 bits leave more, what rounding alone leaves says nothing
+STRANGE = 0.01            # by so much more than cameras and maps are off the scale of maps is taken to be their own
 SETTLE = 3                # steps of the depths alone before pairs are judged
 
 
@@ -168,7 +169,8 @@ class Rounds:
 
     def _rescale(self, frames: Sequence[Frame], initial, state: State) -> None:
         """Let the surface be as large as it was given, as far as it tells that better than the cameras: these are off
-        by `spread`, each depth map by what it was changed by on the whole."""
+        by `spread`, each depth map by what it was changed by on the whole. The scale of depth
+        maps that is not the cameras' at all is put into `state.maps` instead."""
         ratios, sizes = [], []
         for frame, buffer in zip(frames, initial):
             now, then = self.frames.read(frame), self.frames.read(replace(frame, depth=buffer))
@@ -180,15 +182,20 @@ class Rounds:
             return
         wanted = float(np.average(ratios, weights=sizes))
         by_surface = float(np.var(ratios)) / len(ratios) + 1e-12
-        centers = np.array([camera.center for camera in state.cameras])
+        centers, first = (np.array([camera.center for camera in those]) for those in (state.cameras, state.given))
         middle = centers.mean(axis=0)
+        around, size = centers - middle, max(float(((centers - middle) ** 2).sum()), 1e-300)
+        own = float(np.log(max(((first - first.mean(axis=0)) * around).sum() / size, 0.5)))     # that of those given
         focal = float(np.mean([camera.fx for camera in state.cameras]))
         error = state.spread * float(np.median(self.typical)) * self.scene_scale / focal      # of a centre's coordinate
-        by_cameras = error**2 / max(float(((centers - middle) ** 2).sum()), 1e-300)
-        scale = float(np.exp(wanted * by_cameras / (by_cameras + by_surface)))
-        state.cameras = [placed(camera, camera.world_to_camera[:3, :3], middle + scale * (center - middle))
-                         for camera, center in zip(state.cameras, centers)]
-        state.log.append({"scale": scale, "surface": wanted})
+        by_cameras = error**2 / size
+        if not self.frames.moves and (wanted - own) ** 2 > by_surface + 9 * by_cameras + STRANGE**2:
+            state.maps *= np.exp(own - wanted)       # the maps have a scale of their own, not that of the cameras
+            wanted = own
+        scale = float(np.exp((wanted * by_cameras + own * by_surface) / (by_cameras + by_surface)))
+        state.cameras = [placed(camera, camera.world_to_camera[:3, :3], middle + scale * offset)
+                         for camera, offset in zip(state.cameras, around)]
+        state.log.append({"scale": scale, "surface": wanted, "given": own})
 
     def judged(self, cameras: Sequence[Camera], maps: np.ndarray, pairs: Sequence[tuple[int, int]],
                stage: Stage) -> np.ndarray:

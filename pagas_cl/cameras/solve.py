@@ -119,21 +119,23 @@ def assemble(terms: Sequence[Term], cameras: Sequence[Camera], scene_scale: floa
     return csc_matrix((values, (rows, columns)), shape=(size, size)), right
 
 
-def solve(system, right: np.ndarray, moved: np.ndarray, variance: float, spread: float) -> tuple[np.ndarray, float]:
+def solve(system, right: np.ndarray, moved: np.ndarray, variance: float, spread: float,
+          held: float = 0.0) -> tuple[np.ndarray, float]:
     """Where the unknowns go, pixels from where they were given, and how far they are off by that, typically.
 
     Minimises (y - moved)' S (y - moved) / 2 + right' (y - moved) + variance / spread^2 |y|^2 / 2. `variance` is that of
     a residual; `spread` is found with y, so that y is 0 where photos see nothing, and everywhere where they say no more
-    than residuals alone would.
+    than residuals alone would. `held`: how many unknowns the given `spread` counts for beside those that photos tell:
+    of a few cameras alone it is not to be found.
     """
-    wanted = system @ moved - right
+    wanted, first = system @ moved - right, held * spread**2
     if isinstance(system, np.ndarray):
         values, vectors = np.linalg.eigh(system)
         values, wanted = np.maximum(values, 0.0), vectors.T @ wanted
         for _ in range(_ROUNDS):
             y = wanted / (values + variance / spread**2)
             told = (values / (values + variance / spread**2)).sum()
-            spread = float(np.clip(np.sqrt((y**2).sum() / max(told, 1e-9)), CLOSEST, FARTHEST))
+            spread = float(np.clip(np.sqrt(((y**2).sum() + first) / max(told + held, 1e-9)), CLOSEST, FARTHEST))
         return vectors @ (wanted / (values + variance / spread**2)), spread
     from scipy.sparse import identity
     from scipy.sparse.linalg import splu

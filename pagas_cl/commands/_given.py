@@ -12,6 +12,9 @@ import numpy as np
 
 from pagas_cl.commands._start import without
 from pagas_cl.errors import InputError, log
+from pagas_cl.scene.files import opened
+from pagas_cl.scene.mesh_file import SUFFIXES
+from pagas_cl.scene.readers.mesh_parts import check_parts
 
 DEPTH_FOLDERS = ("mvsa_predictions", "depth", "depths", "depth_maps", "stereo/depth_maps", "depth_initial")
 _UNIT_OF_FLOATS = "as the cameras' positions"
@@ -79,6 +82,7 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
         raise InputError(f"--depth-scale is {depth_scale}, expected a number above 0")
     names = [found.views[found.index(name)].name for name in names or ()] or None
     if mesh is not None:
+        check_parts(mesh, outside=outside)
         return Given(found, mesh, None)
     if depth_dir is not None:
         return _from_folder(found, depth_dir, depth_scale, names)
@@ -94,6 +98,8 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
     if len(meshes) > 1:
         raise InputError(f"{str(scene)!r} holds several meshes ({', '.join(path.name for path in meshes[:5])}): name "
                          "one with --mesh")
+    for path in meshes:
+        check_parts(path, outside=outside)
     return Given(found, meshes[0] if meshes else None, None)
 
 
@@ -118,13 +124,13 @@ def _meshes(folder: Path) -> list[Path]:
     """Meshes beside the photos; a .ply without faces is none."""
     if not folder.is_dir():
         return []
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in (".ply", ".obj", ".stl", ".off"))
+    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
     return [path for path in found if path.suffix.lower() != ".ply" or _has_faces(path)]
 
 
 def _has_faces(path: Path) -> bool:
-    with open(path, "rb") as file:
-        head = file.read(1 << 14)
+    with opened(path, 1 << 40) as file:
+        head = file.read(1 << 14) or b""
     match = re.search(rb"element face (\d+)", head.partition(b"end_header")[0])
     return match is not None and int(match[1]) > 0
 

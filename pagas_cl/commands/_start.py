@@ -7,12 +7,18 @@ from pathlib import Path
 
 from pagas_cl.errors import InputError, InterruptedRunError, log
 from pagas_cl.scene.files import read_bytes
+from pagas_cl.scene.readers.mesh_parts import check_parts
+
+_BESIDE = ("report.json", "tradeoff.json")      # beside the pages of refine and tradeoff
 
 
-def check_source(mesh, other, what: str, option: str = "--depth-dir") -> None:
-    """Raise InputError unless exactly one of both is given; `what` says in the message what they are for."""
+def check_source(mesh, other, what: str, outside: bool, option: str = "--depth-dir") -> None:
+    """Raise InputError unless exactly one of both is given, `what` says in the message what they are for, and files
+    that the mesh names lie in its folder, where they have to."""
     if (mesh is None) == (other is None):
         raise InputError(f"expected either --mesh or {option} ({what}), got {'neither' if mesh is None else 'both'}")
+    if mesh is not None:
+        check_parts(mesh, outside=outside)
 
 
 def check_writable(option: str, folder: Path | None) -> None:
@@ -30,15 +36,28 @@ def check_writable(option: str, folder: Path | None) -> None:
         why = f"{str(file)!r} is a file" if file else error.strerror or str(error)
         raise InputError(f"{option}: cannot write in the folder {str(folder)!r} ({why}): choose another one"
                          + ("" if file else ", or see to its permissions")) from error
-    else:
-        page = folder / "index.html"
-        if option == "--report" and page.exists() and b"pagas" not in read_bytes(page):
-            raise InputError(f"{option}: {str(page)!r} is a page of somebody else, which ours would replace: choose "
-                             "another folder")
     finally:
         for path in new:
             if path.is_dir():
                 path.rmdir()
+
+
+def check_report(folder: Path | None, beside: str = "") -> None:
+    """The same of the folder of a page, which has the file `beside`: no other page or picture is replaced by ours."""
+    check_writable("--report", folder)
+    if folder is None:
+        return
+    page, there = folder / "index.html", {name for name in _BESIDE if (folder / name).exists()}
+    picture = folder / "tradeoff.png"
+    if page.exists() and b"pagas" not in read_bytes(page):
+        taken = f"{str(page)!r} is a page of somebody else, which ours would replace"
+    elif page.exists() and there != {beside} - {""}:
+        taken = f"{str(page)!r} is the page of another command, which this one would replace"
+    elif beside == "tradeoff.json" and picture.exists() and beside not in there:
+        taken = f"{str(picture)!r} is not ours to replace"
+    else:
+        return
+    raise InputError(f"--report: {taken}: choose another folder")
 
 
 def load_scene(scene, format, outside: bool):
@@ -81,6 +100,8 @@ def without(found, hold_out: list[str], asked: list[str]):
         raise InputError(f"view {both[0]!r} is in --views and in --hold-out, expected one of them")
     if out:
         log.info("held out, and seen by nothing: %s", ", ".join(found.views[place].name for place in sorted(out)))
+    if len(out) == len(found.views):
+        raise InputError(f"--hold-out names all {len(out)} views, so that none is left to refine")
     return replace(found, views=[view for place, view in enumerate(found.views) if place not in out])
 
 

@@ -2,13 +2,14 @@
 
 import json
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from textwrap import wrap
 
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
+from pagas_cl.commands._start import check_report, check_source, check_writable, initial_depths, load_scene
 from pagas_cl.effects import EFFECTS
 from pagas_cl.scene.files import write_text
 
@@ -39,24 +40,25 @@ def command(
     """Measure what SCENE calls for; refines nothing. The decisions are those that refine takes."""
     from pagas_cl.analysis import analyze
     from pagas_cl.commands._settings import build_config, effect_settings
+    from pagas_cl.jobs.finished import one_run
 
-    check_source(mesh, depth_dir, "where a refinement would start")
+    check_source(mesh, depth_dir, "where a refinement would start", outside)
     config = build_config(preset, [*settings, *effect_settings(effects)])
     found = load_scene(scene, format, outside)
     names = [found.views[found.index(name)].name for name in views] or None
     check_writable("--json", output and output.parent)
-    check_writable("--report", report)
-    with shown_progress(quiet) as progress:
+    check_report(report)
+    with shown_progress(quiet) as progress, one_run(report) if report else nullcontext():
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, names=names)
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
                            progress=progress)
-    show(analysis, table)
-    text = json.dumps(analysis.as_dict(), indent=1) + "\n"
-    if output is not None:
-        write_text(output, text)
-    if report is not None:
-        write_text(report / "analysis.json", text)
-        write_text(report / "index.html", page(analysis, found.source))
+        show(analysis, table)
+        text = json.dumps(analysis.as_dict(), indent=1) + "\n"
+        if output is not None:
+            write_text(output, text)
+        if report is not None:
+            write_text(report / "analysis.json", text)
+            write_text(report / "index.html", page(analysis, found.source))
 
 
 def rows(analysis) -> list[list[str]]:
@@ -79,23 +81,28 @@ def rows(analysis) -> list[list[str]]:
 
 def summary(analysis) -> list[str]:
     """Lines of at most WIDTH columns: which effects are on, in how many views, on what evidence, at what cost."""
+    return [line for head, text in _told(analysis) for line in wrap(
+        text, WIDTH, initial_indent=head, subsequent_indent=" " * len(head)) or [""]]
+
+
+def _told(analysis) -> list[tuple[str, str]]:
+    """What stands at the head of each paragraph of the summary, and its text."""
     decided = [decision for view in analysis.views for decision in view.decisions]
     decided += [analysis.consistency] if analysis.consistency is not None else []
     without = sum(not view.decisions for view in analysis.views)
-    lines = [f"{len(analysis.views)} views" + (f", {without} of them not to be refined (--table says why)" if without
-                                              else "")]
+    lines = [("", f"{len(analysis.views)} views" + (f", {without} of them not to be refined (--table says why)"
+                                                    if without else ""))]
     for on, what in ((True, "Called for:"), (False, "Not called for:")):
         of = {}
         for decision in decided:
             if decision.on == on:
                 of.setdefault(decision.effect, []).append(decision)
-        lines += ["", what] if of else []
+        lines += [("", ""), ("", what)] if of else []
         for name, found in of.items():
             total = sum(d.effect == name for d in decided)
             where = "scene" if name == "consistency" else f"{len(found)} of {total} view{'s' if total > 1 else ''}"
-            lines += _wrapped(f"  {name:<16}{where:<15}", f"{_why(found)}{_cost_of(analysis, name)}")
-    lines += ["", *_wrapped("", f"Costs: of {analysis.timed}, on {analysis.device}.")] if analysis.costs else []
-    return lines
+            lines.append((f"  {name:<16}{where:<15}", f"{_why(found)}{_cost_of(analysis, name)}"))
+    return lines + ([("", ""), ("", f"Costs: of {analysis.timed}, on {analysis.device}.")] if analysis.costs else [])
 
 
 def _cost_of(analysis, name: str) -> str:
@@ -114,10 +121,6 @@ def _why(decisions) -> str:
     limit = f"on {'below' if effect and not effect.above else 'above'} {first.threshold:g}"
     seen = " to ".join(dict.fromkeys((values[0], values[-1]))) if values else "not measured"
     return f"{first.reason}: {seen} ({limit})"
-
-
-def _wrapped(head: str, text: str) -> list[str]:
-    return wrap(text, WIDTH, initial_indent=head, subsequent_indent=" " * len(head))
 
 
 def number(value: float) -> str:
@@ -152,10 +155,14 @@ def show(analysis, table: bool = False) -> None:
 
 def page(analysis, source: str) -> str:
     """The same as a page."""
+    from pagas_cl import __version__
     from pagas_cl.report.page import html_page
 
-    notes = [f"scene: {source}, {len(analysis.views)} views", f"device: {analysis.device}"]
-    notes += [line for line in summary(analysis) if line]
+    on = dict.fromkeys(row[1] for row in rows(analysis) if row[4] == "on")
+    notes = [f"{', '.join(head.strip().split(maxsplit=1))}{': ' if head else ''}{text}"
+             for head, text in _told(analysis) if text]
     sections = [(v.view, [], [v.reason] if v.reason else ["context views: " + ", ".join(v.contexts)])
                 for v in analysis.views]
-    return html_page("pagas-cl analyze", notes, COLUMNS, rows(analysis), sections)
+    return html_page("pagas-cl analyze", notes[1:], COLUMNS, rows(analysis), sections,
+                     headline=f"The scene calls for {', '.join(on) or 'no effect'} ({notes[0]}).",
+                     facts=[("scene", source), ("version", f"pagas_cl {__version__}"), ("device", analysis.device)])

@@ -32,23 +32,25 @@ def command(
 
     They stay as they are, with the reason, where pairs of photos that take no part do not agree better.
     """
-    from pagas_cl.cameras.model import write_model
+    from pagas_cl.cameras.model import REPORT, check_place, write_model
     from pagas_cl.cameras.refine import refine_cameras
+    from pagas_cl.jobs.finished import one_run
     from pagas_cl.scene.files import write_text
     from pagas_cl.scene.mesh import to_surface
 
-    check_source(mesh, depth_dir, "the surface that photos are compared through")
+    check_source(mesh, depth_dir, "the surface that photos are compared through", outside)
     found = load_scene(scene, format, outside)
     for view in found.views:
         view.check_files()
     check_writable("--output", output)
-    with shown_progress(quiet) as progress:
+    check_place(output, found.views)
+    with shown_progress(quiet) as progress, one_run(output):
         surface = (to_surface(mesh) if mesh is not None
                    else initial_depths(found, mesh, depth_dir, depth_scale, progress))
         told = refine_cameras(found.views, surface, unknowns=tuple(unknowns) or ("pose",), device=device,
                               progress=progress)
-    place = write_model(scene, found.views, told.cameras, output)
-    write_text(output / "cameras_report.json", json.dumps(told.as_dict(), indent=1) + "\n")
+        write_text(output / REPORT, json.dumps(told.as_dict(), indent=1) + "\n")
+        place = write_model(scene, found.views, told.cameras, output)
     sys.stdout.write(table(told, [view.name for view in found.views]))
     log.info("cameras: %s", place)
 

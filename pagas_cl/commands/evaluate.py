@@ -36,6 +36,9 @@ def command(
     check_writable("--json", output and output.parent)
     if result.is_dir():
         figures = _depth_figures(result, truth, scene, held_out, before, depth_scale)
+    elif held_out or scene is not None or before is not None:
+        raise InputError(f"--scene, --held-out and --before go with a folder of depth maps, and {str(result)!r} is a "
+                         "file")
     else:
         figures = _cloud_figures(result, truth, spacing, threshold, max_distance, visible, ground)
     for group, rows in figures.items():
@@ -81,6 +84,7 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
 
 def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict]:
     """"<view> from <held-out view>" -> median correlation and pixels; with depth maps `before` on the same pixels."""
+    from pagas_cl.cameras.judge import fitted_poses
     from pagas_cl.evaluate import compare_predictions
     from pagas_cl.jobs.finished import users_of
 
@@ -99,7 +103,7 @@ def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict
         if any(depth is None for depth in depths):
             continue
         for other in kept_out:
-            after, *first = compare_predictions(view, depths, _fitted(other, view, depths))
+            after, *first = compare_predictions(view, depths, fitted_poses(other, view, depths))
             if not after.pixels:
                 log.warning("%s: nothing of it is seen in %s", view.name, other.name)
                 continue
@@ -110,18 +114,6 @@ def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict
         raise InputError(f"no photo can be predicted: no view of {scene.source or 'the scene'} with a depth map in "
                          f"{str(folder)!r} sees what a held-out view sees")
     return rows
-
-
-def _fitted(other, view, depths) -> list:
-    """The held-out view once for each depth map, its pose fitted to it; as it is where there is no device."""
-    from pagas_cl.cameras.judge import fitted_pose
-    from pagas_cl.errors import DeviceError
-
-    try:
-        return [fitted_pose(other, view, depth) for depth in depths]
-    except DeviceError as error:
-        log.warning("held-out cameras are taken as they are: %s", error)
-        return [other] * len(depths)
 
 
 def _depth_files(folder, scene):

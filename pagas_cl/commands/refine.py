@@ -12,13 +12,7 @@ import typer
 from pagas_cl.commands._console import noted, nothing_refined, shown_progress
 from pagas_cl.commands._given import look, together
 from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
-from pagas_cl.commands._start import (
-    check_source,
-    check_writable,
-    initial_depths,
-    loaded,
-    resumable,
-)
+from pagas_cl.commands._start import check_report, check_source, check_writable, initial_depths, loaded, resumable
 from pagas_cl.errors import InputError, PagasError, log, need
 
 MANY = ("--views", "--hold-out", "--set", "--effect")  # options that take several words: `--views a b c`
@@ -75,7 +69,8 @@ def command(
     from pagas_cl.refine import fuse_results, refine_views
     from pagas_cl.scene.mesh_file import write_mesh
 
-    _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide, allow_loss)
+    _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide, allow_loss,
+                   outside)
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
     settings = [*settings, *effect_settings(effects)]
     more = {} if context is None else {"context__number": context}
@@ -91,8 +86,9 @@ def command(
     as_given = found.views
     for view in as_given:
         view.check_files()
-    for option, where in (("--output", output and output.parent), ("--save-depth", save_depth), ("--report", report)):
-        check_writable(option, where)
+    check_writable("--output", output and output.parent)
+    check_writable("--save-depth", save_depth)
+    check_report(report, "report.json")
     # finished views are kept with the depth maps, or beside the mesh until it is written; all that can be asked of
     # them later is kept, so that nothing is refined again for it
     folder = output.parent / f".{output.name}.views" if save_depth is None and output is not None else save_depth
@@ -100,7 +96,7 @@ def command(
     names = [found.views[found.index(name)].name for name in views] or None
     config_words = ", ".join([preset, *settings])
     with (resumable(folder, len(names or found.views)), shown_progress(quiet) as progress,
-          one_run(folder) if folder else nullcontext(),
+          one_run(folder) if folder else nullcontext(), one_run(report) if report else nullcontext(),
           _report(report, found, config_words, place, asked.obj) as page):
         found, config = _settled_cameras(found, mesh, config, place["device"], progress, page)
         if mesh is not None:
@@ -162,24 +158,26 @@ def _save_cameras(folder: Path, views, results) -> None:
 
 def _place(device, devices, scheduler) -> dict:
     """Where the work is done, as refine_views takes it."""
+    from pagas_cl.jobs.executors import check_address
     from pagas_cl.runtime.device import open_device
 
     if device is not None and devices is not None:
         raise InputError("got both --device and --devices, expected one of them")
     several = "all" if devices == "all" else devices.split(",") if devices else None
     if scheduler is not None:
+        check_address(scheduler)
         return {"executor": scheduler, "device": several or device}
     return {"device": several or open_device(device)}
 
 
 def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh: bool, subdivide,
-                   allow_loss: bool) -> None:
+                   allow_loss: bool, outside: bool) -> None:
     """Refuse what cannot end well before any work is done."""
     from pagas_cl.keep_mesh import check_kept, check_subdivide
     from pagas_cl.scene.mesh_file import check_mesh_path
 
-    if mesh is not None and depth_dir is not None:
-        check_source(mesh, depth_dir, "where the refinement starts")
+    if mesh is not None:
+        check_source(mesh, depth_dir, "where the refinement starts", outside)
     if memory is not None and not memory > 0:
         raise InputError(f"--memory is {memory:g} MB, expected more than 0")
     if output is None and save_depth is None and report is None:

@@ -13,6 +13,7 @@ from pagas_cl.commands._console import nothing_refined, shown_progress
 from pagas_cl.commands._start import check_source, check_writable, load_scene
 from pagas_cl.errors import InputError, log, need
 from pagas_cl.scene.files import is_file, read_bytes, replaced_with_others
+from pagas_cl.scene.readers.mesh_parts import check_parts
 
 
 @nothing_refined()
@@ -34,8 +35,9 @@ def command(
     """Run SCRIPT on a mesh, or on a MeshLab project; the whole script is checked before anything runs."""
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
     from pagas_cl.filters import filter_script
+    from pagas_cl.scene.readers.meshlab import check_names
 
-    check_source(mesh, project, "what the script starts from", "--project")
+    check_source(mesh, project, "what the script starts from", outside, "--project")
     if mesh is None and scene is not None:
         raise InputError("got SCENE and --project: a project brings its own photos; give one of them")
     filter_script.check_script(script, outside=outside)
@@ -45,6 +47,8 @@ def command(
     _check_layers(output)
     with _meshlab_chatter():
         meshes, found = _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside)
+        if found is not None and output.suffix.lower() == ".mlp":
+            check_names(found.views)
         with shown_progress(quiet) as progress:
             filter_script.run_script(meshes, script, found, outside=outside, device=device, progress=progress)
         _save(meshes, output, found)
@@ -83,7 +87,7 @@ def _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside):
     """The MeshSet to start from, and the scene or None."""
     meshes = pymeshlab.MeshSet()
     if mesh is not None:
-        load_layer(pymeshlab, meshes, mesh)
+        load_layer(pymeshlab, meshes, mesh, outside)
         return meshes, None if scene is None else load_scene(scene, format, outside)
     from pagas_cl.scene.readers.meshlab import read_project, settle_flavour
 
@@ -92,7 +96,7 @@ def _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside):
     if not layers:
         raise InputError(f"{project} has no mesh layer with a file")
     for entry in layers:
-        load_layer(pymeshlab, meshes, entry.path, entry.label, entry.matrix)
+        load_layer(pymeshlab, meshes, entry.path, outside, entry.label, entry.matrix)
     labels = [entry.label for entry in layers]
     if layer is not None:
         if labels.count(layer) != 1:
@@ -106,12 +110,13 @@ def _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside):
     return meshes, read.scene(flavour)
 
 
-def load_layer(pymeshlab, meshes, path: Path, label: str | None = None, matrix=None) -> None:
+def load_layer(pymeshlab, meshes, path: Path, outside: bool, label: str | None = None, matrix=None) -> None:
     """A mesh file as a new layer, which becomes the current one; its matrix keeps all its digits."""
     import numpy as np
 
     if not Path(path).is_file():
         raise InputError(f"mesh {str(path)!r} does not exist")
+    check_parts(path, outside=outside)
     try:
         meshes.load_new_mesh(str(Path(path).absolute()))
     except (pymeshlab.PyMeshLabException, RuntimeError) as error:

@@ -6,7 +6,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
+from pagas_cl.commands._start import check_report, check_source, initial_depths, load_scene
 from pagas_cl.errors import InputError
 
 MANY = ("--views", "--held-out")
@@ -39,11 +39,11 @@ def command(
     from pagas_cl.tradeoffs.page import ablation_table, closing, headline, markdown, notes
     from pagas_cl.tradeoffs.plan import ablation_plan
 
-    check_source(mesh, depth_dir, "where the refinement starts")
+    check_source(mesh, depth_dir, "where the refinement starts", outside)
     found = load_scene(scene, format, outside)
     for view in found.views:
         view.check_files()
-    check_writable("--report", report)
+    check_report(report, "tradeoff.json")
     if truth is not None and not truth.exists():
         raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
     opened = open_device(device)

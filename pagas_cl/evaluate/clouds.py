@@ -11,6 +11,7 @@ import numpy as np
 from pagas_cl.errors import InputError, need
 from pagas_cl.evaluate.depth import Figures
 from pagas_cl.scene.files import DAMAGE, read_first, read_npy
+from pagas_cl.scene.readers.mesh_parts import check_parts
 
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])  # Roberts' low-discrepancy sequence in the plane
 _MOST = 50_000_000
@@ -92,6 +93,8 @@ def chamfer(result, truth, *, downsample=None, max_distance=np.inf, visible: Vis
         result = result[visible.in_box(result)]
         judged = result[visible.contains(result)]
     wanted = truth
+    if not max_distance > 0:
+        raise InputError(f"Chamfer distance: the largest distance is {max_distance:g}, expected more than 0")
     if ground is not None:
         plane = np.asarray(ground, np.float64).ravel()
         if plane.shape != (4,):
@@ -233,7 +236,8 @@ def sample_surface(vertices, faces, spacing: float) -> np.ndarray:
 def load_points(source, spacing: float | None = None) -> np.ndarray:
     """Points (n, 3) of what `read_shape` takes: of a mesh every `spacing` (None: its extent / 1000), or a cloud's."""
     points, faces = read_shape(source)
-    return points if faces is None else sample_surface(points, faces, spacing or extent(points) / 1000)
+    spacing = extent(points) / 1000 if spacing is None else spacing
+    return points if faces is None else sample_surface(points, faces, spacing)
 
 
 def extent(points) -> float:
@@ -266,7 +270,8 @@ def read_shape(source):
 
 def _read(path):
     if not path.is_file():
-        raise InputError(f"there is no file {str(path)!r}")
+        raise InputError(f"{str(path)!r} is a folder, expected the file of a mesh or of points" if path.is_dir()
+                         else f"there is no file {str(path)!r}")
     suffix = path.suffix.lower()
     try:
         if suffix in (".npy", ".npz"):
@@ -276,6 +281,7 @@ def _read(path):
     except DAMAGE as error:
         raise InputError(f"{str(path)!r} is no list of points, expected (n, 3): {error}") from error
     o3d = need("open3d", "mesh", f"reading {path.name}")
+    check_parts(path)
     mesh = o3d.io.read_triangle_mesh(str(path))
     if len(mesh.triangles):
         return np.asarray(mesh.vertices), np.asarray(mesh.triangles)

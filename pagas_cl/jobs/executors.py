@@ -1,10 +1,11 @@
 """Where tasks run: in this process, in one process a device, or on somebody's cluster."""
 
 import multiprocessing
+import re
 import signal
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 
-from pagas_cl.errors import DeviceError, need
+from pagas_cl.errors import DeviceError, InputError, need
 from pagas_cl.jobs.worker import follow_parent
 
 PATIENCE = 20  # seconds to wait for a scheduler's answer
@@ -75,9 +76,16 @@ def _begin() -> None:
     follow_parent()
 
 
+def check_address(address: str) -> None:
+    """InputError for what can be no address of a Dask scheduler."""
+    if not re.fullmatch(r".+:\d+", address):
+        raise InputError(f"{address!r} is no address of a Dask scheduler, expected for instance 'tcp://HOST:8786'")
+
+
 def dask_executor(address: str) -> Executor:
     """The executor of a running Dask cluster, such as "tcp://host:8786"."""
     distributed = need("distributed", "cluster", "running on a Dask cluster")
+    check_address(address)
     try:
         client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:

@@ -61,9 +61,9 @@ def one_run(folder: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            if new and [path.name for path in work.glob("*")] == ["lock"]:      # it has come to nothing
+            if [path.name for path in work.glob("*")] == ["lock"]:      # nothing of it is wanted any more
                 (work / "lock").unlink()
-                _remove_empty(new)
+                _remove_empty(new or [work])
 
 
 def claim_names(folder: Path, stems: list[str]) -> None:

@@ -12,6 +12,7 @@ from PIL import Image
 from pagas_cl.report.pictures import css_gradient
 from pagas_cl.scene.files import replaced
 
+_WORDS = 24       # letters, from which on a column of a table holds sentences
 _THUMBNAIL = 480  # pixels, longer side of a picture inside the page
 
 
@@ -66,8 +67,10 @@ def html_page(title: str, notes: list[str], header: list[str], rows: list[list[s
         parts.append(f'<div class="wide"><img src="{_address(picture)}" alt="{escape(title)}"></div>')
     places = {name: f"section-{k}" for k, (name, *_) in enumerate(sections)}
     if rows:
-        parts.append('<div class="wide"><table>' + _row("th", header))
-        parts += [_row("td", row, places.get(row[0], ""), k < len(marked) and marked[k]) for k, row in enumerate(rows)]
+        words = [k for k, column in enumerate(zip(*rows)) if max(map(len, column)) > _WORDS and k]
+        parts.append('<div class="wide"><table>' + _row("th", header, words))
+        parts += [_row("td", row, words, places.get(row[0], ""), k < len(marked) and marked[k])
+                  for k, row in enumerate(rows)]
         parts.append("</table></div>")
     parts.append(_paragraphs(legend, ' class="legend"'))
     for name, figures, remarks in sections:
@@ -90,12 +93,14 @@ def _paragraphs(lines, kind: str = "") -> str:
     return "\n".join(f"<p{kind}>{escape(line)}</p>" for line in lines)
 
 
-def _row(tag: str, row: list[str], place: str = "", marked: bool = False) -> str:
+def _row(tag: str, row: list[str], words: list[int], place: str = "", marked: bool = False) -> str:
+    """A row of the table; columns `words` hold sentences and no numbers."""
     cells = [escape(cell) for cell in row]
     if place:
         cells[0] = f'<a href="#{place}">{cells[0]}</a>'
     kind = ' class="marked"' if marked else ""
-    return f"<tr{kind}>" + "".join(f"<{tag}>{cell}</{tag}>" for cell in cells) + "</tr>"
+    return f"<tr{kind}>" + "".join(f"<{tag}{' class=words' * (k in words)}>{cell}</{tag}>"
+                                   for k, cell in enumerate(cells)) + "</tr>"
 
 
 def _address(name: str) -> str:

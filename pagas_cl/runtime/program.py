@@ -2,7 +2,6 @@
 
 import re
 import warnings
-import weakref
 from collections import defaultdict, deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -47,6 +46,11 @@ def _words(name: str) -> frozenset[str]:
     return frozenset(re.findall(r"\w+", _COMMENT.sub("", source(name))))
 
 
+@cache
+def _mentioned(name: str, defines: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(define for define in defines if define.partition("=")[0] in _words(name))
+
+
 _KERNEL = re.compile(r"__kernel\b[^;{]*?\bvoid\s+(\w+)\s*\(([^)]*)\)")
 _COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 
@@ -78,7 +82,7 @@ def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
     """Compile the kernel file `name` for `device` with those of `defines` ("NAME" or "NAME=value") that it mentions;
     once a process. pyopencl keeps the binaries on disk, by source, options, device and driver: what a file does not
     mention must not make another program of it."""
-    defines = tuple(define for define in defines if define.partition("=")[0] in _words(name))
+    defines = _mentioned(name, defines)
     key = (device.context.int_ptr, name, defines)
     if key not in _programs:
         options = [*OPTIONS, *(f"-D{define}" for define in defines)]
@@ -100,45 +104,32 @@ def _first_line(log: str) -> str:
 
 
 class _Kernel:
-    """A kernel that remembers its arguments: most are the same view after view, and setting one costs as much as
-    looking at ten."""
+    """A kernel whose arguments are set by name."""
 
     def __init__(self, program: Program, name: str):
         self.cl_kernel, self.name = cl.Kernel(program.built, name), name
-        self._values: list[Any] = []            # as _remembered tells them; none before the first time
-        self._numbers: dict[str, Any] = {}      # those of them that are numbers, as they were given
         self._places = {argument: (index, kind) for index, (argument, kind) in
                         enumerate(program.signatures[name].items())}
+        # set_arg takes a number for four other things first, by exceptions: 10 us each, more than a launch
+        self._set_number = getattr(self.cl_kernel, "_set_arg_buf", self.cl_kernel.set_arg)
 
     def set(self, arguments: Mapping[str, Any]) -> None:
-        """Set arguments by name; the first time all of them."""
-        if not self._values:
-            values = [_argument(arguments[name], kind, self.name) for name, (_, kind) in self._places.items()]
-            self.cl_kernel.set_args(*values)
-            self._values = [_remembered(value) for value in values]
-            return
-        for name, given in arguments.items():
+        for name, value in arguments.items():
             index, kind = self._places[name]
-            if kind and given and self._numbers.get(name) == given:      # not 0, which has two signs
-                continue
-            value = _argument(given, kind, self.name)
-            known, remembered = self._values[index], _remembered(value)
-            if known is not remembered and known != remembered:      # the same object needs no comparison
-                self.cl_kernel.set_arg(index, value)
-                self._values[index] = remembered                     # not if it was refused
             if kind:
-                self._numbers[name] = given
+                self._set_number(index, _number(value, kind, self.name))
+            else:
+                self.cl_kernel.set_arg(index, value)
 
 
-def _remembered(value: Any) -> Any:
-    """What tells an argument from another one: the bits of a number; of a buffer, which must not be kept alive here,
-    the very object. Equal to nothing where that cannot be told."""
-    if isinstance(value, np.generic):
-        return value.dtype, value.tobytes()
-    try:
-        return value if value is None else weakref.ref(value)
-    except TypeError:
-        return object()
+def _number(value: Any, kind: str, name: str) -> np.generic:
+    if kind == "float":
+        return np.float32(value)
+    # NumPy 1 would wrap it, and OpenCL refuse one of 64 bits without saying which
+    if not -2**31 <= value < 2**31:
+        raise DeviceError(f"kernel {name} was given {value}, expected a whole number of 32 bits (-2147483648 to "
+                          "2147483647)")
+    return np.int32(value)
 
 
 class Work(Protocol):
@@ -272,14 +263,3 @@ def bind(program: Program, name: str, global_size: Sequence[int], local_size: Se
         global_size = [-(-items // side) * side for items, side in zip(global_size, group)]
     return Launch(kernel, tuple(int(items) for items in global_size), group, name, source)
 
-
-def _argument(value: Any, kind: str, name: str) -> Any:
-    if kind == "float":
-        return np.float32(value)
-    if kind == "int":
-        # NumPy 1 would wrap it, and OpenCL refuse one of 64 bits without saying which
-        if not -2**31 <= value < 2**31:
-            raise DeviceError(f"kernel {name} was given {value}, expected a whole number of 32 bits (-2147483648 to "
-                              "2147483647)")
-        return np.int32(value)
-    return value

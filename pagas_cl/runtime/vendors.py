@@ -7,6 +7,7 @@ is. A user who sets OCL_ICD_VENDORS has chosen, and nothing is done.
 """
 
 import atexit
+import ctypes
 import os
 import shutil
 import sys
@@ -20,7 +21,7 @@ from pagas_cl.errors import DeviceError, NoDeviceError, log
 from pagas_cl.runtime import cache, icd
 
 VARIABLE = "OCL_ICD_VENDORS"
-_INTEL, _LIBRARY = "intel-opencl-rt", "libintelocl.so"
+_INTEL, _LIBRARY, _THREADS = "intel-opencl-rt", "libintelocl.so", "libtbb.so.12"
 
 
 _process: list[int] = []      # the process whose drivers were asked first
@@ -60,6 +61,16 @@ def register() -> None:
     intel = None if VARIABLE in os.environ or not sys.platform.startswith("linux") else intel_library()
     if intel and not any(_LIBRARY in Path(name).read_text(errors="replace") for name in icd.system_files()):
         os.environ[VARIABLE] = folder_of(icd.system_files(), {"pagas_cl-intel-cpu.icd": f"{intel}\n"})
+    for name in icd.icd_files() if sys.platform.startswith("linux") else ():
+        if _LIBRARY in (text := Path(name).read_text(errors="replace")):
+            _prefer_threads_beside(Path(text.strip()))
+
+
+def _prefer_threads_beside(driver: Path) -> None:
+    """Where Open3D or pymeshlab is imported before, its older libtbb has the name that Intel's driver asks for, which
+    then cannot be loaded: the driver's own goes first where everything looks. What is loaded stays bound as it is."""
+    if (driver.parent / _THREADS).is_file() and _THREADS in Path("/proc/self/maps").read_text():
+        ctypes.CDLL(str(driver.parent / _THREADS), mode=ctypes.RTLD_GLOBAL)
 
 
 @cached

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -90,6 +90,13 @@ class Adjusted:
     def load(self) -> npt.NDArray[np.float32]:
         """The depth map."""
         return adjusted(self.source.load(), self.factor, self.shift)
+
+
+def rescaled(depth: Any, factor: float, shift: float) -> Any:
+    """A depth map, or what loads one, adjusted so; the same object where nothing changes."""
+    if depth is None or (factor == 1 and shift == 0):
+        return depth
+    return Adjusted(depth, factor, shift) if hasattr(depth, "load") else adjusted(np.asarray(depth), factor, shift)
 
 
 def adjusted(depth: np.ndarray, factor: float, shift: float) -> npt.NDArray[np.float32]:

@@ -9,6 +9,7 @@ import numpy as np
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.files import replaced, replaced_with_others
 from pagas_cl.scene.mesh import Surface, from_legacy, to_legacy
+from pagas_cl.scene.readers.mesh_parts import check_parts
 
 SUFFIXES = (".ply", ".obj", ".stl", ".off")
 _HEADER = 1 << 16         # bytes of a file in which its header must end
@@ -33,6 +34,7 @@ def read_open3d(path: str | Path, textures: bool = False) -> Any:
                          + ("is a folder, expected a file" if path.is_dir() else "does not exist"))
     o3d = need("open3d", "mesh", "reading a mesh file")
     _check_claims(path)
+    check_parts(path)
     try:
         with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
             mesh = o3d.io.read_triangle_mesh(str(path), textures)

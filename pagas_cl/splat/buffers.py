@@ -1,7 +1,7 @@
 """What the device holds for one level beside photos: one declaration that is planned, allocated and read from."""
 
 from dataclasses import dataclass
-from math import ceil, sqrt
+from math import ceil, prod, sqrt
 from typing import TypeAlias
 
 import numpy as np
@@ -12,7 +12,7 @@ from pagas_cl.runtime.arena import Buffers, declared
 from pagas_cl.scene.camera import Camera
 from pagas_cl.splat.constants import MARGIN
 from pagas_cl.splat.options import reach
-from pagas_cl.splat.tile import pitch
+from pagas_cl.splat.tile import blocks, pitch
 
 NO_HEAD = np.int32(-1)    # of an empty bin (alpha.cl)
 SUM_GROUPS = 64           # groups that share the pixels of a smoothness loss
@@ -87,6 +87,7 @@ def dimensions(config: Config, target: Size, others: list[Size], contexts: int) 
         bins=max((size.width + side) * (size.height + side) for size in sizes),
         partials=3 * channels * max(pitch(size.width) * size.height for size in sizes) + 2 * MARGIN,
         words=[size.pixels // 32 + 2 for size in others[:contexts]], losses=max(config.pyramid.steps) + 1,
+        blocks=prod(blocks(target)),
         occlusion=config.splatting.occlusion, alpha=config.splatting.blend == "alpha", ssim=config.loss.ssim > 0,
         exposure=config.loss.exposure, unseen_mask=config.loss.unseen_mask, filter=config.solver.gradient_filter > 0,
         smooth=smooth, normal=config.smoothness.kind == "normal", follows_loss=follows_loss,
@@ -104,6 +105,8 @@ class SurfaceBuffers(Buffers):
     z_first: MaybeBuffer = declared(
         ("most_pixels",), np.uint32, "units", "bits of the nearest depth in each pixel of the view at hand",
         needed="occlusion")
+    landing: MaybeBuffer = declared(
+        ("blocks", 2), np.int32, "pixels", "first and last row of the view at hand that each block of pixels reaches")
 
 
 @dataclass(eq=False)

@@ -16,7 +16,7 @@ def launches(programs, buffers, view) -> list:
                 _blend(programs, buffers, view, "composite_alpha")]
     return [*project.nearest(programs, buffers, view),
             Fill(buffers.rendered, np.uint32(0), 4 * view.size.pixels * (channels_of(programs.config) + 1)),
-            programs.bind_rows("composite.cl", "splat_order_free", buffers, view, sums=buffers.rendered)]
+            programs.bind_scatter("composite.cl", "splat_order_free", buffers, view, sums=buffers.rendered)]
 
 
 def backward(programs, buffers, view) -> list:

@@ -1,4 +1,5 @@
-"""Launches of evidence.cl and deviation.cl: which depths the photos confirm, how sure each is (method section 7)."""
+"""Launches of patches.cl, evidence.cl and deviation.cl: which depths the photos confirm, how sure each is (method
+section 7)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -97,11 +98,13 @@ class Evidence:
 
     def _add(self, view, depth: cl.Buffer, evidence: cl.Buffer) -> list:
         """What the photo of `view` says of `depth`, added to `evidence`."""
-        warped = self._scratch[0]
+        warped, grey = self._scratch
         return [*project.nearest(self.programs, self.buffers, view, depth=depth),
-                self._bind("warp_photo", view, depth=depth, warped=warped),
-                self._bind("weigh", view, warped=warped, noise_variance=self.prior.noise_variance, evidence=evidence,
-                           **self.size.extent)]
+                self.programs.bind_rows("patches.cl", "warp_photo", self.buffers, view, depth=depth, warped=warped,
+                                        grey=grey),
+                self.programs.bind_rows("patches.cl", "weigh", self.buffers, view, warped=warped, grey=grey,
+                                        noise_variance=self.prior.noise_variance, evidence=evidence,
+                                        **self.size.extent)]
 
     def release(self):
         for buffer in filter(None, (self._before, self._after)):

@@ -8,7 +8,7 @@ from pagas_cl.config import Config
 from pagas_cl.runtime.program import Launch, bind, build
 from pagas_cl.scene.camera import Camera
 from pagas_cl.splat.constants import SHARED, define
-from pagas_cl.splat.tile import BOX_GROUP, choose_tiles, columns_of, row_grid, row_group
+from pagas_cl.splat.tile import BLOCK, BOX_GROUP, blocks, choose_tiles, columns_of, row_grid, row_group, strips
 
 SLOTS = 12                # candidates that a pixel sorts at a time (lists.clh)
 LIST_GROUP = (32, 4)      # work-items that do so side by side: 12 bytes a slot at most, 18 kB of local memory
@@ -17,6 +17,11 @@ LIST_GROUP = (32, 4)      # work-items that do so side by side: 12 bytes a slot 
 def reach(radius: float) -> int:
     """How many one-pixel bins away a Gaussian's mean may lie and still be within `radius` of a pixel's centre."""
     return floor(radius + 0.5)
+
+
+def span(radius: float) -> int:
+    """Most pixel centres in a row within `radius` of a point, also where rounding to 32 bits adds to it."""
+    return floor(2 * radius * (1 + 1e-6)) + 1
 
 
 def heaviest_pixel(target: Camera) -> float:
@@ -50,10 +55,11 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
         "TRACK_LOSS": config.solver.patience > 0,
         "INT64_ATOMICS": device.has("cl_khr_int64_base_atomics"),
     }
-    numbers = {"REACH": reach(splatting.radius), "SLOTS": SLOTS,
+    numbers = {"REACH": reach(splatting.radius), "SPAN": span(splatting.radius), "SLOTS": SLOTS,
                "PLACE_BITS": max(1, ceil(log2((2 * reach(splatting.radius) + 1) ** 2))),
                "LIST_GROUP_W": LIST_GROUP[0], "LIST_GROUP_H": LIST_GROUP[1],
-               "BOX_GROUP_W": BOX_GROUP[0], "BOX_GROUP_H": BOX_GROUP[1], "FIXED_ONE": float(1 << fixed_bits(weight))}
+               "BOX_GROUP_W": BOX_GROUP[0], "BOX_GROUP_H": BOX_GROUP[1], "BLOCK_W": BLOCK[0], "BLOCK_H": BLOCK[1],
+               "FIXED_ONE": float(1 << fixed_bits(weight))}
     if config.solver.gradient_filter > 0:
         numbers["FILTER_RADIUS"] = config.solver.gradient_filter
     numbers["RADIUS"] = float(splatting.radius)
@@ -87,9 +93,24 @@ class Programs:
         return self._bind(file, self.more.get(file, ()), kernel, grid, group, buffers, view, arguments)
 
     def bind_rows(self, file: str, kernel: str, buffers, view, /, **arguments) -> Launch:
-        """The same over the target's pixels, several of a row a work-item where the device likes it."""
-        more, columns = (f"COLUMNS={self._columns}",), self._columns
-        return self._bind(file, more, kernel, row_grid(view.target_size, columns), row_group(columns), buffers, view,
+        """The same over the target's pixels, several of a row side by side where the device likes it."""
+        return self._bind_columns(file, kernel, row_grid(view.target_size, self._columns), buffers, view, arguments)
+
+    def bind_landing(self, buffers, view, /, **depth) -> list[Launch]:
+        """What bind_scatter needs to know first: buffers.landing."""
+        if self._columns == 1 or buffers.landing is None:
+            return []
+        return [self._bind_columns("project.cl", "find_landing", blocks(view.target_size), buffers, view, depth)]
+
+    def bind_scatter(self, file: str, kernel: str, buffers, view, /, **arguments) -> Launch:
+        """A Launch of `kernel`, which adds to the pixels where the target's Gaussians land: over the target's pixels,
+        or over strips of the view where work-items handle several pixels."""
+        if self._columns == 1:
+            return self.bind_rows(file, kernel, buffers, view, landing=None, **arguments)
+        return self._bind_columns(file, kernel, strips(self.device, view.size), buffers, view, arguments)
+
+    def _bind_columns(self, file, kernel, grid, buffers, view, arguments) -> Launch:
+        return self._bind(file, (f"COLUMNS={self._columns}",), kernel, grid, row_group(self._columns), buffers, view,
                           arguments)
 
     def _bind(self, file, more, kernel, grid, group, buffers, view, arguments) -> Launch:

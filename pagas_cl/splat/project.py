@@ -18,8 +18,10 @@ def before_steps(programs, buffers, target, contexts: int) -> list:
 
 
 def nearest(programs, buffers, view, **depth) -> list:
-    """buffers.z_first of every pixel of `view` under buffers.depth, or the `depth` given; nothing without occlusion."""
+    """buffers.landing and buffers.z_first of `view` under buffers.depth, or the `depth` given; without occlusion only
+    the former."""
+    landing = programs.bind_landing(buffers, view, **depth)
     if not programs.config.splatting.occlusion:
-        return []
-    return [Fill(buffers.z_first, _INFINITY, 4 * view.size.pixels),
-            programs.bind_rows("project.cl", "nearest", buffers, view, **depth)]
+        return landing
+    return [*landing, Fill(buffers.z_first, _INFINITY, 4 * view.size.pixels),
+            programs.bind_scatter("project.cl", "nearest", buffers, view, **depth)]

@@ -1,4 +1,4 @@
-"""Launches of smooth.cl: what holds a depth map together where photos say little (method section 5)."""
+"""Launches of smooth.cl and planar.cl: what holds a depth map together where photos say little (method section 5)."""
 
 import numpy as np
 
@@ -48,7 +48,8 @@ def launches(programs, buffers, target, weight: float) -> list:
         return programs.bind("smooth.cl", kernel, grid, buffers, target, group, **arguments)
 
     planar = {"h": s.huber, "discontinuity": s.discontinuity} if s.kind == "planar" else None
-    slopes = [smooth("smoothness_planar", scale=weight, **planar)] if planar else [
+    slopes = [programs.bind_rows("planar.cl", "smoothness_planar", buffers, target, scale=weight, **planar)
+              ] if planar else [
         smooth("normal_map"), smooth("normal_slope", scale=weight), smooth("normal_vjp")]
     if buffers.smooth_losses is None:
         return slopes

@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 
 from pagas_cl.splat.constants import HALO
 
+BLOCK = (64, 4)           # target pixels of which it is known together in which rows they land (strip.clh)
+STRIP_ROWS, STRIPS_A_CORE = 8, 4
 BOX_GROUP = (32, 8)       # work-items that collect in local memory what falls into the same pixels (box.clh)
 
 
@@ -45,14 +47,24 @@ def columns_of(device, width: int) -> int:
 
 
 def row_grid(size, columns: int) -> tuple[int, int]:
-    """Work-items over an image, `columns` pixels of a row each."""
-    return -(-size.width // columns), size.height
+    """Work-items over an image: a pixel each, or a row each where it handles `columns` pixels side by side."""
+    return (size.width, size.height) if columns == 1 else (1, size.height)
 
 
 def row_group(columns: int) -> tuple[int, int]:
     """Work-items of a group of row_grid: one where each holds a vector (PoCL's loop over several such items crashes at
     some image sizes), else a box of pixels that shares local memory (box.clh)."""
     return (1, 1) if columns > 1 else BOX_GROUP
+
+
+def strips(device, size) -> tuple[int, int]:
+    """Work-items that share an image by its rows (strip.clh): some for each core, since not all rows take as long."""
+    return max(1, min(size.height // STRIP_ROWS, STRIPS_A_CORE * device.info.compute_units)), 1
+
+
+def blocks(size) -> tuple[int, int]:
+    """Blocks of an image across and down."""
+    return -(-size.width // BLOCK[0]), -(-size.height // BLOCK[1])
 
 
 def choose_tiles(device, sizes) -> tuple[Tile, Tile]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.scene.depth_source import Adjusted, adjusted
+from pagas_cl.scene.depth_source import adjusted, rescaled
 from pagas_cl.scene.depthmap import depth_down
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.view import View
@@ -23,7 +23,7 @@ _HELD, _FEW = 400, 200        # pixels of the longer side of the maps that are k
 _BETTER = 0.7                 # disagreement must fall to this share of it
 _MATTERS = 0.004              # and change some depth by so much
 _LOOKED_AT = 0.8              # photos that agree better are not off by much
-REACH = 0.5                   # pixels that a refinement bridges while cameras stay as they are (measured)
+ALONE, REACH = 0.5, 4.0       # pixels that a refinement bridges while cameras stay, and where they are refined first
 _STILL = 0.05                 # a view that disagrees by more afterwards is named
 
 
@@ -47,13 +47,7 @@ class Together:
 
     def apply(self, depths: Sequence[Any]) -> list[Any]:
         """The depth maps (arrays, or what loads them) with it done; those that stay are the same objects."""
-        return [_applied(depth, float(a), float(b)) for depth, a, b in zip(depths, self.factors, self.shifts)]
-
-
-def _applied(depth: Any, factor: float, shift: float) -> Any:
-    if depth is None or (factor == 1 and shift == 0):
-        return depth
-    return Adjusted(depth, factor, shift) if hasattr(depth, "load") else adjusted(np.asarray(depth), factor, shift)
+        return [rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, self.factors, self.shifts)]
 
 
 def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_is_known: bool = False) -> Together:
@@ -139,11 +133,11 @@ def _doubts(names: list[str], common: CommonScale, off: float) -> list[str]:
     if names:
         said.append(f"{len(names)} views still disagree with their neighbours by more than {_STILL:.0%}: "
                     + ", ".join(names[:5]) + (", ..." if len(names) > 5 else ""))
-    if off > REACH:
+    if off > ALONE:
         said.append(f"photos agree only {common.agreement:.2f} over the depth: they are off by about {off:.1f} pixels "
-                    f"across the direction of depth, which no depth explains; depth refinement by itself bridges some "
-                    f"{REACH:g}. Adjust the cameras: COLMAP's bundle_adjuster with these as its start, or the "
-                    "network's own (VGGT: --use_ba)")
+                    "across the direction of depth, which no depth explains; the effect 'cameras' bridges some "
+                    f"{REACH:g}, depth refinement by itself {ALONE:g}. Beyond that adjust the cameras: COLMAP's "
+                    "bundle_adjuster with these as its start, or the network's own (VGGT: --use_ba)")
     elif common.agreement < AGREE:
         said.append(f"photos agree only {common.agreement:.2f} over the depth, and moving them by some pixels does not "
                     "mend it: depth or cameras are far off, or photos and cameras are paired wrongly; run COLMAP's "

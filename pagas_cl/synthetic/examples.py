@@ -10,7 +10,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.depthmap import depth_up, save_depth
-from pagas_cl.synthetic.exports_depth import EXPORTS, Frame
+from pagas_cl.synthetic.exports_depth import EXPORTS
+from pagas_cl.synthetic.frames import Frame
 from pagas_cl.synthetic.scene import SyntheticScene
 
 METRES = 0.005       # of a unit of the scene: depths of about 3 m, in which millimetres are fine enough

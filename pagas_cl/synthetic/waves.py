@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-_CHUNK = 32768  # points at a time: the temporaries stay in the processor's cache
+_CHUNK = 32768      # points at a time: the temporaries stay in the processor's cache
+_TOGETHER = 16384   # values of waves and points at a time, where points are few
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,15 +44,18 @@ class Waves:
         return out.reshape(3, *x.shape)
 
     def _chunk(self, x, y, precise):
-        total = np.zeros((3, x.size))
-        for amplitude, (tx, ty), phase in zip(self.amplitude, self.turns, self.phase):
+        total, together = np.zeros((3, x.size)), max(1, _TOGETHER // max(x.size, 1))
+        for start in range(0, len(self.amplitude), together):
+            waves = slice(start, start + together)
+            tx, ty = self.turns[waves].T[:, :, None]
+            amplitude, phase = self.amplitude[waves, None], self.phase[waves, None]
             turn = tx * x + (ty * y + phase)
             turn -= np.rint(turn)
             angle = (2.0 * np.pi) * turn if precise else ((2.0 * np.pi) * turn).astype(np.float32)
             rise = (2.0 * np.pi * amplitude) * np.cos(angle)
-            total[0] += amplitude * np.sin(angle)
-            total[1] += tx * rise
-            total[2] += ty * rise
+            for sum_, terms in zip(total, (amplitude * np.sin(angle), tx * rise, ty * rise)):
+                for term in terms:       # one by one: the same digits whatever number of waves is taken together
+                    sum_ += term
         if self.envelope is not None:
             gain, gain_x, gain_y = self.envelope._chunk(x, y, precise)
             gain += 1.0

@@ -6,12 +6,14 @@ from functools import cached_property
 
 import numpy as np
 
+from pagas_cl.cameras.judge import fitted_poses
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError, log
 from pagas_cl.evaluate.depth import compare_depth, depth_per_parallax, find_discontinuities
 from pagas_cl.evaluate.predict import compare_predictions
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import central_normals
+from pagas_cl.scene.digest import digest_array, digest_of
 from pagas_cl.scene.names import file_stems, place_of
 from pagas_cl.scene.view import View
 
@@ -34,7 +36,17 @@ class BenchmarkCase:
     def pixels(self) -> int:
         return self.target.camera.width * self.target.camera.height
 
-    # of the truth and the initial depth, as in evaluate: found once for all settings
+    @cached_property
+    def digest(self) -> str:
+        """By which a view of the same name is told apart: what is measured on, and what judges."""
+        views = self.target, *self.held_out
+        arrays = [array for view in views for array in (view.camera.world_to_camera, view.camera.K, view.load_image(),
+                                                        view.load_mask())]
+        return digest_of(digest_array(array).encode() for array in (*arrays, self.initial, self.truth)
+                         if array is not None)
+
+    # of the truth and the initial depth, as in evaluate, and held-out photos with the pose that fits it: found once for
+    # all settings
 
     @cached_property
     def discontinuities(self) -> np.ndarray:
@@ -43,6 +55,10 @@ class BenchmarkCase:
     @cached_property
     def true_normals(self) -> np.ndarray:
         return central_normals(self.truth, self.target.camera)
+
+    @cached_property
+    def fitted_to_initial(self) -> list[View]:
+        return [fitted_poses(other, self.target, [self.initial])[0] for other in self.held_out]
 
     @cached_property
     def parallax(self) -> np.ndarray:
@@ -59,6 +75,8 @@ def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int
     judged; `held_out`: names of views that no setting may see, by default two well-placed ones of each target with six
     context views or more, one where there are fewer and no truth.
     """
+    if sample < 1:
+        raise InputError(f"the number of views to measure on (sample) is {sample}, expected 1 or more")
     truth = truth or [None] * len(views)
     known = [view.name for view in views]
     banned = {place_of(name, known) for name in held_out or ()}
@@ -117,7 +135,8 @@ def score(case: BenchmarkCase, depth: np.ndarray) -> dict[str, float]:
     With truth: "depth", "depth_median" (scene units), "parallax" (pixels), "normal" (degrees), away from
     discontinuities; "edges": mean depth error within 3 pixels of them; "missing": share of the true pixels. With
     held-out photos: "unpredicted" and "unpredicted_mean": 1 - median and 1 - mean correlation of 7x7 patches, mean over
-    the photos, and "..._before": the same of the initial depth over the same pixels.
+    the photos, and "..._before": the same of the initial depth over the same pixels; each photo with the pose that fits
+    it to the depth.
     """
     scores = {}
     if case.truth is not None:
@@ -128,7 +147,9 @@ def score(case: BenchmarkCase, depth: np.ndarray) -> dict[str, float]:
         scores = {"depth": smooth.mean, "depth_median": smooth.median, "parallax": smooth.mean_parallax,
                   "normal": smooth.normal_mean, "edges": found.edges.mean,
                   "missing": whole.missing / max(1, whole.pixels + whole.missing)}
-    pairs = [compare_predictions(case.target, [case.initial, depth], other) for other in case.held_out]
+    pairs = [compare_predictions(case.target, [case.initial, depth],
+                                 [start, fitted_poses(other, case.target, [depth])[0]])
+             for other, start in zip(case.held_out, case.fitted_to_initial)]
     rows = [(1 - after.median, 1 - after.mean, 1 - before.median, 1 - before.mean) for before, after in pairs
             if after.pixels]
     if rows:

@@ -3,11 +3,13 @@
 import json
 import time
 from concurrent.futures import Executor
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.jobs.executors import SerialExecutor
+from pagas_cl.jobs.finished import one_run
 from pagas_cl.scene.files import DAMAGE, read_bytes
 from pagas_cl.tradeoffs.case import BenchmarkCase, loaded, make_cases, score
 from pagas_cl.tradeoffs.front import Point, pareto, rank_correlation, summarise
@@ -80,14 +82,16 @@ def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *
     settings, device = distinct(settings or front_plan(), most), open_device(device)
     if budget is not None and not budget > 0:
         raise InputError(f"the budget is {budget!r} minutes, expected more than 0")
+    if repeats < 1:
+        raise InputError(f"the number of timed runs of a setting (repeats) is {repeats}, expected 1 or more")
     cases = [loaded(case) for case in cases]
-    book = Book(None if report is None else Path(report), device.info.title)
     cases, initial = _judged(cases)
-    executor = executor or SerialExecutor()
-    left_out = _fill(book, cases, settings, device, budget, repeats, executor, progress)
-    study = collect(book.records, settings, initial, str(device.info), left_out)
-    if report is not None:
-        write_report(Path(report), study, book.device)
+    with nullcontext() if report is None else one_run(Path(report)):
+        book = Book(None if report is None else Path(report), device.info.title, cases)
+        left_out = _fill(book, cases, settings, device, budget, repeats, executor or SerialExecutor(), progress)
+        study = collect(book.records, settings, initial, str(device.info), left_out)
+        if report is not None:
+            write_report(Path(report), study, book.device)
     return study
 
 
@@ -128,18 +132,32 @@ def _checked(record: dict) -> dict:
 class Book:
     """Records of runs on `device`, in `folder`'s tradeoff.json (None: in memory), which is whole at any time.
 
-    An interrupted study goes on where it ended; records of another device are not taken up.
+    An interrupted study goes on where it ended; one of another device, or of none of the `cases`, is not added to.
     """
 
-    def __init__(self, folder: Path | None, device: str):
+    def __init__(self, folder: Path | None, device: str, cases: list[BenchmarkCase]):
         self.path, self.device, self.records = folder and folder / FILE, device, []
         if self.path is not None and self.path.is_file():
             try:
                 kept = json.loads(read_bytes(self.path))
-                self.records = [_checked(record) for record in kept["records"]] if kept["device"] == device else []
+                self.records = [_checked(record) for record in kept["records"]]
+                other = self._other(kept["device"], {case.name: case.digest for case in cases})
             except (*DAMAGE, TypeError, AttributeError) as error:
                 raise InputError(f"{str(self.path)!r} is no record of a study ({error}); move it away") from error
+            if self.records and other:
+                raise InputError(f"{str(self.path)!r} is a study {other}, which this one would be mixed with: choose "
+                                 "another folder, or move it away")
             log.info("%s: %d runs are there already", self.path, len(self.records))
+
+    def _other(self, device: str, digests: dict[str, str]) -> str:
+        """In words, what the records are of where they are not of this study."""
+        names = {record["case"]: record.get("digest") for record in self.records}     # none before 0.2
+        if device != self.device:
+            return f"on {device}, not on {self.device}"
+        if not names.keys() & digests.keys():
+            return f"of other views ({', '.join(names)})"
+        changed = [name for name, digest in names.items() if digest not in (None, digests.get(name, digest))]
+        return f"with another photo, camera, depth or truth of {changed[0]}" if changed else ""
 
     def has(self, setting: Setting, case: BenchmarkCase) -> bool:
         return any(r["key"] == setting.key and r["case"] == case.name
@@ -187,7 +205,7 @@ def _record(setting, case, device, repeats):
     """What is written down of one run but for its scores, and its depth; None where the device could not do it."""
     from pagas_cl.splat import PhotoStore
 
-    record = {"key": setting.key, "setting": setting.name, "case": case.name}
+    record = {"key": setting.key, "setting": setting.name, "case": case.name, "digest": case.digest}
     try:  # photos of its own: the memory counted is of this view alone
         outcome = run(setting, case, device, PhotoStore(device), repeats)
     except DeviceError as error:  # too much memory for this device: the others still go

@@ -1,6 +1,6 @@
 """Cameras that are off: errors with the true cameras, with those given, and with refined ones.
 
-    python tests/bench/cameras.py OUT                                    # made scenes: relief, bar
+    python tests/bench/cameras.py OUT                                    # made scenes: relief, bar, closed
     python tests/bench/cameras.py OUT --real dtu_scan24 --mesh dtu_scan24/derived/mesh_coarse.ply --share 0.5
 
 Made scenes: cameras turned and moved at random so that photos move by 0, 0.5, 1, 3, 6 pixels (root mean square, with
@@ -26,7 +26,40 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from support.camera_noise import after_similarity, noisy, rms_motion
 
 LEVELS = (0.0, 0.5, 1.0, 3.0, 6.0)
-SCENES = {"relief": {}, "bar": {"bar": 8.0, "seed": 1}}
+SCENES = {"relief": {}, "bar": {"bar": 8.0, "seed": 1}, "closed": None}
+
+
+class Closed:
+    """mesh_scenes.closed with what errors are measured against; one footprint is a unit, neighbours are 24 degrees
+    apart."""
+
+    def __init__(self, width: int):
+        from mesh_scenes import closed
+
+        from pagas_cl.scene.mesh import to_surface
+        from pagas_cl.scene.view import View
+
+        made = closed(width)
+        self.cameras, self._true, self._given = made.cameras, to_surface(made.true), to_surface(made.given)
+        self.all_views = [View(camera, photo, name=camera.name) for camera, photo in zip(made.cameras, made.photos)]
+        self.distance, self.parallax = float(np.linalg.norm(made.cameras[0].center)), 1 / np.tan(np.radians(24))
+
+    def initial_depth(self, camera):
+        return self._drawn(self._given, camera)
+
+    def true_depth(self, camera):
+        return self._drawn(self._true, camera)
+
+    def true_normals(self, camera):
+        from pagas_cl.result import normals_of
+
+        return normals_of(self.true_depth(camera), camera)
+
+    @staticmethod
+    def _drawn(surface, camera):
+        from pagas_cl.surface.raster import each_depth
+
+        return next(each_depth(surface, [camera], None))
 
 
 def refined(views, depths, config, device, names):
@@ -38,16 +71,21 @@ def refined(views, depths, config, device, names):
 
 
 def detrended(error, truth, valid) -> float:
-    """Mean size of an error after the best shift, tilt and scale."""
+    """Mean size of an error after the shift, tilt and scale that leave the least of it."""
     rows, columns = np.nonzero(valid)
     values = error[valid]
     basis = np.stack([np.ones(len(values)), rows / error.shape[0], columns / error.shape[1],
                       truth[valid] / np.median(truth[valid])], -1)
-    return float(np.abs(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]).mean())
+    left = values
+    for _ in range(20):
+        root = np.sqrt(1 / np.maximum(np.abs(left), 1e-3))
+        left = values - basis @ np.linalg.lstsq(basis * root[:, None], values * root, rcond=None)[0]
+    return float(np.abs(left).mean())
 
 
-def errors(scene, cameras, results, depths=None) -> dict:
+def errors(scene, parallax, cameras, results, depths=None) -> dict:
     """Means over the refined views."""
+    from pagas_cl.evaluate.predict import box_sum
     from pagas_cl.result import normals_of
 
     rows = []
@@ -55,22 +93,23 @@ def errors(scene, cameras, results, depths=None) -> dict:
         depth = results[name].depth if depths is None else depths[name]
         truth = scene.true_depth(camera)
         valid = np.zeros(truth.shape, bool)
-        valid[10:-10, 10:-10] = (truth > 0)[10:-10, 10:-10] & (depth > 0)[10:-10, 10:-10]
-        error = (depth.astype(np.float64) - truth) / scene.relief.parallax
+        valid[10:-10, 10:-10] = box_sum(((truth > 0) & (depth > 0)).astype(float), 7)[10:-10, 10:-10] > 48.5
+        error = (depth.astype(np.float64) - truth) / parallax
         cosine = (normals_of(depth, camera) * scene.true_normals(camera)).sum(-1)[valid]
-        rows.append((np.abs(error[valid]).mean(), detrended(error, truth / scene.relief.parallax, valid),
+        rows.append((np.abs(error[valid]).mean(), detrended(error, truth / parallax, valid),
                      np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean()))
     return dict(zip(("raw", "detrended", "normals"), np.mean(rows, axis=0).tolist()))
 
 
-def made(name: str, width: int, height: int, contexts: int, config, device, tell) -> list[dict]:
+def made(name: str, width: int, height: int, contexts: int, config, device, tell, levels=LEVELS) -> list[dict]:
     """A row a level of noise."""
     from pagas_cl.cameras.refine import refine_cameras
     from pagas_cl.scene.view import View
     from pagas_cl.synthetic import relief_scene
 
-    scene = relief_scene(width, height, contexts, held_out=0, **SCENES[name])
-    true = scene.cameras
+    own = SCENES[name]
+    scene = Closed(width) if own is None else relief_scene(width, height, contexts, held_out=0, **own)
+    true, parallax = scene.cameras, scene.parallax if own is None else scene.relief.parallax
     depths = [scene.initial_depth(camera) for camera in true]
     names = [true[k].name for k in (0, len(true) // 2, len(true) - 1)]
     photos = scene.all_views
@@ -78,11 +117,11 @@ def made(name: str, width: int, height: int, contexts: int, config, device, tell
     def through(cameras):
         return [View(camera, view.image, view.mask, view.name) for camera, view in zip(cameras, photos)]
 
-    best = errors(scene, true, refined(through(true), depths, config, device, names))
-    start = errors(scene, true, dict.fromkeys(names), {c.name: d for c, d in zip(true, depths)})
+    best = errors(scene, parallax, true, refined(through(true), depths, config, device, names))
+    start = errors(scene, parallax, true, dict.fromkeys(names), {c.name: d for c, d in zip(true, depths)})
     rows = []
-    for level in LEVELS:
-        cameras = noisy(true, level, 0)
+    for level in levels:
+        cameras = noisy(true, level, 0, getattr(scene, "distance", 650.0))
         clock = time.process_time()
         found = refine_cameras(through(cameras), depths, config=config, device=device)
         clock = time.process_time() - clock
@@ -92,8 +131,9 @@ def made(name: str, width: int, height: int, contexts: int, config, device, tell
                      "reason": found.reason, "cpu": clock, "largest_move": float(np.nanmax(found.moved)),
                      "given": rms_motion(true, after_similarity(cameras, true), depths),
                      "after": rms_motion(true, after_similarity(found.cameras, true), depths),
-                     "input": start, "true": best, "as_given": errors(scene, true, given),
-                     "returned": sum(bool(r.reason) for r in given.values()), "refined": errors(scene, true, now)})
+                     "input": start, "true": best, "as_given": errors(scene, parallax, true, given),
+                     "refined": errors(scene, parallax, true, now),
+                     "returned": sum(bool(r.reason) for r in given.values())})
         tell(rows[-1])
     return rows
 
@@ -162,6 +202,7 @@ def main() -> int:
     parse.add_argument("--scenes", nargs="*", default=list(SCENES))
     parse.add_argument("--width", type=int, default=388)
     parse.add_argument("--contexts", type=int, default=6)
+    parse.add_argument("--levels", type=float, nargs="*", default=LEVELS)
     parse.add_argument("--preset", default="balanced")
     parse.add_argument("--device")
     ask = parse.parse_args()
@@ -178,7 +219,7 @@ def main() -> int:
         text = real_table(rows)
     else:
         rows = [row for name in ask.scenes for row in made(name, ask.width, round(ask.width * 290 / 388), ask.contexts,
-                                                            config, device, tell)]
+                                                            config, device, tell, ask.levels)]
         text = made_table(rows)
     ask.out.mkdir(parents=True, exist_ok=True)
     (ask.out / "figures.json").write_text(json.dumps(rows, indent=1))

@@ -168,6 +168,18 @@ def test_depth_maps_that_disagree_by_a_factor(relief, device):
         refine_cameras(relief.views, (np.eye(3), np.arange(3)[None]), unknowns=("depth_scale",), device=device)
 
 
+def test_depth_maps_of_another_scale_are_scaled(relief, off_by_one, device):
+    """The cameras keep theirs, which tell it to 0.2 % here; a scale that is nearly theirs is the surface's."""
+    large = [depth * np.float32(1.04) for depth in relief.depths]
+    found = refine_cameras(relief.through(off_by_one[0]), large, device=device)
+    assert found.accepted and found.depth_scales == pytest.approx(np.full(7, 1 / 1.04), abs=8e-3)
+    scaled = found.scaled(large)
+    assert np.median(scaled[0] / relief.depths[0]) == pytest.approx(1, abs=8e-3) and "scaled by 0.96" in str(found)
+    assert relief.error(found.cameras) < 0.1
+    kept = off_by_one[1].scaled(large)
+    assert off_by_one[1].depth_scales is None and all(a is b for a, b in zip(kept, large))
+
+
 def test_a_lens_of_its_own(relief, device):
     """Half of the views were taken with a longer lens than they say."""
     lenses = [0, 0, 0, 0, 1, 1, 1]
@@ -247,6 +259,21 @@ def test_wide_pairs_judge_too(relief, device):
     assert _bent(np.zeros((0, 2)), 0, 0) == "" == _bent(np.array([[0.2, 0.1], [0.1, 0.09]]), 100, 90)
     assert "1 of 2 wide pairs better" in _bent(np.array([[0.1, 0.09], [0.1, 0.15]]), 100, 100)
     assert "bends" in _bent(np.array([[0.2, 0.1]]), 100, 50)
+
+
+def test_the_pose_of_a_photo_that_judges_is_fitted(relief, device):
+    """To the surface that it judges, also where coarse photos are too small to tell anything of it."""
+    from pagas_cl.cameras.judge import fitted_pose
+
+    target, truth = relief.views[0], [relief.scene.true_depth(camera) for camera in relief.cameras]
+    for k, pixels in ((1, 0.0), (2, 0.5), (5, 2.0)):
+        off = noisy(relief.cameras, pixels, 4)[k]
+        judge = fitted_pose(replace(relief.views[k], camera=off), target, truth[0], truth[k], device)
+        left = rms_motion([relief.cameras[k]], [judge.camera], [truth[k]])
+        assert left < 0.05, (k, pixels, left)
+    blank = replace(target, image=np.full((145, 194, 3), 128, np.uint8))      # tells of no pose
+    stays = fitted_pose(replace(relief.views[5], camera=off), blank, truth[0], None, device)
+    assert rms_motion([off], [stays.camera], [truth[5]]) < 0.1
 
 
 def test_twists_come_back(relief):

@@ -199,10 +199,13 @@ def test_bad_usage(arguments, words, fails):
 # -- bad input ---------------------------------------------------------------------------------------------------
 
 
-def test_requests_that_cannot_end_well(scene, tmp_path, fails):
+def test_requests_that_cannot_end_well(scene, tmp_path, fails, monkeypatch):
+    """And leave nothing where they were made."""
     pytest.importorskip("open3d")
     depth = ["--depth-dir", scene / "depth_initial"]
     (tmp_path / "file").write_text("")
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
     for more, words in [
         ([], "either --mesh or --depth-dir"),
         ([*depth, "--mesh", "m.ply"], "got both"),
@@ -225,6 +228,7 @@ def test_requests_that_cannot_end_well(scene, tmp_path, fails):
     ]:
         assert words in fails(2, *refine(scene, *more)), words
     assert "does not exist" in fails(2, *refine(tmp_path / "none", *depth, "--save-depth", "d"))
+    assert not list((tmp_path / "here").iterdir())
 
 
 def test_every_command_says_before_the_work_that_it_cannot_write(scene, tmp_path, fails):

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from support.scenes import small, tiny
+from support.scenes import relief_scene, tiny
 
 from pagas_cl.errors import InputError
 from pagas_cl.evaluate import (
@@ -177,12 +177,12 @@ def test_correlation_against_numpy():
 
 @pytest.mark.slow
 def test_prediction_prefers_the_true_depth_and_one_set_of_pixels():
-    made = small()
+    made = relief_scene(194, 145, contexts=5, held_out=1)
     target, other = made.views[0], made.held_out[0]
     true = made.true_depth(target.camera)
     wrong = true + 1.5 * np.float32(made.relief.parallax)
     holed = true.copy()
-    holed[100:150, 100:150] = 0
+    holed[50:75, 50:75] = 0
     best, worse, same = compare_predictions(target, [true, wrong, holed], other)
     assert best.median > worse.median + 0.05
     assert best.pixels == worse.pixels == same.pixels and best.median == same.median

@@ -53,6 +53,9 @@ def test_it_is_applied_by_name_and_its_progress_shows(pymeshlab, tmp_path, capfd
     again = pymeshlab.MeshSet()
     again.create_sphere()
     again.load_filter_script(str(tmp_path / "s.mlx"))
+    capfd.readouterr()
+    again.print_filter_script()        # all that pymeshlab tells by itself, registered or not
+    assert "run_with : str = 'pagas_cl.filters.filter_script.run_script" in capfd.readouterr().out
     with pytest.raises(InputError, match="run it with pagas_cl.filters.filter_script.run_script"):
         again.apply_filter_script()
 

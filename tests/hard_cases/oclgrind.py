@@ -19,6 +19,7 @@ SETTINGS = {
                                      loss__unseen_mask=True, loss__gradient_weight=True, loss__coverage_weight=True,
                                      loss__structure=True, loss__robust=0.6, loss__target_view=True),
     "order-free, grey, L1": dict(loss__grey=True, loss__ssim=0.0, splatting__radius=2.6),
+    "order-free, lanes": {},
     "alpha": {},
     "alpha, wide": dict(splatting__radius=2.6, splatting__occlusion=False),
     "alpha, grey, normalised": dict(loss__grey=True, splatting__normalize=True, splatting__low_pass=0.0),
@@ -35,6 +36,8 @@ def command() -> list[str] | None:
 
 def inside() -> None:
     """Run every kernel once or more, two steps of each setting; print the names of the kernels."""
+    from dataclasses import replace
+
     from pagas_cl.refine import refine_depth
     from pagas_cl.runtime import claim, program
     from pagas_cl.runtime import device as devices
@@ -66,7 +69,8 @@ def inside() -> None:
             refine_depth(scene.target, scene.contexts[:1], scene.depth, config=config, device="oclgrind",
                          held_out=held_out)
         else:
-            refine_levels(scene.target, scene.contexts, scene.depth, config, device)
+            on = replace(device, lanes=4) if "lanes" in name else device        # as on a CPU
+            refine_levels(scene.target, scene.contexts, scene.depth, config, on)
     scene = make.base(size=(18, 16))
     adjust_cameras(scene, device)
     solve_a_mesh(scene, device)

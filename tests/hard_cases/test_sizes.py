@@ -20,14 +20,20 @@ SIZES = [(288, 216), (287, 215), (161, 23), (31, 97)]
 RUN = """
 import sys
 import numpy as np
-from pagas_cl.synthetic import relief_scene
 from pagas_cl.presets import BALANCED
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.view import View
 from pagas_cl.runtime.device import open_device
 from pagas_cl.splat import refine_levels
 
-made = relief_scene(int(sys.argv[1]), int(sys.argv[2]), 1)
-target, *contexts = made.views
-depth = made.true_depth(target.camera) * 1.001
+w, h = int(sys.argv[1]), int(sys.argv[2])
+row, column = np.mgrid[:h, :w]
+depth = (600 + 8 * np.sin(column / 9) * np.cos(row / 11)).astype(np.float32)
+photo = np.uint8(128 + 60 * np.stack([np.sin(column / k) * np.cos(row / (k + 1)) for k in (2, 3, 5)], axis=-1))
+poses = [np.eye(4), np.eye(4)]
+poses[1][0, 3] = 40
+target, *contexts = [View(Camera(w, h, w, w, w / 2, h / 2, pose), photo, None, str(k))
+                     for k, pose in enumerate(poses)]
 for grey in (False, True):
     config = BALANCED.with_settings(pyramid__steps=(2,), loss__grey=grey)
     result = refine_levels(target, contexts, depth, config, open_device())

@@ -45,7 +45,9 @@ class Cluster:
         self.address = self.client.scheduler.address
 
     def add(self, host: str) -> None:
-        """Start one worker at the address `host`."""
+        """Start one worker at the address `host`, where there is none."""
+        if host in self.workers:
+            return
         self.workers[host] = self._start("distributed.cli.dask_worker", self.address, "--host", host, "--nthreads", "1",
                                          "--no-nanny", "--no-dashboard", "--local-directory", str(self.folder / host))
 
@@ -71,11 +73,11 @@ class Cluster:
             time.sleep(0.1)
 
 
-@pytest.fixture
-def cluster(tmp_path):
-    (tmp_path / "cluster").mkdir()
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    """One for all tests, since it takes longer to start than they do; the first one leaves it without a worker."""
     with ExitStack() as stack:
-        yield Cluster(tmp_path / "cluster", stack)
+        yield Cluster(tmp_path_factory.mktemp("cluster"), stack)
 
 
 def test_a_worker_is_killed_and_another_joins(scene, cluster, tmp_path):
@@ -108,6 +110,7 @@ def test_from_the_command_line(scene, cluster, tmp_path, capsys):
     cluster.add("127.0.0.2")
     cluster.ready(1)
     command = ["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--quiet", "--set", "pyramid.steps=3",
+               "--effect", "cameras=off",
                "--views", "target", "context_00", "context_01"]
     assert command_line.run([*command, "--save-depth", str(tmp_path / "a"), "--scheduler", cluster.address]) == 0
     assert command_line.run([*command, "--save-depth", str(tmp_path / "b")]) == 0

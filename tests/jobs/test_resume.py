@@ -58,13 +58,13 @@ def refine(scene, folder, **more):
 
 
 def test_killed_at_random_times(tmp_path, monkeypatch):
-    """A trial of each way to run; for many: `PYTHONPATH=tests python -m support.kill_trials --trials 50 --way
-    all`."""
+    """A trial of each way to run; for many: `PYTHONPATH=tests:tests/jobs python -m support.kill_trials --trials
+    50 --way all`."""
     if sys.platform != "linux":
         pytest.skip("asks /proc what is left of a run")
     pytest.importorskip("distributed")
     monkeypatch.setenv("TMPDIR", str(tmp_path))      # locks of devices apart from those of other programs
-    like = undisturbed(tmp_path)
+    like = undisturbed(tmp_path, 4)
     with ExitStack() as stack:
         for way, trials in zip(WAYS, (1, 1, 1, 1)):
             figures = run_trials(trials, tmp_path / way, like, 1, options(way, tmp_path, stack))

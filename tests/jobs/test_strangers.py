@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_sm
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import InputError, OutputError
-from pagas_cl.jobs.finished import one_run
 from pagas_cl.jobs.store import DepthFile
 from pagas_cl.refine import refine_views
 from pagas_cl.report.page import html_page
@@ -67,11 +65,13 @@ def commands(scene, out, depths) -> dict:
         "demo": ("demo", "--output", str(out), "--width", "64", "--context", "2", "--quiet"),
         "analyze": ("analyze", str(scene), *from_depths, "--json", str(out / "a.json"), "--report", str(out / "page"),
                     "--views", "target", "--no-costs", "--quiet"),
+        "cameras": ("cameras", str(scene), *from_depths, "--output", str(out), "--quiet"),
         "evaluate": ("evaluate", str(depths), str(depths), "--scene", str(scene), "--json", str(out / "e.json")),
     }
 
 
-@pytest.mark.parametrize("name", ["depth", "report", "mesh", "object", "kept", "demo", "analyze", "evaluate"])
+@pytest.mark.parametrize("name", ["depth", "report", "mesh", "object", "kept", "demo", "analyze", "cameras",
+                                  "evaluate"])
 def test_strangers_files_stay_as_they_are(scene, tmp_path, name):
     pytest.importorskip("open3d")
     out = tmp_path / "a" / "out"
@@ -117,6 +117,30 @@ def test_a_page_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["index.html"]
     (tmp_path / "index.html").unlink()
     assert command_line.run(list(command)) == 0 == command_line.run(list(command))
+
+
+def test_pages_of_two_commands_do_not_replace_each_other(scene, tmp_path, capsys):
+    page = html_page("any", [], [], [])
+    refine = commands(scene, tmp_path, scene / "depth_initial")["report"]
+    study = ["tradeoff", str(scene), "--depth-dir", str(scene / "depth_initial"), "--report", str(tmp_path)]
+    (tmp_path / "tradeoff.png").write_text("mine")
+    assert command_line.run(study) == 2 and "tradeoff.png' is not ours to replace" in capsys.readouterr().err
+    (tmp_path / "tradeoff.json").write_text("{}")
+    (tmp_path / "index.html").write_text(page)
+    analyze = ["analyze", *study[1:]]
+    for command in (refine, analyze):
+        assert command_line.run(list(command)) == 2 and "is the page of another command" in capsys.readouterr().err
+    assert (tmp_path / "index.html").read_text() == page and (tmp_path / "tradeoff.png").read_text() == "mine"
+
+
+def test_a_model_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):
+    """The scene's own, say, where --output names the scene."""
+    (tmp_path / "sparse/0").mkdir(parents=True)
+    (tmp_path / "sparse/0/images.bin").write_text("precious")
+    assert command_line.run(list(commands(scene, tmp_path, scene / "depth_initial")["cameras"])) == 2
+    assert "is a model of somebody else" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.rglob("*")] == ["sparse", "0", "images.bin"]
+    assert (tmp_path / "sparse/0/images.bin").read_text() == "precious"
 
 
 def test_what_is_started_from_is_not_replaced(scene, tmp_path, capsys):
@@ -227,41 +251,3 @@ def test_what_is_missing_is_made_and_what_is_there_is_kept(scene, tmp_path, caps
         assert command_line.run([*command, *given]) == 0
         assert not said(out, "began") and bytes_of(out) == before and Path(given[1]).exists()
     assert len(list((tmp_path / "page").glob("*_confidence.png"))) == 8
-
-
-# -- two at a time ---------------------------------------------------------------------------------------------------
-
-
-def test_two_runs_with_one_output(scene, tmp_path, capsys):
-    """The second one is refused before it does anything; the first one ends as if nothing had been."""
-    pytest.importorskip("open3d")
-    command = ["refine", str(scene), "--mesh", str(scene / "mesh_coarse.ply"), "--output", str(tmp_path / "fine.ply"),
-               *SETTINGS, "--set", "pyramid.steps=60"]
-    first = subprocess.Popen([sys.executable, "-m", "pagas_cl", *command], stderr=subprocess.PIPE, text=True)
-    folder = tmp_path / ".fine.ply.views"
-    deadline = time.monotonic() + 60
-    while not bytes_of(folder) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert command_line.run(command) == 1 and "another run is at work in" in capsys.readouterr().err
-    assert first.wait(120) == 0, first.stderr.read()
-    whole = (tmp_path / "fine.ply").read_bytes()
-    assert [path.name for path in tmp_path.iterdir()] == ["fine.ply"]
-    assert command_line.run(command) == 0 and (tmp_path / "fine.ply").read_bytes() == whole
-
-
-def test_two_threads_with_one_folder(tmp_path):
-    with one_run(tmp_path), one_run(tmp_path):      # the command, and what it calls
-        told = []
-
-        def other():
-            with pytest.raises(OutputError, match="another run"), one_run(tmp_path):
-                pass
-            told.append(True)
-
-        thread = threading.Thread(target=other)
-        thread.start()
-        thread.join()
-        assert told
-    with one_run(tmp_path):
-        pass
-    assert not list(tmp_path.iterdir())

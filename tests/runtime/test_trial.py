@@ -145,6 +145,22 @@ def test_intels_runtime_from_pip_is_registered_beside_the_systems_drivers(monkey
     assert vendors.VARIABLE not in os.environ                      # the system has it already
 
 
+@pytest.mark.kernels
+@pytest.mark.parametrize("first", ["open3d", "pymeshlab"])
+@pytest.mark.parametrize("inherited", [False, True])
+def test_intels_runtime_opens_after_a_library_with_threads_of_the_same_name(first, inherited):
+    """Both bring an older libtbb.so.12; a child process has the folder of drivers from its parent."""
+    pytest.importorskip(first, reason=f"{first} is not installed", exc_type=ImportError)
+    if vendors.intel_library() is None:
+        pytest.skip("Intel's runtime is not installed by pip (make setup CPU=intel)")
+    environment = {name: value for name, value in os.environ.items() if name != vendors.VARIABLE}
+    if inherited:
+        environment[vendors.VARIABLE] = vendors.folder_of([], {"x.icd": f"{vendors.intel_library()}\n"})
+    code = f"import {first}\nfrom pagas_cl.runtime.device import open_device\nprint(open_device('Intel(R)').lanes)"
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0 and int(done.stdout) > 0, done.stderr
+
+
 @pytest.fixture(scope="session")
 def faulty_driver(tmp_path_factory):
     """A library that stands in front of the OpenCL loader and makes drivers fail."""

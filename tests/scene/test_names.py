@@ -1,7 +1,10 @@
 """What views are called: a property test over awkward names, through everything that writes, finds or asks by name."""
 
+import json
+import sys
 import unicodedata
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,12 +17,14 @@ from support.job_scenes import QUICK, load_small_scene, write_small_scene
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import InputError
 from pagas_cl.jobs import refine_all
+from pagas_cl.presets import preset
 from pagas_cl.refine import refine_views
 from pagas_cl.report import Report
 from pagas_cl.scene.depthmap import SUFFIXES, find_depths, load_depth, save_depth
 from pagas_cl.scene.names import OWN, file_stems, flat_stem, place_of
 from pagas_cl.scene.readers import camera_file, read_scene
 from pagas_cl.scene.view import View
+from pagas_cl.tradeoffs import plan
 
 AWKWARD = ["a.png", "a.tif", "A.png", "left/0001.png", "right/0001.png", "cam/a.png", "cam_a.png", "a.png.jpg",
            "frame.0001", "frame.0002", "inputs/b.png", "journal/b.png", "views/b.png", "parts/b.png", "lock.png",
@@ -118,7 +123,7 @@ def test_a_depth_map_of_two_views(tmp_path):
 
 def rig(folder, names, masks):
     """A scene whose photos lie in folders, and masks."""
-    views, _ = load_small_scene(write_small_scene(folder, 4))
+    views, _ = load_small_scene(write_small_scene(folder, max(4, len(names))))
     for view, name in zip(views, names):
         (folder / "images" / name).parent.mkdir(exist_ok=True)
         Image.fromarray(view.load_image()).save(folder / "images" / name)
@@ -172,3 +177,59 @@ def test_the_way_through_the_commands(tmp_path, capsys):
     assert command_line.run(["evaluate", str(out), str(out), "--scene", str(scene)]) == 0
     told = capsys.readouterr().out
     assert all(name in told for name in names)
+
+
+HOSTILE = ["a.png", "cam/a.png", "n\nl.png", "<b>#?%& ' \".png", "x" * 245 + ".png", "q\udce4.png"]
+
+
+@pytest.mark.slow
+def test_awkward_names_through_every_command_that_writes(tmp_path, capsys, monkeypatch):
+    pycolmap = pytest.importorskip("pycolmap")
+    short = plan.changed("short", "", preset("balanced"), pyramid__steps=(2,))
+    for stream in (sys.stdout, sys.stderr):        # as in a process of our own
+        stream.reconfigure(errors="backslashreplace")
+    monkeypatch.setattr("pagas_cl.tradeoffs.study.front_plan", lambda: [short])
+    monkeypatch.setattr("pagas_cl.tradeoffs.study.Guess", lambda *_: Mock(seconds=lambda *_: 0.0))
+    scene, out = rig(tmp_path / "scene", HOSTILE, []), tmp_path / "out"
+    for stem, depth in zip(file_stems(HOSTILE), load_small_scene(write_small_scene(tmp_path / "plain", 6))[1]):
+        save_depth(tmp_path / f"depth/{stem}.npz", depth)
+
+    def run(command, *more, status=0, place=scene):
+        assert command_line.run([command, str(place), "--depth-dir", str(tmp_path / "depth"), "--quiet",
+                                 *map(str, more)]) == status
+
+    run("refine", "--save-depth", out, "--report", out / "page", "--set", "pyramid.steps=2", "--effect",
+        "agreement=off", "cameras=off")
+    told = json.loads((out / "page/report.json").read_text())
+    assert [row["view"] for row in told["views"]] == HOSTILE and len(list((out / "page").glob("*_change.png"))) == 6
+    run("analyze", "--report", out / "analysis", "--no-costs", "--json", out / "a.json")
+    assert [view["view"] for view in json.loads((out / "a.json").read_text())["views"]] == HOSTILE
+    assert (out / "analysis/index.html").read_text().count("<h2 ") == 6
+    run("tradeoff", "--report", out / "study", "--sample", "6")
+    study = json.loads((out / "study/tradeoff.json").read_text())
+    assert list(study["initial"]) == file_stems(HOSTILE) == [record["case"] for record in study["records"]]
+    assert command_line.run(["evaluate", str(out), str(tmp_path / "depth"), "--scene", str(scene), "--json",
+                             str(out / "e.json")]) == 0
+    assert [name.partition(": ")[0] for name in json.loads((out / "e.json").read_text())] == HOSTILE
+    capsys.readouterr()
+    run("cameras", "--output", out / "cameras", status=2)
+    assert "has a name that is no UTF-8" in capsys.readouterr().err and not (out / "cameras").exists()
+    camera_file.write(scene, [view for view in read_scene(scene).views if view.name != HOSTILE[-1]])
+    run("cameras", "--output", out / "cameras")
+    model = pycolmap.Reconstruction(str(out / "cameras/sparse/0"))
+    assert [model.images[k].name for k in sorted(model.images)] == HOSTILE[:-1]
+
+
+@pytest.mark.slow
+def test_awkward_names_in_a_project(tmp_path, capsys):
+    pytest.importorskip("pymeshlab")
+    scene = rig(tmp_path / "scene", HOSTILE, [])
+    (tmp_path / "s.mlx").write_text('<!DOCTYPE FilterScript><FilterScript><filter name="Invert Faces Orientation"/>'
+                                    "</FilterScript>")
+    command = ["script", str(tmp_path / "s.mlx"), str(scene), "--mesh", str(scene / "mesh_coarse.ply"), "--output",
+               str(tmp_path / "p.mlp"), "--quiet"]
+    assert command_line.run(command) == 2 and "cannot stand in a MeshLab project" in capsys.readouterr().err
+    assert not list(tmp_path.glob("p*"))
+    camera_file.write(scene, [view for view in read_scene(scene).views if view.name != HOSTILE[-1]])
+    assert command_line.run(command) == 0
+    assert [view.name for view in read_scene(tmp_path / "p.mlp", "meshlab", flavour="meshlab").views] == HOSTILE[:-1]

@@ -150,6 +150,16 @@ def test_tiles_make_no_difference(device, monkeypatch, base, tiles):
     assert loss == pytest.approx(value, rel=1e-6)
 
 
+def test_strips_make_no_difference(device, monkeypatch, scene):
+    """However many threads share an image by its rows (strip.clh): the same bytes."""
+    want, value = device_gradient(device, PLAIN, scene)
+    for number in (1, 7, scene.contexts[0].camera.height):
+        monkeypatch.setattr("pagas_cl.splat.options.strips", lambda device, size, number=number: (number, 1))
+        got, loss = device_gradient(device, PLAIN, scene)
+        assert got.tobytes() == want.tobytes()
+        assert loss == value
+
+
 @pytest.mark.parametrize("base", [PLAIN, PAPER], ids=["order-free", "alpha"])
 def test_a_gpu_can_hold_it(device, monkeypatch, scene, base):
     """At most 32 kB of local memory and 256 work-items: PoCL would allow far more."""

@@ -1,10 +1,11 @@
 """Kill `pagas-cl refine` at random times, start it again with the same command, compare with an undisturbed run.
 
-    PYTHONPATH=tests python -m support.kill_trials --trials 50 --way all
+    PYTHONPATH=tests:tests/jobs python -m support.kill_trials --trials 50 --way all
 
 One trial is one SIGKILL or SIGTERM. A run is killed again and again until it finishes by itself; then the next one
 begins. Ways: in this process, one process a device (--devices), a pool of the caller's, a Dask cluster (one worker,
-which outlives the runs). After each trial no process that the killed one had started may be left.
+which outlives the runs). After each trial no process that the killed one had started may be left, the folder's lock is
+free, and files of others beside and below it are as they were.
 """
 
 import argparse
@@ -23,8 +24,12 @@ from pathlib import Path
 import numpy as np
 from support.job_scenes import bytes_of, load_small_scene, write_small_scene
 
+from pagas_cl.jobs.finished import begun_in
+from pagas_cl.scene import locks
+
 COMMAND = [sys.executable, "-m", "pagas_cl", "refine"]
 WAYS = ("in-process", "devices", "executor", "dask")
+STRANGERS = ("notes.txt", ".target.npz.other-7.part", "inputs/a.npy", "left/target.npz", "stop", "../lock", "../a.part")
 
 
 def arguments(scene: Path, out: Path, more=()) -> list[str]:
@@ -104,9 +109,28 @@ def check_whole(out: Path) -> int:
     return len(files)
 
 
-def undisturbed(folder: Path) -> tuple[Path, dict, float]:
-    """A scene, what a run in this process gives for it, and the seconds that the second one takes."""
-    scene = write_small_scene(folder / "scene")
+def settle(out: Path) -> None:
+    """Files of somebody else, in `out` and beside it."""
+    for name in STRANGERS:
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_text(f"somebody's {name}")
+
+
+def check_others(out: Path) -> None:
+    """RuntimeError where a run that has ended still holds the folder, or has touched what is not its own."""
+    descriptor = locks.take(out / ".pagas_cl" / "lock") if (out / ".pagas_cl" / "lock").exists() else -1
+    if descriptor is None:
+        raise RuntimeError(f"{out} is locked, and nobody is at work in it")
+    if descriptor >= 0:
+        os.close(descriptor)
+    changed = [name for name in STRANGERS if (out / name).read_text() != f"somebody's {name}"]
+    if changed:
+        raise RuntimeError(f"{out}: {changed} are not as they were")
+
+
+def undisturbed(folder: Path, views: int = 8) -> tuple[Path, dict, float]:
+    """A scene of so many views, what a run in this process gives for it, and the seconds that the second one takes."""
+    scene = write_small_scene(folder / "scene", views)
     run_whole(scene, folder / "whole")
     return scene, bytes_of(folder / "whole"), run_whole(scene, folder / "whole again")
 
@@ -115,18 +139,22 @@ def run_trials(trials: int, folder: Path, like: tuple, seed: int = 0, more=()) -
     """Kill `trials` times; figures of what happened. `like` is what `undisturbed` gave. RuntimeError where a result is
     not as it should be."""
     rng, (scene, wanted, whole) = random.Random(seed), like
-    figures = {"kills": 0, "runs": 0, "kills with some views finished": 0}
+    figures = {"kills": 0, "runs": 0, "kills with some views kept": 0}
     while figures["kills"] < trials:
-        out, killed = folder / f"run{figures['runs']}", True
+        out, killed = folder / f"run{figures['runs']}" / "out", True
+        settle(out)
         while killed and figures["kills"] < trials:
             how = rng.choice((signal.SIGKILL, signal.SIGTERM))
             killed = kill_once(scene, out, rng.uniform(0.1 * whole, 1.05 * whole), more, how)
             finished = check_whole(out)
+            check_others(out)
             figures["kills"] += killed
-            figures["kills with some views finished"] += killed and 0 < finished < len(wanted)
+            kept = finished < len(wanted) and max(finished, begun_in(out))
+            figures["kills with some views kept"] += killed and kept > 0
         run_whole(scene, out, more)
         figures["runs"] += 1
-        left = [path for path in out.rglob("*") if ".part" in path.name]
+        check_others(out)
+        left = [path for path in out.rglob("*") if ".part" in path.name and path.name not in STRANGERS]
         if bytes_of(out) != wanted or left:
             raise RuntimeError(f"{out} differs from the undisturbed run, or something is left beside: {left}")
     return figures

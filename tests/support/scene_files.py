@@ -7,7 +7,7 @@ import pytest
 from support import oracles, scene_writers
 
 from pagas_cl.scene.readers import camera_file, meshlab
-from pagas_cl.synthetic import exports_depth
+from pagas_cl.synthetic import exports_depth, exports_rgbd
 
 
 def make_open3d(folder, views):
@@ -73,10 +73,10 @@ READERS = {
     "da3": (make_frames(exports_depth.da3), "exports/npz/results.npz", oracles.da3, {}),
     "vggt": (make_frames(exports_depth.vggt), "predictions.npz", oracles.vggt, {}),
     "mapanything": (make_frames(exports_depth.mapanything), "predictions/000000.npz", oracles.mapanything, {}),
-    "record3d": (make_frames(exports_depth.record3d), "metadata", oracles.record3d, {}),
-    "polycam": (make_frames(exports_depth.polycam), "keyframes/cameras/000000.json", oracles.polycam, {}),
-    "scannet": (make_frames(exports_depth.scannet), "pose/0.txt", oracles.pose_txt, {}),
-    "7scenes": (make_frames(exports_depth.seven_scenes), "frame-000000.pose.txt", oracles.pose_txt, {}),
-    "tum": (make_frames(exports_depth.tum), "groundtruth.txt", oracles.tum, {}),
-    "dvmvs": (make_frames(exports_depth.video_mvs), "poses.txt", oracles.poses_txt, {}),
+    "record3d": (make_frames(exports_rgbd.record3d), "metadata", oracles.record3d, {}),
+    "polycam": (make_frames(exports_rgbd.polycam), "keyframes/cameras/000000.json", oracles.polycam, {}),
+    "scannet": (make_frames(exports_rgbd.scannet), "pose/0.txt", oracles.pose_txt, {}),
+    "7scenes": (make_frames(exports_rgbd.seven_scenes), "frame-000000.pose.txt", oracles.pose_txt, {}),
+    "tum": (make_frames(exports_rgbd.tum), "groundtruth.txt", oracles.tum, {}),
+    "dvmvs": (make_frames(exports_rgbd.video_mvs), "poses.txt", oracles.poses_txt, {}),
 }

@@ -13,7 +13,7 @@ from pagas_cl.scene.exr import read_exr
 from pagas_cl.surface import depth_alignment
 from pagas_cl.surface.bring_together import bring_together
 from pagas_cl.synthetic.examples import as_network, frames_of
-from pagas_cl.synthetic.exports_depth import write_exr
+from pagas_cl.synthetic.exports_rgbd import write_exr
 
 pytestmark = pytest.mark.slow
 

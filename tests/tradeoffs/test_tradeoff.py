@@ -1,6 +1,7 @@
 """Accuracy against time: the figures by hand, and small real studies."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from support.scenes import relief_scene
 import pagas_cl
 from pagas_cl.__main__ import run as run_command
 from pagas_cl.costs import view_steps
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, OutputError
 from pagas_cl.presets import preset
 from pagas_cl.runtime.device import open_device
 from pagas_cl.splat import PhotoStore
@@ -21,9 +22,25 @@ from pagas_cl.tradeoffs.front import _MARKERS, Point, _ticks, pareto, rank_corre
 from pagas_cl.tradeoffs.page import ablation_table, closing, headline, write_report
 from pagas_cl.tradeoffs.plan import ablation_plan
 from pagas_cl.tradeoffs.run import initial_depth, run
-from pagas_cl.tradeoffs.study import Study, measure
+from pagas_cl.tradeoffs.study import Book, Study, measure
 
 pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_probe():
+    """The device is probed once: every study would, and takes seconds for it."""
+    import pagas_cl.tradeoffs.run as running
+
+    whole, found = running.probe, []
+
+    def once(*given, **more):
+        found[:] = found or [whole(*given, **more)]
+        return found[0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(running, "probe", once)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -143,6 +160,34 @@ def test_a_study_is_written_resumed_and_ranked(case, tmp_path, caplog):
     assert "&quot;40 steps&quot; leaves the least, " in page and "<td>40 steps</td><td>2</td>" in page
     assert "<table>" in page and (tmp_path / "tradeoff.png").stat().st_size > 1000
     assert "| 40 steps |" in ablation_table(study.points)
+
+
+def test_a_study_of_something_else_is_not_mixed_with_this_one(case, tmp_path):
+    """One after the other: other photos or depth under the same name, other views, another device. At once: refused."""
+    quick, folder = [short("2 steps", 2)], tmp_path / "report"
+    measure([case], quick, report=folder)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert sorted(before) == ["index.html", "tradeoff.json", "tradeoff.png"]
+    deeper = replace(case, initial=case.initial * np.float32(1.001))
+    darker = replace(case, target=replace(case.target, image=case.target.load_image() // 2))
+    judged = replace(case, held_out=case.contexts[-1:])
+    for other, words in ((deeper, "another photo, camera, depth or truth of"), (darker, "another photo"),
+                         (judged, "another photo"), (replace(case, name="z"), f"other views .{case.name}.")):
+        with pytest.raises(InputError, match=f"{words}.*choose another folder"):
+            measure([other], quick, report=folder)
+    with pytest.raises(InputError, match="is a study on .*, not on another device"):
+        Book(folder, "another device", [case])
+    told = []
+
+    def second(stage, done, total):
+        with ThreadPoolExecutor(1) as other, pytest.raises(OutputError, match="another run is at work"):
+            other.submit(measure, [case], quick, report=folder).result()
+        told.append(stage)
+
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    measure([case, replace(case, name="more")], quick, report=folder, progress=second)
+    assert told and len(json.loads((folder / "tradeoff.json").read_text())["records"]) == 2
+    assert sorted(path.name for path in folder.iterdir()) == sorted(before)
 
 
 def test_a_spent_budget_leaves_settings_out_and_says_so(case, caplog):

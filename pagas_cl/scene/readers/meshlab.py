@@ -6,8 +6,10 @@ from the left and y from the BOTTOM, from the image's corner (pixel centres at +
 with CenterPx from the top and pixel centres at whole numbers: flavour "openmvs".
 """
 
+import os
+import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 from xml.sax.saxutils import quoteattr
@@ -78,7 +80,12 @@ class Project:
                              "(Import Raster, with a camera each)")
         for raster in self.rasters:
             photos.existing(raster.path, f"{self.path}, raster layer {raster.label!r}")
-        views = [photos.view_of(self.path.parent, raster.camera(flavour), raster.path) for raster in self.rasters]
+        places = [os.path.relpath(raster.path, self.path.parent) for raster in self.rasters]
+        for names in ([raster.path.name for raster in self.rasters], [raster.label for raster in self.rasters], places):
+            if len(set(names)) == len(names):      # else photos of several folders
+                break
+        views = [photos.view_of(self.path.parent, replace(raster.camera(flavour), name=name), raster.path, None, name)
+                 for name, raster in zip(names, self.rasters)]
         return Scene(views=views, source=f"{self.path} (MeshLab project, {flavour})")
 
 
@@ -219,11 +226,20 @@ def _scores(project: Project) -> dict[str, np.ndarray]:
     return scores if min(np.isfinite(score).sum() for score in scores.values()) >= patches.LEAST else {}
 
 
+def check_names(views: Sequence[View]) -> None:
+    """InputError where the name of a view, or of its photo, cannot stand in a project, which is XML."""
+    for view in views:
+        if re.search("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", f"{view.name}{photos.file_of(view) or ''}"):
+            raise InputError(f"view {view.name!r} has characters in its name, or its photo's, that cannot stand in a "
+                             "MeshLab project: rename the photo")
+
+
 def write_project(path: Path, views: list[View], meshes: Sequence[MeshLayer] = ()) -> Path:
     """Write a .mlp that MeshLab opens; every camera keeps all its digits (MeshLab itself keeps six).
 
     Photos and meshes are named relative to the project where they lie beside or below it, else by absolute path.
     """
+    check_names(views)
     path = Path(path)
     rows = ["<!DOCTYPE MeshLabDocument>", "<MeshLabProject>", " <MeshGroup>"]
     for layer in meshes:

@@ -1,0 +1,44 @@
+"""Numbers, words and combinations that make no sense are refused with a sentence, before anything is done."""
+
+import pytest
+from support.job_scenes import write_small_scene
+
+import pagas_cl.__main__ as command_line
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return write_small_scene(tmp_path_factory.mktemp("nonsense") / "scene", 2)
+
+
+DEPTH, MESH = "--depth-dir {0}/depth_initial", "{0}/mesh_coarse.ply"
+CASES = {
+    f"tradeoff {{0}} {DEPTH} --sample 0": "views to measure on (sample) is 0, expected 1 or more",
+    f"tradeoff {{0}} {DEPTH} --sample -3": "views to measure on (sample) is -3, expected 1 or more",
+    f"tradeoff {{0}} {DEPTH} --truth {{0}}/depth_true --repeats 0": "(repeats) is 0, expected 1 or more",
+    f"evaluate {MESH} {MESH} --spacing 0": "the spacing is 0.0, expected a length above 0",
+    f"evaluate {MESH} {MESH} --max-distance -1": "the largest distance is -1, expected more than 0",
+    f"evaluate {MESH} {MESH} --max-distance nan": "the largest distance is nan, expected more than 0",
+    f"evaluate {MESH} {{0}}/depth_true": "is a folder, expected the file of a mesh or of points",
+    f"evaluate {MESH} {MESH} --held-out target": "go with a folder of depth maps",
+    f"refine {{0}} {DEPTH} --save-depth d --scheduler foo": "'foo' is no address of a Dask scheduler",
+    f"refine {{0}} {DEPTH} --save-depth d --hold-out target context_00": "names all 2 views, so that none is left",
+    f"refine {{0}} {DEPTH} --save-depth d --effect foo=on": "unknown setting 'effects.foo'",
+    f"refine {{0}} {DEPTH} --save-depth": "--save-depth is empty, expected the name of a file or folder",
+    f"refine {{0}} {DEPTH} --report": "--report is empty, expected",
+    f"analyze {{0}} {DEPTH} --json": "--json is empty, expected",
+    f"cameras {{0}} {DEPTH} --output": "--output is empty, expected"}
+
+
+@pytest.mark.parametrize("line", CASES)
+def test_it_is_refused_and_leaves_nothing(scene, tmp_path, capsys, monkeypatch, line):
+    """Lines that end with an option get an empty word ("$OUT" that is not set)."""
+    if "evaluate" in line:
+        pytest.importorskip("open3d")
+    monkeypatch.chdir(tmp_path)
+    words = line.format(scene).split()
+    assert command_line.run(words + [""] * words[-1].startswith("--")) == 2
+    told = [text for text in capsys.readouterr().err.splitlines() if text.startswith("pagas-cl: ")]
+    assert len(told) == 1 and CASES[line] in told[0] and "nearest" not in told[0] and not list(tmp_path.iterdir())
