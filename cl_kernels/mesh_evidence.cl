@@ -1,14 +1,16 @@
 // What the depth maps say of a mesh's vertices, each along its normal (method section 10.2). Lengths in units of the
 // mesh's size; `pairs` holds, vertex after vertex, the two other corners of each triangle around it, `first` where each
 // vertex's begin.
-//   vertex_normals  mean of the normals around a vertex, by angle
+//   vertex_normals  mean of the normals around a vertex, by angle; edge_middles  the same between two
 //   gather          what one view says of each vertex: kept among the SLOTS weightiest words
 //   settle          their robust mean
 #include "constants.clh"
 #include "eye.clh"
 
-#define FACING 0.3f                      // least cosine between ray and normal
+#define FACING 0.15f
 #define ON_SURFACE 1.0f                  // footprints (more on slopes) between a seen vertex and the drawn mesh
+#define REACH 0.5f                       // of the mean edge around a vertex: depths that count,
+#define MOST_REACH 12                    // pixels at most
 #define WINDOW 1                         // pixels around a depth that must lie on one surface with it,
 #define NO_EDGE 3.0f                     // to so many footprints along the normal
 #define LEAST_SIGMA 0.1f                 // footprints: no depth is surer
@@ -16,20 +18,37 @@
 #define DOUBT 0.3f                       // the same from which on it counts less
 
 __kernel void vertex_normals(__global const float *positions, __global const int *first, __global const int2 *pairs,
-                             int count, __global float *normals)                       // [V, 3], unit length or zero
+                             int count, __global float *normals,                       // [V, 3], unit length or zero
+                             __global float *reach)                                    // [V] mean edge
 {
     EACH(i, count)
     const float3 p = vload3(i, positions);
     float3 sum = 0.0f;
+    float edges = 0.0f;
     for (int k = first[i]; k < first[i + 1]; ++k) {
         const float3 a = vload3(pairs[k].x, positions) - p, b = vload3(pairs[k].y, positions) - p;
         const float3 across = cross(a, b);
         const float area = length(across);
+        edges += length(a) + length(b);
         if (area > 0.0f)
             sum += across * (atan2(area, dot(a, b)) / area);
     }
     const float size = length(sum);
+    reach[i] = edges / (2 * max(first[i + 1] - first[i], 1));
     vstore3(size > 1e-6f ? sum / size : (float3)(0.0f), i, normals);
+}
+
+// In the middle of the edges between `pairs`: place, normal, and mean edge when they are split there.
+__kernel void edge_middles(__global const float *positions, __global const float *normals, __global const int2 *pairs,
+                           int count, __global float *middles, __global float *directions, __global float *reach)
+{
+    EACH(i, count)
+    const float3 a = vload3(pairs[i].x, positions), b = vload3(pairs[i].y, positions);
+    const float3 sum = vload3(pairs[i].x, normals) + vload3(pairs[i].y, normals);
+    const float size = length(sum);
+    vstore3(0.5f * (a + b), i, middles);
+    vstore3(size > 1e-6f ? sum / size : (float3)(0.0f), i, directions);
+    reach[i] = 0.5f * distance(a, b);
 }
 
 float3 at_depth(const Eye eye, int column, int row, float d)
@@ -43,6 +62,7 @@ __kernel void gather(__global const float *positions, __global const float *norm
                      __global const float *drawn,                  // [H, W] of the mesh as it is, units
                      __global const float *depth, __global const float *deviation, float scale,     // [H, W] scene units
                      float orientation,                            // 1: normals point outwards, -1: inwards, 0: as it comes
+                     __global const float *reach,
                      __global float2 *words,
                      __global float *unit)                         // [V] least footprint among the views, units
 {
@@ -63,9 +83,8 @@ __kernel void gather(__global const float *positions, __global const float *norm
     if (!(drawn[middle] > 0.0f && fabs(drawn[middle] - p.z) < ON_SURFACE * size * (1.0f + tangent)))
         return;
     unit[i] = fmin(unit[i], size);
-    const float sigma = deviation[middle] * scale * fabs(dot(p, n)) / p.z;
     const float own = dot(at_depth(eye, column, row, depth[middle] * scale), n);
-    bool smooth = depth[middle] > 0.0f && isfinite(sigma);
+    bool smooth = depth[middle] > 0.0f && isfinite(deviation[middle]);
     for (int y = -WINDOW; y <= WINDOW; ++y)
         for (int x = -WINDOW; x <= WINDOW; ++x) {
             const float d = depth[middle + y * eye.width + x] * scale;
@@ -74,15 +93,35 @@ __kernel void gather(__global const float *positions, __global const float *norm
         }
     if (!smooth)
         return;
-    // 1 / depth is linear in the image on every plane
-    const int left = (int)floor(u - 0.5f), top = (int)floor(v - 0.5f);
-    const float a = u - 0.5f - left, b = v - 0.5f - top;
-    __global const float *corner = depth + top * eye.width + left;
-    const float d = scale / ((1.0f - b) * ((1.0f - a) / corner[0] + a / corner[1])
-                             + b * ((1.0f - a) / corner[eye.width] + a / corner[eye.width + 1]));
-    float2 word = (float2)((d - p.z) * dot(p, n) / p.z, 1.0f);
-    const float least = fmax(sigma, LEAST_SIGMA * size);
-    word.y = 1.0f / (least * least);
+    const float wide = REACH * reach[i], least = LEAST_SIGMA * size;
+    const int far = min((int)ceil(wide / size), MOST_REACH);
+    float total = 0.0f, shares = 0.0f, way = 0.0f;
+    for (int y = max(row - far, 0); y <= min(row + far, eye.height - 1); ++y)
+        for (int x = max(column - far, 0); x <= min(column + far, eye.width - 1); ++x) {
+            const int at = y * eye.width + x;
+            const float d = depth[at] * scale, spread = deviation[at] * scale;
+            const float3 ray = at_depth(eye, x, y, 1.0f);
+            const float slope = dot(ray, n), off = (d - drawn[at]) * slope;
+            const float share = 1.0f - distance(drawn[at] * ray, p) / wide;
+            if (!(drawn[at] > 0.0f && d > 0.0f && isfinite(spread) && share > 0.0f && fabs(off) < NO_EDGE * size))
+                continue;
+            const float low = fmax(spread * fabs(slope), least), sure = share / (low * low);
+            total += sure;
+            shares += share;
+            way += sure * off;
+        }
+    if (!(total > 0.0f)) {                 // no pixel's centre is so near: between four; 1 / depth is linear on planes
+        const int left = (int)floor(u - 0.5f), top = (int)floor(v - 0.5f);
+        const float a = u - 0.5f - left, b = v - 0.5f - top, slope = dot(p, n) / p.z;
+        __global const float *corner = depth + top * eye.width + left;
+        const float d = scale / ((1.0f - b) * ((1.0f - a) / corner[0] + a / corner[1])
+                                 + b * ((1.0f - a) / corner[eye.width] + a / corner[eye.width + 1]));
+        const float low = fmax(deviation[middle] * scale * fabs(slope), least);
+        way = (d - p.z) * slope / (low * low);
+        total = 1.0f / (low * low);
+        shares = 1.0f;
+    }
+    float2 word = (float2)(way / total, facing * facing * facing * facing * total / shares);
     __global float2 *own_words = words + i * SLOTS;
     for (int k = 0; k < SLOTS && word.y > 0.0f; ++k)
         if (word.y > own_words[k].y) {
@@ -132,7 +171,7 @@ __kernel void settle(__global const float2 *words, __global const float *unit, i
     }
     const bool enough = agree >= least_views;
     target[i] = enough ? way / sum : 0.0f;
-    weight[i] = enough ? fmin(sum * unit[i] * unit[i] * WEIGHT_SHARE, MOST_WEIGHT) : 0.0f;
+    weight[i] = enough ? MOST_WEIGHT * WEIGHT_SHARE * sum * unit[i] * unit[i] / agree : 0.0f;
     seen[i] = agree;
     sigma[i] = enough ? rsqrt(sum) : INFINITY;
 }

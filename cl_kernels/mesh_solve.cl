@@ -1,5 +1,5 @@
 // The ways delta of all vertices along their normals (method section 10.3): the least of
-//     sum D_i w_i (delta_i - t_i)^2 + D_i stay_i delta_i^2 + lambda sum D_i (L delta)_i^2,   D_i = 1 / unit_i^2,
+//     sum D_i w_i (delta_i - t_i)^2 + D_i stay_i delta_i^2 + lambda sum D_i soft_i (L delta)_i^2,   D_i = 1 / unit_i^2,
 // L = 1 - weighted mean of the neighbours, by conjugate gradients. Every sum is a gather or a tree of fixed shape.
 // Lengths are in median footprints; `pairs` and `first` as in mesh_evidence.cl, `links` the weight of each of a pair.
 //   find_links  weights between neighbours: little across a crease, or where their ways part
@@ -10,6 +10,7 @@
 #include "sums.clh"
 
 #define STILL 0.02f                      // footprints
+#define DETAIL 1.5f                      // footprints: longer edges (mean around a vertex, `reach`) are smoothed less
 
 #define EACH_IN_GROUP(i) \
     const int i = get_global_id(0); \
@@ -44,6 +45,12 @@ __kernel void find_sums(__global const int *first, __global const float2 *links,
     sums[i] = sum > 0.0f ? 1.0f / sum : 0.0f;
 }
 
+float soft(float unit, float reach)
+{
+    const float ratio = fmin(1.0f, DETAIL * unit / reach);
+    return ratio * ratio;
+}
+
 float smoothed(__global const float *x, __global const int *first, __global const int2 *pairs,
                __global const float2 *links, __global const float *factor, int i)
 {
@@ -57,8 +64,8 @@ float smoothed(__global const float *x, __global const int *first, __global cons
 // residual = D w t (delta = 0), and the preconditioner 1 / diagonal
 __kernel void start(__global const int *first, __global const int2 *pairs, __global const float2 *links,
                     __global const float *sums, __global const float *unit, __global const float *weight,
-                    __global const float *target, int count, float scale, float lambda, float stay,
-                    __global float *inverse_diagonal, __global float *residual, __global float *delta)
+                    __global const float *target, __global const float *reach, int count, float scale, float lambda,
+                    float stay, __global float *inverse_diagonal, __global float *residual, __global float *delta)
 {
     EACH(i, count)
     const float each = 1.0f / (unit[i] * unit[i] * scale * scale), w = weight[i];
@@ -66,9 +73,10 @@ __kernel void start(__global const int *first, __global const int2 *pairs, __glo
     for (int k = first[i]; k < first[i + 1]; ++k) {
         const int2 j = pairs[k];
         const float a = links[k].x * sums[j.x] / (unit[j.x] * scale), b = links[k].y * sums[j.y] / (unit[j.y] * scale);
-        sum += 2.0f * (a * a + b * b);               // an edge lies in two triangles, which are counted one by one
+        // an edge lies in two triangles, which are counted one by one
+        sum += 2.0f * (soft(unit[j.x], reach[j.x]) * a * a + soft(unit[j.y], reach[j.y]) * b * b);
     }
-    inverse_diagonal[i] = 1.0f / (each * (w > 0.0f ? w : stay) + lambda * (each + sum));
+    inverse_diagonal[i] = 1.0f / (each * (w > 0.0f ? w : stay) + lambda * (soft(unit[i], reach[i]) * each + sum));
     residual[i] = each * w * target[i] * scale;
     delta[i] = 0.0f;
 }
@@ -76,11 +84,12 @@ __kernel void start(__global const int *first, __global const int2 *pairs, __glo
 // y = D L x
 __kernel void apply_laplacian(__global const float *x, __global const int *first, __global const int2 *pairs,
                               __global const float2 *links, __global const float *sums, __global const float *unit,
-                              int count, float scale, __global float *y)
+                              __global const float *reach, int count, float scale, __global float *y)
 {
     EACH(i, count)
     const float each = 1.0f / (unit[i] * unit[i] * scale * scale);
-    y[i] = sums[i] > 0.0f ? each * (x[i] - sums[i] * smoothed(x, first, pairs, links, 0, i)) : 0.0f;
+    const float bent = x[i] - sums[i] * smoothed(x, first, pairs, links, 0, i);
+    y[i] = sums[i] > 0.0f ? soft(unit[i], reach[i]) * each * bent : 0.0f;
 }
 
 // q = D (w + stay) p + lambda L^T y, and the sum of p q by groups

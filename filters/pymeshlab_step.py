@@ -161,12 +161,11 @@ def _add_layer(meshes, surface, results, label: str, matrix: np.ndarray) -> None
 def _displace_layer(meshes, surface, views, depths, results, asked: Request, matrix: np.ndarray) -> None:
     """Move the current layer's vertices where they are: pymeshlab's meshes take no new positions from outside, but its
     filters can copy vertex attributes, exactly, into positions and quality."""
-    from pagas_cl.keep_mesh import Observations, coarseness, solve_device
+    from pagas_cl.keep_mesh import Observations, solve_device
     from pagas_cl.surface.mesh_solve import solve_mesh
-    from pagas_cl.surface.on_vertices import footprints, vertex_confidence
+    from pagas_cl.surface.on_vertices import vertex_confidence
 
-    finest = footprints(surface.vertices, [view.camera for view in views], depths)
-    solved = solve_mesh(surface, Observations(results, coarseness(surface, finest, None)), solve_device(asked.device),
+    solved = solve_mesh(surface, Observations(results), solve_device(asked.device),
                         least_views=max(1, asked.config.fusion.agree_views) + 1)
     moved = (solved.vertices != surface.vertices).any(axis=1)
     quality = np.where(moved, vertex_confidence(solved.vertices, results), 0)

@@ -21,6 +21,7 @@ from pagas_cl.scene.mesh_losses import losses
 from pagas_cl.scene.view import View
 
 DETAIL, FLAT = 1.5, 0.05     # footprints: edges that hold what photos show; how flat is flat
+_MEMORY = 350.0              # MB for the mesh, where more is free: 780 000 triangles
 _POLISH = 1                  # rounds of the solve on a fused mesh, which lies on the depth maps
 
 
@@ -40,47 +41,82 @@ def check_flat(flat) -> None:
 
 
 def displaced_mesh(mesh, views: list[View], depths, results, config: Config, subdivide: float | None = None,
-                   flat: float = 0.0, device=None):
+                   device=None):
     """A mesh of the kind of `mesh` with the same topology (or split edges) and everything that sits on it, its vertices
     where the refined depth maps say (surface.mesh_solve).
 
     `mesh` is anything that refine_mesh takes; a path comes back as an Open3D legacy mesh. `depths` and `results` are
     what refine_views took and gave. First, edges are split that are longer than `subdivide` pixel footprints (of the
-    finest view that sees them); afterwards splits are undone where the surface is flat within `flat` footprints.
+    finest view that sees them).
     """
     from pagas_cl.surface.mesh_solve import solve_mesh
-    from pagas_cl.surface.on_vertices import footprints, vertex_confidence
     from pagas_cl.surface.subdivide import subdivide as split_edges
-    from pagas_cl.surface.subdivide import undivided
 
     check_subdivide(subdivide)
     mesh = load_whole(mesh)
-    given = surface = to_surface(mesh)
-    seen_by = joined(views, results)
-    cameras, initial = [r.camera for _, r in seen_by], [np.asarray(depths[place]) for place, _ in seen_by]
-    finest = footprints(surface.vertices, cameras, initial)
-    division = None
+    surface, division = to_surface(mesh), None
     if subdivide is not None:
-        division = split_edges(surface.vertices, surface.faces, subdivide * finest)
+        division = split_edges(surface.vertices, surface.faces, subdivide * _finest(surface, views, depths, results))
         surface = Surface(division.vertices(surface.vertices), division.faces)
-    solved = solve_mesh(surface, Observations([r for _, r in seen_by], coarseness(given, finest, subdivide)),
-                        solve_device(device), least_views=max(1, config.fusion.agree_views) + 1)
-    moved = (solved.vertices != surface.vertices).any(axis=1)
+    solved = solve_mesh(surface, Observations(_joined_results(views, results)), solve_device(device),
+                        least_views=_least_views(config))
+    return _with_solved(mesh, surface.vertices, solved, division, _joined_results(views, results))
+
+
+def detailed_mesh(mesh, views: list[View], depths, results, config: Config, detail: float = DETAIL, flat: float = FLAT,
+                  device=None, memory_mb: float | None = None):
+    """displaced_mesh with as many triangles as the depth maps show detail (surface.mesh_levels): edges longer than
+    `detail` footprints are split where depth maps lie off them; afterwards splits are undone where the surface is flat
+    within `flat` footprints. In `memory_mb` of host memory; by default a quarter of what is free, at most 350 MB."""
+    from pagas_cl.surface.fuse import available_mb
+    from pagas_cl.surface.mesh_levels import TRIANGLE_BYTES, fit_mesh
+    from pagas_cl.surface.subdivide import undivided
+
+    mesh, used = load_whole(mesh), _joined_results(views, results)
+    given = to_surface(mesh)
+    most = int((memory_mb or min(available_mb() / 4, _MEMORY)) * 1e6 / TRIANGLE_BYTES)
+    division, solved, place = fit_mesh(given, Observations(used), solve_device(device),
+                                       _finest(given, views, depths, results), flat=flat, detail=detail,
+                                       least_views=_least_views(config), most=most)
+    if flat > 0:
+        within = flat * solved.unit
+        count = len(division.faces)
+        division, keep = undivided(division, solved.vertices, np.where(np.isfinite(within), within, 0), place)
+        solved = solved.at(keep)
+        log.info("mesh: %d of %d triangles are needed to be true within %g footprints", len(division.faces), count,
+                 flat)
+    return _with_solved(mesh, division.vertices(given.vertices), solved, division, used)
+
+
+def _joined_results(views, results) -> list:
+    return [result for _, result in joined(views, results)]
+
+
+def _least_views(config: Config) -> int:
+    return max(1, config.fusion.agree_views) + 1
+
+
+def _finest(surface: Surface, views, depths, results) -> np.ndarray:
+    """Footprint of each vertex in the view that sees it finest, infinite where none does."""
+    from pagas_cl.surface.on_vertices import footprints
+
+    pairs = joined(views, results)
+    return footprints(surface.vertices, [result.camera for _, result in pairs], [depths[place] for place, _ in pairs])
+
+
+def _with_solved(mesh, before: np.ndarray, solved, division, results):
+    """`mesh`, split as `division` says, with its vertices where they were solved to be; told how many moved."""
+    from pagas_cl.surface.on_vertices import vertex_confidence
+
+    moved = (solved.vertices != before).any(axis=1)
     log.info("mesh: %d of %d vertices moved; %d were held back, since a triangle would have turned over", moved.sum(),
              len(moved), solved.held)
     if not moved.any():
         log.warning("no vertex moved: no two refined views agree on any of them (%d views were refined)",
                     sum(not result.reason for result in results))
-    keep = np.arange(len(moved))
-    if division is not None and flat > 0:
-        unit = footprints(solved.vertices, cameras, initial)
-        unit = np.where(np.isfinite(unit), unit, 0)
-        division, keep = undivided(given.faces, division, solved.vertices, flat * unit)
-        log.info("mesh: %d of %d triangles are needed to be true within %g footprints", len(division.faces),
-                 len(surface.faces), flat)
-    quality = np.where(moved, vertex_confidence(solved.vertices, [r for _, r in seen_by]), 0)
-    return with_vertices(mesh, solved.vertices[keep], division, quality[keep],
-                         {"deviation": solved.deviation[keep], "views": solved.seen[keep]})
+    quality = np.where(moved, vertex_confidence(solved.vertices, results), 0)
+    return with_vertices(mesh, solved.vertices, division, quality,
+                         {"deviation": solved.deviation, "views": solved.seen})
 
 
 def polished(surface: Surface, results, config: Config, device) -> Surface:
@@ -90,7 +126,7 @@ def polished(surface: Surface, results, config: Config, device) -> Surface:
 
     try:
         solved = solve_mesh(surface, Observations(results), device, rounds=_POLISH,
-                            least_views=max(1, config.fusion.agree_views) + 1)
+                            least_views=_least_views(config))
     except (DeviceMemoryError, InputError) as error:      # InputError: results that were kept without their deviations
         log.warning("the fused mesh is not polished: %s", error)
         return surface
@@ -99,10 +135,10 @@ def polished(surface: Surface, results, config: Config, device) -> Surface:
 
 
 class Observations(Sequence):
-    """What solve_mesh takes, of DepthResults, read when they are asked for; at 1 / `cells` of their size."""
+    """What solve_mesh takes, of DepthResults, read when they are asked for."""
 
-    def __init__(self, results, cells: int = 1):
-        self._results, self._cells = results, cells
+    def __init__(self, results):
+        self._results = results
 
     def __len__(self) -> int:
         return len(self._results)
@@ -110,16 +146,7 @@ class Observations(Sequence):
     def __getitem__(self, index):
         from pagas_cl.surface.mesh_evidence import Observed
 
-        return Observed.of(self._results[index], self._cells)
-
-
-def coarseness(surface: Surface, finest: np.ndarray, subdivide: float | None) -> int:
-    """Pixels that a vertex stands for, along a line: half the median edge that views see, or what it is split to."""
-    ends = surface.vertices[surface.faces[:, [0, 1]]]
-    length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / finest[surface.faces[:, 0]]
-    found = length[length > 0]
-    edge = float(np.median(found)) if len(found) else 1.0
-    return max(1, int(min(edge, subdivide or np.inf) / 2))
+        return Observed.of(self._results[index])
 
 
 def solve_device(device):

@@ -16,7 +16,7 @@ from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide_consistency, decide_mismatch, settle
 from pagas_cl.errors import InputError, log
-from pagas_cl.keep_mesh import DETAIL, FLAT, check_flat, check_subdivide, displaced_mesh, polished
+from pagas_cl.keep_mesh import DETAIL, FLAT, check_flat, check_subdivide, detailed_mesh, displaced_mesh, polished
 from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
@@ -65,12 +65,14 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     output : str
         "tsdf": a new mesh, fused from the refined depth maps. "mesh": the given mesh with as many triangles as the
         detail that photos show needs, nearer to the truth; what no photo sees stays, and so do texture coordinates and
-        attributes; some 500 bytes of host memory for each triangle that it is split to. "displace": the same with the
-        given triangles; a path gives an Open3D mesh with its textures.
+        attributes; at most 350 MB of host memory. "displace": the same with the given triangles; a path gives an Open3D
+        mesh with its textures.
     subdivide : float, optional
-        First split edges longer than this many pixel footprints; with "mesh" 1.5 where it is left out.
+        First split edges longer than this many pixel footprints; with "mesh" (1.5 where it is left out) only those that
+        depth maps lie off.
     flat : float
-        With "mesh": splits are undone where the surface stays true to within this many pixel footprints.
+        With "mesh": edges are split that depth maps lie off by more than twice this many pixel footprints; splits are
+        undone where the surface stays true to within it.
     executor, folder
         As in refine_views.
 
@@ -98,7 +100,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         return displaced_mesh(mesh, views, depths, results, config, subdivide, device=device)
     if output == "mesh":
         given = surface if isinstance(mesh, (str, Path)) else mesh
-        return displaced_mesh(given, views, depths, results, config, subdivide or DETAIL, flat, device)
+        return detailed_mesh(given, views, depths, results, config, subdivide or DETAIL, flat, device)
     fused = fuse_results(views, results, config, progress, executor=executor, folder=folder, device=device)
     return from_surface(fused, like=mesh)
 

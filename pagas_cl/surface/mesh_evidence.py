@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depthmap import REFINED, resize_depth
+from pagas_cl.scene.depthmap import REFINED
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
     from pagas_cl.surface.raster import Drawing
 
 SLOTS = 12              # words of views that are kept for a vertex, the weightiest
-MOST_WEIGHT = 4.0       # of a vertex' evidence, where 1 is one view that is as sure as can be
+MOST_WEIGHT = 4.0       # of a vertex' evidence, where the views are as sure as can be
 WEIGHT_SHARE = 0.01     # (a tenth of a footprint)^2
 DEFINES = (f"SLOTS={SLOTS}", f"MOST_WEIGHT={MOST_WEIGHT!r}f", f"WEIGHT_SHARE={WEIGHT_SHARE!r}f")
 
@@ -30,17 +30,10 @@ class Observed:
     deviation: np.ndarray = field(repr=False)
 
     @classmethod
-    def of(cls, result: Any, cells: int = 1) -> Observed:
-        """Of a DepthResult; at 1 / `cells` of its size where a mesh is that much coarser than the pixels: a vertex
-        stands for the area around it."""
-        deviation = np.where(result.status == REFINED, result.deviation, np.float32(np.inf))
-        camera, depth = result.camera, result.depth
-        width, height = camera.width // cells, camera.height // cells
-        if cells == 1 or width < 8 or height < 8:
-            return cls(camera, np.ascontiguousarray(depth, np.float32), deviation)
-        middle = cells // 2
-        return cls(camera.resized(width, height), resize_depth(depth, width, height),
-                   np.ascontiguousarray(deviation[middle::cells, middle::cells][:height, :width]))
+    def of(cls, result: Any) -> Observed:
+        """Of a DepthResult."""
+        return cls(result.camera, np.ascontiguousarray(result.depth, np.float32),
+                   np.where(result.status == REFINED, result.deviation, np.float32(np.inf)))
 
 
 class Words:

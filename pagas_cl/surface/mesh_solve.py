@@ -16,7 +16,7 @@ from pagas_cl.surface.mesh_evidence import Observed, Words
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
 
-LAMBDA, STAY, CREASE, JUMP = 2.0, 0.02, 0.1, 0.5
+LAMBDA, STAY, CREASE, JUMP = 4.0, 0.15, 0.1, 0.5
 ROUNDS, LINKINGS, STEPS = 3, 2, 60      # of evidence, of links between neighbours, of conjugate gradients
 _HOLDS = 8                              # times that ways are halved where triangles would turn over
 _GROUP = 128
@@ -27,13 +27,18 @@ _SAMPLES, _ASKED = 20_000, 8            # triangles and views that tell which wa
 @dataclass(frozen=True, eq=False)
 class Solved:
     """Where the vertices are now, (V, 3) float64, those that did not move bit for bit; views that agree on each (V,);
-    standard deviation (V,), scene units, infinite where nothing was said; how many vertices were held back since a
-    triangle would have turned over."""
+    standard deviation (V,), scene units, infinite where nothing was said; footprint (V,), infinite where no view sees
+    it; how many vertices were held back since a triangle would have turned over."""
 
     vertices: np.ndarray = field(repr=False)
     seen: np.ndarray = field(repr=False)
     deviation: np.ndarray = field(repr=False)
+    unit: np.ndarray = field(repr=False)
     held: int = 0
+
+    def at(self, place: np.ndarray) -> Solved:
+        """The same of vertices that have these places (or of some of them)."""
+        return Solved(self.vertices[place], self.seen[place], self.deviation[place], self.unit[place], self.held)
 
 
 def solve_mesh(surface: Surface, views: Sequence[Observed], device: Device, *, least_views: int = 2,
@@ -43,15 +48,19 @@ def solve_mesh(surface: Surface, views: Sequence[Observed], device: Device, *, l
     Vertices at the very same place stay together. Without evidence a vertex follows its neighbours over two or three
     edges and stays beyond.
     """
-    from pagas_cl.runtime.device import translate_cl_errors
-
-    points, welded = np.unique(surface.vertices, axis=0, return_inverse=True)
-    welded = welded.reshape(-1)
-    faces = welded[surface.faces].astype(np.int32)
+    points, place = welded(surface.vertices)
+    faces = place[surface.faces]
     faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-    with translate_cl_errors(device, "the solve of the mesh"):
-        solved = _solve(Surface(points, faces), views, device, least_views, rounds)
-    return Solved(solved.vertices[welded], solved.seen[welded], solved.deviation[welded], solved.held)
+    solved = solve_welded(Surface(points, faces), views, device, least_views=least_views, rounds=rounds)
+    return solved.at(place)
+
+
+def welded(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places of vertices, each once (W, 3), and which of them each vertex has, int32 (V,)."""
+    points, place = np.unique(vertices, axis=0, return_inverse=True)
+    if len(points) == len(vertices):
+        return vertices, np.arange(len(vertices), dtype=np.int32)
+    return points, place.reshape(-1).astype(np.int32)
 
 
 def around(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -63,7 +72,17 @@ def around(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     return first.astype(np.int32), np.ascontiguousarray(others[order], np.int32)
 
 
-def _solve(surface: Surface, views: Sequence[Observed], device: Device, least_views: int, rounds: int) -> Solved:
+def solve_welded(surface: Surface, views: Sequence[Observed], device: Device, *, least_views: int, rounds: int,
+                 orientation: float | None = None) -> Solved:
+    """solve_mesh of a mesh that has each place once, and no face without area; `orientation` as orientation_of says."""
+    from pagas_cl.runtime.device import translate_cl_errors
+
+    with translate_cl_errors(device, "the solve of the mesh"):
+        return _solve(surface, views, device, least_views, rounds, orientation)
+
+
+def _solve(surface: Surface, views: Sequence[Observed], device: Device, least_views: int, rounds: int,
+           orientation: float | None) -> Solved:
     from pagas_cl.runtime.memory import download, upload
     from pagas_cl.runtime.program import bind, run_once
     from pagas_cl.surface.raster import Drawing
@@ -73,9 +92,12 @@ def _solve(surface: Surface, views: Sequence[Observed], device: Device, least_vi
     start = ((surface.vertices - drawing.middle) / drawing.unit).astype(np.float32)
     known: dict[str, Any] = {"first": upload(device, first), "pairs": upload(device, pairs),
                              "positions": upload(device, start)}
-    for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1)):
+    for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1),
+                       ("reach", 1)):
         known[name] = device.memory.buffer(device.context, 4 * size * count, name)
-    orientation, vertices, held = _orientation(surface, drawing, views), surface.vertices, 0
+    vertices, held = surface.vertices, 0
+    if orientation is None:
+        orientation = orientation_of(surface, drawing, views)
     for number in range(rounds):
         words = Words(device, count, known)
         run_once(device.queue, [bind(words.program, "vertex_normals", (count,), None, known, count=count)])
@@ -107,7 +129,7 @@ def _solve(surface: Surface, views: Sequence[Observed], device: Device, least_vi
                  np.sqrt(np.square(place - start).sum(axis=1).mean()) / middle)
     for buffer in known.values():
         buffer.release()
-    return Solved(vertices, seen, sigma.astype(np.float64) * drawing.unit, held)
+    return Solved(vertices, seen, sigma.astype(np.float64) * drawing.unit, unit * drawing.unit, held)
 
 
 class _Gradients:
@@ -177,7 +199,7 @@ def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> in
     return int(np.count_nonzero(download(device, known["held"], count, np.int32)))
 
 
-def _orientation(surface: Surface, drawing: Any, views: Sequence[Observed]) -> float:
+def orientation_of(surface: Surface, drawing: Any, views: Sequence[Observed]) -> float:
     """1 where the triangles that cameras see face them, -1 where they face away, 0 where they do as it comes."""
     step, votes, number = max(1, len(surface.faces) // _SAMPLES), 0, 0
     a, b, c = (surface.vertices[surface.faces[::step, k]] for k in range(3))

@@ -1,5 +1,6 @@
 """How near meshes are to the truth on five made scenes (tests/bench/mesh_scenes.py): `python tests/bench/mesh.py
-[SCENE ...] [--preset fast] [--width 320]` prints a row for each output. Needs Open3D and SciPy. Lengths are footprints.
+[SCENE ...] [--preset fast] [--width 320]` prints a row for each output. Needs Open3D, SciPy and
+pymeshlab. Lengths are footprints.
 
 Chamfer: mean of accuracy and completeness. Judged is what at least three views see of the truth; worse: share of the
 given vertices that end more than half a footprint farther from the truth than they were.
@@ -14,7 +15,7 @@ import mesh_scenes
 import numpy as np
 
 from pagas_cl.evaluate.clouds import sample_surface
-from pagas_cl.keep_mesh import displaced_mesh, polished, solve_device
+from pagas_cl.keep_mesh import detailed_mesh, displaced_mesh, polished, solve_device
 from pagas_cl.presets import settings_of
 from pagas_cl.refine import fuse_results, initial_depths, refine_views
 from pagas_cl.scene.inputs import as_views
@@ -55,6 +56,16 @@ class Cast:
         return count
 
 
+def self_intersecting(vertices, faces) -> int:
+    """Triangles of a mesh that cross others of it."""
+    import pymeshlab
+
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(vertices, faces))
+    meshes.compute_selection_by_self_intersections_per_face()
+    return meshes.current_mesh().selected_face_number()
+
+
 class Truth:
     """The true surface of a scene, against which meshes are judged."""
 
@@ -75,6 +86,7 @@ class Truth:
         out = {"Chamfer": (away.mean() + back.mean()) / 2, "accuracy 90": np.percentile(away, 90),
                "completeness 90": np.percentile(back, 90), "normals": angle.mean(), "within 1": 100 * (away < 1).mean(),
                "within 2": 100 * (away < 2).mean(), "triangles": len(faces)}
+        out["crossing"] = self_intersecting(vertices, faces)
         if given is not None:
             before, after = self.cast.nearest(given)[0], self.cast.nearest(vertices[:len(given)])[0]
             out["worse"] = 100 * (after > before + 0.5).mean()
@@ -93,7 +105,8 @@ def outputs(scene, preset: str):
     yield "tsdf, not polished", fused, time.perf_counter() - start
     for name, make in (("tsdf", lambda: polished(fused, results, config, solve_device(None))),
                        ("mesh, all splits", lambda: displaced_mesh(given, views, depths, results, config, 1.5)),
-                       ("mesh", lambda: displaced_mesh(given, views, depths, results, config, 1.5, 0.05)),
+                       ("mesh", lambda: detailed_mesh(given, views, depths, results, config)),
+                       ("mesh, flat=0.1", lambda: detailed_mesh(given, views, depths, results, config, flat=0.1)),
                        ("displace", lambda: displaced_mesh(given, views, depths, results, config))):
         start = time.perf_counter()
         mesh = make()

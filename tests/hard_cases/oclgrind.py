@@ -122,6 +122,7 @@ def solve_a_mesh(scene, device) -> None:
     import numpy as np
 
     from pagas_cl.scene.mesh import Surface
+    from pagas_cl.surface import mesh_levels
     from pagas_cl.surface.mesh_evidence import Observed
     from pagas_cl.surface.mesh_solve import solve_mesh
 
@@ -135,8 +136,10 @@ def solve_a_mesh(scene, device) -> None:
     behind = points[[0, width - 1, -1]] + 3 * camera.world_to_camera[2, :3]
     surface = Surface(np.concatenate([points, behind]), np.concatenate([faces, np.array([[0, 1, 2]]) + at.size]))
     deviation = np.full(depth.shape, 1e-3, np.float32)
-    solve_mesh(surface, [Observed(view.camera, depth, deviation) for view in (scene.target, *scene.contexts)], device,
+    views = [Observed(view.camera, depth, deviation) for view in (scene.target, *scene.contexts)]
+    solve_mesh(surface, views, device,
                rounds=1)
+    mesh_levels.off_middles(surface, surface.faces[:, :2], views, device, 0.0, 2)
 
 
 def main() -> int:

@@ -12,6 +12,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_attributes import load_whole, with_vertices
 from pagas_cl.surface.mesh_evidence import Observed
+from pagas_cl.surface.mesh_levels import fit_mesh
 from pagas_cl.surface.mesh_solve import solve_mesh
 from pagas_cl.surface.on_vertices import footprints
 from pagas_cl.surface.subdivide import subdivide, undivided
@@ -78,7 +79,7 @@ def test_finer_edges_take_finer_detail(made, device):
     assert error(coarse, solve_mesh(coarse, views, device).vertices) < 0.9 * given
     assert error(lifted, split) < 0.25 * given
     within = 0.1 * made.relief.footprint
-    needed, keep = undivided(coarse.faces, fine, split, np.full(len(split), within))
+    needed, keep = undivided(fine, split, np.full(len(split), within))
     simple = Surface(split[keep], needed.faces)
     assert len(simple.faces) < 0.6 * len(lifted.faces)
     assert error(simple, simple.vertices) < error(lifted, split) + within
@@ -156,13 +157,14 @@ def test_a_round_is_that_of_the_twin(made, device):
 
     mesh, views = Surface(*made.initial_mesh(8.0)), observed(made)
     normals = evidence_twin.vertex_normals(mesh.vertices, mesh.faces)
-    said = [evidence_twin.gather(mesh.vertices, normals, view, drawn)
+    reach = evidence_twin.mean_edges(mesh.vertices, mesh.faces)
+    said = [evidence_twin.gather(mesh.vertices, normals, reach, view, drawn)
             for view, drawn in zip(views, each_depth(mesh, [view.camera for view in views], device))]
     ways, weights, units = (np.array(part) for part in zip(*said))
     unit = units.min(axis=0)
     target, weight, seen, sigma = evidence_twin.settle(ways, weights, unit, 2)
     unit = np.where(np.isfinite(unit), unit, np.median(unit[np.isfinite(unit)]))
-    delta = solve_twin.ways(mesh.vertices, mesh.faces, normals, unit, target, weight)
+    delta = solve_twin.ways(mesh.vertices, mesh.faces, normals, reach, unit, target, weight)
     result = solve_mesh(mesh, views, device, rounds=1)
     way = ((result.vertices - mesh.vertices) * normals).sum(axis=1)
     same = result.seen == seen
@@ -331,3 +333,29 @@ def test_mesh_to_mesh_needs_no_open3d(device, monkeypatch):
         vertices, faces = refine_mesh(scene.initial_mesh(), scene.cameras, photos, config=config, device=device,
                                       output="mesh")[:2]
         assert len(vertices) and len(faces) and np.isfinite(vertices).all()
+
+
+@pytest.mark.parametrize("most", [100_000, 12_000])
+def test_triangles_go_where_the_detail_is(made, device, most):
+    """Coarse to fine: no more triangles than there is memory for, nearer to the truth than the mesh split everywhere;
+    two halves that share no vertex, as at a texture seam, stay together."""
+    views, coarse = observed(made), Surface(*made.initial_mesh(8.0))
+    half, rest = np.array_split(coarse.faces, 2)
+    count = len(coarse.vertices)
+    doubled = Surface(np.concatenate([coarse.vertices] * 2), np.concatenate([half, rest + count]))
+    size = footprints(doubled.vertices, [v.camera for v in views], [v.depth for v in views])
+    division, solved, place = fit_mesh(doubled, views, device, size, flat=0.05, most=most)
+    assert len(division.faces) <= most
+    within = 0.05 * np.where(np.isfinite(solved.unit), solved.unit, 0)
+    needed, keep = undivided(division, solved.vertices, within, place)
+    assert len(needed.faces) < len(division.faces)
+    vertices = solved.vertices[keep]
+    error = height_error(made, vertices[needed.faces].mean(axis=1)).mean()
+    given = height_error(made, coarse.vertices[coarse.faces].mean(axis=1)).mean()
+    assert error < (0.2 if most > 50_000 else 0.35) * given
+    points, where = np.unique(vertices, axis=0, return_inverse=True)      # closed but for its border: no crack
+    faces = where.reshape(-1)[needed.faces]
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    found, times = np.unique(edges, axis=0, return_counts=True)
+    border = np.abs(points[found[times == 1]][:, :, :2]) / np.abs(coarse.vertices[:, :2]).max(axis=0)
+    assert (border.max(axis=2) > 0.999).all() and times.max() == 2

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-FACING, ON_SURFACE, NO_EDGE, LEAST_SIGMA, OUTLIER, DOUBT = 0.3, 1.0, 3.0, 0.1, 1.0, 0.3
+FACING, ON_SURFACE, NO_EDGE, LEAST_SIGMA, OUTLIER, DOUBT = 0.15, 1.0, 3.0, 0.1, 1.0, 0.3
+REACH, MOST_REACH = 0.5, 12
 MOST_WEIGHT, WEIGHT_SHARE = 4.0, 0.01
 
 
@@ -21,7 +22,18 @@ def vertex_normals(vertices, faces) -> np.ndarray:
     return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
 
 
-def gather(vertices, normals, view, drawn, orientation=1.0):
+def mean_edges(vertices, faces) -> np.ndarray:
+    """Mean length of the edges around each vertex, by triangle (V,)."""
+    total, number = np.zeros(len(vertices)), np.zeros(len(vertices))
+    for k in range(3):
+        for other in (1, 2):
+            ends = faces[:, k], faces[:, (k + other) % 3]
+            np.add.at(total, ends[0], np.linalg.norm(vertices[ends[1]] - vertices[ends[0]], axis=1))
+            np.add.at(number, ends[0], 1)
+    return total / np.maximum(number, 1)
+
+
+def gather(vertices, normals, reach, view, drawn, orientation=1.0):
     """Way along the normal and weight (0: no word) that a view gives each vertex, and its footprint there (infinite
     where it does not see it): float64 (V,) each, scene units."""
     camera, depth, deviation = view.camera, view.depth.astype(np.float64), view.deviation
@@ -47,11 +59,23 @@ def gather(vertices, normals, view, drawn, orientation=1.0):
         along = (rays * window[..., None]) @ n
         if not ((window > 0).all() and np.isfinite(sigma) and (abs(along - along[1, 1]) < NO_EDGE * size).all()):
             continue
-        left, top = int(np.floor(u - 0.5)), int(np.floor(v - 0.5))
-        a, b = u - 0.5 - left, v - 0.5 - top
-        share = np.outer([1 - b, b], [1 - a, a])
-        way[i] = (1 / (share / depth[top:top + 2, left:left + 2]).sum() - p[2]) * slope
-        weight[i] = 1 / max(sigma, LEAST_SIGMA * size) ** 2
+        wide, far = REACH * reach[i], min(int(np.ceil(REACH * reach[i] / size)), MOST_REACH)
+        part = (slice(max(row - far, 0), row + far + 1), slice(max(column - far, 0), column + far + 1))
+        rays, d, z = camera.rays()[part], depth[part], drawn[part].astype(np.float64)
+        off = (d - z) * (rays @ n)
+        share = 1 - np.linalg.norm(z[..., None] * rays - p, axis=-1) / wide
+        share[(z <= 0) | (d <= 0) | ~np.isfinite(deviation[part]) | (share < 0) | (abs(off) >= NO_EDGE * size)] = 0
+        with np.errstate(invalid="ignore"):
+            sure = np.where(share > 0, share / np.maximum(deviation[part] * abs(rays @ n), LEAST_SIGMA * size) ** 2, 0)
+        if share.any():
+            way[i], weight[i] = (sure * off).sum() / sure.sum(), sure.sum() / share.sum()
+        else:
+            left, top = int(np.floor(u - 0.5)), int(np.floor(v - 0.5))
+            a, b = u - 0.5 - left, v - 0.5 - top
+            four = np.outer([1 - b, b], [1 - a, a])
+            way[i] = (1 / (four / depth[top:top + 2, left:left + 2]).sum() - p[2]) * slope
+            weight[i] = 1 / max(sigma, LEAST_SIGMA * size) ** 2
+        weight[i] *= facing**4
     return way, weight, unit
 
 
@@ -70,5 +94,5 @@ def settle(ways, weights, unit, least_views):
         seen[i] = (apart <= OUTLIER).sum()
         if seen[i] >= least_views:
             target[i], sigma[i] = (share @ t) / share.sum(), share.sum() ** -0.5
-            weight[i] = min(share.sum() * unit[i] ** 2 * WEIGHT_SHARE, MOST_WEIGHT)
+            weight[i] = MOST_WEIGHT * min(share.sum() / seen[i] * unit[i] ** 2 * WEIGHT_SHARE, 1)
     return target, weight, seen, sigma
