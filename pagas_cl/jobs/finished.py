@@ -61,9 +61,9 @@ def one_run(folder: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            if [path.name for path in work.glob("*")] == ["lock"]:      # nothing of it is wanted any more
-                (work / "lock").unlink()
-                _remove_empty(new or [work])
+            if {path.name for path in work.glob("*")} <= {"lock"}:      # nothing of it is wanted any more
+                (work / "lock").unlink(missing_ok=True)
+                _remove_empty([path for path in new or [work] if path.exists()])     # a run inside this one may have
 
 
 def claim_names(folder: Path, stems: list[str]) -> None:
