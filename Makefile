@@ -9,8 +9,8 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-# Most of a first run is compiling kernels, which takes one core.
-SIDE_BY_SIDE := -n 2 --dist loadfile
+# Three on two cores: some wait for processes that they have started.
+SIDE_BY_SIDE := -n 3 --dist loadfile
 
 .PHONY: demo test quick kernels check docs setup clean FORCE
 

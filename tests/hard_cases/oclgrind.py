@@ -45,7 +45,8 @@ def inside() -> None:
     from pagas_cl.runtime.trial import Trial
     from pagas_cl.selftest import BLENDS
     from pagas_cl.selftest import scenes as make
-    from pagas_cl.splat import composite, options, refine_levels
+    from pagas_cl.splat import composite, mismatch, options, refine_levels
+    from pagas_cl.splat.view import full_level
     from pagas_cl.surface.agree import counts
 
     devices.try_device = claim.try_device = lambda *_: Trial(lanes=1)     # it would take minutes here
@@ -72,6 +73,10 @@ def inside() -> None:
             on = replace(device, lanes=4) if "lanes" in name else device        # as on a CPU
             refine_levels(scene.target, scene.contexts, scene.depth, config, on)
     scene = make.base(size=(18, 16))
+    level = full_level(scene.target, scene.contexts[:1], scene.depth,
+                       BLENDS["order-free"].with_settings(smoothness__kind="planar", smoothness__weight=0.1), device)
+    mismatch.measured(level)
+    level.release()
     adjust_cameras(scene, device)
     solve_a_mesh(scene, device)
     agree(scene, device)
@@ -137,8 +142,7 @@ def solve_a_mesh(scene, device) -> None:
     surface = Surface(np.concatenate([points, behind]), np.concatenate([faces, np.array([[0, 1, 2]]) + at.size]))
     deviation = np.full(depth.shape, 1e-3, np.float32)
     views = [Observed(view.camera, depth, deviation) for view in (scene.target, *scene.contexts)]
-    solve_mesh(surface, views, device,
-               rounds=1)
+    solve_mesh(surface, views, device, rounds=1)
     mesh_levels.off_middles(surface, surface.faces[:, :2], views, device, 0.0, 2)
 
 
