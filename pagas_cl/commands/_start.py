@@ -7,7 +7,6 @@ from pathlib import Path
 
 from pagas_cl.errors import InputError, InterruptedRunError, log
 from pagas_cl.scene.files import read_bytes
-from pagas_cl.scene.names import OWN
 from pagas_cl.scene.readers.mesh_parts import check_parts
 
 _BESIDE = ("report.json", "tradeoff.json")      # beside the pages of refine and tradeoff
@@ -49,14 +48,13 @@ def check_report(folder: Path | None, beside: str = "") -> None:
     if folder is None:
         return
     page, there = folder / "index.html", {name for name in _BESIDE if (folder / name).exists()}
-    ours = page.exists() or there or (folder / OWN).exists()
-    pictures = sorted(path for path in folder.glob("*") if beside and not ours and path.suffix in (".png", ".jpg"))
+    picture = folder / "tradeoff.png"
     if page.exists() and b"pagas" not in read_bytes(page):
         taken = f"{str(page)!r} is a page of somebody else, which ours would replace"
     elif page.exists() and there != {beside} - {""}:
         taken = f"{str(page)!r} is the page of another command, which this one would replace"
-    elif pictures:
-        taken = f"{str(pictures[0])!r} is no picture of ours, which might replace it"
+    elif beside == "tradeoff.json" and picture.exists() and beside not in there:
+        taken = f"{str(picture)!r} is not ours to replace"
     else:
         return
     raise InputError(f"--report: {taken}: choose another folder")
