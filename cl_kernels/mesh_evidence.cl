@@ -12,28 +12,34 @@
 #define REACH 0.5f                       // of the mean edge around a vertex: depths that count,
 #define MOST_REACH 12                    // pixels at most
 #define WINDOW 1                         // pixels around a depth that must lie on one surface with it,
-#define NO_EDGE 3.0f                     // to so many footprints along the normal
+#define NO_EDGE 3.0f                     // to so many footprints along the normal,
+#define STEEP 0.87f                      // and no steeper than this to its tangent plane: sine
 #define LEAST_SIGMA 0.1f                 // footprints: no depth is surer
 #define OUTLIER 1.0f                     // footprints from the median from which on a word does not count
 #define DOUBT 0.3f                       // the same from which on it counts less
 
 __kernel void vertex_normals(__global const float *positions, __global const int *first, __global const int2 *pairs,
                              int count, __global float *normals,                       // [V, 3], unit length or zero
-                             __global float *reach)                                    // [V] mean edge
+                             __global float *reach,                                    // [V] mean edge
+                             __global float *flatness)                                 // [V] 1 where normals are alike
 {
     EACH(i, count)
     const float3 p = vload3(i, positions);
     float3 sum = 0.0f;
-    float edges = 0.0f;
+    float edges = 0.0f, angles = 0.0f;
     for (int k = first[i]; k < first[i + 1]; ++k) {
         const float3 a = vload3(pairs[k].x, positions) - p, b = vload3(pairs[k].y, positions) - p;
         const float3 across = cross(a, b);
         const float area = length(across);
         edges += length(a) + length(b);
-        if (area > 0.0f)
-            sum += across * (atan2(area, dot(a, b)) / area);
+        if (area > 0.0f) {
+            const float angle = atan2(area, dot(a, b));
+            angles += angle;
+            sum += across * (angle / area);
+        }
     }
     const float size = length(sum);
+    flatness[i] = angles > 0.0f ? size / angles : 1.0f;
     reach[i] = edges / (2 * max(first[i + 1] - first[i], 1));
     vstore3(size > 1e-6f ? sum / size : (float3)(0.0f), i, normals);
 }
@@ -64,6 +70,7 @@ __kernel void gather(__global const float *positions, __global const float *norm
                      float orientation,                            // 1: normals point outwards, -1: inwards, 0: as it comes
                      __global const float *reach,
                      __global float2 *words,
+                     __global int *seen,                           // [V] views that the vertex is not hidden from
                      __global float *unit)                         // [V] least footprint among the views, units
 {
     EACH(i, count)
@@ -83,13 +90,14 @@ __kernel void gather(__global const float *positions, __global const float *norm
     if (!(drawn[middle] > 0.0f && fabs(drawn[middle] - p.z) < ON_SURFACE * size * (1.0f + tangent)))
         return;
     unit[i] = fmin(unit[i], size);
-    const float own = dot(at_depth(eye, column, row, depth[middle] * scale), n);
+    seen[i] += 1;
+    const float3 own = at_depth(eye, column, row, depth[middle] * scale);
     bool smooth = depth[middle] > 0.0f && isfinite(deviation[middle]);
     for (int y = -WINDOW; y <= WINDOW; ++y)
         for (int x = -WINDOW; x <= WINDOW; ++x) {
             const float d = depth[middle + y * eye.width + x] * scale;
-            smooth = smooth && d > 0.0f
-                     && fabs(dot(at_depth(eye, column + x, row + y, d), n) - own) < NO_EDGE * size;
+            const float3 apart = at_depth(eye, column + x, row + y, d) - own;
+            smooth = smooth && d > 0.0f && fabs(dot(apart, n)) <= fmin(NO_EDGE * size, STEEP * length(apart));
         }
     if (!smooth)
         return;
@@ -101,9 +109,10 @@ __kernel void gather(__global const float *positions, __global const float *norm
             const int at = y * eye.width + x;
             const float d = depth[at] * scale, spread = deviation[at] * scale;
             const float3 ray = at_depth(eye, x, y, 1.0f);
-            const float slope = dot(ray, n), off = (d - drawn[at]) * slope;
-            const float share = 1.0f - distance(drawn[at] * ray, p) / wide;
-            if (!(drawn[at] > 0.0f && d > 0.0f && isfinite(spread) && share > 0.0f && fabs(off) < NO_EDGE * size))
+            const float slope = dot(ray, n), off = (d - drawn[at]) * slope, away = distance(drawn[at] * ray, p);
+            const float share = 1.0f - away / wide;
+            if (!(drawn[at] > 0.0f && d > 0.0f && isfinite(spread) && share > 0.0f && fabs(off) < NO_EDGE * size
+                  && fabs(dot(drawn[at] * ray - p, n)) < STEEP * away + 0.3f * size))
                 continue;
             const float low = fmax(spread * fabs(slope), least), sure = share / (low * low);
             total += sure;
@@ -169,7 +178,7 @@ __kernel void settle(__global const float2 *words, __global const float *unit, i
         way += share * word[k].x;
         ++agree;
     }
-    const bool enough = agree >= least_views;
+    const bool enough = agree >= least_views || (agree > 0 && agree == number && seen[i] >= least_views);
     target[i] = enough ? way / sum : 0.0f;
     weight[i] = enough ? MOST_WEIGHT * WEIGHT_SHARE * sum * unit[i] * unit[i] / agree : 0.0f;
     seen[i] = agree;

@@ -2,9 +2,10 @@
 //     sum D_i w_i (delta_i - t_i)^2 + D_i stay_i delta_i^2 + lambda sum D_i soft_i (L delta)_i^2,   D_i = 1 / unit_i^2,
 // L = 1 - weighted mean of the neighbours, by conjugate gradients. Every sum is a gather or a tree of fixed shape.
 // Lengths are in median footprints; `pairs` and `first` as in mesh_evidence.cl, `links` the weight of each of a pair.
-//   find_links  weights between neighbours: little across a crease, or where their ways part
+//   find_links  weights between neighbours: little where the surface bends or ways part, none on a crease
 //   find_sums   their sums, and with them the preconditioner
 //   apply_laplacian, apply_matrix, advance, turn   a step of conjugate gradients; add_up the tree's root
+//   begin_ways, follow_planes   vertices on creases go with the planes that meet there
 //   hold_back   halves the ways of triangles that would turn over
 #include "constants.clh"
 #include "sums.clh"
@@ -12,13 +13,16 @@
 #define STILL 0.02f                      // footprints
 #define DETAIL 1.5f                      // footprints: longer edges (mean around a vertex, `reach`) are smoothed less
 
+#define LOOSE 0.01f                      // share of a triangle's word that a vertex on a crease does not move
+#define SHARP 0.85f                      // flatness below which a vertex lies on a crease
+
 #define EACH_IN_GROUP(i) \
     const int i = get_global_id(0); \
     __local float scratch[GROUP];
 
 __kernel void find_links(__global const float *positions, __global const float *normals, __global const int *first,
-                         __global const int2 *pairs, __global const float *delta, int count, float scale, float crease,
-                         float jump, __global float2 *links)
+                         __global const int2 *pairs, __global const float *delta, __global const float *flatness,
+                         int count, float scale, float crease, float jump, __global float2 *links)
 {
     EACH(i, count)
     const float3 p = vload3(i, positions), n = vload3(i, normals);
@@ -29,7 +33,7 @@ __kernel void find_links(__global const float *positions, __global const float *
             const float bend = (1.0f - dot(n, vload3(j, normals))) / crease;
             const float steep = fabs(delta[i] - delta[j])
                                 / (fmax(distance(p, vload3(j, positions)) * scale, 0.3f) * jump);
-            weight[side] = 1.0f / ((1.0f + bend * bend) * (1.0f + steep * steep));
+            weight[side] = fmin(flatness[i], flatness[j]) < SHARP ? 0.0f : 1.0f / ((1.0f + bend * bend) * (1.0f + steep * steep));
         }
         links[k] = (float2)(weight[0], weight[1]);
     }
@@ -156,12 +160,60 @@ __kernel void turn(__global const float *scalars, int step, int first_time, int 
     p[i] = residual[i] * inverse_diagonal[i] + (first_time ? 0.0f : beta * p[i]);
 }
 
-// moved = positions + delta normals; what has no evidence and would hardly move stays where it is
-__kernel void move(__global const float *positions, __global const float *normals, __global const float *unit,
-                   __global const float *weight, int count, float scale, __global float *delta, __global float *moved)
+// ways: [V, 3] delta normals; on creases, where normals have no sense, none yet
+__kernel void begin_ways(__global const float *normals, __global const float *delta, __global const float *flatness,
+                         int count, __global float *ways)
 {
     EACH(i, count)
-    if (!(weight[i] > 0.0f) && fabs(delta[i]) < STILL * unit[i] * scale)
+    vstore3(flatness[i] < SHARP ? (float3)(0.0f) : delta[i] * vload3(i, normals), i, ways);
+}
+
+// On creases the way that takes the planes of the triangles around along with their other corners (least squares); what
+// no plane says is 0. With `last` it becomes direction and length, normals and delta.
+__kernel void follow_planes(__global const float *positions, __global const int *first, __global const int2 *pairs,
+                            __global const float *flatness, __global const float *before, int count, int last,
+                            __global float *ways, __global float *normals, __global float *delta)
+{
+    EACH(i, count)
+    float3 way = vload3(i, before);
+    if (flatness[i] < SHARP) {
+        const float3 p = vload3(i, positions);
+        float3 r0 = 0.0f, r1 = 0.0f, r2 = 0.0f, b = 0.0f;
+        float total = 0.0f;
+        for (int k = first[i]; k < first[i + 1]; ++k) {
+            const int2 j = pairs[k];
+            const float3 to_a = vload3(j.x, positions) - p, to_b = vload3(j.y, positions) - p, n = cross(to_a, to_b);
+            const float area = length(n), angle = atan2(area, dot(to_a, to_b));
+            if (!(area > 0.0f))
+                continue;
+            const float3 unit = n / area, weighed = angle * unit;
+            r0 += weighed.x * unit;
+            r1 += weighed.y * unit;
+            r2 += weighed.z * unit;
+            b += weighed * (0.5f * dot(unit, vload3(j.x, before) + vload3(j.y, before)));
+            total += angle;
+        }
+        r0.x += LOOSE * total;
+        r1.y += LOOSE * total;
+        r2.z += LOOSE * total;
+        const float3 c = cross(r1, r2);
+        const float size = dot(r0, c);
+        way = size > 0.0f ? (b.x * c + b.y * cross(r2, r0) + b.z * cross(r0, r1)) / size : (float3)(0.0f);
+        if (last) {
+            delta[i] = length(way);
+            vstore3(delta[i] > 0.0f ? way / delta[i] : (float3)(0.0f), i, normals);
+        }
+    }
+    vstore3(way, i, ways);
+}
+
+// moved = positions + delta normals; what has no evidence and would hardly move stays where it is
+__kernel void move(__global const float *positions, __global const float *normals, __global const float *unit,
+                   __global const float *weight, __global const float *flatness, int count, float scale,
+                   __global float *delta, __global float *moved)
+{
+    EACH(i, count)
+    if (!(weight[i] > 0.0f && flatness[i] >= SHARP) && fabs(delta[i]) < STILL * unit[i] * scale)
         delta[i] = 0.0f;
     vstore3(vload3(i, positions) + (delta[i] / scale) * vload3(i, normals), i, moved);
 }

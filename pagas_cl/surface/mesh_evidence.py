@@ -49,6 +49,7 @@ class Words:
         for name, size in (("words", 8 * SLOTS), ("unit", 4), ("target", 4), ("weight", 4), ("seen", 4), ("sigma", 4)):
             self.known[name] = device.memory.buffer(device.context, size * count, name)
         cl.enqueue_fill_buffer(device.queue, self.known["words"], np.float32(0), 0, 8 * SLOTS * count)
+        cl.enqueue_fill_buffer(device.queue, self.known["seen"], np.int32(0), 0, 4 * count)
         cl.enqueue_fill_buffer(device.queue, self.known["unit"], np.float32(np.inf), 0, 4 * count)
 
     def ask(self, drawing: Drawing, view: Observed, orientation: float) -> None:

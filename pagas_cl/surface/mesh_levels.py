@@ -143,7 +143,7 @@ def off_middles(surface: Surface, pairs: np.ndarray, views: Sequence[Observed], 
                for name, size in (("positions", 3), ("normals", 3), ("reach", 1))}
         words = Words(device, len(pairs), own)
         normals = {name: device.memory.buffer(device.context, 4 * size * count, name)
-                   for name, size in (("normals", 3), ("reach", 1))}
+                   for name, size in (("normals", 3), ("reach", 1), ("flatness", 1))}
         corners, edges = upload(device, corners), upload(device, pairs.astype(np.int32))
         run_once(device.queue, [
             bind(words.program, "vertex_normals", (count,), None, {**mesh, **normals}, pairs=corners, count=count),

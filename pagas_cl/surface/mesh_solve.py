@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 LAMBDA, STAY, CREASE, JUMP = 4.0, 0.15, 0.1, 0.5
 ROUNDS, LINKINGS, STEPS = 3, 2, 60      # of evidence, of links between neighbours, of conjugate gradients
 _HOLDS = 8                              # times that ways are halved where triangles would turn over
+_FOLLOWS = 16                           # times that vertices on creases follow the planes there
 _GROUP = 128
 DEFINES = (f"GROUP={_GROUP}",)
 _SAMPLES, _ASKED = 20_000, 8            # triangles and views that tell which way normals point
@@ -93,7 +94,7 @@ def _solve(surface: Surface, views: Sequence[Observed], device: Device, least_vi
     known: dict[str, Any] = {"first": upload(device, first), "pairs": upload(device, pairs),
                              "positions": upload(device, start)}
     for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1),
-                       ("reach", 1)):
+                       ("reach", 1), ("flatness", 1)):
         known[name] = device.memory.buffer(device.context, 4 * size * count, name)
     vertices, held = surface.vertices, 0
     if orientation is None:
@@ -189,8 +190,15 @@ def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> in
 
     program = build(device, "mesh_solve.cl", DEFINES)
     cl.enqueue_fill_buffer(device.queue, known["held"], np.int32(0), 0, 4 * count)
-    move = {name: known[name] for name in ("positions", "normals", "unit", "weight", "delta", "moved")}
+    move = {name: known[name] for name in ("positions", "normals", "unit", "weight", "flatness", "delta", "moved")}
     hold = {name: known[name] for name in ("positions", "moved", "first", "pairs", "delta", "held")}
+    ways, follow = (known["moved"], known["words"]), {name: known[name] for name in (
+        "positions", "first", "pairs", "flatness", "normals", "delta")}
+    run_once(device.queue, [bind(program, "begin_ways", (count,), None, {
+        name: known[name] for name in ("normals", "delta", "flatness")}, count=count, ways=ways[0])])
+    run_once(device.queue, [bind(program, "follow_planes", (count,), None, follow, count=count,
+                                 before=ways[turn & 1], ways=ways[1 - (turn & 1)], last=int(turn == _FOLLOWS - 1))
+                            for turn in range(_FOLLOWS)])
     for turn in range(_HOLDS):
         run_once(device.queue, [bind(program, "move", (count,), None, move, count=count, scale=scale),
                                 bind(program, "hold_back", (count,), None, hold, count=count,
