@@ -12,6 +12,7 @@
 #define REACH 0.5f                       // of the mean edge around a vertex: depths that count,
 #define MOST_REACH 12                    // pixels at most
 #define WINDOW 1                         // pixels around a depth that must lie on one surface with it,
+#define ALONE 3                          // the same for a word that no other view need confirm,
 #define NO_EDGE 3.0f                     // to so many footprints along the normal,
 #define STEEP 0.87f                      // and no steeper than this to its tangent plane: sine
 #define LEAST_SIGMA 0.1f                 // footprints: no depth is surer
@@ -90,15 +91,19 @@ __kernel void gather(__global const float *positions, __global const float *norm
     if (!(drawn[middle] > 0.0f && fabs(drawn[middle] - p.z) < ON_SURFACE * size * (1.0f + tangent)))
         return;
     unit[i] = fmin(unit[i], size);
-    seen[i] += 1;
+    bool smooth = depth[middle] > 0.0f && isfinite(deviation[middle]), alone = smooth;
     const float3 own = at_depth(eye, column, row, depth[middle] * scale);
-    bool smooth = depth[middle] > 0.0f && isfinite(deviation[middle]);
-    for (int y = -WINDOW; y <= WINDOW; ++y)
-        for (int x = -WINDOW; x <= WINDOW; ++x) {
-            const float d = depth[middle + y * eye.width + x] * scale;
+    for (int y = -ALONE; smooth && y <= ALONE; ++y)
+        for (int x = -ALONE; x <= ALONE; ++x) {
+            const bool inside = row + y >= 0 && row + y < eye.height && column + x >= 0 && column + x < eye.width;
+            const float d = inside ? depth[middle + y * eye.width + x] * scale : 0.0f;
             const float3 apart = at_depth(eye, column + x, row + y, d) - own;
-            smooth = smooth && d > 0.0f && fabs(dot(apart, n)) <= fmin(NO_EDGE * size, STEEP * length(apart));
+            const bool one = d > 0.0f && fabs(dot(apart, n)) <= fmin(NO_EDGE * size, STEEP * length(apart));
+            alone = alone && one;
+            if (abs(x) <= WINDOW && abs(y) <= WINDOW)
+                smooth = smooth && one;
         }
+    seen[i] += alone ? 257 : 1;
     if (!smooth)
         return;
     const float wide = REACH * reach[i], least = LEAST_SIGMA * size;
@@ -178,7 +183,8 @@ __kernel void settle(__global const float2 *words, __global const float *unit, i
         way += share * word[k].x;
         ++agree;
     }
-    const bool enough = agree >= least_views || (agree > 0 && agree == number && seen[i] >= least_views);
+    const bool enough = agree >= least_views || (agree > 0 && agree == number && seen[i] / 256 == number
+                                                    && seen[i] % 256 >= least_views);
     target[i] = enough ? way / sum : 0.0f;
     weight[i] = enough ? MOST_WEIGHT * WEIGHT_SHARE * sum * unit[i] * unit[i] / agree : 0.0f;
     seen[i] = agree;
