@@ -12,9 +12,10 @@
 #define REACH 0.5f                       // of the mean edge around a vertex: depths that count,
 #define MOST_REACH 12                    // pixels at most
 #define WINDOW 1                         // pixels around a depth that must lie on one surface with it,
-#define ALONE 3                          // the same for a word that no other view need confirm,
+#define ALONE 3                          // the same where no other view need confirm it,
 #define NO_EDGE 3.0f                     // to so many footprints along the normal,
-#define STEEP 0.87f                      // and no steeper than this to its tangent plane: sine
+#define STEEP 0.87f                      // and no steeper than this to its tangent plane: sine,
+#define NEAR 0.3f                        // but for so many footprints
 #define LEAST_SIGMA 0.1f                 // footprints: no depth is surer
 #define OUTLIER 1.0f                     // footprints from the median from which on a word does not count
 #define DOUBT 0.3f                       // the same from which on it counts less
@@ -117,7 +118,7 @@ __kernel void gather(__global const float *positions, __global const float *norm
             const float slope = dot(ray, n), off = (d - drawn[at]) * slope, away = distance(drawn[at] * ray, p);
             const float share = 1.0f - away / wide;
             if (!(drawn[at] > 0.0f && d > 0.0f && isfinite(spread) && share > 0.0f && fabs(off) < NO_EDGE * size
-                  && fabs(dot(drawn[at] * ray - p, n)) < STEEP * away + 0.3f * size))
+                  && fabs(dot(drawn[at] * ray - p, n)) < STEEP * away + NEAR * size))
                 continue;
             const float low = fmax(spread * fabs(slope), least), sure = share / (low * low);
             total += sure;

@@ -44,6 +44,21 @@ def height_error(made, vertices):
     return np.abs(z - made.true_solid.height(x, y)[0])
 
 
+def roof(made, device):
+    """Two slopes that meet at right angles, and what views say of them moved by a way across the ridge."""
+    from pagas_cl.surface.raster import each_depth
+
+    pixel, side = made.relief.footprint, 6 * made.relief.footprint * np.arange(-6, 7)
+    x, y = (part.ravel() for part in np.meshgrid(side, side))
+    grid = np.arange(13 * 13).reshape(13, 13)
+    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]))
+    mesh = Surface(np.stack([x, y, abs(x)], axis=1), np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)]))
+    moved, cameras = pixel * np.array([0.4, 0, -0.5]), made.cameras[:5]
+    depths = each_depth(Surface(mesh.vertices + moved, mesh.faces), cameras, device)
+    return mesh, moved, [Observed(camera, depth, np.full_like(depth, 0.1 * made.relief.parallax))
+                         for camera, depth in zip(cameras, depths)]
+
+
 def across(surface, vertices):
     a, b, c = (vertices[surface.faces[:, k]] for k in range(3))
     return np.cross(b - a, c - a)
@@ -133,6 +148,14 @@ def test_no_triangle_turns_over(made, coarse, device):
     assert ((across(coarse, result.vertices) * across(coarse, rough)).sum(axis=1) > 0).all()
 
 
+def test_a_crease_goes_with_both_planes(made, device):
+    mesh, moved, views = roof(made, device)
+    ridge = (mesh.vertices[:, 0] == 0) & (abs(mesh.vertices[:, 1]) < mesh.vertices[:, 1].max() / 2)
+    result = solve_mesh(mesh, views, device)
+    apart = (result.vertices - mesh.vertices)[ridge] - moved
+    assert ridge.sum() > 4 and np.linalg.norm(apart[:, [0, 2]], axis=1).max() < 0.1 * made.relief.footprint
+
+
 def test_what_no_view_sees_stays_and_joins(made, coarse, device):
     """Half of the depth maps are gone: the other half goes where it goes, what is beyond a few edges stays bit for bit,
     to a hundredth of a footprint, and no edge between the two is longer than it must be."""
@@ -151,28 +174,28 @@ def test_what_no_view_sees_stays_and_joins(made, coarse, device):
 
 # -- against the twins ------------------------------------------------------------------------------------------------
 
-def test_a_round_is_that_of_the_twin(made, device):
+@pytest.mark.parametrize("crease", [False, True])
+def test_a_round_is_that_of_the_twin(made, device, crease):
     pytest.importorskip("scipy")
     from pagas_cl.surface.raster import each_depth
 
-    mesh, views = Surface(*made.initial_mesh(8.0)), observed(made)
-    normals = evidence_twin.vertex_normals(mesh.vertices, mesh.faces)
+    mesh, _, views = roof(made, device) if crease else (Surface(*made.initial_mesh(8.0)), None, observed(made))
+    normals, flatness = evidence_twin.vertex_normals(mesh.vertices, mesh.faces)
     reach = evidence_twin.mean_edges(mesh.vertices, mesh.faces)
     said = [evidence_twin.gather(mesh.vertices, normals, reach, view, drawn)
             for view, drawn in zip(views, each_depth(mesh, [view.camera for view in views], device))]
-    ways, weights, units = (np.array(part) for part in zip(*said))
-    unit = units.min(axis=0)
-    target, weight, seen, sigma = evidence_twin.settle(ways, weights, unit, 2)
+    target, weight, seen, sigma, unit = evidence_twin.settle(*(np.array(part) for part in zip(*said)), 2)
     unit = np.where(np.isfinite(unit), unit, np.median(unit[np.isfinite(unit)]))
-    delta = solve_twin.ways(mesh.vertices, mesh.faces, normals, reach, unit, target, weight)
+    way = solve_twin.ways(mesh.vertices, mesh.faces, normals, flatness, reach, unit, target, weight)
     result = solve_mesh(mesh, views, device, rounds=1)
-    way = ((result.vertices - mesh.vertices) * normals).sum(axis=1)
+    assert (flatness < solve_twin.SHARP).any() == crease
     same = result.seen == seen
     assert (seen >= 2).mean() > 0.3 and same.mean() > 0.99
     known = same & np.isfinite(sigma)
     assert np.abs(result.deviation[known] / sigma[known] - 1).max() < 1e-3
     # sixty steps of conjugate gradients against none
-    assert np.percentile(np.abs(way - delta), 98) < 2e-3 * np.abs(delta).max() and result.held == 0
+    apart = np.linalg.norm(result.vertices - mesh.vertices - way, axis=1)
+    assert np.percentile(apart, 98) < 2e-3 * np.linalg.norm(way, axis=1).max() and result.held == 0
 
 
 # -- subdividing ------------------------------------------------------------------------------------------------------
