@@ -5,7 +5,7 @@
 //   find_links  weights between neighbours: little where the surface bends or ways part, none on a crease
 //   find_sums   their sums, and with them the preconditioner
 //   apply_laplacian, apply_matrix, advance, turn   a step of conjugate gradients; add_up the tree's root
-//   begin_ways, follow_planes   vertices on creases go with the planes that meet there
+//   follow_planes   vertices on creases go with the planes that meet there
 //   hold_back   halves the ways of triangles that would turn over
 #include "constants.clh"
 #include "sums.clh"
@@ -160,49 +160,47 @@ __kernel void turn(__global const float *scalars, int step, int first_time, int 
     p[i] = residual[i] * inverse_diagonal[i] + (first_time ? 0.0f : beta * p[i]);
 }
 
-// ways: [V, 3] delta normals; on creases, where normals have no sense, none yet
-__kernel void begin_ways(__global const float *normals, __global const float *delta, __global const float *flatness,
-                         int count, __global float *ways)
+float3 way_of(int i, __global const float *normals, __global const float *delta, __global const float *flatness,
+              __global const float *ways)
 {
-    EACH(i, count)
-    vstore3(flatness[i] < SHARP ? (float3)(0.0f) : delta[i] * vload3(i, normals), i, ways);
+    return flatness[i] < SHARP ? vload3(i, ways) : delta[i] * vload3(i, normals);
 }
 
-// On creases the way that takes the planes of the triangles around along with their other corners (least squares); what
-// no plane says is 0. With `last` it becomes direction and length, normals and delta.
+// On creases, where normals have no sense, the way that takes the planes of the triangles around along with their other
+// corners (least squares). With `last` it becomes direction and length: normals and delta.
 __kernel void follow_planes(__global const float *positions, __global const int *first, __global const int2 *pairs,
                             __global const float *flatness, __global const float *before, int count, int last,
                             __global float *ways, __global float *normals, __global float *delta)
 {
     EACH(i, count)
-    float3 way = vload3(i, before);
-    if (flatness[i] < SHARP) {
-        const float3 p = vload3(i, positions);
-        float3 r0 = 0.0f, r1 = 0.0f, r2 = 0.0f, b = 0.0f;
-        float total = 0.0f;
-        for (int k = first[i]; k < first[i + 1]; ++k) {
-            const int2 j = pairs[k];
-            const float3 to_a = vload3(j.x, positions) - p, to_b = vload3(j.y, positions) - p, n = cross(to_a, to_b);
-            const float area = length(n), angle = atan2(area, dot(to_a, to_b));
-            if (!(area > 0.0f))
-                continue;
-            const float3 unit = n / area, weighed = angle * unit;
-            r0 += weighed.x * unit;
-            r1 += weighed.y * unit;
-            r2 += weighed.z * unit;
-            b += weighed * (0.5f * dot(unit, vload3(j.x, before) + vload3(j.y, before)));
-            total += angle;
-        }
-        r0.x += LOOSE * total;
-        r1.y += LOOSE * total;
-        r2.z += LOOSE * total;
-        const float3 c = cross(r1, r2);
-        const float size = dot(r0, c);
-        way = size > 0.0f ? (b.x * c + b.y * cross(r2, r0) + b.z * cross(r0, r1)) / size : (float3)(0.0f);
-        if (last) {
-            delta[i] = length(way);
-            vstore3(delta[i] > 0.0f ? way / delta[i] : (float3)(0.0f), i, normals);
-        }
+    if (!(flatness[i] < SHARP))
+        return;
+    const float3 p = vload3(i, positions);
+    float3 r0 = 0.0f, r1 = 0.0f, r2 = 0.0f, b = 0.0f;
+    float total = 0.0f;
+    for (int k = first[i]; k < first[i + 1]; ++k) {
+        const int2 j = pairs[k];
+        const float3 to_a = vload3(j.x, positions) - p, to_b = vload3(j.y, positions) - p, n = cross(to_a, to_b);
+        const float area = length(n), angle = atan2(area, dot(to_a, to_b));
+        if (!(area > 0.0f))
+            continue;
+        const float3 unit = n / area, weighed = angle * unit;
+        r0 += weighed.x * unit;
+        r1 += weighed.y * unit;
+        r2 += weighed.z * unit;
+        b += weighed * (0.5f * dot(unit, way_of(j.x, normals, delta, flatness, before)
+                                         + way_of(j.y, normals, delta, flatness, before)));
+        total += angle;
+    }
+    r0.x += LOOSE * total;
+    r1.y += LOOSE * total;
+    r2.z += LOOSE * total;
+    const float3 c = cross(r1, r2);
+    const float size = dot(r0, c);
+    const float3 way = size > 0.0f ? (b.x * c + b.y * cross(r2, r0) + b.z * cross(r0, r1)) / size : (float3)(0.0f);
+    if (last) {
+        delta[i] = length(way);
+        vstore3(delta[i] > 0.0f ? way / delta[i] : (float3)(0.0f), i, normals);
     }
     vstore3(way, i, ways);
 }

@@ -20,8 +20,8 @@ from pagas_cl.scene.mesh_attributes import load_whole, with_vertices
 from pagas_cl.scene.mesh_losses import losses
 from pagas_cl.scene.view import View
 
-DETAIL, FLAT = 1.5, 0.05     # footprints: edges that hold what photos show; how flat is flat
-_MEMORY = 350.0              # MB for the mesh, where more is free: 780 000 triangles
+DETAIL, FLAT = 1.5, 0.04     # footprints: edges that hold what photos show; how flat is flat
+_MEMORY = 300.0              # MB for the mesh, where more is free: 660 000 triangles
 _POLISH = 1                  # rounds of the solve on a fused mesh, which lies on the depth maps
 
 
@@ -67,7 +67,7 @@ def detailed_mesh(mesh, views: list[View], depths, results, config: Config, deta
                   device=None, memory_mb: float | None = None):
     """displaced_mesh with as many triangles as the depth maps show detail (surface.mesh_levels): edges longer than
     `detail` footprints are split where depth maps lie off them; afterwards splits are undone where the surface is flat
-    within `flat` footprints. In `memory_mb` of host memory; by default a quarter of what is free, at most 350 MB."""
+    within `flat` footprints. In `memory_mb` of host memory; by default a quarter of what is free, at most 300 MB."""
     from pagas_cl.surface.fuse import available_mb
     from pagas_cl.surface.mesh_levels import TRIANGLE_BYTES, fit_mesh
     from pagas_cl.surface.subdivide import undivided

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED, central_normals, surface_depth
+from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED, central_normals, confidence_of, surface_depth
 from pagas_cl.scene.view import View
 
 
@@ -121,13 +121,6 @@ def _same(one: Camera, other: Camera) -> bool:
     """Whether two cameras are the same in all their numbers."""
     return ((one.width, one.height) == (other.width, other.height) and np.array_equal(one.K, other.K)
             and np.array_equal(one.world_to_camera, other.world_to_camera))
-
-
-def confidence_of(depth: np.ndarray, deviation: np.ndarray, parallax: np.ndarray) -> npt.NDArray[np.float32]:
-    """Confidence of a depth map; see DepthResult.confidence."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        trust = 1 / (1 + np.square(deviation.astype(np.float64) / parallax))
-    return np.where((depth > 0) & (parallax > 0) & np.isfinite(trust), trust, 0).astype(np.float32)
 
 
 def normals_of(depth: np.ndarray, camera: Camera) -> npt.NDArray[np.float32]:

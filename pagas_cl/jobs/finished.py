@@ -26,9 +26,9 @@ import numpy as np
 from pagas_cl.errors import InputError, OutputError, log
 from pagas_cl.jobs.store import translate_os_errors, written
 from pagas_cl.jobs.task import Record, ViewTask
-from pagas_cl.result import DepthResult, confidence_of, in_short, normals_of
+from pagas_cl.result import DepthResult, in_short, normals_of
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depthmap import load_depth
+from pagas_cl.scene.depthmap import confidence_of, load_depth
 from pagas_cl.scene.digest import digest_of, in_chunks
 from pagas_cl.scene.files import DAMAGE, opened, read_bytes
 from pagas_cl.scene.locks import locked

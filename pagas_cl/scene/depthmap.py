@@ -169,6 +169,13 @@ def depth_up(depth: np.ndarray, width: int, height: int) -> np.ndarray:
     return np.where(some, total / np.where(some, weight, 1), 0).astype(np.float32)
 
 
+def confidence_of(depth: np.ndarray, deviation: np.ndarray, parallax: np.ndarray) -> npt.NDArray[np.float32]:
+    """Confidence of depths; see DepthResult.confidence."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        trust = 1 / (1 + np.square(deviation.astype(np.float64) / parallax))
+    return np.where((depth > 0) & (parallax > 0) & np.isfinite(trust), trust, 0).astype(np.float32)
+
+
 def central_normals(depth: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.float64]:
     """Unit normals (H, W, 3) by central differences of the depth map's points, in camera coordinates, towards the
     camera; NaN where a pixel or one of its four neighbours has no depth, or the points are on a line."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,16 @@ class Observed:
                    np.where(result.status == REFINED, result.deviation, np.float32(np.inf)))
 
 
+def sent(views: Sequence[Observed], device: Device) -> Sequence[Observed]:
+    """The views with their maps on a GPU, once for all rounds, where they take less than a quarter of its memory."""
+    from pagas_cl.runtime.memory import upload
+
+    pixels = sum(view.camera.width * view.camera.height for view in views)
+    if device.info.kind != "GPU" or 8 * pixels > device.memory.limit // 4:
+        return views
+    return [Observed(view.camera, upload(device, view.depth), upload(device, view.deviation)) for view in views]
+
+
 class Words:
     """What views say of the vertices of a mesh on the device; a view is asked after the other."""
 
@@ -59,13 +70,16 @@ class Words:
         from pagas_cl.surface.raster import eye_of
 
         device, unit = self.device, 1 / drawing.unit
-        sent = {"drawn": drawing.draw(view.camera, unit), "depth": upload(device, view.depth),
-                "deviation": upload(device, view.deviation),
-                "camera": upload(device, eye_of(view.camera, drawing.middle, drawing.unit))}
-        run_once(device.queue, [bind(self.program, "gather", (self.count,), None, {**self.known, **sent},
+        own = {"drawn": drawing.draw(view.camera, unit),
+               "camera": upload(device, eye_of(view.camera, drawing.middle, drawing.unit))}
+        maps: dict[str, Any] = {"depth": view.depth, "deviation": view.deviation}
+        for name, values in maps.items():
+            if isinstance(values, np.ndarray):
+                own[name] = upload(device, values)
+        run_once(device.queue, [bind(self.program, "gather", (self.count,), None, {**self.known, **maps, **own},
                                      count=self.count, scale=unit, orientation=orientation)])
         device.queue.finish()
-        for buffer in sent.values():
+        for buffer in own.values():
             buffer.release()
 
     def settle(self, least_views: int) -> None:

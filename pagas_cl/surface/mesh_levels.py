@@ -9,9 +9,8 @@ import numpy as np
 
 from pagas_cl.errors import log
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.surface.mesh_evidence import Observed, Words
-from pagas_cl.surface.mesh_solve import Solved, around, orientation_of, solve_welded, welded
-from pagas_cl.surface.raster import Drawing
+from pagas_cl.surface.mesh_evidence import Observed, Words, sent
+from pagas_cl.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded, welded, with_area
 from pagas_cl.surface.subdivide import Subdivision, long_edges, split, spread, with_middles
 
 if TYPE_CHECKING:
@@ -32,22 +31,24 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     `unit` (V,) is the footprint at each vertex, infinite where no view sees it. Gives how the mesh was split, where
     its vertices are, and which of them are at one place (V',).
     """
-    mesh = _Splitting(surface, unit)
+    mesh, views = _Splitting(surface, unit), sent(views, device)
     coarse = max(COARSE, detail) * mesh.coarsening(max(COARSE, detail), most)
     while len(mesh.all_longer(coarse)):
         pass
     orientation = None
     for level in range(_LEVELS + 1):
-        now = mesh.welded()
+        now = OnDevice(device, mesh.welded())
         if orientation is None:
-            orientation = orientation_of(now, Drawing(device, now), views)
-        solved = solve_welded(now, views, device, least_views=least_views, orientation=orientation,
+            orientation = orientation_of(now.surface, now.drawing, views)
+        solved = solve_welded(now, views, least_views=least_views, orientation=orientation,
                               rounds=1 if level < _LEVELS else _ROUNDS)
         mesh.points = solved.vertices
         if level == _LEVELS:
+            now.release()
             break
         pairs, of_face = long_edges(mesh.points, mesh.place[mesh.faces], detail * mesh.unit)
-        off = off_middles(mesh.welded(), pairs, views, device, orientation, least_views)
+        off = off_middles(now, mesh.points, pairs, views, orientation, least_views)
+        now.release()
         wanted, count = np.flatnonzero(off > _OFF * flat), len(mesh.faces)
         done = mesh.split_longest_with(wanted[np.argsort(-off[wanted], kind="stable")], pairs, of_face, most)
         if done < len(wanted):
@@ -72,8 +73,7 @@ class _Splitting:
         self.rounds: list[np.ndarray] = []
 
     def welded(self) -> Surface:
-        faces = self.place[self.faces]
-        return Surface(self.points, faces[(faces != faces[:, [1, 2, 0]]).all(axis=1)])
+        return Surface(self.points, with_area(self.place[self.faces]))
 
     def coarsening(self, edges: float, most: int) -> float:
         """By how much longer edges than `edges` footprints must be to leave half of `most` triangles to the detail."""
@@ -125,35 +125,34 @@ class _Splitting:
         self.unit = np.concatenate([self.unit, self.unit[pairs].min(axis=1)])
 
 
-def off_middles(surface: Surface, pairs: np.ndarray, views: Sequence[Observed], device: Device, orientation: float,
-                 least_views: int) -> np.ndarray:
-    """How far, in footprints, the depth maps lie off the middles of the edges `pairs`; 0 where too few views agree."""
+def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: Sequence[Observed], orientation: float,
+                least_views: int) -> np.ndarray:
+    """How far, in footprints, the depth maps lie off the middles of the edges `pairs` of the mesh, its vertices at
+    `vertices`; 0 where too few views agree."""
     from pagas_cl.runtime.device import translate_cl_errors
     from pagas_cl.runtime.memory import download, upload
     from pagas_cl.runtime.program import bind, run_once
 
     if not len(pairs):
         return np.zeros(0, np.float32)
-    drawing, count = Drawing(device, surface), len(surface.vertices)
-    first, corners = around(surface.faces, count)
+    device, count = mesh.device, len(vertices)
     with translate_cl_errors(device, "the deviations of the mesh"):
-        mesh = {"positions": upload(device, ((surface.vertices - drawing.middle) / drawing.unit).astype(np.float32)),
-                "first": upload(device, first)}
+        mesh.drawing.move(vertices)
+        whole = {"positions": upload(device, mesh.in_frame(vertices)), "edges": upload(device, pairs.astype(np.int32))}
         own = {name: device.memory.buffer(device.context, 4 * size * len(pairs), name)
                for name, size in (("positions", 3), ("normals", 3), ("reach", 1))}
         words = Words(device, len(pairs), own)
-        normals = {name: device.memory.buffer(device.context, 4 * size * count, name)
-                   for name, size in (("normals", 3), ("reach", 1), ("flatness", 1))}
-        corners, edges = upload(device, corners), upload(device, pairs.astype(np.int32))
+        for name, size in (("normals", 3), ("reach", 1), ("flatness", 1)):
+            whole[name] = device.memory.buffer(device.context, 4 * size * count, name)
         run_once(device.queue, [
-            bind(words.program, "vertex_normals", (count,), None, {**mesh, **normals}, pairs=corners, count=count),
-            bind(words.program, "edge_middles", (len(pairs),), None, {**mesh, "normals": normals["normals"]},
-                 pairs=edges, count=len(pairs), middles=own["positions"], directions=own["normals"],
-                 reach=own["reach"])])
-        for buffer in (*mesh.values(), *normals.values(), corners, edges):
+            bind(words.program, "vertex_normals", (count,), None, {**mesh.rings, **whole}, count=count),
+            bind(words.program, "edge_middles", (len(pairs),), None, positions=whole["positions"],
+                 normals=whole["normals"], pairs=whole["edges"], count=len(pairs), middles=own["positions"],
+                 directions=own["normals"], reach=own["reach"])])
+        for buffer in whole.values():
             buffer.release()
         for view in views:
-            words.ask(drawing, view, orientation)
+            words.ask(mesh.drawing, view, orientation)
         words.settle(least_views)
         off, unit, seen = (download(device, words.known[name], len(pairs), kind) for name, kind in
                            (("target", np.float32), ("unit", np.float32), ("seen", np.int32)))

@@ -50,9 +50,9 @@ def solve_mesh(surface: Surface, views: Sequence[Observed], device: Device, *, l
     edges and stays beyond.
     """
     points, place = welded(surface.vertices)
-    faces = place[surface.faces]
-    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-    solved = solve_welded(Surface(points, faces), views, device, least_views=least_views, rounds=rounds)
+    mesh = OnDevice(device, Surface(points, with_area(place[surface.faces])))
+    solved = solve_welded(mesh, views, least_views=least_views, rounds=rounds)
+    mesh.release()
     return solved.at(place)
 
 
@@ -64,42 +64,65 @@ def welded(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return points, place.reshape(-1).astype(np.int32)
 
 
+def with_area(faces: np.ndarray) -> np.ndarray:
+    """The faces whose three corners are at three places."""
+    return faces[(faces != faces[:, [1, 2, 0]]).all(axis=1)]
+
+
+class OnDevice:
+    """A mesh on a device, each place once and no face without area: its drawing, and what is around its vertices."""
+
+    def __init__(self, device: Device, surface: Surface):
+        from pagas_cl.runtime.memory import upload
+        from pagas_cl.surface.raster import Drawing
+
+        self.device, self.surface, self.drawing = device, surface, Drawing(device, surface)
+        first, pairs = around(surface.faces, len(surface.vertices))
+        self.corners, self.rings = len(pairs), {"first": upload(device, first), "pairs": upload(device, pairs)}
+
+    def in_frame(self, vertices: np.ndarray) -> np.ndarray:
+        """Places (V, 3) as kernels take them, float32."""
+        local: np.ndarray = ((vertices - self.drawing.middle) / self.drawing.unit).astype(np.float32)
+        return local
+
+    def release(self) -> None:
+        for buffer in self.rings.values():
+            buffer.release()
+
+
 def around(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Where each vertex' corners begin, int32 (V + 1,), and of each the two other corners of its triangle, (3 F, 2)."""
     corner = faces.reshape(-1)
-    order = np.argsort(corner, kind="stable")
+    order = np.sort(corner.astype(np.int64) * len(corner) + np.arange(len(corner))) % max(1, len(corner))
     others = np.stack([faces[:, [1, 2, 0]].reshape(-1), faces[:, [2, 0, 1]].reshape(-1)], axis=1)
     first = np.concatenate([[0], np.cumsum(np.bincount(corner, minlength=count))])
     return first.astype(np.int32), np.ascontiguousarray(others[order], np.int32)
 
 
-def solve_welded(surface: Surface, views: Sequence[Observed], device: Device, *, least_views: int, rounds: int,
+def solve_welded(mesh: OnDevice, views: Sequence[Observed], *, least_views: int, rounds: int,
                  orientation: float | None = None) -> Solved:
-    """solve_mesh of a mesh that has each place once, and no face without area; `orientation` as orientation_of says."""
+    """solve_mesh of a mesh on its device; `orientation` as orientation_of says."""
     from pagas_cl.runtime.device import translate_cl_errors
 
-    with translate_cl_errors(device, "the solve of the mesh"):
-        return _solve(surface, views, device, least_views, rounds, orientation)
+    with translate_cl_errors(mesh.device, "the solve of the mesh"):
+        return _solve(mesh, views, least_views, rounds, orientation)
 
 
-def _solve(surface: Surface, views: Sequence[Observed], device: Device, least_views: int, rounds: int,
+def _solve(mesh: OnDevice, views: Sequence[Observed], least_views: int, rounds: int,
            orientation: float | None) -> Solved:
     from pagas_cl.runtime.memory import download, upload
     from pagas_cl.runtime.program import bind, run_once
-    from pagas_cl.surface.raster import Drawing
 
-    drawing, count = Drawing(device, surface), len(surface.vertices)
-    first, pairs = around(surface.faces, count)
-    start = ((surface.vertices - drawing.middle) / drawing.unit).astype(np.float32)
-    known: dict[str, Any] = {"first": upload(device, first), "pairs": upload(device, pairs),
-                             "positions": upload(device, start)}
-    for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1),
-                       ("reach", 1), ("flatness", 1)):
-        known[name] = device.memory.buffer(device.context, 4 * size * count, name)
+    device, surface, drawing, count = mesh.device, mesh.surface, mesh.drawing, len(mesh.surface.vertices)
+    start = mesh.in_frame(surface.vertices)
+    own: dict[str, Any] = {"positions": upload(device, start)}
+    for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1), ("reach", 1), ("flatness", 1)):
+        own[name] = device.memory.buffer(device.context, 4 * size * count, name)
     vertices, held = surface.vertices, 0
     if orientation is None:
         orientation = orientation_of(surface, drawing, views)
     for number in range(rounds):
+        known = {**mesh.rings, **own}
         words = Words(device, count, known)
         run_once(device.queue, [bind(words.program, "vertex_normals", (count,), None, known, count=count)])
         if number:
@@ -115,20 +138,20 @@ def _solve(surface: Surface, views: Sequence[Observed], device: Device, least_vi
         middle = float(np.median(unit[found]))
         words.known["unit"].release()
         words.known["unit"] = upload(device, np.where(found, unit, np.float32(middle)))
-        _Gradients(device, count, len(pairs), {**known, **words.known}, 1 / middle).run()
+        _Gradients(device, count, mesh.corners, {**known, **words.known}, 1 / middle).run()
         held = _move(device, count, {**known, **words.known}, 1 / middle)
         seen, sigma = (download(device, words.known[name], count, kind) for name, kind in
                        (("seen", np.int32), ("sigma", np.float32)))
         words.release()
-        known["positions"], known["moved"] = known["moved"], known["positions"]
-        place = download(device, known["positions"], (count, 3))
+        own["positions"], own["moved"] = own["moved"], own["positions"]
+        place = download(device, own["positions"], (count, 3))
         moved = (place != start).any(axis=1)
         way = (place - start).astype(np.float64) * drawing.unit
         vertices = np.where(moved[:, None], surface.vertices + way, surface.vertices)
         log.info("mesh: round %d, %.0f %% of %d vertices have evidence, moved by %.3g footprints (root mean square)",
                  number + 1, 100 * (np.isfinite(sigma)).mean(), count,
                  np.sqrt(np.square(place - start).sum(axis=1).mean()) / middle)
-    for buffer in known.values():
+    for buffer in own.values():
         buffer.release()
     return Solved(vertices, seen, sigma.astype(np.float64) * drawing.unit, unit * drawing.unit, held)
 
@@ -194,8 +217,7 @@ def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> in
     hold = {name: known[name] for name in ("positions", "moved", "first", "pairs", "delta", "held")}
     ways, follow = (known["moved"], known["words"]), {name: known[name] for name in (
         "positions", "first", "pairs", "flatness", "normals", "delta")}
-    run_once(device.queue, [bind(program, "begin_ways", (count,), None, {
-        name: known[name] for name in ("normals", "delta", "flatness")}, count=count, ways=ways[0])])
+    cl.enqueue_fill_buffer(device.queue, ways[0], np.float32(0), 0, 12 * count)
     run_once(device.queue, [bind(program, "follow_planes", (count,), None, follow, count=count,
                                  before=ways[turn & 1], ways=ways[1 - (turn & 1)], last=int(turn == _FOLLOWS - 1))
                             for turn in range(_FOLLOWS)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.depthmap import confidence_of
 
 _ON_MAP = 30.0   # footprints between a vertex and a depth map that it is said to lie on
 
@@ -23,7 +24,7 @@ def vertex_confidence(vertices: np.ndarray, results) -> np.ndarray:
     total, count = np.zeros(len(vertices)), np.zeros(len(vertices))
     for result in results:
         index, place, _ = _seen(vertices, result.camera, result.depth)
-        total[index] += result.confidence[place]
+        total[index] += confidence_of(*(part[place] for part in (result.depth, result.deviation, result.parallax)))
         count[index] += 1
     return total / np.maximum(count, 1)
 

@@ -36,8 +36,8 @@ def mean_edges(vertices, faces) -> np.ndarray:
 
 
 def gather(vertices, normals, reach, view, drawn, orientation=1.0):
-    """Way along the normal and weight (0: no word) that a view gives each vertex, its footprint there (infinite where it
-    does not see it), scene units, and whether its word may stand alone: (V,) each."""
+    """Way along the normal and weight (0: no word) that a view gives each vertex, its footprint there (infinite where
+    it does not see it), scene units, and whether its word may stand alone: (V,) each."""
     camera, depth, deviation = view.camera, view.depth.astype(np.float64), view.deviation
     turn = camera.world_to_camera[:3, :3]
     way, weight, unit = np.zeros(len(vertices)), np.zeros(len(vertices)), np.full(len(vertices), np.inf)
@@ -61,7 +61,8 @@ def gather(vertices, normals, reach, view, drawn, orientation=1.0):
         part = slice(row, row + 2 * ALONE + 1), slice(column, column + 2 * ALONE + 1)
         apart = wide_rays[part] * wide_depth[part][..., None]
         apart -= apart[ALONE, ALONE]
-        one = (wide_depth[part] > 0) & (abs(apart @ n) <= np.minimum(NO_EDGE * size, STEEP * np.linalg.norm(apart, axis=2)))
+        least = np.minimum(NO_EDGE * size, STEEP * np.linalg.norm(apart, axis=2))
+        one = (wide_depth[part] > 0) & (abs(apart @ n) <= least)
         alone[i] = np.isfinite(sigma) and one.all()
         if not (np.isfinite(sigma) and one[ALONE - 1:ALONE + 2, ALONE - 1:ALONE + 2].all()):
             continue
