@@ -65,7 +65,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     output : str
         "tsdf": a new mesh, fused from the refined depth maps. "mesh": the given mesh with as many triangles as the
         detail that photos show needs, nearer to the truth; what no photo sees stays, and so do texture coordinates and
-        attributes; at most 350 MB of host memory. "displace": the same with the given triangles; a path gives an Open3D
+        attributes; at most 300 MB of host memory. "displace": the same with the given triangles; a path gives an Open3D
         mesh with its textures.
     subdivide : float, optional
         First split edges longer than this many pixel footprints; with "mesh" (1.5 where it is left out) only those that
