@@ -129,7 +129,7 @@ def solve_a_mesh(scene, device) -> None:
     from pagas_cl.scene.mesh import Surface
     from pagas_cl.surface import mesh_levels
     from pagas_cl.surface.mesh_evidence import Observed
-    from pagas_cl.surface.mesh_solve import solve_mesh
+    from pagas_cl.surface.mesh_solve import OnDevice, solve_mesh
 
     camera, depth = scene.target.camera, scene.depth
     points = (camera.rays() * depth[..., None]) @ camera.world_to_camera[:3, :3] + camera.center
@@ -143,7 +143,7 @@ def solve_a_mesh(scene, device) -> None:
     deviation = np.full(depth.shape, 1e-3, np.float32)
     views = [Observed(view.camera, depth, deviation) for view in (scene.target, *scene.contexts)]
     solve_mesh(surface, views, device, rounds=1)
-    mesh_levels.off_middles(surface, surface.faces[:, :2], views, device, 0.0, 2)
+    mesh_levels.off_middles(OnDevice(device, surface), surface.vertices, surface.faces[:, :2], views, 0.0, 2)
 
 
 def main() -> int:
