@@ -55,10 +55,11 @@ class CommonScale:
     given: float
 
 
-def find_common_scale(views: Sequence[View], cameras: Sequence[Camera],
-                      depths: Sequence[np.ndarray | None]) -> CommonScale:
+def find_common_scale(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
+                      known: bool = True) -> CommonScale:
     """The factor by which all depth maps (None where a view has none) are to be multiplied, and the shift added then;
-    1 and 0 where photos do not clearly ask for others. `cameras` are the views', of the depth maps' size."""
+    1 and 0 where photos do not clearly ask for others, or at all where their scale is not `known`. `cameras` are the
+    views', of the depth maps' size."""
     pairs = _pairs(cameras, depths)
     if not pairs:
         return CommonScale(1.0, 0.0, float("nan"), float("nan"))
@@ -72,7 +73,7 @@ def find_common_scale(views: Sequence[View], cameras: Sequence[Camera],
             bent = trial if sweep.score(best, trial) > sweep.score(best, 0.0) + CLEAR else 0.0
             best = sweep.best(best, span, sweep.parallax, lambda value: sweep.score(value, bent))      # noqa: B023
     given = sweeps[-1].score(0.0, 0.0)
-    if not sweeps[-1].score(best, bent) > given + CLEAR or abs(best) > 0.98 * RANGE:
+    if not sweeps[-1].score(best, bent) > given + (CLEAR if known else 0.0) or abs(best) > 0.98 * RANGE:
         return CommonScale(1.0, 0.0, given, given)
     best = sweeps[0].mean_of_pairs(best, bent)
     factor = float(np.exp(best))
