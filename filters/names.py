@@ -4,8 +4,6 @@ pymeshlab keeps its filters in C++, where Python can add none. What it tells and
 asked first here, and the originals for everything else.
 """
 
-from __future__ import annotations
-
 import functools
 import inspect
 import sys

@@ -6,7 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from pagas_cl.errors import InputError, InterruptedRunError, log
+from pagas_cl.jobs.finished import begun_in, records_in, work_folder
+from pagas_cl.jobs.store import DepthFile, Store
+from pagas_cl.scene.depthmap import find_depths
 from pagas_cl.scene.files import read_bytes
+from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.readers.mesh_parts import check_parts
 
 _BESIDE = ("report.json", "tradeoff.json")      # beside the pages of refine and tradeoff
@@ -62,8 +66,6 @@ def check_report(folder: Path | None, beside: str = "") -> None:
 
 def load_scene(scene, format, outside: bool):
     """The scene in a folder; `outside` is only passed to readers that know it, which is their error to tell."""
-    from pagas_cl.scene.readers import read_scene
-
     return read_scene(scene, format, **({"outside": True} if outside else {}))
 
 
@@ -71,8 +73,6 @@ def load_scene(scene, format, outside: bool):
 def resumable(folder: Path | None, total: int):
     """Context of a run of `total` views that keeps finished ones in `folder`: says first what an earlier run has left
     there, and where it is interrupted (InterruptedRunError) what is kept now, and how to go on."""
-    from pagas_cl.jobs.finished import begun_in, records_in
-
     def found() -> tuple[int, str]:
         """How many views are kept, and as what: those of the last round, or else of earlier ones."""
         done = len(records_in(folder)) if folder is not None else 0
@@ -108,9 +108,6 @@ def without(found, hold_out: list[str], asked: list[str]):
 def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None, device=None) -> list:
     """Initial depth of every view, from the mesh (drawn on `device`) or from files; None for a view without a file,
     which `names` must have. With a folder for the run they stay on disk, and what stands for them is given instead."""
-    from pagas_cl.jobs.finished import work_folder
-    from pagas_cl.jobs.store import Store
-
     if mesh is not None:
         from pagas_cl import refine
         from pagas_cl.scene.mesh import to_surface
@@ -130,9 +127,6 @@ def depth_files(found, depth_dir, depth_scale, names=None, as_numbers: bool = Tr
     """What loads the depth map of every view from `depth_dir`, None for a view without a file, and whether all files
     say their unit. A PNG does not: without a scale its numbers are taken as they are, or refused when they are loaded
     where `as_numbers` is false."""
-    from pagas_cl.jobs.store import DepthFile
-    from pagas_cl.scene.depthmap import find_depths
-
     files = find_depths(depth_dir, [view.name for view in found.views])
     if not any(files):
         raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "

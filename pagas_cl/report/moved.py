@@ -1,7 +1,5 @@
 """How far a mesh lies from another one, with a sign: NumPy alone, near enough for colours."""
 
-from __future__ import annotations
-
 import numpy as np
 
 _SAMPLES = 300_000         # points on the surface that distances are taken to

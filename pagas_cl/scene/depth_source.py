@@ -1,7 +1,5 @@
 """A depth map that a scene's format names: where it is, its unit, what of it is left out, how it lies in the photo."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

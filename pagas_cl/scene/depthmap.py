@@ -15,6 +15,7 @@ from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.exr import read_exr
 from pagas_cl.scene.files import is_file, opened, read_first, read_npy, replaced, translated
+from pagas_cl.scene.images import open_image
 from pagas_cl.scene.names import file_stems
 
 # What became of each pixel's depth; DepthResult.status says what each means.
@@ -252,8 +253,6 @@ def _exactly(file: BinaryIO, path: Path, width: int, height: int, channels: int,
 
 
 def _read_png(path: Path) -> np.ndarray:
-    from pagas_cl.scene.images import open_image
-
     with open_image(path) as image:
         if not image.mode.startswith("I"):
             raise ValueError(f"it is {image.mode}, expected a 16-bit grey PNG")

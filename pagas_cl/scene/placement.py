@@ -3,8 +3,6 @@
     x in the small image = scale_x * x in the photo + offset_x,  likewise y;  pixels, origin at the corner
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

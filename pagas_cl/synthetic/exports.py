@@ -4,8 +4,6 @@ For `pagas-cl demo --format` and for tests; cameras.json and MeshLab projects ha
 depth maps: exports_depth, exports_rgbd.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import struct

@@ -1,8 +1,6 @@
 """Small scenes written as networks write them; and `EXPORTS`, a writer of every format, `write(folder, frames)`: each
 leaves what its program would leave, so that the readers can be tried without it."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -14,6 +12,7 @@ import numpy as np
 from pagas_cl.scene.camera import Camera, inverse_pose
 from pagas_cl.scene.placement import Placement
 from pagas_cl.scene.readers import camera_file
+from pagas_cl.scene.readers.meshlab import write_project
 from pagas_cl.scene.view import View
 from pagas_cl.synthetic import exports
 from pagas_cl.synthetic.exports_rgbd import RGBD
@@ -130,8 +129,6 @@ def _sparse(folder: Path, views: list[View]) -> None:
 
 
 def _meshlab(folder: Path, views: list[View]) -> None:
-    from pagas_cl.scene.readers.meshlab import write_project
-
     write_project(folder / "project.mlp", views)
 
 

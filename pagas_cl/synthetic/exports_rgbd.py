@@ -1,7 +1,5 @@
 """Small scenes written as phones and RGB-D recordings write them: cameras, photos and depth maps."""
 
-from __future__ import annotations
-
 import json
 import struct
 import zlib

@@ -4,8 +4,6 @@ Convention: z-depth; extrinsics world-to-camera (3, 4), OpenCV; intrinsics for t
 order is that of their sorted paths. Its COLMAP export is read as COLMAP.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pagas_cl.errors import InputError

@@ -5,8 +5,6 @@ Convention: `depth_z` (1, h, w, 1) z-depth, `conf`, `mask`, `camera_poses` (1, 4
 export, whose photos are the network's small ones, is read as COLMAP (with `photos=` for the originals).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From the small photos that a network saw, and that its cameras belong to, to the original photos."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -5,8 +5,6 @@ millimetres, smaller than the photo and covering the same; confidence 0 is low. 
 adjusted, are taken where they are there.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

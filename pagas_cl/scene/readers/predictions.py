@@ -5,8 +5,6 @@ Convention: z-depth; OpenCV axes; K for the network's image, pixel centres at +0
 views of the photos themselves, where those are found, else of the network's own small ones.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ Convention: poses are qx qy qz qw tx ty tz, camera-to-world, ARKit's (OpenGL) ax
 photos of w x h, or fx fy cx cy a frame; .depth is float32 metres and .conf 8 bit (0 low, 2 high), both packed by LZFSE.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What readers of RGB-D recordings share: poses out of text, frames without a pose, views with their depth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ Convention: pose camera-to-world, metres, OpenCV; -inf where tracking was lost; 
 intrinsics of its own at the place of the colour camera; pixel centres are not said, and read at +0.5.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pagas_cl.errors import InputError

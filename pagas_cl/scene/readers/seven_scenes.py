@@ -5,8 +5,6 @@ Convention: pose camera-to-world, metres, OpenCV; depth in millimetres, 65535 = 
 7-Scenes depth is not registered to colour.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -5,8 +5,6 @@ pixel centres at whole numbers. Intrinsics are not in the folder: `camera-intrin
 `camera_intrinsic.json`, else the 525 pixels, (319.5, 239.5), that the data set's page gives.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -5,8 +5,6 @@ Convention: depth (`depth_map` or `depth`, (S, h, w, 1)) is z-depth; `extrinsic`
 COLMAP model, which is read as COLMAP, and no depth.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pagas_cl.errors import InputError

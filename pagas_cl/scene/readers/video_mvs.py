@@ -4,8 +4,6 @@ Convention: a line of poses.txt is a 4 x 4 matrix, camera-to-world, metres, Open
 name; K counts pixel centres at whole numbers; depth/<name>.png is registered, in millimetres.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
