@@ -14,11 +14,9 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.camera import Camera, inverse_pose
+from pagas_cl.scene.camera import FLIP, Camera, inverse_pose
 from pagas_cl.scene.readers.photos import file_of
 from pagas_cl.scene.view import View
-
-_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def row(values: Iterable[float]) -> str:
@@ -37,7 +35,7 @@ def bundler(folder: Path, views: Sequence[View]) -> None:
         if abs(camera.fx - camera.fy) > 1e-9 * camera.fx:
             raise InputError(f"view {view.name!r}: fx {camera.fx!r} and fy {camera.fy!r} differ, and Bundler's format "
                              "holds one focal length; write another format")
-        pose = (_FLIP @ camera.world_to_camera)[:3]
+        pose = (FLIP @ camera.world_to_camera)[:3]
         rows += [f"{camera.fx!r} 0 0", *(row(line) for line in (*pose[:, :3], pose[:, 3]))]
         names.append(file_of(view).relative_to(folder).as_posix())
     (folder / "list.txt").write_text("\n".join(names) + "\n")
@@ -63,7 +61,7 @@ def nerfstudio(folder: Path, views: Sequence[View]) -> None:
         camera = view.camera
         frames.append({"file_path": file_of(view).relative_to(folder).as_posix(), "w": camera.width, "h": camera.height,
                        "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,
-                       "transform_matrix": (inverse_pose(camera.world_to_camera) @ _FLIP).tolist()})
+                       "transform_matrix": (inverse_pose(camera.world_to_camera) @ FLIP).tolist()})
     text = json.dumps({"camera_model": "PINHOLE", "frames": frames}, indent=1)
     (Path(folder) / "transforms.json").write_text(text)
 

@@ -91,7 +91,6 @@ class Project:
 
 def detect(folder: Path) -> bool:
     """Whether `folder` holds a .mlp file (or is one)."""
-    folder = Path(folder)
     return folder.suffix.lower() == ".mlp" if folder.is_file() else any(folder.glob("*.mlp"))
 
 
@@ -100,7 +99,6 @@ def read(folder: Path, *, flavour: str | None = None, outside: bool = False) -> 
 
     Without `flavour` the reading of CenterPx is settled by the photos (`settle_flavour`), and told in the log.
     """
-    folder = Path(folder)
     files = [folder] if folder.is_file() else sorted(folder.glob("*.mlp"))
     if len(files) != 1:
         raise InputError(f"{folder} has {len(files)} .mlp files, expected one; name the one to read")

@@ -27,7 +27,6 @@ def _trajectory(folder: Path) -> Path | None:
 
 def detect(folder: Path) -> bool:
     """Whether a trajectory is there with a list of photos."""
-    folder = Path(folder)
     lists = photos.first_file(folder, LISTS) or photos.first_file(folder, ("rgb.txt",))
     return lists is not None and _trajectory(folder) is not None
 
@@ -35,7 +34,6 @@ def detect(folder: Path) -> bool:
 def read(folder: Path, *, outside: bool = False) -> Scene:
     """Read the photos that have a pose within 0.03 s, and depth maps likewise; `outside`: also files outside
     `folder`."""
-    folder = Path(folder)
     trajectory = _trajectory(folder)
     if not detect(folder) or trajectory is None:
         raise InputError(f"{folder} has no groundtruth.txt with rgb.txt or {LISTS[0]}")
