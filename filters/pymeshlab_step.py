@@ -189,7 +189,6 @@ def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: 
     """Split the current layer's long edges by pymeshlab's own filter, which keeps textures and attributes."""
     import pymeshlab
 
-
     finest = footprints(surface.vertices, [view.camera for view in views], depths)
     if not np.isfinite(finest).any():
         raise InputError("no view sees a vertex of the layer, so that its pixel footprint is unknown")

@@ -209,7 +209,6 @@ class _Sweep:
                 total, count = total + float(values.sum()), count + len(values)
         return total / count if count >= _LEAST else float("nan")
 
-
     def scores_across(self, i: int, j: int, moves: np.ndarray) -> np.ndarray:
         """Mean correlation of the pair's patches where those of j are moved by each of `moves` pixels across the
         direction of depth."""

@@ -18,6 +18,7 @@ FILES = ("bundle.out", "bundle.rd.out", "bundle/bundle.out")
 LISTS = ("list.txt", "bundle.out.list.txt", "bundle.rd.out.list.txt", "bundle/list.txt")
 _FLIP = np.diag([1.0, -1.0, -1.0])
 
+
 def detect(folder: Path) -> bool:
     """Whether `folder` holds a bundle.out."""
     return photos.first_file(folder, FILES) is not None

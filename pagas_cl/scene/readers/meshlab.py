@@ -33,6 +33,7 @@ _FLIP = np.diag([1.0, -1.0, -1.0])
 _NUMBERS = (("FocalMm", 1, None), ("PixelSizeMm", 2, None), ("CenterPx", 2, None), ("ViewportPx", 2, None),
             ("LensDistortion", 2, "0 0"), ("RotationMatrix", 16, None), ("TranslationVector", 4, None))
 
+
 @dataclass(frozen=True, eq=False)
 class MeshLayer:
     """A mesh layer: `matrix` (4, 4) takes the file's vertices to the project's world."""

@@ -28,6 +28,7 @@ _DEPTH = (("depth_file_path", "depth_unit_scale_factor"), ("depth_path", "intege
 _DEPTH_UNIT = 1e-3      # nerfstudio's where the file does not say
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 
+
 def detect(folder: Path) -> bool:
     """Whether `folder` holds a transforms.json (or transforms_train.json)."""
     return photos.first_file(folder, FILES) is not None

@@ -22,6 +22,7 @@ _KEY = re.compile(r"(world_mat|scale_mat)_(\d+)", re.ASCII)
 _SKEW_PIXELS = 0.05  # a skew that moves no pixel by more is calibration noise and is dropped
 _ENTRIES = 1_000_000
 
+
 def detect(folder: Path) -> bool:
     """Whether `folder` holds one of the npz files with a world_mat in it."""
     path = photos.first_file(folder, FILES)

@@ -23,6 +23,7 @@ from pagas_cl.scene.view import Scene, View
 MOST_ROWS = 100_000
 _COMPARED = 3       # photos that are compared with the network's
 
+
 @dataclass(frozen=True)
 class Row:
     """One photo's arrays: `pose` (3 or 4, 4) and K as they are in the file."""

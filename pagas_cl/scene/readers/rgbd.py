@@ -15,6 +15,7 @@ from pagas_cl.scene.view import Scene
 
 _UNIT = 1e-2         # length of a quaternion in text: one further from 1 is damage
 
+
 @dataclass(frozen=True)
 class Frame:
     """One frame: the photo, its pose (camera-to-world, OpenCV axes), its K, and its depth map if it has one."""

@@ -19,6 +19,7 @@ _KINECT, _SIZE = (585.0, 585.0, 320.0, 240.0), (640, 480)
 _COLOR = (".color.png", ".color.jpg")
 _PLACES = (".", "data", "seq-01")
 
+
 def _place(folder: Path) -> Path | None:
     return next((folder / name for name in _PLACES if (folder / name).is_dir()
                  and next((folder / name).glob("frame-*.pose.txt"), None) is not None), None)

@@ -20,6 +20,7 @@ _SIZE, _DEFAULT = (640, 480), (525.0, 525.0, 319.5, 239.5)
 _APART = 0.03        # seconds between a photo and its depth map or pose
 _ROWS = 1_000_000
 
+
 def _trajectory(folder: Path) -> Path | None:
     return photos.first_file(folder, ("groundtruth.txt", "trajectory.txt", "CameraTrajectory.txt",
                                       "KeyFrameTrajectory.txt")) or next(iter(sorted(folder.glob("*.freiburg"))), None)
