@@ -93,8 +93,9 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
         unit = found.depth_unit if depth_scale is None else f"{depth_scale:g} for one scene unit, as you say"
         return Given(found, None, depths, unit, depth_scale is not None, found.source)
     for name in DEPTH_FOLDERS:
-        if (Path(scene) / name).is_dir() and _some(found.views, Path(scene) / name):
-            return _from_folder(found, Path(scene) / name, depth_scale, names)
+        folder = Path(scene) / name
+        if folder.is_dir() and any(find_depth(folder, view.name) for view in found.views):
+            return _from_folder(found, folder, depth_scale, names)
     meshes = _meshes(Path(scene))
     if len(meshes) > 1:
         raise InputError(f"{str(scene)!r} holds several meshes ({', '.join(path.name for path in meshes[:5])}): name "
@@ -102,10 +103,6 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
     for path in meshes:
         check_parts(path, outside=outside)
     return Given(found, meshes[0] if meshes else None, None)
-
-
-def _some(views, folder: Path) -> bool:
-    return any(find_depth(folder, view.name) for view in views)
 
 
 def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given:

@@ -69,7 +69,8 @@ def _depth_figures(folder, truth, scene, held_out, before, scale):
 def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
     """View name -> figures; parallax is that against all other views."""
     rows = {}
-    places = [_depth_files(where, scene) for where in (folder, truth_folder)]
+    names = [view.name for view in scene.views]
+    places = [find_depths(where, names) for where in (folder, truth_folder)]
     for view, *files in zip(scene.views, *places):
         depth, truth = (_depth(file, view, scale) for file in files)
         if depth is None or truth is None:
@@ -94,7 +95,8 @@ def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict
             log.warning("%s is no held-out photo: it took part in the refinement of %d of the views in %s, so that the "
                         "figures flatter; refine with --hold-out %s to have it judge", view.name,
                         len(users[view.name]), folder, view.name)
-    places = [_depth_files(where, scene) for where in (folder, before) if where is not None]
+    names = [view.name for view in scene.views]
+    places = [find_depths(where, names) for where in (folder, before) if where is not None]
     for view, *files in zip(scene.views, *places):
         if view in kept_out:
             continue
@@ -113,10 +115,6 @@ def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict
         raise InputError(f"no photo can be predicted: no view of {scene.source or 'the scene'} with a depth map in "
                          f"{str(folder)!r} sees what a held-out view sees")
     return rows
-
-
-def _depth_files(folder, scene):
-    return find_depths(folder, [view.name for view in scene.views])
 
 
 def _depth(path, view, scale):

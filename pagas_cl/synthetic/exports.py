@@ -77,15 +77,6 @@ def neus(folder: Path, views: Sequence[View], scale_mat: np.ndarray | None = Non
     np.savez(Path(folder) / "cameras.npz", **arrays)
 
 
-def open3d_json(path: Path, cameras: Sequence[Camera]) -> None:
-    """A PinholeCameraTrajectory."""
-    entries = [{"class_name": "PinholeCameraParameters", "version_major": 1, "version_minor": 0,
-                "extrinsic": camera.world_to_camera.T.ravel().tolist(), "intrinsic": _intrinsic(camera)}
-               for camera in cameras]
-    data = {"class_name": "PinholeCameraTrajectory", "version_major": 1, "version_minor": 0, "parameters": entries}
-    path.write_text(json.dumps(data, indent=1))
-
-
 def open3d_log(path: Path, cameras: Sequence[Camera]) -> None:
     """A .log trajectory, and the intrinsics, which it cannot hold, as camera_intrinsic.json beside it."""
     entries = [_intrinsic(camera) for camera in cameras]

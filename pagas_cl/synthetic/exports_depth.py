@@ -124,14 +124,6 @@ def _centred(folder: Path, views: list[View]) -> None:
                                                        fy=v.camera.fx)) for v in views])
 
 
-def _sparse(folder: Path, views: list[View]) -> None:
-    exports.colmap_bin(folder / "sparse" / "0", views)
-
-
-def _meshlab(folder: Path, views: list[View]) -> None:
-    write_project(folder / "project.mlp", views)
-
-
 def _cloud(path: Path, frames: Sequence[Frame]) -> None:
     """A point cloud of the first view's depth, .ply."""
     camera, depth = frames[0].camera, frames[0].depth[::8, ::8]
@@ -143,9 +135,11 @@ def _cloud(path: Path, frames: Sequence[Frame]) -> None:
 
 
 EXPORTS: dict[str, Callable[[Path, Sequence[Frame]], None]] = {
-    "cameras": _with_depth_maps(camera_file.write), "colmap": _with_depth_maps(_sparse),
+    "cameras": _with_depth_maps(camera_file.write),
+    "colmap": _with_depth_maps(lambda folder, views: exports.colmap_bin(folder / "sparse" / "0", views)),
     "mvsnet": _with_depth_maps(exports.mvsnet), "neus": _with_depth_maps(exports.neus, "image"),
-    "bundler": _with_depth_maps(_centred), "meshlab": _with_depth_maps(_meshlab), "da3": da3, "da3-npy": da3_npy,
+    "bundler": _with_depth_maps(_centred), "da3": da3, "da3-npy": da3_npy,
+    "meshlab": _with_depth_maps(lambda folder, views: write_project(folder / "project.mlp", views)),
     "da3-colmap": da3_colmap, "vggt": vggt, "vggt-colmap": vggt_colmap, "mapanything": mapanything,
     "mapanything-colmap": mapanything_colmap, "mvsanywhere": mvsanywhere, **RGBD,
 }

@@ -51,8 +51,7 @@ def read(folder: Path, *, outside: bool = False) -> Scene:
         pose = rgbd.pose_from_quaternion(numbers[k, [4, 5, 6, 7, 1, 2, 3]], f"{trajectory}, time {poses[k][0]}")
         image = photos.existing(photos.inside(folder, photo, f"{folder}: photo", outside=outside), str(folder))
         file = depth and photos.existing(photos.inside(folder, depth, f"{folder}: depth", outside=outside), str(folder))
-        K, center = _K(folder, image)
-        frames.append(rgbd.Frame(image, pose, K, file or None, pixel_center=center))
+        frames.append(rgbd.Frame(image, pose, _K(folder, image), file or None, pixel_center=0.0))
     source = f"{trajectory} (TUM)"
     if not frames:
         raise InputError(f"{source}: none of the {lost} photos has a pose within {_APART} s")
@@ -102,11 +101,10 @@ def _nearest(times: np.ndarray, time: float) -> int:
     return min((j for j in (k - 1, k) if 0 <= j < len(times)), key=lambda j: abs(times[j] - time))
 
 
-def _K(folder: Path, photo: Path) -> tuple[np.ndarray, float]:
-    """K, and where it counts the first pixel's centre."""
+def _K(folder: Path, photo: Path) -> np.ndarray:
     path = photos.first_file(folder, _INTRINSICS)
     if path is not None:
-        return rgbd.K_of(path), 0.0
+        return rgbd.K_of(path)
     if photos.photo_size(photo) != _SIZE:
         raise InputError(f"{folder} has no intrinsics: put {_INTRINSICS[0]} (3 x 3) there")
-    return intrinsics(*_DEFAULT), 0.0
+    return intrinsics(*_DEFAULT)
