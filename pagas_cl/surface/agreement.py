@@ -37,7 +37,6 @@ class DepthEvidence:
         known = (self.status == REFINED) & (self.depth > 0) & np.isfinite(self.deviation)
         return np.where(known, self.depth, np.float32(0))
 
-
     def send(self, device: Device) -> tuple[Any, Any]:
         """`trusted` and `deviation`, on the device."""
         from pagas_cl.runtime.memory import upload

@@ -174,6 +174,7 @@ def test_what_no_view_sees_stays_and_joins(made, coarse, device):
 
 # -- against the twins ------------------------------------------------------------------------------------------------
 
+
 @pytest.mark.parametrize("crease", [False, True])
 def test_a_round_is_that_of_the_twin(made, device, crease):
     pytest.importorskip("scipy")
@@ -199,6 +200,7 @@ def test_a_round_is_that_of_the_twin(made, device, crease):
 
 
 # -- subdividing ------------------------------------------------------------------------------------------------------
+
 
 def test_subdivision_is_the_same_surface_without_cracks():
     rng = np.random.default_rng(1)
@@ -313,6 +315,7 @@ def test_pair_surface_and_file(division, tmp_path):
 
 
 # -- with the engine --------------------------------------------------------------------------------------------------
+
 
 @pytest.mark.parametrize("subdivide", [None, 2.0])
 def test_refine_mesh_keeps_the_mesh(made, subdivide):
