@@ -13,7 +13,7 @@ from typing import Any
 from pagas_cl.errors import InputError, nearest_of
 
 # cameras of a view, its contexts and held-out views, lie in 64 kB of constant memory, which every device has
-MOST_CONTEXTS, MOST_WEIGHT = 800, 100.0
+MOST_CONTEXTS, MOST_WEIGHT, MOST_RAISED = 800, 100.0, 40.0     # the latter times a weight of smoothness
 
 
 def _setting(default: Any, rule: Callable[[Any, Any], tuple[bool, str]], define: str = "") -> Any:
@@ -143,9 +143,11 @@ class Smoothness(_Stage):
     """With "planar": a second difference beyond this, pixels of parallax, is a discontinuity and pulls no more; up to
     there its pull fades as (1 - (e / discontinuity)^8)^2."""
 
-    def weight_with(self, contexts: int) -> float:
-        """lambda_s where there are so many context views, at most the largest weight there is."""
-        return min(MOST_WEIGHT, self.weight * float(max(1.0, self.full_views / contexts) ** (2 / 3)))
+    def weight_with(self, contexts: int, mismatch: float = 1.0) -> float:
+        """lambda_s where there are so many context views, raised by `mismatch` (below 1 and NaN: not), at most the
+        largest weight there is."""
+        weight = self.weight * float(max(1.0, self.full_views / contexts) ** (2 / 3))
+        return min(MOST_WEIGHT, weight * mismatch if mismatch > 1 else weight)
 
 
 @dataclass(frozen=True)

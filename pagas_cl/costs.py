@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from pagas_cl.config import Config, Context
-from pagas_cl.effects import agreement_rounds
+from pagas_cl.effects import agreement_rounds, settle
 from pagas_cl.errors import InputError
 from pagas_cl.presets import preset
 from pagas_cl.scene.choice import MOST_HELD_OUT, ContextChooser, shared_out
@@ -84,7 +84,6 @@ def rungs() -> list[tuple[str, Config]]:
 
 def probe(target, contexts, depth, config: Config, device, *, photo: float, held_out=()) -> Cost:
     """Measure the cost of `config`'s kind of settings on one view by short runs; `photo` as `photo_seconds` found."""
-    from pagas_cl.effects import settle
     from pagas_cl.splat import PhotoStore, refine_levels
 
     photos = PhotoStore(device)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pagas_cl.config import MOST_WEIGHT, Config
+from pagas_cl.config import MOST_RAISED, MOST_WEIGHT, Config
 from pagas_cl.errors import log
 from pagas_cl.measurements import FAR_OFF, Measurements, measure
 from pagas_cl.splat.constants import SPECULAR_VIEW
@@ -23,7 +23,6 @@ DIFFERENT = 0.02         # pixels of parallax by which refined depth maps differ
                          # no photo resolves
 AGREEMENT_ROUNDS = 2     # each averages; between them, and not after the last, the photos have some steps
 CONTRADICTED = 0.04      # share of depths that others contradict, above which those are left out of a fusion
-MOST_RAISED = 40.0       # times the weight of the smoothness
 SHINY_DISCONTINUITY = 0.6  # smoothness.discontinuity at least: what a highlight bends is no discontinuity
 LOW_PASS = 0.06          # px^2: about what a photo's own pixel blurs; more than that blurs what is to be compared
 

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pagas_cl.config import MOST_WEIGHT, Config
-from pagas_cl.effects import agreement_rounds, decide_agreement, settle
+from pagas_cl.config import Config
+from pagas_cl.effects import agreement_rounds, decide, decide_agreement, settle
+from pagas_cl.measurements import Measurements
 from pagas_cl.progress import Progress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import Partners
@@ -50,23 +51,29 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
 
     `results`: of the round before, the view's own first, then those of others. The others are as in refine.refine_one.
     """
-    return _averaged(results, config, device, photos, propose=False)
+    start, result = time.perf_counter(), results[0]
+    found = _compared(results, config, device, photos, propose=False)
+    if found is None:
+        return result
+    report, comparison, averaged = found
+    arrays = {} if averaged is None else comparison.read(averaged)
+    comparison.release()
+    return replace(result, report=_took(report, start), **arrays)
 
 
-def _averaged(results: Sequence[DepthResult], config: Config, device: Device, photos: PhotoStore,
-              propose: bool) -> DepthResult:
-    """`propose`: also in place of depths that photos refused."""
-    own, start, owners = results[0], time.perf_counter(), {}
-    if own.reason or all(result.reason for result in results[1:]):
-        return own
-    for result in results:
-        if not result.reason:
-            owners[_evidence(result)] = result
+def _compared(results: Sequence[DepthResult], config: Config, device: Device, photos: PhotoStore,
+              propose: bool) -> tuple[dict[str, Any], Agreement, list[Any] | None] | None:
+    """The report of the view's result with what it is told; the comparison with the others, the caller's to release,
+    and what it leaves, None where nothing is averaged. `propose`: also in place of depths that photos refused. None
+    where there is nothing to compare."""
+    own, owners = results[0], {_evidence(result): result for result in results if not result.reason}
+    if own.reason or len(owners) < 2:
+        return None
     photos.trim(_BYTES * max(result.depth.size for result in results))
 
-    def send(evidence: DepthEvidence) -> tuple[Any, Any]:
+    def send(evidence: DepthEvidence) -> list[Any]:
         """Once for all views of a round that are compared with it."""
-        return photos.held(owners[evidence], 8 * evidence.depth.size, lambda: evidence.send(device))
+        return photos.held(owners[evidence], 13 * evidence.depth.size, lambda: evidence.send(device))
 
     mine, *others = owners
     comparison = Agreement(mine, others, device, send)
@@ -75,11 +82,13 @@ def _averaged(results: Sequence[DepthResult], config: Config, device: Device, ph
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
     report = {**own.report, "effects": [*effects, decision.as_dict()]}
     if not decision.on:
-        return replace(own, report=report)
-    found = comparison.average(spread, config.agreement.pixels, propose)
+        return report, comparison, None
     report["differences"] = [*own.report.get("differences", ()), spread]
-    report["seconds"] = own.report.get("seconds", 0.0) + time.perf_counter() - start
-    return replace(own, depth=found.depth, status=found.status, deviation=found.deviation, report=report)
+    return report, comparison, comparison.average(spread, config.agreement.pixels, propose)
+
+
+def _took(report: dict[str, Any], start: float) -> dict[str, Any]:
+    return {**report, "seconds": report.get("seconds", 0.0) + time.perf_counter() - start}
 
 
 def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partners, results: Sequence[DepthResult],
@@ -87,45 +96,56 @@ def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partn
                      progress: Progress | None = None) -> DepthResult:
     """The same, and then some steps of the photos, from there, which refuse what matches worse than it did."""
     steps = max(1, round(config.agreement.steps * config.pyramid.steps[-1])) if config.agreement.steps else 0
-    averaged = _averaged(results, config, device, photos, propose=steps > 0)
-    if averaged.depth is results[0].depth or not steps:
-        return averaged
-    start, target, contexts = time.perf_counter(), views[partners.target], [views[k] for k in partners.contexts]
-    few = _few(config, steps, len(contexts), results[0].report)
-    stepped = _steps(target, contexts, results[0].depth, averaged.depth, few, device, photos,
-                     [views[k] for k in partners.held_out], progress)
-    # what no view has spoken for, or the photos speak against, is as it was
-    kept, refined = results[0], (averaged.status == REFINED) & (stepped.status == REFINED)
-    report = {**averaged.report, "seconds": averaged.report["seconds"] + time.perf_counter() - start}
-    return replace(averaged, depth=np.where(refined, stepped.depth, kept.depth), parallax=stepped.parallax,
-                   status=np.where(refined, stepped.status, kept.status),
-                   deviation=np.where(refined, stepped.deviation, kept.deviation), report=report)
+    if not steps:
+        return average_depths(views, partners, results, config, device, photos)
+    start, result = time.perf_counter(), results[0]
+    found = _compared(results, config, device, photos, propose=True)
+    if found is None:
+        return result
+    report, comparison, averaged = found
+    if averaged is not None:
+        told = (lambda done, total: progress(f"agree {result.name}", done, total)) if progress else None
+        stepped = _steps(views, partners, result, averaged[0], _few(config, steps, len(partners.contexts), report),
+                         device, photos, told)
+        # what no view has spoken for, or the photos speak against, is as it was
+        refined = (comparison.read(averaged)["status"] == REFINED) & (stepped.status == REFINED)
+        result = replace(result, parallax=stepped.parallax, **{
+            name: np.where(refined, getattr(stepped, name), getattr(result, name))
+            for name in ("depth", "status", "deviation")})
+    comparison.release()
+    return replace(result, report=_took(report, start))
 
 
 def _few(config: Config, steps: int, contexts: int, report: Mapping[str, Any]) -> Config:
     """The settings for so few steps from a depth that is nearly right: at full size, smoothness raised at once, for
     mismatch by what was measured (`report`). Photos that do not match anywhere around (solver.mismatch) do not tell one
     depth from another."""
-    raised = [e["evidence"] for e in report.get("effects", ()) if e["effect"] == "mismatch" and e["on"]] or [1.0]
-    weight = min(MOST_WEIGHT, config.smoothness.weight_with(contexts) * raised[0])
+    mismatch = [e["evidence"] for e in report.get("effects", ()) if e["effect"] == "mismatch"] or [1.0]
     return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__early_damping=1.0,
-                                smoothness__weight=weight, smoothness__full_views=1,
-                                effects__pyramid="set", effects__mismatch="set", solver__mismatch=2.0)
+                                smoothness__weight=config.smoothness.weight_with(contexts, mismatch[0]),
+                                smoothness__full_views=1, effects__pyramid="set", effects__mismatch="set",
+                                solver__mismatch=2.0)
 
 
-def _steps(target: View, contexts: Sequence[View], depth: np.ndarray, start: np.ndarray, config: Config,
-           device: Device, photos: PhotoStore, held_out: Sequence[View], progress: Progress | None) -> Any:
+def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, result: DepthResult, start: Any,
+           config: Config, device: Device, photos: PhotoStore, told: Callable[[int, int], None] | None) -> Any:
+    """From `start`, on the device, for what the view called for when it was refined."""
     from pagas_cl.splat import NormalizedDepth, refine_levels
     from pagas_cl.splat.budget import fit_memory
 
-    told = (lambda done, total: progress(f"agree {target.name}", done, total)) if progress else None
+    target, contexts, held_out = views[partners.target], *(
+        [views[k] for k in chosen] for chosen in (partners.contexts, partners.held_out))
+    figures = result.report.get("measured")
+    before = Measurements(**figures) if figures else None
 
     def attempt(photos: PhotoStore) -> Any:
-        normalized = NormalizedDepth(target, depth, device)
-        settled, _, measured = settle(target, contexts, depth, config, device, photos, normalized=normalized)
+        normalized, measured = NormalizedDepth(target, result.depth, device), before
+        settled, _ = decide(config, measured)
+        if settled.smoothness.specularity:       # where it is, no report tells
+            settled, _, measured = settle(target, contexts, result.depth, config, device, photos, normalized=normalized)
         if len(settled.pyramid.scales) > 1:      # asked for by noise, for a depth that is far off
             settled = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps)
-        return refine_levels(target, contexts, depth, settled, device, photos, progress=told, measured=measured,
+        return refine_levels(target, contexts, result.depth, settled, device, photos, progress=told, measured=measured,
                              normalized=normalized, start=start, held_out=held_out)
 
     return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from math import isqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 _BINS, _PER_PIXEL = 4096, 1024.0     # differences up to 4 pixels of parallax
 _LEAST = 100                         # differences that tell anything of a view
+_SAMPLES = 40000                     # pixels of a view, about, that they are taken at
 _NORMAL = 0.6745                     # median of |x| where x has a standard deviation of 1
 
 
@@ -31,18 +33,11 @@ class DepthEvidence:
     status: npt.NDArray[np.uint8]
     parallax: npt.NDArray[np.float32]
 
-    @property
-    def trusted(self) -> npt.NDArray[np.float32]:
-        """Its depths that photos confirm, with 0 for all others."""
-        known = (self.status == REFINED) & (self.depth > 0) & np.isfinite(self.deviation)
-        return np.where(known, self.depth, np.float32(0))
-
-
-    def send(self, device: Device) -> tuple[Any, Any]:
-        """`trusted` and `deviation`, on the device."""
+    def send(self, device: Device) -> list[Any]:
+        """Depth, deviation, status and parallax, on the device: 13 bytes a pixel."""
         from pagas_cl.runtime.memory import upload
 
-        return upload(device, self.trusted), upload(device, self.deviation)
+        return [upload(device, array) for array in (self.depth, self.deviation, self.status, self.parallax)]
 
 
 class Agreement:
@@ -50,64 +45,78 @@ class Agreement:
     `send(evidence)`: as its method does it, where some are on the device already."""
 
     def __init__(self, own: DepthEvidence, others: Sequence[DepthEvidence], device: Device,
-                 send: Callable[[DepthEvidence], tuple[Any, Any]] | None = None):
+                 send: Callable[[DepthEvidence], list[Any]] | None = None):
         from pagas_cl.runtime.memory import upload
         from pagas_cl.runtime.program import build
 
         self.own, self.others, self.device = own, list(others), device
         self._send = send or (lambda evidence: evidence.send(device))
-        self.scale = 1 / scene_scale_of(own.depth, None)
+        self._scale = 1 / scene_scale_of(own.depth, None)
         self._program = build(device, "agreement.cl", (f"NEAR={NEAR!r}f", f"REFINED={REFINED}"))
-        self._cameras = upload(device, camera_table(own.camera, [view.camera for view in others], 1 / self.scale))
-        self._parallax = upload(device, own.parallax)
+        self._cameras = upload(device, camera_table(own.camera, [view.camera for view in others], 1 / self._scale))
+        self._depth, self._deviation, self._status, self._parallax = self._send(own)
+        self._held = [self._cameras]
 
     def spread(self) -> float:
-        """Standard deviation of a depth by how far the maps differ, pixels of parallax: median over all pixels and
-        views, of two depths' difference. NaN where hardly any two are of one surface."""
+        """Standard deviation of a depth by how far the maps differ, pixels of parallax: median over pixels (some
+        40,000 of a large view) and views, of two depths' difference. NaN where hardly any two are of one surface."""
         from pagas_cl.runtime.memory import download
 
-        counts, (trusted, _) = self._zeros(4 * _BINS), self._send(self.own)
+        counts, (height, width) = self._zeros(4 * _BINS), self.own.depth.shape
+        stride = max(1, isqrt(width * height // _SAMPLES))
         for given in self._each():
-            self._run("count_differences", depth=trusted, bins=_BINS, per_pixel=_PER_PIXEL, counts=counts, **given)
+            self._run("count_differences", (-(-width // stride), -(-height // stride)), status=self._status,
+                      deviation=self._deviation, stride=stride, bins=_BINS, per_pixel=_PER_PIXEL, counts=counts,
+                      **given)
         found = np.cumsum(download(self.device, counts, _BINS, np.uint32), dtype=np.int64)
         if found[-1] < _LEAST:
             return float("nan")
         return float((np.searchsorted(found, found[-1] / 2) + 0.5) / _PER_PIXEL / _NORMAL / np.sqrt(2))
 
-    def average(self, spread: float, pixels: float, propose: bool = True) -> DepthEvidence:
-        """What follows for `own`: each depth averaged with what the others say of it within `pixels` of parallax.
-        `propose`: in place of rejected depths too, which have no weight of their own and are REFINED from then on."""
-        from pagas_cl.runtime.memory import download, upload
-
-        own, count = self.own, self.own.depth.size
-        sums, depth, averaged = self._zeros(16 * count), upload(self.device, own.depth), self._zeros(4 * count)
+    def average(self, spread: float, pixels: float, propose: bool = True) -> list[Any]:
+        """What follows for `own`, depth, deviation and status on the device: each depth averaged with what the others
+        say of it within `pixels` of parallax. `propose`: in place of rejected depths too, which have no weight of their
+        own and are REFINED from then on."""
+        count, (height, width) = self.own.depth.size, self.own.depth.shape
+        sums, *found = self._zeros(16 * count), *(self._buffer(size * count) for size in (4, 4, 1))
         for given in self._each():
-            self._run("add_view", depth=depth, spread=spread, pixels=pixels, sums=sums, **given)
-        deviation, status = upload(self.device, own.deviation), upload(self.device, own.status)
-        self._run("average", size=(count,), count=count, scale=self.scale, spread=spread, propose=int(propose),
-                  sums=sums, depth=depth, depth_per_parallax=self._parallax, deviation=deviation, status=status,
-                  averaged=averaged)
-        shape = own.depth.shape
-        return DepthEvidence(own.camera, download(self.device, averaged, shape),
-                             download(self.device, deviation, shape), download(self.device, status, shape, np.uint8),
-                             own.parallax)
+            self._run("add_view", (width, height), spread=spread, pixels=pixels, sums=sums, **given)
+        self._run("average", (count,), count=count, scale=self._scale, spread=spread, propose=int(propose), sums=sums,
+                  depth=self._depth, depth_per_parallax=self._parallax, deviation=self._deviation, status=self._status,
+                  **dict(zip(("averaged", "surer", "found"), found)))
+        return found
+
+    def read(self, averaged: list[Any]) -> dict[str, np.ndarray]:
+        """What `average` left, on the host, as fields of DepthEvidence and DepthResult."""
+        from pagas_cl.runtime.memory import download
+
+        return {name: download(self.device, buffer, self.own.depth.shape, dtype) for name, buffer, dtype in zip(
+            ("depth", "deviation", "status"), averaged, (np.float32, np.float32, np.uint8))}
+
+    def release(self) -> None:
+        """Give back what was made here."""
+        for buffer in self._held:
+            buffer.release()
 
     def _each(self) -> Iterator[dict[str, Any]]:
         """Arguments of a comparison with each other view."""
         for number, other in enumerate(self.others, start=1):
-            depth, deviations = self._send(other)
-            yield {"view": number, "scale": self.scale, "cameras": self._cameras, "depth_per_parallax": self._parallax,
-                   "map": depth, "deviations": deviations}
+            depth, deviation, status, _ = self._send(other)
+            yield {"view": number, "scale": self._scale, "cameras": self._cameras, "depth": self._depth,
+                   "depth_per_parallax": self._parallax, "map": depth, "deviations": deviation, "statuses": status}
 
-    def _run(self, kernel: str, size: tuple[int, ...] | None = None, **arguments: Any) -> None:
+    def _run(self, kernel: str, size: tuple[int, ...], **arguments: Any) -> None:
         from pagas_cl.runtime.program import bind, run_once
 
-        camera = self.own.camera
-        run_once(self.device.queue, [bind(self._program, kernel, size or (camera.width, camera.height), **arguments)])
+        run_once(self.device.queue, [bind(self._program, kernel, size, **arguments)])
 
     def _zeros(self, nbytes: int) -> Any:
         import pyopencl as cl
 
-        buffer = self.device.memory.buffer(self.device.context, nbytes)
+        buffer = self._buffer(nbytes)
         cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint32(0), 0, nbytes)
         return buffer
+
+    def _buffer(self, nbytes: int) -> Any:
+        self._held.append(self.device.memory.buffer(self.device.context, nbytes))
+        return self._held[-1]
