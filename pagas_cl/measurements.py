@@ -47,6 +47,12 @@ class Measurements:
         return {name: value for name, value in vars(self).items() if name not in ("gains", "local_specularity")}
 
     @property
+    def lasting(self) -> bool:
+        """Whether it would be the same under the refined depth, as far as it matters: the photos could be compared, and
+        show no specularity, whose place no figure tells."""
+        return 0 < self.residual <= constants.SPECULAR_VIEW
+
+    @property
     def unexplained(self) -> float:
         """What the photos show that no depth explains, against what the default smoothness is made for."""
         return max(self.unexplained_everywhere, min(self.residual, 0.1) / constants.SPECULAR_VIEW)

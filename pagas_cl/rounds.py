@@ -73,7 +73,7 @@ def _compared(results: Sequence[DepthResult], config: Config, device: Device, ph
 
     def send(evidence: DepthEvidence) -> list[Any]:
         """Once for all views of a round that are compared with it."""
-        return photos.held(owners[evidence], 13 * evidence.depth.size, lambda: evidence.send(device))
+        return photos.held(owners[evidence], 17 * evidence.depth.size, lambda: evidence.send(device))
 
     mine, *others = owners
     comparison = Agreement(mine, others, device, send)
@@ -129,7 +129,7 @@ def _few(config: Config, steps: int, contexts: int, report: Mapping[str, Any]) -
 
 def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, result: DepthResult, start: Any,
            config: Config, device: Device, photos: PhotoStore, told: Callable[[int, int], None] | None) -> Any:
-    """From `start`, on the device, for what the view called for when it was refined."""
+    """From `start`, on the device, for what the view called for when it was refined, or calls for now."""
     from pagas_cl.splat import NormalizedDepth, refine_levels
     from pagas_cl.splat.budget import fit_memory
 
@@ -140,8 +140,9 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, resul
 
     def attempt(photos: PhotoStore) -> Any:
         normalized, measured = NormalizedDepth(target, result.depth, device), before
-        settled, _ = decide(config, measured)
-        if settled.smoothness.specularity:       # where it is, no report tells
+        if measured is None or measured.lasting:
+            settled, _ = decide(config, measured)
+        else:
             settled, _, measured = settle(target, contexts, result.depth, config, device, photos, normalized=normalized)
         if len(settled.pyramid.scales) > 1:      # asked for by noise, for a depth that is far off
             settled = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps)
