@@ -261,8 +261,8 @@ class Agreement(_Stage):
 
     rounds: int = _whole(0, 0, 20)
     """How often each depth is averaged with what its context views' depth maps say; 0: not at all."""
-    steps: float = _number(0.11, 0, 10)
-    """Steps of the photos between two rounds, as a share of those of the last level."""
+    steps: float = _number(0.08, 0, 10)
+    """Steps of the photos between two rounds, as a share of those of the last level; each is longer by 1.4."""
     pixels: float = _number(2.0, 1e-3, 100)
     """A depth map that says something else by more than this, pixels of parallax, is of another surface."""
 

@@ -3,9 +3,9 @@ whether refined views that contradict each other are cleaned before they are fus
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -139,15 +139,18 @@ def _decision(config: Config, name: str, measured: Measurements) -> Decision:
 
 
 def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
-           photos: PhotoStore, *,
-           normalized: NormalizedDepth | None = None) -> tuple[Config, list[Decision], Measurements | None]:
+           photos: PhotoStore, *, normalized: NormalizedDepth | None = None,
+           known: Mapping[str, Any] | None = None) -> tuple[Config, list[Decision], Measurements | None]:
     """Decide which effects this view calls for: the settings that follow, the decisions, and what they rest on.
 
-    Parameters are those of refine_depth; `normalized`: the depth where it is on the device already.
+    Parameters are those of refine_depth; `normalized`: the depth where it is on the device already; `known`: figures
+    that were measured under an earlier depth, which hold where they last.
     """
     if not config.effects.measured:
         return *decide(config, None), None
-    measured = measure(target, contexts, depth, config, device, photos, normalized=normalized)
+    measured = Measurements(**known) if known else None
+    if measured is None or not measured.lasting:
+        measured = measure(target, contexts, depth, config, device, photos, normalized=normalized)
     config, decisions = decide(config, measured)
     for decision in decisions:
         log.debug("view %s: %s %s (%.4g, threshold %.4g)", target.name, decision.effect, "on" if decision.on else "off",

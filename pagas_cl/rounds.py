@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.effects import agreement_rounds, decide, decide_agreement, settle
-from pagas_cl.measurements import Measurements
+from pagas_cl.effects import agreement_rounds, decide_agreement, settle
 from pagas_cl.progress import Progress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import Partners
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from pagas_cl.splat import PhotoStore
 
 _BYTES = 64     # a pixel: more than a comparison takes beside the photos that wait on the device
+_LONGER = 1.4   # steps of a few: as far as half as many again would
 
 
 @dataclass(frozen=True)
@@ -122,6 +122,7 @@ def _few(config: Config, steps: int, contexts: int, report: Mapping[str, Any]) -
     depth from another."""
     mismatch = [e["evidence"] for e in report.get("effects", ()) if e["effect"] == "mismatch"] or [1.0]
     return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__early_damping=1.0,
+                                solver__rate=_LONGER * config.solver.rate,
                                 smoothness__weight=config.smoothness.weight_with(contexts, mismatch[0]),
                                 smoothness__full_views=1, effects__pyramid="set", effects__mismatch="set",
                                 solver__mismatch=2.0)
@@ -135,15 +136,11 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, resul
 
     target, contexts, held_out = views[partners.target], *(
         [views[k] for k in chosen] for chosen in (partners.contexts, partners.held_out))
-    figures = result.report.get("measured")
-    before = Measurements(**figures) if figures else None
 
     def attempt(photos: PhotoStore) -> Any:
-        normalized, measured = NormalizedDepth(target, result.depth, device), before
-        if measured is None or measured.lasting:
-            settled, _ = decide(config, measured)
-        else:
-            settled, _, measured = settle(target, contexts, result.depth, config, device, photos, normalized=normalized)
+        normalized = NormalizedDepth(target, result.depth, device)
+        settled, _, measured = settle(target, contexts, result.depth, config, device, photos, normalized=normalized,
+                                      known=result.report.get("measured"))
         if len(settled.pyramid.scales) > 1:      # asked for by noise, for a depth that is far off
             settled = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps)
         return refine_levels(target, contexts, result.depth, settled, device, photos, progress=told, measured=measured,
