@@ -24,9 +24,9 @@ __kernel void invert(int count, __global const float *depth, __global const floa
     inverse[i] = status[i] == REFINED && deviation[i] < INFINITY && depth[i] > 0.0f ? 1.0f / depth[i] : 0.0f;
 }
 
-// How much the target's depths would have to change for their points to lie on the other view's surface, the plane
-// through the cell of four pixels that the point lands in, whose inverse depth w is linear in the image, so that z w = 1
-// is solved by one step; and deviations of that view there. Returns where it says anything: it sees the point, all four
+// How much the target's depths would have to change for their points to lie on the other view's surface: the plane of
+// the four pixels around them, whose inverse depth w is linear in the image, so that z w = 1 is solved by one step; and
+// deviations of that view there. Returns where it says anything: it sees the point, all four
 // have a refined depth, and there is no depth edge between them.
 mask_t difference(const Camera target, CAMERA_SPACE float *cameras, int view, int column, int row, float scale,
                   __global const float *depth, columns_t u, __global const float *inverses,
@@ -73,7 +73,7 @@ __kernel void count_differences(__global const float *depth, __global const floa
                                 __global uint *counts)
 {
     const Camera target = load_camera(cameras, 0);
-    const int row = get_global_id(1) * stride;
+    const int row = get_global_id(1) * stride + stride / 2;
     if (row >= target.height)
         return;
     EACH_VECTOR(item, target.width) {
@@ -123,7 +123,7 @@ __kernel void add_view(__global const float *depth, __global const float *depth_
 __kernel void average(int count, float scale, float spread, int propose, __global const float *sums,
                       __global const float *depth, __global const float *depth_per_parallax,
                       __global const float *deviation, __global const uchar *status,
-                      __global float *averaged, __global float *surer, __global uchar *found)      // [H, W] what follows
+                      __global float *averaged, __global float *surer, __global uchar *found)
 {
     EACH(i, count)
     const float total = sums[i], others = sums[count + i];

@@ -20,7 +20,7 @@ from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.depthmap import REFINED
 from pagas_cl.scene.view import View
-from pagas_cl.surface.agreement import Agreement, DepthEvidence
+from pagas_cl.surface.agreement import Agreement, send
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
@@ -45,75 +45,51 @@ def later_rounds(config: Config, views: int) -> list[Round]:
 
 
 def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partners, results: Sequence[DepthResult],
-                   config: Config, device: Device, photos: PhotoStore, progress: Progress | None = None) -> DepthResult:
+                   config: Config, device: Device, photos: PhotoStore, progress: Progress | None = None,
+                   steps: int = 0) -> DepthResult:
     """One view's depths averaged with those of other views, where they see the same surface. What photos refused stays
-    as it is: none is asked again.
+    as it is: none is asked again. With `steps`: see average_and_step.
 
     `results`: of the round before, the view's own first, then those of others. The others are as in refine.refine_one.
     """
-    start, result = time.perf_counter(), results[0]
-    found = _compared(results, config, device, photos, propose=False)
-    if found is None:
-        return result
-    report, comparison, averaged = found
-    arrays = {} if averaged is None else comparison.read(averaged)
-    comparison.release()
-    return replace(result, report=_took(report, start), **arrays)
-
-
-def _compared(results: Sequence[DepthResult], config: Config, device: Device, photos: PhotoStore,
-              propose: bool) -> tuple[dict[str, Any], Agreement, list[Any] | None] | None:
-    """The report of the view's result with what it is told; the comparison with the others, the caller's to release,
-    and what it leaves, None where nothing is averaged. `propose`: also in place of depths that photos refused. None
-    where there is nothing to compare."""
-    own, owners = results[0], {_evidence(result): result for result in results if not result.reason}
-    if own.reason or len(owners) < 2:
-        return None
+    own, *others = results[0], *(result for result in results[1:] if not result.reason)
+    start, found = time.perf_counter(), {}
+    if own.reason or not others:
+        return own
     photos.trim(_BYTES * max(result.depth.size for result in results))
-
-    def send(evidence: DepthEvidence) -> list[Any]:
-        """Once for all views of a round that are compared with it."""
-        return photos.held(owners[evidence], 17 * evidence.depth.size, lambda: evidence.send(device))
-
-    mine, *others = owners
-    comparison = Agreement(mine, others, device, send)
+    # once for all views of a round that are compared with it
+    comparison = Agreement(own, others, device,
+                           lambda other: photos.held(other, 17 * other.depth.size, lambda: send(other, device)))
     spread = comparison.spread()
     decision = decide_agreement(spread, config)
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
     report = {**own.report, "effects": [*effects, decision.as_dict()]}
-    if not decision.on:
-        return report, comparison, None
-    report["differences"] = [*own.report.get("differences", ()), spread]
-    return report, comparison, comparison.average(spread, config.agreement.pixels, propose)
-
-
-def _took(report: dict[str, Any], start: float) -> dict[str, Any]:
-    return {**report, "seconds": report.get("seconds", 0.0) + time.perf_counter() - start}
+    if decision.on:
+        report["differences"] = [*own.report.get("differences", ()), spread]
+        averaged = comparison.average(spread, config.agreement.pixels, propose=steps > 0)
+        if steps:
+            told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
+            few = _few(config, steps, len(partners.contexts), report)
+            stepped = _steps(views, partners, own, averaged["depth"], few, device, photos, told)
+            # what no view has spoken for, or the photos speak against, is as it was
+            refined = (comparison.read(averaged, "status")["status"] == REFINED) & (stepped.status == REFINED)
+            found = {name: np.where(refined, getattr(stepped, name), getattr(own, name)) for name in averaged}
+            found["parallax"] = stepped.parallax
+        else:
+            found = comparison.read(averaged, *averaged)
+    comparison.release()
+    report["seconds"] = report.get("seconds", 0.0) + time.perf_counter() - start
+    return replace(own, report=report, **found)
 
 
 def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partners, results: Sequence[DepthResult],
                      config: Config, device: Device, photos: PhotoStore,
                      progress: Progress | None = None) -> DepthResult:
-    """The same, and then some steps of the photos, from there, which refuse what matches worse than it did."""
-    steps = max(1, round(config.agreement.steps * config.pyramid.steps[-1])) if config.agreement.steps else 0
-    if not steps:
-        return average_depths(views, partners, results, config, device, photos)
-    start, result = time.perf_counter(), results[0]
-    found = _compared(results, config, device, photos, propose=True)
-    if found is None:
-        return result
-    report, comparison, averaged = found
-    if averaged is not None:
-        told = (lambda done, total: progress(f"agree {result.name}", done, total)) if progress else None
-        stepped = _steps(views, partners, result, averaged[0], _few(config, steps, len(partners.contexts), report),
-                         device, photos, told)
-        # what no view has spoken for, or the photos speak against, is as it was
-        refined = (comparison.read(averaged)["status"] == REFINED) & (stepped.status == REFINED)
-        result = replace(result, parallax=stepped.parallax, **{
-            name: np.where(refined, getattr(stepped, name), getattr(result, name))
-            for name in ("depth", "status", "deviation")})
-    comparison.release()
-    return replace(result, report=_took(report, start))
+    """The same, also in place of depths that photos refused, and then some steps of the photos, from there, which
+    refuse what matches worse than it did."""
+    share = config.agreement.steps
+    return average_depths(views, partners, results, config, device, photos, progress,
+                          max(1, round(share * config.pyramid.steps[-1])) if share else 0)
 
 
 def _few(config: Config, steps: int, contexts: int, report: Mapping[str, Any]) -> Config:
@@ -122,7 +98,7 @@ def _few(config: Config, steps: int, contexts: int, report: Mapping[str, Any]) -
     depth from another."""
     mismatch = [e["evidence"] for e in report.get("effects", ()) if e["effect"] == "mismatch"] or [1.0]
     return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__early_damping=1.0,
-                                solver__rate=_LONGER * config.solver.rate,
+                                solver__rate=min(100.0, _LONGER * config.solver.rate),
                                 smoothness__weight=config.smoothness.weight_with(contexts, mismatch[0]),
                                 smoothness__full_views=1, effects__pyramid="set", effects__mismatch="set",
                                 solver__mismatch=2.0)
@@ -147,7 +123,3 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, resul
                              normalized=normalized, start=start, held_out=held_out)
 
     return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)
-
-
-def _evidence(result: DepthResult) -> DepthEvidence:
-    return DepthEvidence(result.camera, result.depth, result.deviation, result.status, result.parallax)

@@ -13,9 +13,10 @@ from twins import agreement as twin
 from pagas_cl.effects import decide_agreement
 from pagas_cl.presets import preset
 from pagas_cl.refine import refine_views
+from pagas_cl.result import DepthResult
 from pagas_cl.rounds import average_and_step, average_depths, later_rounds
 from pagas_cl.scene.depthmap import KEPT, REFINED, REJECTED
-from pagas_cl.surface.agreement import Agreement, DepthEvidence
+from pagas_cl.surface.agreement import Agreement
 
 pytestmark = pytest.mark.kernels
 
@@ -27,7 +28,7 @@ def evidence(camera, depth, deviation=0.01, status=REFINED):
     def filled(value, dtype):
         return np.full(depth.shape, value, dtype)
 
-    return DepthEvidence(camera, depth, filled(deviation, "f4"), filled(status, "u1"), filled(PIXEL, "f4"))
+    return DepthResult(camera, depth, filled(status, "u1"), filled(deviation, "f4"), filled(PIXEL, "f4"))
 
 
 def trusted(view):
@@ -36,8 +37,8 @@ def trusted(view):
 
 
 def averaged(comparison, *given):
-    return DepthEvidence(comparison.own.camera, parallax=comparison.own.parallax,
-                         **comparison.read(comparison.average(*given)))
+    found = comparison.average(*given)
+    return replace(comparison.own, **comparison.read(found, *found))
 
 
 @pytest.fixture
