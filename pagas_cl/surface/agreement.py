@@ -61,7 +61,7 @@ class Agreement:
 
     def spread(self) -> float:
         """Standard deviation of a depth by how far the maps differ, pixels of parallax: median over pixels (of 32
-        rows or more of a large view) and views, of two depths' difference. NaN where hardly any two are of one surface."""
+        rows or more of a large view) and views, of two depths' difference. NaN where hardly any are of one surface."""
         from pagas_cl.runtime.memory import download
 
         counts, size = self._zeros(4 * _BINS), self.own.depth.size
