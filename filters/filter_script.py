@@ -5,7 +5,6 @@ defaults for values that it does not understand. Stretches of MeshLab's filters 
 between them, and the history keeps every step, so that saving the script keeps ours.
 """
 
-import logging
 import re
 import tempfile
 from dataclasses import dataclass, field
@@ -13,13 +12,11 @@ from itertools import groupby
 from pathlib import Path
 from xml.etree import ElementTree
 
-from pagas_cl.errors import InputError, need
+from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters import native, parameters
 from pagas_cl.filters.names import HINT
 from pagas_cl.filters.parameters import FILTER
 from pagas_cl.scene.readers.untrusted import read_xml, short
-
-log = logging.getLogger("pagas_cl")
 
 _FILES = ("RichOpenFile", "RichSaveFile")
 _FILE_NAMES = re.compile(r"file|path|text(ure)?_?name|newname", re.IGNORECASE)

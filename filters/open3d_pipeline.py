@@ -8,17 +8,20 @@ VoxelBlockGrid at +0.5. Intrinsics are read with `pixel_center` (0, as the legac
 VoxelBlockGrid here is shifted as a measurement of the installed Open3D says (surface.grid).
 """
 
-import logging
 from dataclasses import replace
 
 import numpy as np
 
 from pagas_cl.config import Config, Fusion
-from pagas_cl.errors import InputError, need
+from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters.open3d_frames import Frame, give_back, read_frames
 from pagas_cl.presets import settings_of
-
-log = logging.getLogger("pagas_cl")
+from pagas_cl.result import DepthResult
+from pagas_cl.scene.mesh import from_surface
+from pagas_cl.surface.agree import disagreement
+from pagas_cl.surface.fuse import fusion_plan
+from pagas_cl.surface.grid import grid_shift
+from pagas_cl.surface.on_vertices import vertex_confidence
 
 
 def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | None = None,
@@ -80,9 +83,6 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
         With colours, normals, and "quality": the mean confidence (0 to 1) of the views that see a vertex.
     """
     from pagas_cl.refine import fuse_results
-    from pagas_cl.scene.mesh import from_surface
-    from pagas_cl.surface.fuse import fusion_plan
-    from pagas_cl.surface.on_vertices import vertex_confidence
 
     config = settings_of(preset, config)
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,
@@ -105,8 +105,6 @@ def grid_intrinsic(intrinsic, *, pixel_center: float = 0.0):
 
     Passing a legacy intrinsic to a VoxelBlockGrid unchanged puts the surface half a pixel off.
     """
-    from pagas_cl.surface.grid import grid_shift
-
     o3d = need("open3d", "mesh", "a VoxelBlockGrid")
     K = np.array(intrinsic.intrinsic_matrix if hasattr(intrinsic, "intrinsic_matrix") else intrinsic, np.float64)
     if K.shape != (3, 3):
@@ -118,7 +116,6 @@ def grid_intrinsic(intrinsic, *, pixel_center: float = 0.0):
 def _refined(read: list[Frame], config: Config, device, progress) -> list:
     """One DepthResult a frame; a frame without any depth is given back as it came."""
     from pagas_cl.refine import refine_views
-    from pagas_cl.result import DepthResult
 
     views, depths = [frame.view for frame in read], [frame.depth if (frame.depth > 0).any() else None for frame in read]
     if not any(depth is not None for depth in depths):
@@ -137,8 +134,6 @@ def _refined(read: list[Frame], config: Config, device, progress) -> list:
 
 def _agreed(read: list[Frame], depths: list[np.ndarray], share: float) -> list[np.ndarray]:
     """Refined depths where the refined frames agree on them, those that came in elsewhere."""
-    from pagas_cl.surface.agree import disagreement
-
     if not (np.isfinite(share) and share > 0):
         raise InputError(f"agree_within is {share!r}, expected a share of the depth above 0, such as 0.01")
     cameras, chosen, taken = [frame.view.camera for frame in read], [], 0

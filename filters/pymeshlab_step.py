@@ -4,7 +4,6 @@
     meshes.apply_pagas_depth_refinement("SCENE")     # refines the current layer with the photos of SCENE
 """
 
-import logging
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -14,11 +13,16 @@ import numpy as np
 
 from pagas_cl.commands._console import shown_progress
 from pagas_cl.errors import InputError, need
+from pagas_cl.filters.filter_script import restore_history, saved_history
 from pagas_cl.filters.names import CALL, HINT, METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
+from pagas_cl.keep_mesh import Observations, solve_device
+from pagas_cl.scene.inputs import as_views
+from pagas_cl.scene.mesh import from_surface, to_surface
+from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene, View
-
-log = logging.getLogger("pagas_cl")
+from pagas_cl.surface.mesh_solve import solve_mesh
+from pagas_cl.surface.on_vertices import footprints, vertex_confidence
 
 _MOST_FACES = 40_000_000
 
@@ -79,8 +83,6 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
         Pixels refined, kept, rejected, over all views. Confidence is the layer's vertex quality. The step is in the
         history, so that save_filter_script writes it.
     """
-    from pagas_cl.filters.filter_script import restore_history, saved_history
-
     values = to_values(locals())
     asked, history = request(values, FILTER), saved_history(self)
     try:
@@ -99,9 +101,6 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
 
 def scene_views(scene) -> list[View]:
     """Views of a folder, a Scene, a list of View, or a pair (cameras, images)."""
-    from pagas_cl.scene.inputs import as_views
-    from pagas_cl.scene.readers import read_scene
-
     if scene is None:
         raise InputError(f"the step {FILTER!r} needs a scene: a folder with photos and cameras, a Scene, or views")
     if isinstance(scene, (str, Path)):
@@ -120,7 +119,6 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
     """Refine the current layer of a MeshSet; what the method and the script share."""
     from pagas_cl.cameras.effect import settle_cameras
     from pagas_cl.refine import fuse_results, initial_depths, refine_views
-    from pagas_cl.scene.mesh import to_surface
 
     layer = meshes.current_mesh()
     label, matrix = layer.label(), np.array(layer.transform_matrix())
@@ -147,9 +145,6 @@ def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 def _add_layer(meshes, surface, results, label: str, matrix: np.ndarray) -> None:
     """The fused mesh as a new current layer with the old one's matrix, confidence as quality, unit normals."""
-    from pagas_cl.scene.mesh import from_surface
-    from pagas_cl.surface.on_vertices import vertex_confidence
-
     quality = vertex_confidence(surface.vertices, results)
     surface = replace(surface, vertices=_local(surface.vertices, matrix), quality=quality, normals=None)
     meshes.add_mesh(from_surface(surface, like=meshes.current_mesh()), label)
@@ -161,10 +156,6 @@ def _add_layer(meshes, surface, results, label: str, matrix: np.ndarray) -> None
 def _displace_layer(meshes, surface, views, depths, results, asked: Request, matrix: np.ndarray) -> None:
     """Move the current layer's vertices where they are: pymeshlab's meshes take no new positions from outside, but its
     filters can copy vertex attributes, exactly, into positions and quality."""
-    from pagas_cl.keep_mesh import Observations, solve_device
-    from pagas_cl.surface.mesh_solve import solve_mesh
-    from pagas_cl.surface.on_vertices import vertex_confidence
-
     solved = solve_mesh(surface, Observations(results), solve_device(asked.device),
                         least_views=max(1, asked.config.fusion.agree_views) + 1)
     moved = (solved.vertices != surface.vertices).any(axis=1)
@@ -197,9 +188,6 @@ def _attribute_names(mesh) -> list[str]:
 def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: np.ndarray):
     """Split the current layer's long edges by pymeshlab's own filter, which keeps textures and attributes."""
     import pymeshlab
-
-    from pagas_cl.scene.mesh import to_surface
-    from pagas_cl.surface.on_vertices import footprints
 
     finest = footprints(surface.vertices, [view.camera for view in views], depths)
     if not np.isfinite(finest).any():

@@ -8,8 +8,10 @@ from pagas_cl.config import Config
 from pagas_cl.effects import EFFECTS, Decision, decide, decide_consistency
 from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import preset
+from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.inputs import asked_views, checked_depth, depth_array, depth_maps
+from pagas_cl.splat import PhotoStore
 
 
 @dataclass(frozen=True)
@@ -61,9 +63,6 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
 
     `costs`: whether to time some steps with each effect on and off, on the first view that has context views.
     """
-    from pagas_cl.runtime.device import open_device
-    from pagas_cl.splat import PhotoStore
-
     config, device = config or preset("balanced"), open_device(device)
     depths = depth_maps(views, depths)
     asked, photos = asked_views(views, depths, names), PhotoStore(device)

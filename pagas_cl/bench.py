@@ -8,6 +8,7 @@ from statistics import median
 import numpy as np
 
 from pagas_cl.config import Config
+from pagas_cl.runtime.device import open_device
 
 _ROUNDS = 3
 _COPY_BYTES = 128 * 2**20      # of a copy that measures bandwidth; less where the device allows no such buffer
@@ -68,7 +69,6 @@ class BenchResult:
 def bench(views, depth, preset: str, config: Config, device=None, repeats: int = 3) -> BenchResult:
     """Measure one preset on one view: `views` are the target, then its context views; `depth` (H, W) is its initial
     z-depth, scene units, 0 = no surface."""
-    from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import PhotoStore, refine_levels
 
     opened, profiled = open_device(device), open_device(device, profiling=True)

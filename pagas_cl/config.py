@@ -6,140 +6,92 @@ same settings serve millimetres and kilometres.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 from pagas_cl.errors import InputError, nearest_of
+from pagas_cl.stage import Stage, effect, is_whole, one_of, real, setting, switch, whole
 
 # cameras of a view, its contexts and held-out views, lie in 64 kB of constant memory, which every device has
 MOST_CONTEXTS, MOST_WEIGHT, MOST_RAISED = 800, 100.0, 40.0     # the latter times a weight of smoothness
 
 
-def _setting(default: Any, rule: Callable[[Any, Any], tuple[bool, str]], define: str = "") -> Any:
-    """A field of a stage. `rule(value, stage)`: whether the value holds, and what is expected; `define`: the -D define
-    of the kernels that a plain switch stands for."""
-    return field(default=default, metadata={"rule": rule, "define": define})
-
-
-def _one_of(default: str, *choices: str) -> Any:
-    return _setting(default, lambda value, _: (value in choices, " or ".join(map(repr, choices))))
-
-
-def _number(default: float, low: float | str, high: float | str) -> Any:
-    """From `low` to `high`; a str names another setting of the stage, one before it."""
-    def rule(value: Any, stage: Any) -> tuple[bool, str]:
-        least, most = (getattr(stage, end) if isinstance(end, str) else end for end in (low, high))
-        ok = isinstance(value, (int, float)) and not isinstance(value, bool) and least <= value <= most
-        return ok, f"a number from {least:g} to {most:g}"
-
-    return _setting(default, rule)
-
-
-def _is_whole(value: Any, low: int, high: int) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
-
-
-def _whole(default: int, low: int, high: int) -> Any:
-    return _setting(default, lambda value, _: (_is_whole(value, low, high), f"a whole number from {low} to {high}"))
-
-
-def _switch(default: bool, define: str = "") -> Any:
-    return _setting(default, lambda value, _: (isinstance(value, bool), "true or false"), define)
-
-
-def _effect() -> Any:
-    return _one_of("auto", "auto", "on", "off", "set")
-
-
 @dataclass(frozen=True)
-class _Stage:
-    """Settings that are checked when they are made."""
-
-    def __post_init__(self) -> None:
-        for own in fields(self):
-            value = getattr(self, own.name)
-            holds, expected = own.metadata["rule"](value, self)
-            if not holds:
-                raise InputError(f"setting {type(self).__name__.lower()}.{own.name} is {value!r}, expected {expected}")
-
-
-@dataclass(frozen=True)
-class Splatting(_Stage):
+class Splatting(Stage):
     """How Gaussians become an image (method sections 3 and 4)."""
 
-    blend: str = _one_of("order_free", "order_free", "alpha")
+    blend: str = one_of("order_free", "order_free", "alpha")
     """Either "order_free": colours averaged by weight (Zwicker et al. 2001), smooth at all its bounds; or "alpha": the
     paper's front-to-back compositing."""
-    radius: float = _number(1.42, 0, 8)
+    radius: float = real(1.42, 0, 8)
     """Radius threshold r, pixels; the weights of "order_free" come to 0 there as (1 - (distance / r)^8)^2."""
-    final_radius: float = _number(0.0, 0, "radius")
+    final_radius: float = real(0.0, 0, "radius")
     """r of the second half of a level's steps, at most `radius`; 0 keeps it."""
-    occlusion: bool = _switch(True)
+    occlusion: bool = switch(True)
     """Whether the depth threshold is tested at all."""
-    depth_slices: float = _number(40.0, 1e-6, 1e9)
+    depth_slices: float = real(40.0, 1e-6, 1e9)
     """The depth threshold delta is the range of the initial depth divided by this (paper: 20)."""
-    depth_footprints: float = _number(6.0, 0, 1e6)
+    depth_footprints: float = real(6.0, 0, 1e6)
     """delta is at least this many pixels of the context photo, in size on the surface; else a slope hides itself where
     the photo is coarse."""
-    depth_relative: float = _number(0.0, 0, 1)
+    depth_relative: float = real(0.0, 0, 1)
     """Share of the local depth; delta is the smaller of both where this is above 0 (thin structures)."""
-    low_pass: float = _number(0.0, 0, 4)
+    low_pass: float = real(0.0, 0, 4)
     """Variance epsilon, px^2, added to the projected Gaussian, with the compensation factor on opacity ("antialiased");
     0 compiles both out."""
-    normalize: bool = _switch(False)
+    normalize: bool = switch(False)
     """With "alpha": compare C / A instead of C."""
 
 
 @dataclass(frozen=True)
-class Loss(_Stage):
+class Loss(Stage):
     """What the splatted image is compared by (method section 5)."""
 
-    ssim: float = _number(0.4, 0, 1)
+    ssim: float = real(0.4, 0, 1)
     """lambda_c, the share of 1 - SSIM beside L1."""
-    huber: float = _number(0.002, 0, 1)
+    huber: float = real(0.002, 0, 1)
     """Residuals up to this one, colours in 0 to 1, count quadratically in L1: where a residual is near 0 its sign is
     that of the last bit. 0 is plain L1."""
-    grey: bool = _switch(False, "GREY")
+    grey: bool = switch(False, "GREY")
     """Compare grey images (Rec. 601 luma) instead of three channels."""
-    exposure: bool = _switch(False, "EXPOSURE")
+    exposure: bool = switch(False, "EXPOSURE")
     """Fit a gain and an offset of each channel between the target's photo and each context photo, in closed form and
     again as the depth improves, and compare after them."""
-    structure: bool = _switch(False, "STRUCTURE")
+    structure: bool = switch(False, "STRUCTURE")
     """SSIM without its luminance term: a local offset of brightness, as a highlight leaves it, is not seen."""
-    gradient_weight: bool = _switch(False, "GRADIENT_WEIGHT")
+    gradient_weight: bool = switch(False, "GRADIENT_WEIGHT")
     """Weight L1 by w_grad (paper eq. 6)."""
-    coverage_weight: bool = _switch(False, "COVERAGE_WEIGHT")
+    coverage_weight: bool = switch(False, "COVERAGE_WEIGHT")
     """Weight L1 by the rendered coverage A."""
-    unseen_mask: bool = _switch(False, "UNSEEN_MASK")
+    unseen_mask: bool = switch(False, "UNSEEN_MASK")
     """Leave out the pixels that no valid target pixel reaches under the initial depth (L1 only)."""
-    robust: float = _number(0.0, 0, 2)
+    robust: float = real(0.0, 0, 2)
     """Windows with 1 - SSIM above this, and residuals above a quarter of it, count as a constant (shiny surfaces,
     moving things); 0 compiles it out."""
-    target_view: bool = _switch(False)
+    target_view: bool = switch(False)
     """Count the target's own view in the reported loss (it has no gradient)."""
 
 
 @dataclass(frozen=True)
-class Smoothness(_Stage):
+class Smoothness(Stage):
     """What holds a depth map together where photos say little."""
 
-    kind: str = _one_of("planar", "none", "normal", "planar")
+    kind: str = one_of("planar", "none", "normal", "planar")
     """The penalty: "none"; "normal": the paper's angle between neighbouring normals; "planar": Huber on second
     differences of inverse depth, in pixels of parallax, which vanish on every plane."""
-    weight: float = _number(0.12, 0, MOST_WEIGHT)
+    weight: float = real(0.12, 0, MOST_WEIGHT)
     """lambda_s."""
-    full_views: int = _whole(10, 1, 1000)
+    full_views: int = whole(10, 1, 1000)
     """With fewer context views than this the weight is larger, by (full_views / context views)^(2/3): fewer photos
     average less noise. 1 keeps it. Only once the photos have moved the depth (Solver.photos_first)."""
-    texture: float = _number(0.0, 0, 1)
+    texture: float = real(0.0, 0, 1)
     """How much w_grad lowers the weight: 1 - texture * w_grad."""
-    specularity: float = _number(0.0, 0, 1e4)
+    specularity: float = real(0.0, 0, 1e4)
     """Most by which the specularity that was measured around a pixel raises its weight; 0 leaves it out. Only once the
     photos have moved the depth, too."""
-    huber: float = _number(1.0, 1e-6, 1e6)
+    huber: float = real(1.0, 1e-6, 1e6)
     """With "planar": where the penalty turns from quadratic to linear, pixels of parallax."""
-    discontinuity: float = _number(0.3, 1e-6, 1e12)
+    discontinuity: float = real(0.3, 1e-6, 1e12)
     """With "planar": a second difference beyond this, pixels of parallax, is a discontinuity and pulls no more; up to
     there its pull fades as (1 - (e / discontinuity)^8)^2."""
 
@@ -151,40 +103,40 @@ class Smoothness(_Stage):
 
 
 @dataclass(frozen=True)
-class Solver(_Stage):
+class Solver(Stage):
     """Adam and its schedule (method section 6)."""
 
-    rate: float = _number(0.035, 1e-12, 100)
+    rate: float = real(0.035, 1e-12, 100)
     """Step per iteration in `rate_unit`."""
-    rate_unit: str = _one_of("parallax", "parallax", "distance")
+    rate_unit: str = one_of("parallax", "parallax", "distance")
     """Either "parallax": pixels of parallax of each pixel; or "distance": the median distance of the cameras from the
     point they look at (the paper's)."""
-    damping: float = _number(6e-3, 0, 1e3)
+    damping: float = real(6e-3, 0, 1e3)
     """Adam's epsilon, relative to a gradient of 1 per pixel of parallax (typical ones are 0.01 to 0.05): a gradient far
     below it moves a depth in proportion, not by a whole step in the direction of its sign."""
-    early_damping: float = _number(5.0, 1, 1e3)
+    early_damping: float = real(5.0, 1, 1e3)
     """The damping is so many times larger at a level's first step, and falls to 1 over the first fifth of them: the
     first gradients are the ones that Adam has no measure for yet."""
-    beta1: float = _number(0.9, 0, 0.9999)
-    beta2: float = _number(0.9, 0, 0.9999)
+    beta1: float = real(0.9, 0, 0.9999)
+    beta2: float = real(0.9, 0, 0.9999)
     """beta1, beta2: Adam's decay of the mean gradient and of the mean square, per step. A beta2 near 1 remembers the
     large gradients of the first steps for ever, and every later step is short."""
-    gradient_filter: int = _whole(2, 0, 16)
+    gradient_filter: int = whole(2, 0, 16)
     """Radius, pixels, of the tent over which the gradient of the photos is averaged before each step: neighbours that
     are off together push together, noise does not. 0 leaves each pixel its own."""
-    patience: int = _whole(0, 0, 10**6)
+    patience: int = whole(0, 0, 10**6)
     """Steps without a better loss before the rate falls by 10; 0 keeps the rate."""
-    rate_floor: float = _number(0.01, 0, 1)
+    rate_floor: float = real(0.01, 0, 1)
     """A level stops when the rate falls below this share of the first one."""
-    final_rate: float = _number(0.3, 0, 1)
+    final_rate: float = real(0.3, 0, 1)
     """The rate falls linearly to this share of it over the last half of a level's steps; 1 keeps it."""
-    views_per_step: int = _whole(1, 0, 10**4)
+    views_per_step: int = whole(1, 0, 10**4)
     """Context views used in each step, in turn; 0 means all."""
-    max_move: float = _number(8.0, 0, 1e9)
+    max_move: float = real(8.0, 0, 1e9)
     """A depth that moved by more than this, pixels of parallax, is rejected and the input kept."""
-    tolerance: float = _number(0.03, 0, 2)
+    tolerance: float = real(0.03, 0, 2)
     """A depth is rejected where its patches correlate worse with the context photos than the input's by more."""
-    mismatch: float = _number(0.45, 0, 2)
+    mismatch: float = real(0.45, 0, 2)
     """A depth is rejected where 1 - correlation is above this in its surroundings (15 x 15 pixels, mean): the photos do
     not show the same thing there. A view with more than two thirds rejected is returned as it came."""
 
@@ -200,15 +152,15 @@ class Solver(_Stage):
 
 
 @dataclass(frozen=True)
-class Pyramid(_Stage):
+class Pyramid(Stage):
     """Levels from coarse to fine."""
 
-    scales: tuple[float, ...] = _setting((1.0,), lambda scales, _: (
+    scales: tuple[float, ...] = setting((1.0,), lambda scales, _: (
         all(0 < a < b for a, b in zip(scales, scales[1:])) and scales[-1:] == (1,),
         "rising numbers above 0, the last one 1"))
     """Image size of each level as a share of the full size; the last one is 1."""
-    steps: tuple[int, ...] = _setting((180,), lambda steps, pyramid: (
-        len(steps) == len(pyramid.scales) and all(_is_whole(n, 0, 10**6) for n in steps),
+    steps: tuple[int, ...] = setting((180,), lambda steps, pyramid: (
+        len(steps) == len(pyramid.scales) and all(is_whole(n, 0, 10**6) for n in steps),
         f"{len(pyramid.scales)} whole numbers from 0 to 1000000, one a scale"))
     """Most steps of each level."""
 
@@ -219,72 +171,72 @@ class Pyramid(_Stage):
 
 
 @dataclass(frozen=True)
-class Context(_Stage):
+class Context(Stage):
     """Which other views constrain a view."""
 
-    number: int = _whole(10, 1, MOST_CONTEXTS)
+    number: int = whole(10, 1, MOST_CONTEXTS)
     """Most context views."""
-    min_angle: float = _number(1.0, 0, 180)
-    max_angle: float = _number(60.0, "min_angle", 180)
+    min_angle: float = real(1.0, 0, 180)
+    max_angle: float = real(60.0, "min_angle", 180)
     """min_angle, max_angle: useful angles between the rays of target and context, degrees."""
-    min_overlap: float = _number(0.1, 0, 1)
+    min_overlap: float = real(0.1, 0, 1)
     """Least share of the target's valid pixels that a context view must see."""
 
 
 @dataclass(frozen=True)
-class Fusion(_Stage):
+class Fusion(Stage):
     """Depth maps to a mesh."""
 
-    voxel: float = _number(1.5, 0.05, 1000)
+    voxel: float = real(1.5, 0.05, 1000)
     """Edge of a voxel in footprints (the median size of a pixel on the surface)."""
-    truncation: float = _number(6.0, 1, 100)
+    truncation: float = real(6.0, 1, 100)
     """Truncation distance in voxels."""
-    min_views: int = _whole(1, 1, 1000)
+    min_views: int = whole(1, 1, 1000)
     """Least number of views that must have seen a vertex."""
-    agree_views: int = _whole(0, 0, 1000)
+    agree_views: int = whole(0, 0, 1000)
     """Before fusion keep only depths that this many other views confirm; 0 keeps all."""
-    agree_pixels: float = _number(2.0, 0, 1e6)
+    agree_pixels: float = real(2.0, 0, 1e6)
     """What "confirm" means: within this many pixels of parallax."""
-    least_weight: float = _number(1.0, 0, 1)
+    least_weight: float = real(1.0, 0, 1)
     """What a depth counts, in thirds, however unsure it is: below 1 depths are weighted by their confidence, at 0 those
     that no photo speaks for are left out. A view that is sure then counts three times for `min_views`."""
-    polish: bool = _switch(False)
+    polish: bool = switch(False)
     """Whether the vertices of the fused mesh are put where the depth maps agree (method section 10): no ripples of
     voxels. Off: where depth maps contradict each other, its triangles fold. Needs an OpenCL device."""
-    min_component: float = _number(0.05, 0, 1)
+    min_component: float = real(0.05, 0, 1)
     """Pieces with fewer triangles than this share of the largest one are dropped; 0 keeps all."""
 
 
 @dataclass(frozen=True)
-class Agreement(_Stage):
+class Agreement(Stage):
     """Rounds after the first, in which refined depth maps are evidence for one another (method section 8.1)."""
 
-    rounds: int = _whole(0, 0, 20)
+    rounds: int = whole(0, 0, 20)
     """How often each depth is averaged with what its context views' depth maps say; 0: not at all."""
-    steps: float = _number(0.08, 0, 10)
+    steps: float = real(0.08, 0, 10)
     """Steps of the photos between two rounds, as a share of those of the last level; each is longer by 1.4."""
-    pixels: float = _number(2.0, 1e-3, 100)
+    pixels: float = real(2.0, 1e-3, 100)
     """A depth map that says something else by more than this, pixels of parallax, is of another surface."""
 
 
 @dataclass(frozen=True)
-class Effects(_Stage):
+class Effects(Stage):
     """Which effects are simulated (method section 8): "on", "off", "auto" (decided from measurements of the scene), or
     "set" (the settings of the other stages hold as they are). What each one sets, and on what evidence:
     pagas_cl.effects."""
 
-    occlusion: str = _effect()
-    unseen_mask: str = _effect()
-    exposure: str = _effect()
-    view_dependence: str = _effect()
-    antialiasing: str = _effect()
-    smoothness: str = _effect()
-    noise: str = _effect()
-    pyramid: str = _effect()
-    mismatch: str = _effect()
-    consistency: str = _effect()
-    agreement: str = _effect()
-    cameras: str = _effect()
+    occlusion: str = effect()
+    unseen_mask: str = effect()
+    exposure: str = effect()
+    view_dependence: str = effect()
+    antialiasing: str = effect()
+    smoothness: str = effect()
+    noise: str = effect()
+    pyramid: str = effect()
+    mismatch: str = effect()
+    consistency: str = effect()
+    agreement: str = effect()
+    cameras: str = effect()
 
     @property
     def measured(self) -> bool:

@@ -16,13 +16,14 @@ from functools import cached_property
 import numpy as np
 
 from pagas_cl.config import Config, Context
-from pagas_cl.effects import agreement_rounds, settle
+from pagas_cl.effects import agreement_rounds, decide, settle
 from pagas_cl.errors import InputError
 from pagas_cl.presets import preset
 from pagas_cl.scene.choice import MOST_HELD_OUT, ContextChooser, shared_out
 from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.names import place_of
 from pagas_cl.scene.sampling import sample_depth
+from pagas_cl.splat import PhotoStore, refine_levels
 
 _SHORT, _MOST = 8, 4000   # steps of the short run, enough that colours are fitted as often; and most of the long one
 _FEW = 64                 # views that are looked at one by one
@@ -84,8 +85,6 @@ def rungs() -> list[tuple[str, Config]]:
 
 def probe(target, contexts, depth, config: Config, device, *, photo: float, held_out=()) -> Cost:
     """Measure the cost of `config`'s kind of settings on one view by short runs; `photo` as `photo_seconds` found."""
-    from pagas_cl.splat import PhotoStore, refine_levels
-
     photos = PhotoStore(device)
     contexts = contexts[:config.context.number]
 
@@ -124,8 +123,6 @@ def _solve(measure, contexts: int, pixels: int, photo: float) -> Cost:
 
 def photo_seconds(views, device) -> float:
     """Seconds to read and upload one photo: the mean over the first few of `views`, the least of some times each."""
-    from pagas_cl.splat import PhotoStore
-
     def once(view):
         start = time.perf_counter()
         PhotoStore(device).photo(view)
@@ -187,7 +184,6 @@ class Costs:
         return len(read) / len(self._read) if read else 1.0
 
     def _settled(self, config: Config, contexts) -> Config:
-        from pagas_cl.effects import decide
         from pagas_cl.measurements import measure
 
         if set(vars(config.effects).values()) <= {"set", "off"}:

@@ -9,6 +9,12 @@ from pagas_cl.errors import log
 from pagas_cl.evaluate import DepthReport, compare_depth, compare_predictions
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import ViewProgress
+from pagas_cl.report import Report
+from pagas_cl.scene.mesh_file import write_mesh
+from pagas_cl.surface.agree import comparison_device
+from pagas_cl.surface.fuse import fuse
+from pagas_cl.surface.raster import each_depth
+from pagas_cl.synthetic.examples import write_example
 from pagas_cl.synthetic.scene import SyntheticScene, relief_scene, write_scene
 
 
@@ -44,8 +50,6 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = 
     page and the pictures, `mesh_refined.ply`. `contexts`: views besides the target and one held-out view. `preset`,
     `config`, `device` and `progress` as in refine_depth; `settings` are further fields of synthetic.Relief.
     """
-    from pagas_cl.report import Report
-
     folder, progress = Path(folder), progress or (lambda stage, done, total: None)
     synthetic = relief_scene(width, height, contexts, held_out=1, **settings)
     for number in range(len(synthetic.cameras)):
@@ -76,8 +80,6 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = 
 
 def make_example(folder, format: str, width: int = 288, height: int = 216, contexts: int = 4) -> str:
     """A small scene as the program called `format` leaves it; returns what to do with it, as lines of text."""
-    from pagas_cl.synthetic.examples import write_example
-
     folder = write_example(Path(folder), format, relief_scene(width, height, contexts, held_out=0))
     more = f" --photos {folder / 'photos'}" if format == "mapanything-colmap" else ""
     return (f"{folder}: {contexts + 1} photos of {width} x {height} as {format} leaves them; exact depth in "
@@ -111,11 +113,6 @@ def _mesh(synthetic, depths, folder, progress, report, device):
     except ImportError as error:  # absent, or one of the system libraries that it needs is
         log.warning('no mesh is made, since Open3D cannot be loaded (%s): pip install "pagas-cl[mesh]"', error)
         return None
-
-    from pagas_cl.scene.mesh_file import write_mesh
-    from pagas_cl.surface.agree import comparison_device
-    from pagas_cl.surface.fuse import fuse
-    from pagas_cl.surface.raster import each_depth
 
     surface = fuse(synthetic.views, depths, progress=progress)
     path = folder / "mesh_refined.ply"

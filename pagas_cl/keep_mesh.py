@@ -1,8 +1,6 @@
 """The given mesh, its vertices on the refined depths, all else as it was: `refine_mesh(..., output="mesh")` or
 "displace"."""
 
-from __future__ import annotations
-
 import glob
 import tempfile
 from collections.abc import Sequence
@@ -14,11 +12,21 @@ import numpy as np
 from pagas_cl.config import Config
 from pagas_cl.errors import DeviceMemoryError, InputError, log
 from pagas_cl.result import joined
+from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.files import differing, replaced_with_others
 from pagas_cl.scene.mesh import Surface, to_surface
 from pagas_cl.scene.mesh_attributes import load_whole, with_vertices
+from pagas_cl.scene.mesh_file import write_mesh
 from pagas_cl.scene.mesh_losses import losses
 from pagas_cl.scene.view import View
+from pagas_cl.surface.agree import comparison_device
+from pagas_cl.surface.fuse import available_mb
+from pagas_cl.surface.mesh_evidence import Observed
+from pagas_cl.surface.mesh_levels import TRIANGLE_BYTES, fit_mesh
+from pagas_cl.surface.mesh_solve import solve_mesh
+from pagas_cl.surface.on_vertices import footprints, vertex_confidence
+from pagas_cl.surface.subdivide import subdivide as split_edges
+from pagas_cl.surface.subdivide import undivided
 
 DETAIL, FLAT = 1.5, 0.05     # footprints: edges that hold what photos show; how flat is flat
 _MEMORY = 350.0              # MB for the mesh, where more is free: 780 000 triangles
@@ -49,9 +57,6 @@ def displaced_mesh(mesh, views: list[View], depths, results, config: Config, sub
     what refine_views took and gave. First, edges are split that are longer than `subdivide` pixel footprints (of the
     finest view that sees them).
     """
-    from pagas_cl.surface.mesh_solve import solve_mesh
-    from pagas_cl.surface.subdivide import subdivide as split_edges
-
     check_subdivide(subdivide)
     mesh = load_whole(mesh)
     surface, division = to_surface(mesh), None
@@ -68,10 +73,6 @@ def detailed_mesh(mesh, views: list[View], depths, results, config: Config, deta
     """displaced_mesh with as many triangles as the depth maps show detail (surface.mesh_levels): edges longer than
     `detail` footprints are split where depth maps lie off them; afterwards splits are undone where the surface is flat
     within `flat` footprints. In `memory_mb` of host memory; by default a quarter of what is free, at most 350 MB."""
-    from pagas_cl.surface.fuse import available_mb
-    from pagas_cl.surface.mesh_levels import TRIANGLE_BYTES, fit_mesh
-    from pagas_cl.surface.subdivide import undivided
-
     mesh, used = load_whole(mesh), _joined_results(views, results)
     given = to_surface(mesh)
     most = int((memory_mb or min(available_mb() / 4, _MEMORY)) * 1e6 / TRIANGLE_BYTES)
@@ -98,16 +99,12 @@ def _least_views(config: Config) -> int:
 
 def _finest(surface: Surface, views, depths, results) -> np.ndarray:
     """Footprint of each vertex in the view that sees it finest, infinite where none does."""
-    from pagas_cl.surface.on_vertices import footprints
-
     pairs = joined(views, results)
     return footprints(surface.vertices, [result.camera for _, result in pairs], [depths[place] for place, _ in pairs])
 
 
 def _with_solved(mesh, before: np.ndarray, solved, division, results):
     """`mesh`, split as `division` says, with its vertices where they were solved to be; told how many moved."""
-    from pagas_cl.surface.on_vertices import vertex_confidence
-
     moved = (solved.vertices != before).any(axis=1)
     log.info("mesh: %d of %d vertices moved; %d were held back, since a triangle would have turned over", moved.sum(),
              len(moved), solved.held)
@@ -122,8 +119,6 @@ def _with_solved(mesh, before: np.ndarray, solved, division, results):
 def polished(surface: Surface, results, config: Config, device) -> Surface:
     """A fused mesh with its vertices where the depth maps agree: neither ripples nor fringes. As it is where the device
     has no room for it, or the results have no deviations."""
-    from pagas_cl.surface.mesh_solve import solve_mesh
-
     try:
         solved = solve_mesh(surface, Observations(results), device, rounds=_POLISH,
                             least_views=_least_views(config))
@@ -144,23 +139,16 @@ class Observations(Sequence):
         return len(self._results)
 
     def __getitem__(self, index):
-        from pagas_cl.surface.mesh_evidence import Observed
-
         return Observed.of(self._results[index])
 
 
 def solve_device(device):
     """The device to solve on: that which `device` means (refine_mesh's), the first of several; an error without one."""
-    from pagas_cl.runtime.device import open_device
-    from pagas_cl.surface.agree import comparison_device
-
     return comparison_device(device) or open_device(None)
 
 
 def write_whole(path, mesh) -> None:
     """Write a mesh of `displaced_mesh`, with textures where the kind of file has them, under its final name at once."""
-    from pagas_cl.scene.mesh_file import write_mesh
-
     path = Path(path)
     if not _with_textures(path, mesh):
         write_mesh(path, to_surface(mesh))

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.splat import constants
+from pagas_cl.splat import constants, probe_view
 from pagas_cl.splat.constants import MEAN, MEAN_SQUARE, NUMBER, QUANTILE
 
 FAR_OFF = 0.15           # share of samples that match elsewhere, beyond which the depth as a whole is too far off
@@ -89,8 +89,6 @@ def measure(target, contexts, depth, config: Config, device, photos=None, *, nor
     Parameters are those of refine_depth; `photos` is a PhotoStore, `normalized` the depth where it is on the
     device already (splat.NormalizedDepth).
     """
-    from pagas_cl.splat import probe_view
-
     found = probe_view(target, contexts, depth, config, device, photos, normalized=normalized)
     samples = found.view_samples
     changes = np.abs([samples[f"change {c}"][:, QUANTILE] for c in "rgb"])

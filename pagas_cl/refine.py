@@ -1,12 +1,11 @@
 """The method on one page (arXiv 2604.22129): photos, cameras and a coarse surface in, a finer surface out."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -22,25 +21,29 @@ from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
 from pagas_cl.result import DepthResult, OnDisk, joined
 from pagas_cl.rounds import later_rounds
+from pagas_cl.runtime.device import Device, open_device
+from pagas_cl.scene.check import check_seen
 from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth, depth_maps
 from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
 from pagas_cl.scene.reasons import warn_of_nothing
 from pagas_cl.scene.view import View
+from pagas_cl.splat import NormalizedDepth, PhotoStore, Refinement, refine_levels
+from pagas_cl.splat.budget import fit_memory
+from pagas_cl.surface import blocks
+from pagas_cl.surface.agree import comparison_device, confirmed
+from pagas_cl.surface.fuse import weights_of
+from pagas_cl.surface.raster import each_depth
 
-if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
-    from pagas_cl.runtime.device import Device
-    from pagas_cl.splat import PhotoStore
-    from pagas_cl.splat.view import Refinement
+# One device, by its name or open, or several, by a list of names or "all".
+Devices: TypeAlias = str | Device | list[str] | tuple[str, ...]
 
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
-                config: Config | None = None, device: str | Device | list[str] | tuple[str, ...] | None = None,
-                progress: Progress | None = None, output: str = "tsdf", subdivide: float | None = None,
-                flat: float = FLAT, executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
+                config: Config | None = None, device: Devices | None = None, progress: Progress | None = None,
+                output: str = "tsdf", subdivide: float | None = None, flat: float = FLAT,
+                executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
     """Refine a mesh with calibrated photos.
 
     mesh -> cameras, where they are off -> depth of every view -> refine each view by itself -> keep what other views
@@ -132,10 +135,6 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     ------
     InputError, DeviceError
     """
-    from pagas_cl.runtime.device import open_device
-    from pagas_cl.splat import NormalizedDepth, PhotoStore, refine_levels
-    from pagas_cl.splat.budget import fit_memory
-
     config, depth, device = settings_of(preset, config), checked_depth(depth, target), open_device(device)
     if not contexts:
         return DepthResult.unrefined(target.camera, depth, "no context views were given", name=target.name)
@@ -167,9 +166,8 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
 
 
 def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names: Collection[str] | None = None,
-                 config: Config | None = None, preset: str | None = None,
-                 device: str | Device | list[str] | tuple[str, ...] | None = None, progress: Progress | None = None,
-                 on_view: Callable[[View, Depth, DepthResult], Any] | None = None,
+                 config: Config | None = None, preset: str | None = None, device: Devices | None = None,
+                 progress: Progress | None = None, on_view: Callable[[View, Depth, DepthResult], Any] | None = None,
                  executor: Executor | str | None = None, folder: str | Path | None = None,
                  extras: bool = True) -> list[DepthResult]:
     """Refine the depth maps of many views, each by itself; where cameras are off, these first (effects.cameras): each
@@ -201,9 +199,6 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     ------
     InputError, DeviceError
     """
-    from pagas_cl.runtime.device import open_device
-    from pagas_cl.splat import PhotoStore
-
     config, depths = settings_of(preset, config), depth_maps(views, depths)
     asked = asked_views(views, depths, names)
     views, config, cameras = settle_cameras(views, depths, config, device, progress)
@@ -258,17 +253,12 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
 
 
 def initial_depths(surface: Surface, views: Sequence[View], progress: Progress | None = None,
-                   keep: Callable[[np.ndarray], Any] | None = None,
-                   device: str | Device | list[str] | tuple[str, ...] | None = None) -> list[Any]:
+                   keep: Callable[[np.ndarray], Any] | None = None, device: Devices | None = None) -> list[Any]:
     """Depth of every view from the surface, float32 of shape (H, W), 0 = no surface: drawn on `device` (as in
     refine_mesh), by Open3D's ray casting where there is none.
 
     `keep` replaces each by what stands for it, such as the place where it put it.
     """
-    from pagas_cl.scene.check import check_seen
-    from pagas_cl.surface.agree import comparison_device
-    from pagas_cl.surface.raster import each_depth
-
     cameras, depths = [view.camera for view in views], []
     check_seen(surface, cameras)
     for depth in each_depth(surface, cameras, comparison_device(device)):
@@ -281,8 +271,7 @@ def initial_depths(surface: Surface, views: Sequence[View], progress: Progress |
 def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: Config,
                  progress: Progress | None = None, memory_mb: float | None = None,
                  tell: Callable[[str], Any] | None = None, *, executor: Executor | str | None = None,
-                 folder: str | Path | None = None,
-                 device: str | Device | list[str] | tuple[str, ...] | None = None) -> Surface:
+                 folder: str | Path | None = None, device: Devices | None = None) -> Surface:
     """Keep what other views confirm, then TSDF: a Surface. In `memory_mb` of host memory, or what is free.
 
     Results find their views by name (see result.joined); views without one take no part.
@@ -290,10 +279,6 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     `executor`, if that is a concurrent.futures.Executor and photos and depth maps are files that it can read. Views are
     compared on `device` (as in refine_mesh), in NumPy where there is none.
     """
-    from pagas_cl.surface.agree import comparison_device, confirmed
-    from pagas_cl.surface.blocks import fuse_within
-    from pagas_cl.surface.fuse import weights_of
-
     device, pairs = comparison_device(device), sorted(joined(views, results), key=lambda pair: pair[0])
     used = [views[place] if result.camera is views[place].camera else replace(views[place], camera=result.camera)
             for place, result in pairs]      # a result's camera may have been refined with it
@@ -309,6 +294,7 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     agreed = confirmed(cameras, depths, config.fusion, device=device)
     files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
     elsewhere = executor if files and hasattr(executor, "map") else None      # not where it is an address
-    fused = fuse_within(used, agreed, config.fusion, memory_mb, weights=weights_of(results, config.fusion.least_weight),
-                        progress=progress, executor=elsewhere, folder=folder)
+    weights = weights_of(results, config.fusion.least_weight)
+    fused = blocks.fuse_within(used, agreed, config.fusion, memory_mb, weights=weights, progress=progress,
+                               executor=elsewhere, folder=folder)
     return polished(fused, results, config, device) if config.fusion.polish and device is not None else fused

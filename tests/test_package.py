@@ -18,7 +18,8 @@ OPTIONAL = {"open3d", "pymeshlab", "pycolmap", "matplotlib", "skimage", "scipy",
 
 # What each part may import of the others; the flow is one way (and all may import errors, config, presets).
 ALLOWED = {
-    "errors": set(), "config": set(), "presets": set(), "progress": set(), "scene": set(), "reference": {"scene"},
+    "errors": set(), "stage": set(), "config": {"stage"}, "presets": set(), "progress": set(), "scene": set(),
+    "reference": {"scene"},
     "runtime": {"scene", "cl_kernels"},
     "surface": {"scene", "runtime", "reference"}, "splat": {"scene", "runtime"}, "result": {"scene"},
     "jobs": {"scene", "runtime", "splat", "result", "progress"},
@@ -31,8 +32,8 @@ ALLOWED = {
     "evaluate": {"scene"}, "synthetic": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
     "selftest": {"scene", "runtime", "splat", "reference", "refine"},
 }
-WITHOUT_OPENCL = {"errors", "config", "presets", "progress", "scene", "reference", "report", "evaluate", "synthetic",
-                  "result"}
+WITHOUT_OPENCL = {"errors", "stage", "config", "presets", "progress", "scene", "reference", "report", "evaluate",
+                  "synthetic", "result"}
 # What a reader of the field would not know, and what is said instead.
 OLD_WORDS = {
     "witness": "held-out view", "witnesses": "held_out", "harm": "acceptance", "harm_of": "rejection_reason",

@@ -100,12 +100,13 @@ def test_fused_meshes_of_pickled_results_are_the_same():
 
 def test_what_has_a_file_or_loads_is_asked_by_protocol(tmp_path):
     from pagas_cl.jobs.finished import StoredResult
-    from pagas_cl.jobs.store import DepthFile, StoredArray
+    from pagas_cl.jobs.store import StoredArray
+    from pagas_cl.scene.depth_source import DepthSource
 
     record = type("Record", (), {"stem": "a", "name": "a.png"})()
     stored = StoredResult(VIEWS[0].camera, tmp_path, record)
     assert isinstance(stored, OnDisk) and stored.file == tmp_path / "a.npz" and stored.name == "a.png"
     assert not isinstance(result_of(VIEWS[0]), OnDisk)
-    for kind in (DepthFile, StoredArray):
+    for kind in (DepthSource, StoredArray):
         assert isinstance(kind.__new__(kind), Loads)
     assert not isinstance(DEPTH, Loads)

@@ -10,11 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.commands._start import without
+from pagas_cl.commands._start import depth_files, without
 from pagas_cl.errors import InputError, log
+from pagas_cl.scene.depthmap import find_depth
 from pagas_cl.scene.files import opened
 from pagas_cl.scene.mesh_file import SUFFIXES
+from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.readers.mesh_parts import check_parts
+from pagas_cl.surface.bring_together import bring_together
 
 DEPTH_FOLDERS = ("mvsa_predictions", "depth", "depths", "depth_maps", "stereo/depth_maps", "depth_initial")
 _UNIT_OF_FLOATS = "as the cameras' positions"
@@ -68,8 +71,6 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
 
     Looked for: depth maps that the format itself has, depth maps in the usual folders, one mesh in the folder.
     """
-    from pagas_cl.scene.readers import read_scene
-
     options = {**({"outside": True} if outside else {}), **({} if photos is None else {"photos": photos})}
     try:
         found = read_scene(scene, format, **options)
@@ -92,8 +93,9 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
         unit = found.depth_unit if depth_scale is None else f"{depth_scale:g} for one scene unit, as you say"
         return Given(found, None, depths, unit, depth_scale is not None, found.source)
     for name in DEPTH_FOLDERS:
-        if (Path(scene) / name).is_dir() and _some(found.views, Path(scene) / name):
-            return _from_folder(found, Path(scene) / name, depth_scale, names)
+        folder = Path(scene) / name
+        if folder.is_dir() and any(find_depth(folder, view.name) for view in found.views):
+            return _from_folder(found, folder, depth_scale, names)
     meshes = _meshes(Path(scene))
     if len(meshes) > 1:
         raise InputError(f"{str(scene)!r} holds several meshes ({', '.join(path.name for path in meshes[:5])}): name "
@@ -103,16 +105,8 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
     return Given(found, meshes[0] if meshes else None, None)
 
 
-def _some(views, folder: Path) -> bool:
-    from pagas_cl.scene.depthmap import find_depth
-
-    return any(find_depth(folder, view.name) for view in views)
-
-
 def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given:
     """Depth maps called as the photos are."""
-    from pagas_cl.commands._start import depth_files
-
     sources, unit_known = depth_files(found, folder, depth_scale, names)
     unit = _UNIT_OF_FLOATS if depth_scale is None else f"{depth_scale:g} for one scene unit, as you say"
     if depth_scale is None and not unit_known:
@@ -137,8 +131,6 @@ def _has_faces(path: Path) -> bool:
 
 def together(given: Given, align: bool) -> list:
     """The depth maps, brought together where they are not and `align` allows it; told."""
-    from pagas_cl.surface.bring_together import bring_together
-
     depths, unknown = given.depths or [], given.unit == "not said by PNG files"
     if not align and not unknown:
         return depths

@@ -6,7 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from pagas_cl.errors import InputError, InterruptedRunError, log
+from pagas_cl.jobs.finished import begun_in, records_in, work_folder
+from pagas_cl.jobs.store import Store
+from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.depthmap import find_depths
 from pagas_cl.scene.files import read_bytes
+from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.readers.mesh_parts import check_parts
 
 _BESIDE = ("report.json", "tradeoff.json")      # beside the pages of refine and tradeoff
@@ -62,8 +67,6 @@ def check_report(folder: Path | None, beside: str = "") -> None:
 
 def load_scene(scene, format, outside: bool):
     """The scene in a folder; `outside` is only passed to readers that know it, which is their error to tell."""
-    from pagas_cl.scene.readers import read_scene
-
     return read_scene(scene, format, **({"outside": True} if outside else {}))
 
 
@@ -71,8 +74,6 @@ def load_scene(scene, format, outside: bool):
 def resumable(folder: Path | None, total: int):
     """Context of a run of `total` views that keeps finished ones in `folder`: says first what an earlier run has left
     there, and where it is interrupted (InterruptedRunError) what is kept now, and how to go on."""
-    from pagas_cl.jobs.finished import begun_in, records_in
-
     def found() -> tuple[int, str]:
         """How many views are kept, and as what: those of the last round, or else of earlier ones."""
         done = len(records_in(folder)) if folder is not None else 0
@@ -108,9 +109,6 @@ def without(found, hold_out: list[str], asked: list[str]):
 def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None, device=None) -> list:
     """Initial depth of every view, from the mesh (drawn on `device`) or from files; None for a view without a file,
     which `names` must have. With a folder for the run they stay on disk, and what stands for them is given instead."""
-    from pagas_cl.jobs.finished import work_folder
-    from pagas_cl.jobs.store import Store
-
     if mesh is not None:
         from pagas_cl import refine
         from pagas_cl.scene.mesh import to_surface
@@ -128,11 +126,8 @@ def loaded(depths) -> list:
 
 def depth_files(found, depth_dir, depth_scale, names=None, as_numbers: bool = True) -> tuple[list, bool]:
     """What loads the depth map of every view from `depth_dir`, None for a view without a file, and whether all files
-    say their unit. A PNG does not: without a scale its numbers are taken as they are, or refused when they are loaded
-    where `as_numbers` is false."""
-    from pagas_cl.jobs.store import DepthFile
-    from pagas_cl.scene.depthmap import find_depths
-
+    say their unit. A PNG does not: without a scale its numbers are taken as they are, or refused where `as_numbers` is
+    false."""
     files = find_depths(depth_dir, [view.name for view in found.views])
     if not any(files):
         raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
@@ -145,8 +140,12 @@ def depth_files(found, depth_dir, depth_scale, names=None, as_numbers: bool = Tr
     if without and not names:
         log.warning("%d views have no depth map in %s and serve as context views only: %s", len(without), depth_dir,
                     ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
-    said = depth_scale is not None or not any(file and file.suffix.lower() == ".png" for file in files)
-    scale = depth_scale if said or not as_numbers else 1.0
-    sources = [file and DepthFile(file.resolve(), (view.camera.width, view.camera.height), scale)
+    silent = next((file for file in files if file and file.suffix.lower() == ".png"), None)
+    said = depth_scale is not None or silent is None
+    if not (said or as_numbers):
+        raise InputError(f"depth map {str(silent)!r}: a PNG does not say its unit; give --depth-scale (1000 for "
+                         "millimetres in a scene of metres)")
+    scale = 1.0 if depth_scale is None else depth_scale
+    sources = [file and DepthSource(file.resolve(), (view.camera.width, view.camera.height), scale)
                for view, file in zip(found.views, files)]
     return sources, said

@@ -8,9 +8,14 @@ from textwrap import wrap
 
 import typer
 
+from pagas_cl import __version__
+from pagas_cl.analysis import analyze
 from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._settings import build_config, effect_settings
 from pagas_cl.commands._start import check_report, check_source, check_writable, initial_depths, load_scene
 from pagas_cl.effects import EFFECTS
+from pagas_cl.jobs.finished import one_run
+from pagas_cl.report.page import html_page
 from pagas_cl.scene.files import write_text
 
 MANY = ("--views", "--set", "--effect")
@@ -38,10 +43,6 @@ def command(
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Measure what SCENE calls for; refines nothing. The decisions are those that refine takes."""
-    from pagas_cl.analysis import analyze
-    from pagas_cl.commands._settings import build_config, effect_settings
-    from pagas_cl.jobs.finished import one_run
-
     check_source(mesh, depth_dir, "where a refinement would start", outside)
     config = build_config(preset, [*settings, *effect_settings(effects)])
     found = load_scene(scene, format, outside)
@@ -155,9 +156,6 @@ def show(analysis, table: bool = False) -> None:
 
 def page(analysis, source: str) -> str:
     """The same as a page."""
-    from pagas_cl import __version__
-    from pagas_cl.report.page import html_page
-
     on = dict.fromkeys(row[1] for row in rows(analysis) if row[4] == "on")
     notes = [f"{', '.join(head.strip().split(maxsplit=1))}{': ' if head else ''}{text}"
              for head, text in _told(analysis) if text]

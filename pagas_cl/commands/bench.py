@@ -6,8 +6,11 @@ from pathlib import Path
 
 import typer
 
+from pagas_cl.bench import bench
+from pagas_cl.commands._settings import build_config
 from pagas_cl.commands._start import check_writable
 from pagas_cl.scene.files import write_text
+from pagas_cl.synthetic import relief_scene
 
 MANY = ("--preset", "--set")
 
@@ -22,10 +25,6 @@ def command(
     output: Path = typer.Option(None, "--json", help="Write all figures to this file too."),
 ):
     """Measure presets on a synthetic scene: time of each stage, bytes moved, share of the copy bandwidth, memory."""
-    from pagas_cl.bench import bench
-    from pagas_cl.commands._settings import build_config
-    from pagas_cl.synthetic import relief_scene
-
     check_writable("--json", output and output.parent)
     synthetic = relief_scene(width, round(width * 0.7477), contexts=contexts)
     depth, results = synthetic.initial_depth(synthetic.cameras[0]), []

@@ -1,16 +1,18 @@
 """`pagas-cl cameras`: refine the cameras of a scene by its photos and a first surface; for other tools, too."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
 
 import typer
 
+from pagas_cl.cameras.model import REPORT, check_place, write_model
 from pagas_cl.commands._console import shown_progress
 from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
 from pagas_cl.errors import log
+from pagas_cl.jobs.finished import one_run
+from pagas_cl.scene.files import write_text
+from pagas_cl.scene.mesh import to_surface
 
 MANY = ("--unknowns",)
 
@@ -32,11 +34,7 @@ def command(
 
     They stay as they are, with the reason, where pairs of photos that take no part do not agree better.
     """
-    from pagas_cl.cameras.model import REPORT, check_place, write_model
     from pagas_cl.cameras.refine import refine_cameras
-    from pagas_cl.jobs.finished import one_run
-    from pagas_cl.scene.files import write_text
-    from pagas_cl.scene.mesh import to_surface
 
     check_source(mesh, depth_dir, "the surface that photos are compared through", outside)
     found = load_scene(scene, format, outside)

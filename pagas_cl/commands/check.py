@@ -8,7 +8,9 @@ from typing import Any
 import typer
 
 from pagas_cl.commands._given import look, together
-from pagas_cl.errors import log
+from pagas_cl.errors import InputError, log
+from pagas_cl.scene.check import check_views
+from pagas_cl.scene.depth_mesh import mesh_of_depths
 
 
 def command(
@@ -26,10 +28,6 @@ def command(
     Estimates the offset and scale of the mesh that would make the photos agree, too. Status 2 when another reading of
     the cameras fits better, when none sees the mesh, or when mesh and cameras are pixels of parallax apart.
     """
-    from pagas_cl.errors import InputError
-    from pagas_cl.scene.check import check_views
-    from pagas_cl.scene.depth_mesh import mesh_of_depths
-
     given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
                  photos=photos)
     for line in given.lines():

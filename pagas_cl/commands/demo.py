@@ -7,6 +7,8 @@ import typer
 
 from pagas_cl.commands._console import shown_progress
 from pagas_cl.commands._start import check_writable
+from pagas_cl.demo import make_example, run_demo
+from pagas_cl.runtime.device import open_device
 
 
 def command(
@@ -21,9 +23,6 @@ def command(
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Make a scene, refine it, show the errors before and after, pictures and the mesh."""
-    from pagas_cl.demo import make_example, run_demo
-    from pagas_cl.runtime.device import open_device
-
     check_writable("--output", output)
     if format is not None:
         sys.stdout.write(make_example(output, format, width, round(width * 0.75), contexts))

@@ -5,6 +5,10 @@ from itertools import groupby
 
 import typer
 
+from pagas_cl.runtime import icd, listing, vendors
+from pagas_cl.runtime.device import open_device
+from pagas_cl.runtime.trial import try_device
+
 
 def command(
     name: str = typer.Option(None, "--device", help="Also say which device this name would choose."),
@@ -15,11 +19,7 @@ def command(
     Each device that has what it takes is tried once: a step of the refinement is built and run on it in a process of
     its own, and compared with the same step in NumPy.
     """
-    from pagas_cl.runtime import icd, vendors
-    from pagas_cl.runtime.device import open_device
-    from pagas_cl.runtime.listing import list_devices
-
-    devices = list_devices()
+    devices = listing.list_devices()
     for platform, members in groupby(devices, key=lambda info: info.platform):
         sys.stdout.write(f"{platform}\n")
         for info in members:
@@ -53,8 +53,6 @@ def _describe(info) -> str:
 
 def _tried(info, again: bool) -> str:
     """What a trial of the device has shown."""
-    from pagas_cl.runtime.trial import try_device
-
     if info.lacks:
         return "no, since it lacks what is needed"
     trial = try_device(info, again)

@@ -8,7 +8,12 @@ import typer
 
 from pagas_cl.commands._start import check_writable
 from pagas_cl.errors import InputError, log
+from pagas_cl.evaluate import chamfer, compare_depth, compare_predictions, depth_per_parallax, f_score
+from pagas_cl.evaluate.clouds import extent, floor_of, load_ground, load_points, load_visible, read_shape
+from pagas_cl.jobs.finished import users_of
+from pagas_cl.scene.depthmap import find_depths, load_depth
 from pagas_cl.scene.files import write_text
+from pagas_cl.scene.readers import read_scene
 
 
 def command(
@@ -48,8 +53,6 @@ def command(
 
 
 def _depth_figures(folder, truth, scene, held_out, before, scale):
-    from pagas_cl.scene.readers import read_scene
-
     if scene is None:
         raise InputError(f"{str(folder)!r} is a folder of depth maps: give the scene they belong to with --scene")
     if truth is None and not held_out:
@@ -65,10 +68,9 @@ def _depth_figures(folder, truth, scene, held_out, before, scale):
 
 def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
     """View name -> figures; parallax is that against all other views."""
-    from pagas_cl.evaluate import compare_depth, depth_per_parallax
-
     rows = {}
-    places = [_depth_files(where, scene) for where in (folder, truth_folder)]
+    names = [view.name for view in scene.views]
+    places = [find_depths(where, names) for where in (folder, truth_folder)]
     for view, *files in zip(scene.views, *places):
         depth, truth = (_depth(file, view, scale) for file in files)
         if depth is None or truth is None:
@@ -85,8 +87,6 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
 def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict]:
     """"<view> from <held-out view>" -> median correlation and pixels; with depth maps `before` on the same pixels."""
     from pagas_cl.cameras.judge import fitted_poses
-    from pagas_cl.evaluate import compare_predictions
-    from pagas_cl.jobs.finished import users_of
 
     kept_out = [scene.views[scene.index(name)] for name in held_out]
     users, rows = users_of(folder), {}
@@ -95,7 +95,8 @@ def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict
             log.warning("%s is no held-out photo: it took part in the refinement of %d of the views in %s, so that the "
                         "figures flatter; refine with --hold-out %s to have it judge", view.name,
                         len(users[view.name]), folder, view.name)
-    places = [_depth_files(where, scene) for where in (folder, before) if where is not None]
+    names = [view.name for view in scene.views]
+    places = [find_depths(where, names) for where in (folder, before) if where is not None]
     for view, *files in zip(scene.views, *places):
         if view in kept_out:
             continue
@@ -116,22 +117,11 @@ def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict
     return rows
 
 
-def _depth_files(folder, scene):
-    from pagas_cl.scene.depthmap import find_depths
-
-    return find_depths(folder, [view.name for view in scene.views])
-
-
 def _depth(path, view, scale):
-    from pagas_cl.scene.depthmap import load_depth
-
     return None if path is None else load_depth(path, (view.camera.width, view.camera.height), scale=scale)
 
 
 def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, ground):
-    from pagas_cl.evaluate import chamfer, f_score
-    from pagas_cl.evaluate.clouds import extent, load_ground, load_points, load_visible, read_shape
-
     if truth is None:
         raise InputError("nothing to compare with: give the true mesh or point cloud as the second argument")
     shapes, surfaces = [read_shape(path) for path in (result, truth)], (None, None)
@@ -153,8 +143,6 @@ def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, gr
 
 def _told_floor(clouds, surfaces) -> tuple[str, str]:
     """What distances are to, and below what they say nothing: points of one surface are never those of another."""
-    from pagas_cl.evaluate.clouds import floor_of
-
     floor = max((floor_of(cloud) for cloud, surface in zip(clouds, surfaces) if surface is None), default=0.0)
     if not floor:
         return "to the surface", ""

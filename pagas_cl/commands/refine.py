@@ -9,11 +9,23 @@ from pathlib import Path
 
 import typer
 
+from pagas_cl import __version__
 from pagas_cl.commands._console import noted, nothing_refined, shown_progress
 from pagas_cl.commands._given import look, together
 from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
 from pagas_cl.commands._start import check_report, check_source, check_writable, initial_depths, loaded, resumable
 from pagas_cl.errors import InputError, PagasError, log, need
+from pagas_cl.jobs.executors import check_address
+from pagas_cl.jobs.finished import one_run, remove_run
+from pagas_cl.keep_mesh import check_kept, check_subdivide, displaced_mesh, write_whole
+from pagas_cl.report import Report
+from pagas_cl.result import joined
+from pagas_cl.runtime.device import open_device
+from pagas_cl.scene.mesh import to_surface
+from pagas_cl.scene.mesh_file import check_mesh_path, write_mesh
+from pagas_cl.scene.readers import camera_file
+from pagas_cl.surface.agree import comparison_device
+from pagas_cl.surface.raster import each_depth
 
 MANY = ("--views", "--hold-out", "--set", "--effect")  # options that take several words: `--views a b c`
 
@@ -64,10 +76,7 @@ def command(
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
-    from pagas_cl.jobs.finished import one_run, remove_run
-    from pagas_cl.keep_mesh import displaced_mesh, write_whole
     from pagas_cl.refine import fuse_results, refine_views
-    from pagas_cl.scene.mesh_file import write_mesh
 
     _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide, allow_loss,
                    outside)
@@ -134,7 +143,6 @@ def command(
 def _settled_cameras(found, mesh, config, device, progress, page):
     """The scene with refined cameras, where its mesh calls for them; those of depth maps come with refine_views."""
     from pagas_cl.cameras.effect import settle_cameras
-    from pagas_cl.scene.mesh import to_surface
 
     if mesh is None or config.effects.cameras in ("off", "set"):
         return found, config
@@ -147,9 +155,6 @@ def _settled_cameras(found, mesh, config, device, progress, page):
 def _save_cameras(folder: Path, views, results) -> None:
     """Beside the depth maps the cameras that they belong to, where these were refined: not those of the scene's
     `views`."""
-    from pagas_cl.result import joined
-    from pagas_cl.scene.readers import camera_file
-
     pairs = joined(views, results)
     if any(result.camera is not views[place].camera for place, result in pairs):
         log.info("refined cameras: %s", camera_file.write(
@@ -158,9 +163,6 @@ def _save_cameras(folder: Path, views, results) -> None:
 
 def _place(device, devices, scheduler) -> dict:
     """Where the work is done, as refine_views takes it."""
-    from pagas_cl.jobs.executors import check_address
-    from pagas_cl.runtime.device import open_device
-
     if device is not None and devices is not None:
         raise InputError("got both --device and --devices, expected one of them")
     several = "all" if devices == "all" else devices.split(",") if devices else None
@@ -173,9 +175,6 @@ def _place(device, devices, scheduler) -> dict:
 def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh: bool, subdivide,
                    allow_loss: bool, outside: bool) -> None:
     """Refuse what cannot end well before any work is done."""
-    from pagas_cl.keep_mesh import check_kept, check_subdivide
-    from pagas_cl.scene.mesh_file import check_mesh_path
-
     if mesh is not None:
         check_source(mesh, depth_dir, "where the refinement starts", outside)
     if memory is not None and not memory > 0:
@@ -222,11 +221,6 @@ def _add_pictures(page, view, initial, result) -> None:
 
 def _show_mesh(page, views, mesh, made, results, device) -> None:
     """Put the given and the made mesh on the page, seen from the view of which most was refined."""
-    from pagas_cl.result import joined
-    from pagas_cl.scene.mesh import to_surface
-    from pagas_cl.surface.agree import comparison_device
-    from pagas_cl.surface.raster import each_depth
-
     before, after = mesh and to_surface(mesh), to_surface(made)
     place, _ = max(joined(views, results), key=lambda pair: pair[1].counts["refined"])
     depths = before and [next(each_depth(surface, [views[place].camera], comparison_device(device)))
@@ -238,9 +232,6 @@ def _report(folder, found, settings: str, place, asked: str):
     """The Report to fill, or a context of None where none was asked for."""
     if folder is None:
         return nullcontext()
-    from pagas_cl import __version__
-    from pagas_cl.report import Report
-
     where = place.get("executor") or getattr(place["device"], "info", place["device"])
     return Report(folder, "pagas-cl refine", facts=[
         ("scene", f"{found.source}, {len(found.views)} views"), ("settings", settings), ("command", asked or ""),

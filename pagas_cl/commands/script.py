@@ -12,8 +12,10 @@ import typer
 from pagas_cl.commands._console import nothing_refined, shown_progress
 from pagas_cl.commands._start import check_source, check_writable, load_scene
 from pagas_cl.errors import InputError, log, need
+from pagas_cl.filters import filter_script
 from pagas_cl.scene.files import is_file, read_bytes, replaced_with_others
 from pagas_cl.scene.readers.mesh_parts import check_parts
+from pagas_cl.scene.readers.meshlab import MeshLayer, check_names, read_project, settle_flavour, write_project
 
 
 @nothing_refined()
@@ -34,9 +36,6 @@ def command(
 ):
     """Run SCRIPT on a mesh, or on a MeshLab project; the whole script is checked before anything runs."""
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
-    from pagas_cl.filters import filter_script
-    from pagas_cl.scene.readers.meshlab import check_names
-
     check_source(mesh, project, "what the script starts from", outside, "--project")
     if mesh is None and scene is not None:
         raise InputError("got SCENE and --project: a project brings its own photos; give one of them")
@@ -89,8 +88,6 @@ def _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside):
     if mesh is not None:
         load_layer(pymeshlab, meshes, mesh, outside)
         return meshes, None if scene is None else load_scene(scene, format, outside)
-    from pagas_cl.scene.readers.meshlab import read_project, settle_flavour
-
     read = read_project(project, outside=outside)
     layers = [entry for entry in read.meshes if entry.path is not None]
     if not layers:
@@ -133,8 +130,6 @@ def _save(meshes, output: Path, scene) -> None:
     if output.suffix.lower() != ".mlp":
         save_layer(meshes, output)
         return
-    from pagas_cl.scene.readers.meshlab import MeshLayer, write_project
-
     layers, current = [], meshes.current_mesh_id()
     for number in range(meshes.mesh_number()):
         mesh, path = meshes.mesh(number), output.with_name(f"{output.stem}_{number}.ply")

@@ -6,18 +6,18 @@ from itertools import chain
 
 import typer
 
+from pagas_cl.errors import PagasError
+from pagas_cl.runtime.device import open_device
+from pagas_cl.selftest.check import run_all
+from pagas_cl.selftest.large import run_large
+from pagas_cl.selftest.table import CASES
+
 
 def command(
     device: str = typer.Option(None, "--device", help="Part of the name of an OpenCL device."),
     large: bool = typer.Option(False, "--large", help="Also photos of 12 and 17 megapixels: a GPU with 8 GB or more."),
 ):
     """Run the small hard cases: case, tolerance, worst figure, ok. Status 1 when one of them fails."""
-    from pagas_cl.errors import PagasError
-    from pagas_cl.runtime.device import open_device
-    from pagas_cl.selftest.check import run_all
-    from pagas_cl.selftest.large import run_large
-    from pagas_cl.selftest.table import CASES
-
     opened = open_device(device)
     logging.getLogger("pagas_cl").setLevel(logging.WARNING)     # plans of views would part the table
     total = sum(len(case.blends) for case in CASES)

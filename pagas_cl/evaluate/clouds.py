@@ -11,9 +11,9 @@ import numpy as np
 from pagas_cl.errors import InputError, need
 from pagas_cl.evaluate.depth import Figures
 from pagas_cl.scene.files import DAMAGE, read_first, read_npy
+from pagas_cl.scene.patches import area_of, spread_over
 from pagas_cl.scene.readers.mesh_parts import check_parts
 
-_R2 = np.array([0.7548776662466927, 0.5698402909980532])  # Roberts' low-discrepancy sequence in the plane
 _MOST = 50_000_000
 
 
@@ -215,22 +215,16 @@ def _load_mat(path, *names):
 def sample_surface(vertices, faces, spacing: float) -> np.ndarray:
     """One point for each spacing**2 (scene units) of area of a mesh, (V, 3) and int (F, 3): float64 (n, 3)."""
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces)
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    total = np.cumsum(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
-    if not len(total) or not total[-1] > 0:
+    area = area_of(vertices, faces)
+    if not area > 0:
         raise InputError("the mesh has no area, so no points can be taken from it")
     if not spacing > 0:
         raise InputError(f"sampling: the spacing is {spacing!r}, expected a length above 0 in scene units")
-    number = max(1, round(total[-1] / spacing**2))
+    number = max(1, round(area / spacing**2))
     if number > _MOST:
-        raise InputError(f"sampling a mesh of area {total[-1]:.6g} every {spacing:g} gives {number} points, at most "
-                         f"{_MOST} are taken; use a spacing of at least {np.sqrt(total[-1] / _MOST):.3g}")
-    at = (np.arange(number) + 0.5) / number * total[-1]
-    face = np.minimum(np.searchsorted(total, at, side="right"), len(faces) - 1)
-    u, v = np.modf(np.arange(1, number + 1)[:, None] * _R2)[0].T
-    flip = u + v > 1  # the parallelogram's far half, folded back
-    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
-    return a[face] + u[:, None] * (b - a)[face] + v[:, None] * (c - a)[face]
+        raise InputError(f"sampling a mesh of area {area:.6g} every {spacing:g} gives {number} points, at most "
+                         f"{_MOST} are taken; use a spacing of at least {np.sqrt(area / _MOST):.3g}")
+    return spread_over(vertices, faces, number)[0]
 
 
 def load_points(source, spacing: float | None = None) -> np.ndarray:

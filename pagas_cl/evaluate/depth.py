@@ -149,11 +149,17 @@ def depth_per_parallax(depth, target, contexts) -> np.ndarray:
         return np.where(speed > 0, np.sqrt(seen / speed), 0.0)
 
 
-def _checked(depth, camera, what):
+def sized(depth, camera, what) -> np.ndarray:
+    """A depth map as float64; InputError where it has not the camera's size."""
     depth = np.asarray(depth, np.float64)
     if depth.shape != (camera.height, camera.width):
         size = f"{depth.shape[1]} x {depth.shape[0]}" if depth.ndim == 2 else f"of shape {depth.shape}"
         raise InputError(f"{what} is {size}, its camera says {camera.width} x {camera.height}: resize one of them")
+    return depth
+
+
+def _checked(depth, camera, what):
+    depth = sized(depth, camera, what)
     if not np.isfinite(depth).all():
         raise InputError(f"{what} holds values that are not finite; mark pixels without surface by 0")
     return depth

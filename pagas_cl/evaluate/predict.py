@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.evaluate.depth import project_depth
+from pagas_cl.evaluate.depth import project_depth, sized
 from pagas_cl.scene.images import bilinear
 from pagas_cl.scene.patches import grey_of
 
@@ -41,7 +41,7 @@ def predict_photo(target, depth, other, other_depth=None, *, patch=7, tolerance=
     """
     if patch < 3 or patch % 2 == 0:
         raise InputError(f"prediction: the patch is {patch!r} pixels wide, expected an odd number of at least 3")
-    depth = _sized(depth, target)
+    depth = sized(depth, target.camera, f"depth map of {target.name!r}")
     position, z = project_depth(target.camera, other.camera, depth)
     warped, inside = sample_bilinear(grey_of(other.load_image()), position)
     seen = inside & (depth > 0) & (z > 0)
@@ -117,14 +117,6 @@ def _visible(position, z, seen, other, other_depth, tolerance):
         first = np.full((h, w), np.inf)
         np.minimum.at(first, (row[seen], column[seen]), z[seen])
     else:
-        first = _sized(other_depth, other)
+        first = sized(other_depth, other.camera, f"depth map of {other.name!r}")
         first = np.where(first > 0, first, np.inf)
     return z <= first[row, column] * (1 + tolerance)
-
-
-def _sized(depth, view):
-    depth, camera = np.asarray(depth, np.float64), view.camera
-    if depth.shape != (camera.height, camera.width):
-        raise InputError(f"depth map of {view.name!r} is {depth.shape[1]} x {depth.shape[0]}, its camera says "
-                         f"{camera.width} x {camera.height}: resize it first")
-    return depth

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, OutputError
-from pagas_cl.scene.depthmap import load_depth
-from pagas_cl.scene.digest import digest_array, digest_file
+from pagas_cl.scene.digest import digest_array
 from pagas_cl.scene.files import read_npy, replaced
 
 _KEPT = "finished views are kept, make room or choose another folder, and start the same command again"
@@ -49,22 +48,6 @@ class StoredArray:
         if digest_array(array) != self.digest:
             raise InputError(f"stored array {str(self.file)!r} is damaged: delete it and start the same command again")
         return array
-
-
-@dataclass(frozen=True)
-class DepthFile:
-    """A depth map's file, resampled to `size` (width, height) when it is loaded."""
-
-    file: Path
-    size: tuple[int, int]
-    scale: float | None = None
-
-    @property
-    def digest(self) -> str:
-        return f"{digest_file(self.file)} {self.size} {self.scale}"
-
-    def load(self) -> np.ndarray:
-        return load_depth(self.file, self.size, scale=self.scale)
 
 
 class Store:

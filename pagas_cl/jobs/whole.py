@@ -19,12 +19,13 @@ from pagas_cl.jobs.finished import (
 )
 from pagas_cl.jobs.plan import Planner, groups, on_disk
 from pagas_cl.jobs.run import Run
-from pagas_cl.jobs.store import DepthFile, Store, translate_os_errors
+from pagas_cl.jobs.store import Store, translate_os_errors
 from pagas_cl.jobs.task import Batch, Record, code_version
 from pagas_cl.jobs.worker import STOP, close_worker_contexts
 from pagas_cl.progress import ViewProgress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import for_planning
+from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.reasons import warn_of_nothing
 
 
@@ -36,7 +37,7 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
     ----------
     work : callable
         See task.Batch.
-    depths : list of (ndarray of shape (H, W), StoredArray, DepthFile, or None)
+    depths : list of (ndarray of shape (H, W), StoredArray, DepthSource, or None)
     device : str, sequence of str, Device, or None
         "all" and sequences: one process a device. With an executor: what each worker chooses from.
     executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
@@ -67,7 +68,8 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
 def _refine_in(folder, work, views, depths, asked, config, device, executor, extras, progress, on_view, later) -> list:
     store = Store(work_folder(folder) / "inputs")
     for depth in depths:
-        if isinstance(depth, DepthFile) and depth.file.resolve().parent == folder:
+        file = depth.file if isinstance(depth, DepthSource) else None
+        if isinstance(file, Path) and file.resolve().parent == folder:
             raise InputError(f"the depth maps to start from are in {str(folder)!r}, where the refined ones would go; "
                              "the next run would refine those: choose another folder")
     samples, asked = _sampled(depths, asked)

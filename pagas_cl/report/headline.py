@@ -1,7 +1,5 @@
 """What a run did, in one sentence and one bar."""
 
-from __future__ import annotations
-
 from collections import Counter
 from html import escape
 

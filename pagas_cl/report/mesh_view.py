@@ -1,7 +1,5 @@
 """A viewer that turns a mesh before and after in the browser: HTML that needs no network and no other file."""
 
-from __future__ import annotations
-
 import base64
 import json
 import zlib

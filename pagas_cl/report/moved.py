@@ -1,13 +1,12 @@
 """How far a mesh lies from another one, with a sign: NumPy alone, near enough for colours."""
 
-from __future__ import annotations
-
 import numpy as np
+
+from pagas_cl.scene.patches import area_of, spread_over
 
 _SAMPLES = 300_000         # points on the surface that distances are taken to
 _ROUNDS = 4                # searches, each four times as wide as the one before, for what was not found yet
 _MOST_CELLS = 1 << 19      # along an axis, so that a cell's number fits into 64 bits
-_R2 = np.array([0.7548776662466927, 0.5698402909980532])  # Roberts' low-discrepancy sequence in the plane
 
 
 def moved_by(points, vertices, faces) -> np.ndarray:
@@ -15,20 +14,12 @@ def moved_by(points, vertices, faces) -> np.ndarray:
 
     Above 0 on the side to which the faces' normals point; NaN where no surface is near.
     """
-    points, vertices = np.asarray(points, np.float64), np.asarray(vertices, np.float64)
-    a, b, c = (vertices[np.asarray(faces)[:, k]] for k in range(3))
-    across = np.cross(b - a, c - a)
-    total = np.cumsum(0.5 * np.linalg.norm(across, axis=1))
+    points, vertices, faces = np.asarray(points, np.float64), np.asarray(vertices, np.float64), np.asarray(faces)
+    samples, normals = spread_over(vertices, faces, _SAMPLES)
     away = np.full(len(points), np.nan)
-    if not len(total) or not total[-1] > 0:
+    if not len(samples):
         return away
-    face = np.searchsorted(total, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * total[-1], side="right")
-    face = np.minimum(face, len(total) - 1)
-    u, v = np.modf(np.arange(1, _SAMPLES + 1)[:, None] * _R2)[0].T[..., None]
-    u, v = np.where(u + v > 1, (1 - u, 1 - v), (u, v))
-    samples = a[face] + u * (b - a)[face] + v * (c - a)[face]
-    normals = across[face] / np.maximum(np.linalg.norm(across[face], axis=1, keepdims=True), 1e-300)
-    spacing = max(np.sqrt(total[-1] / _SAMPLES), np.ptp(samples, axis=0).max() / _MOST_CELLS)
+    spacing = max(np.sqrt(area_of(vertices, faces) / _SAMPLES), np.ptp(samples, axis=0).max() / _MOST_CELLS)
     left = np.arange(len(points))
     for k in range(_ROUNDS):
         each, wide = 16**k, 3 * spacing * 4**k

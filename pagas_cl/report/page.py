@@ -4,22 +4,14 @@ import base64
 import io
 from html import escape
 from importlib.resources import files
-from pathlib import Path
 from urllib.parse import quote
 
 from PIL import Image
 
 from pagas_cl.report.pictures import css_gradient
-from pagas_cl.scene.files import replaced
 
 _WORDS = 24       # letters, from which on a column of a table holds sentences
 _THUMBNAIL = 480  # pixels, longer side of a picture inside the page
-
-
-def write_picture(path: Path, pixels) -> None:
-    """Write a picture beside its name and rename it; the suffix says the kind."""
-    with replaced(path, path.suffix) as beside:
-        Image.fromarray(pixels).save(beside, **({"quality": 92} if path.suffix == ".jpg" else {}))
 
 
 def figure(picture, link: str, large: bool = False) -> str:

@@ -1,8 +1,6 @@
 """Fewer triangles for looking at: the vertices of each cell of a grid become one, placed where the planes of its
 triangles meet best (quadric clustering), so that creases stay."""
 
-from __future__ import annotations
-
 import numpy as np
 
 _ROUNDS = 8                 # of finding the cell's size

@@ -9,9 +9,10 @@ import numpy as np
 
 from pagas_cl.report.headline import STATUS, bar, sentence, shares, summed
 from pagas_cl.report.mesh_view import SCRIPTS, mesh_viewer
-from pagas_cl.report.page import compared, figure, html_page, write_picture
+from pagas_cl.report.page import compared, figure, html_page
 from pagas_cl.report.pictures import change_in_units, parallax_change, shaded_pictures, view_pictures
 from pagas_cl.scene.files import write_text
+from pagas_cl.scene.images import write_image
 from pagas_cl.scene.names import flat_stem
 
 LEGEND = ["Shares are of the pixels with a surface to start from: refined = moved by the photos; kept = the input "
@@ -104,7 +105,7 @@ class Report:
         links = {}
         for picture in pictures:
             links[picture.key] = f"{stem}_{picture.key}.{'jpg' if picture.key == 'photo' else 'png'}"
-            write_picture(self.folder / links[picture.key], picture.pixels)
+            write_image(self.folder / links[picture.key], picture.pixels)
         found = {picture.key: picture for picture in pictures}
         pairs = [(key, key.replace("_before", "_after")) for key in found if key.endswith("_before")]
         single = [picture for key, picture in found.items() if not any(key in pair for pair in pairs)]

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, InputError, NoDeviceError, log
+from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, NoDeviceError, log
 from pagas_cl.runtime import icd, listing
-from pagas_cl.runtime.info import DeviceInfo
+from pagas_cl.runtime.info import DeviceInfo, number_in
 from pagas_cl.runtime.trial import Trial, try_device
 from pagas_cl.runtime.vendors import check_process, import_pyopencl
 
@@ -170,10 +170,7 @@ def translate_cl_errors(device: Device, doing: str) -> Iterator[None]:
 
 def shares() -> int:
     """How many processes may work on one device."""
-    text = os.environ.get(SHARE, "1")
-    if not text.isdigit() or int(text) < 1:
-        raise InputError(f"environment variable {SHARE} is {text!r}, expected a whole number of at least 1")
-    return int(text)
+    return int(number_in(SHARE, "1", "a whole number of at least 1", lambda n: n >= 1 and n % 1 == 0))
 
 
 def find_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:

@@ -1,8 +1,12 @@
 """What an OpenCL device says of itself, and what it lacks."""
 
+import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+
+from pagas_cl.errors import InputError
 
 WITHOUT = "PAGAS_CL_WITHOUT"   # extensions to be taken for absent, with commas between them
 LOCAL_MEMORY = 32 * 1024   # bytes of local memory that the kernels may use
@@ -60,6 +64,19 @@ class DeviceInfo:
 
     def __str__(self) -> str:
         return f"{self.title} ({self.kind}, {self.version.strip()}, driver {self.driver.strip()})"
+
+
+def number_in(variable: str, usual: str, expected: str, holds: Callable[[float], bool]) -> float:
+    """The number in an environment `variable`, `usual` where it is not set; InputError where it is none that `holds`,
+    saying what is `expected`."""
+    text = os.environ.get(variable, usual)
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not holds(number):
+        raise InputError(f"environment variable {variable} is {text!r}, expected {expected}")
+    return number
 
 
 def describe(cl: Any, platform: Any, device: Any) -> DeviceInfo:

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 import pyopencl as cl
 
-from pagas_cl.errors import DeviceMemoryError, InputError
+from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.info import number_in
 
 ENVIRONMENT = "PAGAS_CL_MEMORY"      # most MB of device memory that a process may take
 
@@ -128,15 +129,9 @@ def download(device: Device, buffer: cl.Buffer, shape: int | tuple[int, ...],
 
 def limit_of(total: int, processes: int = 1) -> int:
     """Bytes that this process may take of a device with `total`: its share, or what PAGAS_CL_MEMORY allows."""
-    text = os.environ.get(ENVIRONMENT, "")
-    if not text:
+    if not os.environ.get(ENVIRONMENT):
         return total // processes
-    try:
-        asked = float(text)
-    except ValueError:
-        asked = 0.0
-    if not 0 < asked < float("inf"):
-        raise InputError(f"environment variable {ENVIRONMENT} is {text!r}, expected megabytes above 0")
+    asked = number_in(ENVIRONMENT, "", "megabytes above 0", lambda megabytes: 0 < megabytes < float("inf"))
     return min(int(asked * 1e6), total)
 
 

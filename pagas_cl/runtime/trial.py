@@ -13,9 +13,9 @@ from functools import cache as cached
 from importlib.resources import files
 from typing import Any
 
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import log
 from pagas_cl.runtime import cache, child
-from pagas_cl.runtime.info import DeviceInfo
+from pagas_cl.runtime.info import DeviceInfo, number_in
 
 LANES, LIMIT, KNOWN = "PAGAS_CL_LANES", "PAGAS_CL_TRIAL_SECONDS", "PAGAS_CL_TRIAL"
 WIDTHS = (16, 8, 4, 1)    # pixels of a row that a work-item may handle side by side (lanes.clh)
@@ -36,7 +36,7 @@ def try_device(info: DeviceInfo, again: bool = False) -> Trial:
 
     InputError where PAGAS_CL_LANES or PAGAS_CL_TRIAL_SECONDS does not hold what it may.
     """
-    widths, limit = _widths(info), _limit()
+    widths, limit = _widths(info), number_in(LIMIT, "180", "seconds above 0", lambda seconds: 0 < seconds < 1e6)
     key = cache.digest(identity(info), widths)
     kept = None if again else _trial(cache.read("devices", key))
     if kept:
@@ -101,18 +101,7 @@ def _in_words(faults: list[tuple[int, str]]) -> str:
 
 def _widths(info: DeviceInfo) -> tuple[int, ...]:
     """Lanes to try, most first."""
-    text = os.environ.get(LANES, "16")
-    if text not in ("16", "8", "4", "1"):
-        raise InputError(f"environment variable {LANES} is {text!r}, expected 16, 8, 4 or 1")
-    return tuple(width for width in WIDTHS if width <= max(1, min(int(text), info.vector_width)))
+    most = number_in(LANES, "16", "16, 8, 4 or 1", WIDTHS.__contains__)
+    return tuple(width for width in WIDTHS if width <= max(1, min(int(most), info.vector_width)))
 
 
-def _limit() -> float:
-    text = os.environ.get(LIMIT, "180")
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = 0.0
-    if not 0 < seconds < 1e6:
-        raise InputError(f"environment variable {LIMIT} is {text!r}, expected seconds above 0")
-    return seconds

@@ -1,7 +1,5 @@
 """Arrays inside files that strangers wrote (.npz members, .npy), or one row of them; nothing is unpickled."""
 
-from __future__ import annotations
-
 import os
 import zipfile
 from dataclasses import dataclass
@@ -13,6 +11,7 @@ import numpy as np
 from pagas_cl.errors import InputError
 from pagas_cl.scene.digest import digest_file, digest_of
 from pagas_cl.scene.files import DAMAGE, MOST_BYTES, read_member, translated
+from pagas_cl.scene.images import as_photo
 
 _HELD = 3      # whole arrays that are kept: depth, confidence, photos of one file
 
@@ -78,8 +77,6 @@ class PhotoInArray:
 
     def load(self) -> np.ndarray:
         """uint8 (H, W, 3)."""
-        from pagas_cl.scene.images import as_photo
-
         values = self.ref.load()
         while values.ndim > 3 and values.shape[0] == 1:
             values = values[0]

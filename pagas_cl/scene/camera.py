@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 
-_OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])       # from OpenGL's axes of a camera to ours, and back
 _ROTATION_TOLERANCE = 1e-3  # text formats keep 4 to 6 digits
 
 
@@ -73,7 +73,7 @@ class Camera:
     def from_opengl_c2w(cls, K: npt.ArrayLike, camera_to_world: npt.ArrayLike, width: int, height: int, *,
                         pixel_center: float = 0.5, name: str = "") -> "Camera":
         """From OpenGL axes (x right, y up, looking along -z; nerfstudio, Blender) and a camera-to-world pose."""
-        pose = _checked_pose(camera_to_world, f"camera {name!r}") @ _OPENGL_TO_OPENCV
+        pose = _checked_pose(camera_to_world, f"camera {name!r}") @ FLIP
         return cls.from_c2w(K, pose, width, height, pixel_center=pixel_center, name=name)
 
     @classmethod

@@ -16,13 +16,12 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene import fit as sentences
 from pagas_cl.scene import patches
 from pagas_cl.scene.align import Alignment, align, focus
-from pagas_cl.scene.camera import Camera, inverse_pose
+from pagas_cl.scene.camera import FLIP, Camera, inverse_pose
 from pagas_cl.scene.fit import GOOD, Fit, Reading, fitted
 from pagas_cl.scene.inputs import Cameras, Images, as_cameras, as_views
 from pagas_cl.scene.mesh import Mesh, Surface, to_surface
 from pagas_cl.scene.view import View
 
-_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 _SAMPLES = 20_000
 _WORK = 20_000_000   # camera-point pairs of one reading of the poses
 _CHANCE = 0.0005     # share of the mesh that a wrong reading may have in an image by chance; a city's view has more
@@ -57,11 +56,11 @@ POSES = (
     _Change("inverted", _posed(inverse_pose), "Camera.from_c2w(K, matrix, ...)",
             "the scene's files hold camera-to-world poses where world-to-camera ones belong (as in images.txt): "
             "invert each pose there", "the inverse matrices"),
-    _Change("y and z flipped", _posed(lambda m: _FLIP @ m),
+    _Change("y and z flipped", _posed(lambda m: FLIP @ m),
             "Camera.from_opengl_c2w(K, camera_to_world, ...), with the camera-to-world matrices",
             "the scene's files hold poses with OpenGL's axes: turn the signs of the second and third row of each "
             "world-to-camera matrix there", "y and z flipped (OpenGL axes)"),
-    _Change("inverted, y and z flipped", _posed(lambda m: _FLIP @ inverse_pose(m)),
+    _Change("inverted, y and z flipped", _posed(lambda m: FLIP @ inverse_pose(m)),
             "Camera.from_opengl_c2w(K, matrix, ...)",
             "the scene's files hold camera-to-world poses with OpenGL's axes: write them as a transforms.json "
             "(--format nerfstudio), which means them so", "the inverse matrices and y and z flipped (OpenGL axes)"),
@@ -127,7 +126,8 @@ def sample_points(surface: Surface | np.ndarray, count: int) -> npt.NDArray[np.f
         return points
     step = np.arange(count)
     u, v = (0.5 + step * 0.7548776662466927) % 1, (0.5 + step * 0.5698402909980532) % 1  # plastic-number sequence
-    return np.concatenate([points, patches.on_faces(surface, (step + 0.5) / count, u, v)[0]])
+    on_area, _ = patches.on_faces(vertices, surface.faces, (step + 0.5) / count, u, v)
+    return np.concatenate([points, on_area])
 
 
 def _box(places: np.ndarray) -> str:

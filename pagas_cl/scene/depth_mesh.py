@@ -1,7 +1,5 @@
 """A coarse mesh of depth maps, good enough to ask whether cameras and photos fit it; no Open3D."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

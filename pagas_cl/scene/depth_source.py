@@ -1,7 +1,5 @@
 """A depth map that a scene's format names: where it is, its unit, what of it is left out, how it lies in the photo."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,21 +13,19 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene.depthmap import clean_depth, read_values
 from pagas_cl.scene.digest import digest_file, digest_of
 from pagas_cl.scene.files import translated
-from pagas_cl.scene.placement import Placement
+from pagas_cl.scene.images import Loads
+from pagas_cl.scene.placement import Placement, stretched
 
 LEFT_OUT = 0.25       # depths of less than this share of the median confidence are left out
 _ASKED = 8            # maps of confidence that the median is taken of
 
 
-class Stored(Protocol):
+class Stored(Loads, Protocol):
     """An array in some file, such as scene.arrays.ArrayRef."""
 
     @property
     def digest(self) -> str:
         """Hash of what `load` gives."""
-
-    def load(self) -> np.ndarray:
-        """The array."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +43,10 @@ class DepthSource:
     confidence: Path | Stored | None = None
     least: float = 0.0
     invalid: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.scale) and self.scale > 0):
+            raise InputError(f"depth scale is {self.scale}, expected a number above 0")
 
     @property
     def digest(self) -> str:
@@ -68,11 +68,8 @@ class DepthSource:
                 sure = sure[np.ix_(rows, columns)]
             values = np.where(sure >= self.least, values, 0)
         depth = clean_depth(values if self.scale == 1 else values / self.scale, str(self.file))
-        return (self.placement or _over(self.size, depth)).photo_depth(depth, *self.size)
-
-
-def _over(size: tuple[int, int], depth: np.ndarray) -> Placement:
-    return Placement((depth.shape[1] / size[0], depth.shape[0] / size[1]), (0, 0))
+        placement = self.placement or stretched(self.size, (depth.shape[1], depth.shape[0]))
+        return placement.photo_depth(depth, *self.size)
 
 
 @dataclass(frozen=True)

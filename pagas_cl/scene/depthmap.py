@@ -15,6 +15,7 @@ from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.exr import read_exr
 from pagas_cl.scene.files import is_file, opened, read_first, read_npy, replaced, translated
+from pagas_cl.scene.images import open_image
 from pagas_cl.scene.names import file_stems
 
 # What became of each pixel's depth; DepthResult.status says what each means.
@@ -157,14 +158,8 @@ def depth_up(depth: np.ndarray, width: int, height: int) -> np.ndarray:
     """
     if depth.shape == (height, width):
         return depth
-    (top, bottom, fy), (left, right, fx) = _taps(depth.shape[0], height), _taps(depth.shape[1], width)
-    total, weight = np.zeros((height, width)), np.zeros((height, width))
-    for rows, wy in ((top, 1 - fy), (bottom, fy)):
-        for columns, wx in ((left, 1 - fx), (right, fx)):
-            corner = depth[rows[:, None], columns[None, :]]
-            share = np.where(corner > 0, wy[:, None] * wx[None, :], 0)
-            total += share * np.where(corner > 0, corner, 0)
-            weight += share
+    x, y = (np.arange(width) + 0.5) * depth.shape[1] / width, (np.arange(height) + 0.5) * depth.shape[0] / height
+    total, weight = valid_taps(depth, x, y)
     some = weight > 1e-9
     return np.where(some, total / np.where(some, weight, 1), 0).astype(np.float32)
 
@@ -183,11 +178,24 @@ def central_normals(depth: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.floa
     return normals
 
 
-def _taps(n_in: int, n_out: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lower and upper neighbour of every output pixel centre, and the share of the upper one."""
-    x = np.clip((np.arange(n_out) + 0.5) * n_in / n_out - 0.5, 0, n_in - 1)
-    low = np.minimum(np.floor(x).astype(np.intp), max(n_in - 2, 0))
-    return low, np.minimum(low + 1, n_in - 1), x - low
+def valid_taps(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sum over the valid (> 0) of the four neighbours of each position of a grid `x` (w,), `y` (h,), pixels, by their
+    bilinear shares, and the sum of these: float64 (h, w)."""
+    total, weight = np.zeros((len(y), len(x))), np.zeros((len(y), len(x)))
+    for rows, wy in _taps(y, depth.shape[0]):
+        for columns, wx in _taps(x, depth.shape[1]):
+            corner = depth[rows[:, None], columns[None, :]]
+            share = np.where(corner > 0, wy[:, None] * wx[None, :], 0)
+            total += share * np.where(corner > 0, corner, 0)
+            weight += share
+    return total, weight
+
+
+def _taps(at: np.ndarray, side: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """Lower and upper neighbour of every position, each with its share."""
+    at = np.clip(at - 0.5, 0, side - 1)
+    low = np.minimum(at.astype(np.intp), max(side - 2, 0))
+    return (low, 1 - (at - low)), (np.minimum(low + 1, side - 1), at - low)
 
 
 def _shrunk(values: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -252,8 +260,6 @@ def _exactly(file: BinaryIO, path: Path, width: int, height: int, channels: int,
 
 
 def _read_png(path: Path) -> np.ndarray:
-    from pagas_cl.scene.images import open_image
-
     with open_image(path) as image:
         if not image.mode.startswith("I"):
             raise ValueError(f"it is {image.mode}, expected a 16-bit grey PNG")

@@ -1,7 +1,5 @@
 """Hashes of arrays and files, by which inputs are told apart."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import sys

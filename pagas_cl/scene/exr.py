@@ -3,8 +3,6 @@
 The first of R, Y, Z, V, G, B that is there; 16 or 32 bit floating point.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

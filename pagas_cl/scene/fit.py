@@ -1,7 +1,5 @@
 """What the camera check says: which reading of the cameras, where the mesh would have to be, and how sure that is."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.files import translated
+from pagas_cl.scene.files import replaced, translated
 
 MOST_PIXELS = 500_000_000      # of a photo: 1.5 GB as RGB
 _DAMAGE = (OSError, SyntaxError, ValueError)
@@ -117,6 +117,12 @@ def photo_to(photo: np.ndarray, width: int, height: int) -> np.ndarray:
     grows = width > photo.shape[1] or height > photo.shape[0]
     kind = Image.Resampling.BILINEAR if grows else Image.Resampling.BOX
     return np.asarray(Image.fromarray(photo).resize((width, height), kind))
+
+
+def write_image(path: Path, pixels: np.ndarray) -> None:
+    """Write uint8 pixels beside the file's name and rename it; the suffix says the kind."""
+    with replaced(path, path.suffix) as beside:
+        Image.fromarray(pixels).save(beside, quality=92)      # of .jpg; others have none
 
 
 def open_image(path: Path) -> Image.Image:

@@ -1,7 +1,5 @@
 """Locks between processes: whoever holds one holds it until it lets go or ends, however that comes about."""
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Iterator

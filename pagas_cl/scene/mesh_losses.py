@@ -3,8 +3,6 @@
 The tables are what scene.mesh_attributes and scene.mesh_file carry along; who teaches them more adds it here.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pagas_cl.scene.files import opened

@@ -1,7 +1,5 @@
 """What views are called, on disk and by those who ask for one: the one rule for all who write, read or choose."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

@@ -19,6 +19,7 @@ _MARGIN = 6.0        # pixels that a patch's middle keeps from the border
 _LEAST_SPREAD = 9.0  # pixels, standard deviation of a mesh in an image; patches of one that is smaller are of elsewhere
 _LEAST_TEXTURE = 3.0  # standard deviation of a patch, grey levels of 255; flatter ones say nothing
 _FACING = 0.25       # least cosine between ray and normal
+_R2 = np.array([0.7548776662466927, 0.5698402909980532])  # Roberts' low-discrepancy sequence in the plane
 LEAST = 30           # patches compared; fewer say nothing
 _PER_CELL = 6        # surface samples in a cell of the depth buffer, on average
 
@@ -40,24 +41,37 @@ def evenly(count: int, most: int) -> npt.NDArray[np.intp]:
     return np.unique(np.linspace(0, count - 1, min(most, count)).astype(np.intp))
 
 
-def on_faces(surface: Surface, along: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3) where shares `along` (N,) of the area end, at `u`, `v` (N,) in their triangles; unit normals."""
-    a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
+def area_of(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Area of a mesh (V, 3), (F, 3)."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return float(np.cumsum(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))[-1]) if len(faces) else 0.0
+
+
+def on_faces(vertices: np.ndarray, faces: np.ndarray, along: np.ndarray, u: np.ndarray,
+             v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, 3) where shares `along` (N,) of a mesh's area end, at `u`, `v` (N,) in their triangles; unit normals.
+    None where the mesh has no area."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     twice_area = np.linalg.norm(across, axis=1)
     ends = np.cumsum(twice_area)
-    if not ends[-1] > 0:
+    if not len(ends) or not ends[-1] > 0:
         return np.zeros((0, 3)), np.zeros((0, 3))
-    face = np.searchsorted(ends, along * ends[-1]).clip(max=len(ends) - 1)
-    some = twice_area[face] > 0
-    face, u, v = face[some], u[some, None], v[some, None]
-    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    return a[face] + u * (b - a)[face] + v * (c - a)[face], across[face] / twice_area[face, None]
+    face = np.searchsorted(ends, along * ends[-1], side="right").clip(max=len(ends) - 1)
+    u, v = np.where(u + v > 1, (1 - u, 1 - v), (u, v))[..., None]      # the parallelogram's far half, folded back
+    return (a[face] + u * (b - a)[face] + v * (c - a)[face],
+            across[face] / np.maximum(twice_area[face, None], 1e-300))
+
+
+def spread_over(vertices: np.ndarray, faces: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """So many points as `on_faces` gives them, evenly over the area, the same ones each time."""
+    u, v = np.modf(np.arange(1, number + 1)[:, None] * _R2)[0].T
+    return on_faces(vertices, faces, (np.arange(number) + 0.5) / number, u, v)
 
 
 def sample_surface(surface: Surface, count: int = 20000, few: int = 1500) -> Samples:
     """`count` points on `surface`, as many on equal areas; the same ones each time."""
-    points, normals = on_faces(surface, *np.random.default_rng(0).random((3, count)))
+    points, normals = on_faces(surface.vertices, surface.faces, *np.random.default_rng(0).random((3, count)))
     return Samples(points, normals, min(few, len(points)))
 
 

@@ -3,8 +3,6 @@
     x in the small image = scale_x * x in the photo + offset_x,  likewise y;  pixels, origin at the corner
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +11,7 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depthmap import resize_depth
+from pagas_cl.scene.depthmap import resize_depth, valid_taps
 from pagas_cl.scene.images import bilinear, image_size, photo_to, read_photo
 from pagas_cl.scene.patches import grey_of
 
@@ -51,18 +49,7 @@ class Placement:
 
 def _lookup(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Bilinear over valid neighbours, on a grid; valid where the pixel that a position lies in is."""
-    total, weight = np.zeros((len(y), len(x))), np.zeros((len(y), len(x)))
-    taps = []
-    for at, side in ((x, depth.shape[1]), (y, depth.shape[0])):
-        at = np.clip(at - 0.5, 0, side - 1)
-        low = np.minimum(at.astype(np.intp), max(side - 2, 0))
-        taps.append(((low, 1 - (at - low)), (np.minimum(low + 1, side - 1), at - low)))
-    for rows, wy in taps[1]:
-        for columns, wx in taps[0]:
-            corner = depth[np.ix_(rows, columns)]
-            share = np.where(corner > 0, wy[:, None] * wx[None, :], 0)
-            total += share * corner
-            weight += share
+    total, weight = valid_taps(depth, x, y)
     valid = depth[np.ix_(y.astype(np.intp), x.astype(np.intp))] > 0
     return np.where(valid & (weight > 0), total / np.where(weight > 0, weight, 1), 0).astype(np.float32)
 

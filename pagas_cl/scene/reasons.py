@@ -4,8 +4,6 @@ What makes the photos agree over the depth maps where they do not as given is th
 views and a few thousand patches.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections import Counter
 from collections.abc import Sequence

@@ -4,18 +4,16 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.images import Loads, as_mask, as_photo, image_size, read_mask, read_photo
 from pagas_cl.scene.names import place_of
-
-if TYPE_CHECKING:      # it imports what imports this
-    from pagas_cl.scene.depth_source import DepthSource
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +102,7 @@ class Scene:
     views: list[View]
     source: str = ""
     points: npt.NDArray[np.float64] | None = field(default=None, repr=False)
-    depths: "Sequence[DepthSource | None] | None" = field(default=None, repr=False)
+    depths: Sequence[DepthSource | None] | None = field(default=None, repr=False)
     depth_unit: str = ""
 
     def __post_init__(self) -> None:

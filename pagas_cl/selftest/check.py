@@ -10,7 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.scene.depthmap import NO_SURFACE, REFINED
+from pagas_cl.reference.level import Photo, loss_and_gradient, prepare
+from pagas_cl.reference.project import normalized_depth
+from pagas_cl.scene.depthmap import NO_SURFACE, REFINED, surface_depth
 from pagas_cl.selftest.scenes import HardScene
 from pagas_cl.selftest.table import BOTH, CASES, Case, config_of
 
@@ -75,8 +77,6 @@ def difference(got, want, length) -> float:
 
 def normalized(scene: HardScene):
     """Initial depth (H, W) in units of its median, 0 where there is none, and that median, scene units."""
-    from pagas_cl.reference.project import normalized_depth
-
     return normalized_depth(scene.depth, scene.target.load_mask())
 
 
@@ -112,8 +112,6 @@ def device_gradient(scene: HardScene, config: Config, device, initial, at, scene
 
 def twin_gradient(scene: HardScene, config: Config, initial, at, scene_scale, more: float = 0.0):
     """The same gradient and loss by the float64 twin; the depth threshold larger by `more`."""
-    from pagas_cl.reference.level import Photo, loss_and_gradient, prepare
-
     target, contexts = Photo.from_view(scene.target), [Photo.from_view(v) for v in scene.contexts]
     state = prepare(initial.astype(np.float64), target, contexts, config, scene_scale,
                     _threshold(initial, config) + more)
@@ -123,8 +121,6 @@ def twin_gradient(scene: HardScene, config: Config, initial, at, scene_scale, mo
 
 def given_surface(scene: HardScene):
     """The initial depth as float32, as a refinement gives back what it leaves, and where it is a surface."""
-    from pagas_cl.scene.depthmap import surface_depth
-
     given = surface_depth(np.asarray(scene.depth))
     return given, given > 0
 

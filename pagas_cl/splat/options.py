@@ -8,7 +8,7 @@ from pagas_cl.config import Config
 from pagas_cl.runtime.program import Launch, bind, build
 from pagas_cl.scene.camera import Camera
 from pagas_cl.splat.constants import SHARED, define
-from pagas_cl.splat.tile import BLOCK, BOX_GROUP, blocks, choose_tiles, columns_of, row_grid, row_group, strips
+from pagas_cl.splat.tile import BLOCK, BOX_GROUP, blocks, choose_tiles, columns_of, row_group, strips
 
 SLOTS = 12                # candidates that a pixel sorts at a time (lists.clh)
 LIST_GROUP = (32, 4)      # work-items that do so side by side: 12 bytes a slot at most, 18 kB of local memory
@@ -93,8 +93,9 @@ class Programs:
         return self._bind(file, self.more.get(file, ()), kernel, grid, group, buffers, view, arguments)
 
     def bind_rows(self, file: str, kernel: str, buffers, view, /, **arguments) -> Launch:
-        """The same over the target's pixels, several of a row side by side where the device likes it."""
-        return self._bind_columns(file, kernel, row_grid(view.target_size, self._columns), buffers, view, arguments)
+        """The same over the target's pixels: one each, or a row each where several pixels of it go side by side."""
+        grid = view.target_size.grid if self._columns == 1 else (1, view.target_size.height)
+        return self._bind_columns(file, kernel, grid, buffers, view, arguments)
 
     def bind_landing(self, buffers, view, /, **depth) -> list[Launch]:
         """What bind_scatter needs to know first: buffers.landing."""

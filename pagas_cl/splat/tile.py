@@ -46,14 +46,9 @@ def columns_of(device, width: int) -> int:
     return device.lanes if device.lanes <= width else 1
 
 
-def row_grid(size, columns: int) -> tuple[int, int]:
-    """Work-items over an image: a pixel each, or a row each where it handles `columns` pixels side by side."""
-    return (size.width, size.height) if columns == 1 else (1, size.height)
-
-
 def row_group(columns: int) -> tuple[int, int]:
-    """Work-items of a group of row_grid: one where each holds a vector (PoCL's loop over several such items crashes at
-    some image sizes), else a box of pixels that shares local memory (box.clh)."""
+    """Work-items of a group over an image: one where each holds a vector (PoCL's loop over several such items crashes
+    at some image sizes), else a box of pixels that shares local memory (box.clh)."""
     return (1, 1) if columns > 1 else BOX_GROUP
 
 

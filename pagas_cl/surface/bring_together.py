@@ -82,7 +82,7 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
                     f"the depth, a pair a view, bring them to {after:.1%}")
         for k, a, b in zip(have, own, shift):
             held[k] = adjusted(held[k], float(a), float(b))       # type: ignore[arg-type]
-    common = find_common_scale(views, cameras, held)
+    common = find_common_scale(views, cameras, held, known=x is None)      # maps that disagreed know no scale
     if common.factor != 1:
         factors[have] *= common.factor
         shifts[have] = shifts[have] * common.factor + common.shift

@@ -29,6 +29,7 @@ _BENDABLE = 0.3         # largest stretch of depths about their middle
 CLEAR = 0.02            # by so much patches must correlate better than under the depths as given
 _MOST = 241             # values of s in a sweep
 _ACROSS, _SOME = 10.0, 0.3      # pixels of the small photos searched to each side; least correlation at the best
+_EACH = 6.0             # and in both directions for the s of a pair
 _GAIN = 0.04            # of correlation, without which photos are not said to be off
 AGREE = 0.5             # mean correlation from which on photos are said to agree over the depth
 UNITS = (1e3, 1e-3, 1e2, 1e-2, 1e1, 1e-1, 1e4, 1e-4, 5e3)      # numbers for one scene unit that are tried
@@ -54,27 +55,29 @@ class CommonScale:
     given: float
 
 
-def find_common_scale(views: Sequence[View], cameras: Sequence[Camera],
-                      depths: Sequence[np.ndarray | None]) -> CommonScale:
+def find_common_scale(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
+                      known: bool = True) -> CommonScale:
     """The factor by which all depth maps (None where a view has none) are to be multiplied, and the shift added then;
-    1 and 0 where photos do not clearly ask for others. `cameras` are the views', of the depth maps' size."""
+    1 and 0 where photos do not clearly ask for others, or at all where their scale is not `known`. `cameras` are the
+    views', of the depth maps' size."""
     pairs = _pairs(cameras, depths)
     if not pairs:
         return CommonScale(1.0, 0.0, float("nan"), float("nan"))
-    best, span, bent, found = 0.0, RANGE, 0.0, []
-    for side in _SIDES:
-        sweep = _Sweep(views, depths, pairs, side)
+    best, span, bent = 0.0, RANGE, 0.0
+    sweeps = [_Sweep(views, depths, pairs, side) for side in _SIDES]
+    for sweep in sweeps:
         best = sweep.best(best, span, sweep.parallax, lambda value: sweep.score(value, bent))      # noqa: B023
         span, range_ = _FINER * _STEP * sweep.parallax, sweep.range
         if sweep.parallax / range_ < _BENDABLE:      # else depths that bend look as they did
             trial = sweep.best(bent, _BENDABLE, sweep.parallax / range_, lambda value: sweep.score(best, value))  # noqa: B023
             bent = trial if sweep.score(best, trial) > sweep.score(best, 0.0) + CLEAR else 0.0
             best = sweep.best(best, span, sweep.parallax, lambda value: sweep.score(value, bent))      # noqa: B023
-        found = [sweep.score(best, bent), sweep.score(0.0, 0.0)]
-    if not found[0] > found[1] + CLEAR or abs(best) > 0.98 * RANGE:
-        return CommonScale(1.0, 0.0, found[1], found[1])
+    given = sweeps[-1].score(0.0, 0.0)
+    if not sweeps[-1].score(best, bent) > given + (CLEAR if known else 0.0) or abs(best) > 0.98 * RANGE:
+        return CommonScale(1.0, 0.0, given, given)
+    best = sweeps[0].mean_of_pairs(best, bent)
     factor = float(np.exp(best))
-    return CommonScale(factor * (1 + bent), -factor * bent * sweep.middle, *found)
+    return CommonScale(factor * (1 + bent), -factor * bent * sweeps[-1].middle, sweeps[-1].score(best, bent), given)
 
 
 def _peak(x: np.ndarray, y: np.ndarray) -> float:
@@ -136,7 +139,7 @@ def cameras_off(views: Sequence[View], cameras: Sequence[Camera], depths: Sequen
     sweep = _Sweep(views, depths, pairs, _SIDES[0])
     tried, found, gains = np.arange(-_ACROSS, _ACROSS + 0.25, 0.5), [], []
     for pair in pairs:
-        scores = sweep.scores_across(*pair, tried)
+        scores, _ = sweep.scores_across(*pair, tried)
         if np.isfinite(scores).all() and scores.max() > _SOME:
             found.append(_peak(tried, scores) * views[pair[0]].camera.width / sweep.cameras[pair[0]].width)
             gains.append(scores.max() - scores[len(tried) // 2])
@@ -175,6 +178,19 @@ class _Sweep:
         scores = np.array([score(float(value)) for value in tried])
         return _peak(tried, scores) if np.isfinite(scores).any() else start
 
+    def mean_of_pairs(self, start: float, bent: float) -> float:
+        """Mean over the pairs of the value near `start` under which each agrees best, with its photos moved across the
+        direction of depth as suits it; weighed by how well they agree, and how far depth moves them."""
+        tried = start + self.parallax * np.arange(-_EACH, _EACH + 0.25, 0.5)
+        moves, total, weight = np.arange(-_EACH, _EACH + 0.5), 0.0, 0.0
+        for pair in self.pairs:
+            found = [self.scores_across(*pair, moves, value, bent) for value in tried]
+            scores, slope = np.array([scores.max() for scores, _ in found]), found[len(found) // 2][1]
+            if np.isfinite(scores).all() and scores.max() > _SOME:
+                own = (scores.max() * slope) ** 2
+                total, weight = total + own * _peak(tried, scores), weight + own
+        return total / weight if weight else start
+
     def _parallax(self) -> float:
         """Relative change of depth that moves a patch by a pixel, median over the pairs."""
         changes = []
@@ -209,20 +225,21 @@ class _Sweep:
                 total, count = total + float(values.sum()), count + len(values)
         return total / count if count >= _LEAST else float("nan")
 
-
-    def scores_across(self, i: int, j: int, moves: np.ndarray) -> np.ndarray:
+    def scores_across(self, i: int, j: int, moves: np.ndarray, log_scale: float = 0.0,
+                      bent: float = 0.0) -> tuple[np.ndarray, float]:
         """Mean correlation of the pair's patches where those of j are moved by each of `moves` pixels across the
-        direction of depth."""
-        (u, v, good), (u2, v2, _) = self._place(i, j, 0.0), self._place(i, j, 1e-3)
+        direction of depth; and pixels by which they move along it for a unit of log s."""
+        (u, v, good), (u2, v2, _) = (self._place(i, j, value, bent) for value in (log_scale, log_scale + 1e-3))
         if good.sum() < _LEAST:
-            return np.full(len(moves), np.nan)
+            return np.full(len(moves), np.nan), 0.0
         along = np.stack([(u2 - u)[good].mean(axis=1), (v2 - v)[good].mean(axis=1)])
-        along /= np.maximum(np.hypot(*along), 1e-12)
+        lengths = np.hypot(*along)
+        along /= np.maximum(lengths, 1e-12)
         found = []
         for move in moves:
             moved = bilinear(self.greys[j], u[good] - move * along[1][:, None], v[good] + move * along[0][:, None])
             found.append(np.maximum((_unit(moved)[0] * self.patches[i].grey[good]).sum(axis=1), 0).mean())
-        return np.array(found)
+        return np.array(found), float(np.median(lengths)) * 1e3
 
 
 def _patches(camera: Camera, grey: np.ndarray, depth: np.ndarray) -> _Patches:

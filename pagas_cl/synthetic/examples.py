@@ -1,7 +1,5 @@
 """A small scene in the form that another program leaves: `pagas-cl demo --format`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@ For `pagas-cl demo --format` and for tests; cameras.json and MeshLab projects ha
 depth maps: exports_depth, exports_rgbd.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import struct
@@ -16,11 +14,9 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.camera import Camera, inverse_pose
+from pagas_cl.scene.camera import FLIP, Camera, inverse_pose
 from pagas_cl.scene.readers.photos import file_of
 from pagas_cl.scene.view import View
-
-_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def row(values: Iterable[float]) -> str:
@@ -39,7 +35,7 @@ def bundler(folder: Path, views: Sequence[View]) -> None:
         if abs(camera.fx - camera.fy) > 1e-9 * camera.fx:
             raise InputError(f"view {view.name!r}: fx {camera.fx!r} and fy {camera.fy!r} differ, and Bundler's format "
                              "holds one focal length; write another format")
-        pose = (_FLIP @ camera.world_to_camera)[:3]
+        pose = (FLIP @ camera.world_to_camera)[:3]
         rows += [f"{camera.fx!r} 0 0", *(row(line) for line in (*pose[:, :3], pose[:, 3]))]
         names.append(file_of(view).relative_to(folder).as_posix())
     (folder / "list.txt").write_text("\n".join(names) + "\n")
@@ -65,7 +61,7 @@ def nerfstudio(folder: Path, views: Sequence[View]) -> None:
         camera = view.camera
         frames.append({"file_path": file_of(view).relative_to(folder).as_posix(), "w": camera.width, "h": camera.height,
                        "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,
-                       "transform_matrix": (inverse_pose(camera.world_to_camera) @ _FLIP).tolist()})
+                       "transform_matrix": (inverse_pose(camera.world_to_camera) @ FLIP).tolist()})
     text = json.dumps({"camera_model": "PINHOLE", "frames": frames}, indent=1)
     (Path(folder) / "transforms.json").write_text(text)
 
@@ -79,15 +75,6 @@ def neus(folder: Path, views: Sequence[View], scale_mat: np.ndarray | None = Non
         arrays[f"world_mat_{number}"] = K @ view.camera.world_to_camera
         arrays[f"scale_mat_{number}"] = np.eye(4) if scale_mat is None else scale_mat
     np.savez(Path(folder) / "cameras.npz", **arrays)
-
-
-def open3d_json(path: Path, cameras: Sequence[Camera]) -> None:
-    """A PinholeCameraTrajectory."""
-    entries = [{"class_name": "PinholeCameraParameters", "version_major": 1, "version_minor": 0,
-                "extrinsic": camera.world_to_camera.T.ravel().tolist(), "intrinsic": _intrinsic(camera)}
-               for camera in cameras]
-    data = {"class_name": "PinholeCameraTrajectory", "version_major": 1, "version_minor": 0, "parameters": entries}
-    path.write_text(json.dumps(data, indent=1))
 
 
 def open3d_log(path: Path, cameras: Sequence[Camera]) -> None:

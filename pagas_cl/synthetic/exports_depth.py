@@ -1,8 +1,6 @@
 """Small scenes written as networks write them; and `EXPORTS`, a writer of every format, `write(folder, frames)`: each
 leaves what its program would leave, so that the readers can be tried without it."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -14,6 +12,7 @@ import numpy as np
 from pagas_cl.scene.camera import Camera, inverse_pose
 from pagas_cl.scene.placement import Placement
 from pagas_cl.scene.readers import camera_file
+from pagas_cl.scene.readers.meshlab import write_project
 from pagas_cl.scene.view import View
 from pagas_cl.synthetic import exports
 from pagas_cl.synthetic.exports_rgbd import RGBD
@@ -125,16 +124,6 @@ def _centred(folder: Path, views: list[View]) -> None:
                                                        fy=v.camera.fx)) for v in views])
 
 
-def _sparse(folder: Path, views: list[View]) -> None:
-    exports.colmap_bin(folder / "sparse" / "0", views)
-
-
-def _meshlab(folder: Path, views: list[View]) -> None:
-    from pagas_cl.scene.readers.meshlab import write_project
-
-    write_project(folder / "project.mlp", views)
-
-
 def _cloud(path: Path, frames: Sequence[Frame]) -> None:
     """A point cloud of the first view's depth, .ply."""
     camera, depth = frames[0].camera, frames[0].depth[::8, ::8]
@@ -146,9 +135,11 @@ def _cloud(path: Path, frames: Sequence[Frame]) -> None:
 
 
 EXPORTS: dict[str, Callable[[Path, Sequence[Frame]], None]] = {
-    "cameras": _with_depth_maps(camera_file.write), "colmap": _with_depth_maps(_sparse),
+    "cameras": _with_depth_maps(camera_file.write),
+    "colmap": _with_depth_maps(lambda folder, views: exports.colmap_bin(folder / "sparse" / "0", views)),
     "mvsnet": _with_depth_maps(exports.mvsnet), "neus": _with_depth_maps(exports.neus, "image"),
-    "bundler": _with_depth_maps(_centred), "meshlab": _with_depth_maps(_meshlab), "da3": da3, "da3-npy": da3_npy,
+    "bundler": _with_depth_maps(_centred), "da3": da3, "da3-npy": da3_npy,
+    "meshlab": _with_depth_maps(lambda folder, views: write_project(folder / "project.mlp", views)),
     "da3-colmap": da3_colmap, "vggt": vggt, "vggt-colmap": vggt_colmap, "mapanything": mapanything,
     "mapanything-colmap": mapanything_colmap, "mvsanywhere": mvsanywhere, **RGBD,
 }

@@ -1,7 +1,5 @@
 """Small scenes written as phones and RGB-D recordings write them: cameras, photos and depth maps."""
 
-from __future__ import annotations
-
 import json
 import struct
 import zlib
@@ -12,12 +10,10 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from pagas_cl.scene.camera import inverse_pose
+from pagas_cl.scene.camera import FLIP, inverse_pose
 from pagas_cl.scene.placement import stretched
 from pagas_cl.synthetic import exports
 from pagas_cl.synthetic.frames import Frame, matrix, photos, png, seen, small_of
-
-_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def open3d(folder: Path, frames: Sequence[Frame]) -> None:
@@ -80,7 +76,7 @@ def polycam(folder: Path, frames: Sequence[Frame]) -> None:
     small = small_of(frames)
     png(folder / "keyframes", small, "depth/{:06d}.png", 1000)
     for view, frame in zip(views, small):
-        c, pose = view.camera, inverse_pose(view.camera.world_to_camera) @ _FLIP
+        c, pose = view.camera, inverse_pose(view.camera.world_to_camera) @ FLIP
         data = {"fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy, "width": c.width, "height": c.height,
                 "blur_score": 100.0, **{f"t_{r}{k}": pose[r, k] for r in range(3) for k in range(4)}}
         (folder / "keyframes" / "cameras" / f"{view.stem}.json").write_text(json.dumps(data))
@@ -108,7 +104,7 @@ def record3d_exr(folder: Path, frames: Sequence[Frame]) -> None:
 
 
 def _record3d(frames: Sequence[Frame], small: Sequence[Frame]) -> dict[str, Any]:
-    c, poses = frames[0].camera, [inverse_pose(f.camera.world_to_camera) @ _FLIP for f in frames]
+    c, poses = frames[0].camera, [inverse_pose(f.camera.world_to_camera) @ FLIP for f in frames]
     return {"w": c.width, "h": c.height, "dw": small[0].depth.shape[1], "dh": small[0].depth.shape[0], "fps": 60,
             "K": c.K.T.ravel().tolist(),
             "poses": [[*map(float, exports.quaternion(pose[:3, :3])), *map(float, pose[:3, 3])] for pose in poses],

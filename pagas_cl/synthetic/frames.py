@@ -1,7 +1,5 @@
 """What every export of a recording is made of: photos with cameras and depth, as they are and as a network saw them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

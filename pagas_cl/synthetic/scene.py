@@ -5,12 +5,11 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import save_depth
-from pagas_cl.scene.files import replaced
+from pagas_cl.scene.images import write_image
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_file import write_mesh
 from pagas_cl.scene.readers import camera_file
@@ -113,17 +112,12 @@ def write_scene(synthetic: SyntheticScene, folder) -> Path:
     named = []
     for view in synthetic.all_views:
         file = f"{view.name}.png"
-        _write_png(folder / "images" / file, view.load_image())
+        write_image(folder / "images" / file, view.load_image())
         if view.mask is not None:
-            _write_png(folder / "masks" / file, view.load_mask().astype(np.uint8) * 255)
+            write_image(folder / "masks" / file, view.load_mask().astype(np.uint8) * 255)
         save_depth(folder / "depth_initial" / f"{view.name}.npz", synthetic.initial_depth(view.camera))
         save_depth(folder / "depth_true" / f"{view.name}.npz", synthetic.true_depth(view.camera))
         named.append(replace(view, mask=None, name=file))
     camera_file.write(folder, named)
     write_mesh(folder / "mesh_coarse.ply", Surface(*synthetic.initial_mesh()))
     return folder
-
-
-def _write_png(path: Path, pixels: np.ndarray) -> None:
-    with replaced(path, ".png") as beside:
-        Image.fromarray(pixels).save(beside)

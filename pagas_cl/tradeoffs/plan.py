@@ -6,7 +6,7 @@ they are known here; the other rows of its table have none.
 
 import hashlib
 import json
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 from pagas_cl.config import Config, Effects
 from pagas_cl.presets import preset
@@ -48,11 +48,7 @@ def changed(name: str, group: str, base: Config, paper: str = "", initial: str =
 
 def fixed(name: str) -> Config:
     """A preset without the measuring of effects: its settings hold as they are."""
-    return preset(name).with_settings(**_every_effect("set"))
-
-
-def _every_effect(choice: str) -> dict[str, str]:
-    return {f"effects__{f.name}": choice for f in fields(Effects)}
+    return replace(preset(name), effects=Effects.every("set"))
 
 
 def distinct(settings: list[Setting], contexts: int) -> list[Setting]:
@@ -73,7 +69,7 @@ def front_plan() -> list[Setting]:
     base = fixed("balanced")  # so that a variant changes what it says and nothing else
     settings = [Setting(name, (preset(name),), "preset") for name in ("balanced", "fast", "accurate", "paper")]
     settings += [Setting("effects as set", (base,), "effects"),  # beside "balanced", which measures what is called for
-                 changed("all effects off", "effects", preset("balanced"), **_every_effect("off")),
+                 Setting("all effects off", (replace(preset("balanced"), effects=Effects.every("off")),), "effects"),
                  changed("exposure on", "effects", base, effects__exposure="on"),
                  changed("view-dependent colour on", "effects", base, effects__view_dependence="on")]
     settings += _steps(base)

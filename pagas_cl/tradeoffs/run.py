@@ -7,7 +7,11 @@ from zlib import crc32
 import numpy as np
 
 from pagas_cl.costs import photo_seconds, probe, view_steps
+from pagas_cl.effects import settle
 from pagas_cl.presets import preset
+from pagas_cl.scene.depthmap import depth_up
+from pagas_cl.splat import refine_levels
+from pagas_cl.surface.agree import counts
 from pagas_cl.tradeoffs.case import BenchmarkCase
 from pagas_cl.tradeoffs.plan import OWN_ERROR, RANDOM, Setting
 
@@ -43,9 +47,6 @@ def run(setting: Setting, case: BenchmarkCase, device, photos, repeats: int = 1)
 
 
 def _stages(stages, target, contexts, depth, device, photos):
-    from pagas_cl.effects import settle
-    from pagas_cl.splat import refine_levels
-
     work, most = 0.0, 0
     for stage in stages:
         used = contexts[:stage.context.number]
@@ -58,8 +59,6 @@ def _stages(stages, target, contexts, depth, device, photos):
 
 def _agreed(setting, case, depth, device, photos):
     """The depth where enough refined context views confirm it, 0 elsewhere."""
-    from pagas_cl.surface.agree import counts
-
     views = [case.target, *case.contexts]
     known = [(view, start) for view, start in zip(case.contexts, case.context_depths) if start is not None]
     cameras, others = [], []
@@ -85,8 +84,6 @@ def initial_depth(setting: Setting, case: BenchmarkCase) -> np.ndarray:
 
 def _smooth_noise(rng, shape, wavelength: int) -> np.ndarray:
     """Noise of mean absolute value 1 that changes over `wavelength` pixels, float64 (H, W)."""
-    from pagas_cl.scene.depthmap import depth_up
-
     coarse = rng.uniform(1.0, 3.0, [max(2, n // wavelength + 2) for n in shape]).astype(np.float32)
     noise = depth_up(coarse, shape[1], shape[0]).astype(np.float64) - 2.0
     return noise / np.abs(noise).mean()

@@ -10,7 +10,9 @@ from pathlib import Path
 from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.jobs.executors import SerialExecutor
 from pagas_cl.jobs.finished import one_run
+from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.files import DAMAGE, read_bytes
+from pagas_cl.splat import PhotoStore
 from pagas_cl.tradeoffs.case import BenchmarkCase, loaded, make_cases, score
 from pagas_cl.tradeoffs.front import Point, pareto, rank_correlation, summarise
 from pagas_cl.tradeoffs.page import FILE, write_json, write_report
@@ -76,8 +78,6 @@ def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: in
 def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *, budget=None, device=None, report=None,
             repeats: int = 1, executor: Executor | None = None, progress=None) -> Study:
     """As `tradeoff`, on cases that are made already."""
-    from pagas_cl.runtime.device import open_device
-
     most = max(len(case.contexts) for case in cases)
     settings, device = distinct(settings or front_plan(), most), open_device(device)
     if budget is not None and not budget > 0:
@@ -203,8 +203,6 @@ def _fill(book, cases, settings, device, budget, repeats, executor, progress) ->
 
 def _record(setting, case, device, repeats):
     """What is written down of one run but for its scores, and its depth; None where the device could not do it."""
-    from pagas_cl.splat import PhotoStore
-
     record = {"key": setting.key, "setting": setting.name, "case": case.name, "digest": case.digest}
     try:  # photos of its own: the memory counted is of this view alone
         outcome = run(setting, case, device, PhotoStore(device), repeats)

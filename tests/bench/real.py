@@ -104,9 +104,9 @@ def _fitting(depth, camera):
 
 def hold_out(target: int, cameras, depths, context):
     """Places of two photos that `target` would use, one of the best and the last; None where too few see it."""
-    from pagas_cl.scene.choice import choose_contexts
+    from pagas_cl.scene.choice import ContextChooser
 
-    found = choose_contexts(target, cameras, depths, replace(context, number=context.number + 2)).indices
+    found = ContextChooser(cameras, depths, replace(context, number=context.number + 2)).choose(target).indices
     return (found[2], found[-1]) if len(found) > 3 else None
 
 

@@ -1,6 +1,10 @@
 """The bench runs at tiny size and its figures hang together; it never asserts a time."""
 
+import ast
+import importlib
 import json
+from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
@@ -46,6 +50,16 @@ def test_figures_hang_together(report):
 def test_bytes_are_linear_in_pixels():
     for config in PRESETS.values():
         assert stage_bytes(config, 2000, 1000) == {k: 2 * v for k, v in stage_bytes(config, 1000, 500).items()}
+
+
+def test_no_script_asks_for_a_name_that_is_gone():
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "pagas_cl":
+                module = importlib.import_module(node.module)
+                for name in (alias.name for alias in node.names):
+                    known = hasattr(module, name) or find_spec(f"{node.module}.{name}")
+                    assert known, f"{path.name}:{node.lineno} asks {node.module} for {name}"
 
 
 def test_memory_page_runs(capsys, monkeypatch):

@@ -153,6 +153,7 @@ def test_pymeshlab_is_asked_again_after_a_crash():
 
 # -- the command ----------------------------------------------------------------------------------------------------
 
+
 def test_command_with_mesh_and_scene(tmp_path, made):
     from pagas_cl.__main__ import run
     from pagas_cl.synthetic.scene import write_scene

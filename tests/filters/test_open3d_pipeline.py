@@ -164,6 +164,7 @@ def test_bad_input(made, change, sentence):
 
 # -- Open3D's RGBD-integration tutorial on a real sequence ---------------------------------------------------------
 
+
 def tutorial_loop(frames, K, poses):
     """The loop of Open3D's tutorial, with the volume that Open3D 0.20 does not leave empty."""
     tsdf = o3d.pipelines.integration

@@ -17,6 +17,7 @@ from pagas_cl.scene.choice import ContextChooser
 def choose_contexts(target, cameras, depths, *settings):
     return ContextChooser(cameras, depths, *settings).choose(target)
 
+
 pytestmark = pytest.mark.slow
 
 CONTEXT = {

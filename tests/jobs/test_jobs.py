@@ -17,12 +17,13 @@ import pagas_cl.__main__ as command_line
 from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError
 from pagas_cl.jobs import refine_all, task
 from pagas_cl.jobs.plan import Planner, along_curve, groups, on_disk
-from pagas_cl.jobs.store import DepthFile, Store
+from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch
 from pagas_cl.jobs.worker import PhotoMemory
 from pagas_cl.refine import refine_one, refine_views
 from pagas_cl.scene import files
 from pagas_cl.scene.choice import PartnerChooser
+from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.view import View
 
 pytestmark = pytest.mark.slow
@@ -60,7 +61,7 @@ def same(results, others):
 
 def test_threads_and_files_give_the_bytes_of_the_loop(scene, alone, tmp_path):
     views, depths = load_small_scene(scene)
-    files = [DepthFile(scene / "depth_initial" / f"{view.stem}.npz", (64, 48)) for view in views]
+    files = [DepthSource(scene / "depth_initial" / f"{view.stem}.npz", (64, 48)) for view in views]
     with ThreadPoolExecutor(2) as pool:
         results = refine_views(views, files, config=QUICK, executor=pool, folder=tmp_path)
         assert same(results, alone[0]) and bytes_of(tmp_path) == alone[1]

@@ -15,9 +15,9 @@ from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_sm
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import InputError, OutputError
-from pagas_cl.jobs.store import DepthFile
 from pagas_cl.refine import refine_views
 from pagas_cl.report.page import html_page
+from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.depthmap import load_depth, save_depth
 from pagas_cl.scene.files import replaced
 
@@ -155,7 +155,7 @@ def test_what_is_started_from_is_not_replaced(scene, tmp_path, capsys):
         assert "would refine the refined" in capsys.readouterr().err
     views, _ = load_small_scene(scene)
     with pytest.raises(InputError, match="choose another folder"):
-        refine_views(views, [DepthFile(depths / f"{view.stem}.npz", (64, 48)) for view in views], config=QUICK,
+        refine_views(views, [DepthSource(depths / f"{view.stem}.npz", (64, 48)) for view in views], config=QUICK,
                      folder=depths)
     assert (bytes_of(depths), mesh.read_bytes()) == before
 

@@ -17,6 +17,7 @@ from pagas_cl.scene.sampling import sample_depth, sample_pixels
 def choose_contexts(target, cameras, depths, *settings):
     return ContextChooser(cameras, depths, *settings).choose(target)
 
+
 FRONT = (0.0, 0.0, -1.0)  # normal of the plane z = 0
 
 

@@ -24,6 +24,7 @@ from pagas_cl.splat.step import Solver
 
 pytestmark = pytest.mark.kernels
 
+
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     return Scene.make(17, width=45, height=37, contexts=2, masks=True)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.camera_noise import noisy
 from support.scenes import relief_scene
 
 from pagas_cl.scene.depth_mesh import mesh_of_depths
@@ -12,6 +13,7 @@ from pagas_cl.scene.depth_source import Adjusted
 from pagas_cl.scene.exr import read_exr
 from pagas_cl.surface import depth_alignment
 from pagas_cl.surface.bring_together import bring_together
+from pagas_cl.surface.common_scale import find_common_scale
 from pagas_cl.synthetic.examples import as_network, frames_of
 from pagas_cl.synthetic.exports_rgbd import write_exr
 
@@ -51,6 +53,17 @@ def test_factors_and_shifts(made, coarse, networks):
 def test_depth_maps_that_agree_stay_the_same_objects(made, coarse):
     found = bring_together(made.views, coarse)
     assert all(a is b for a, b in zip(found.apply(coarse), coarse)) and found.said == ()
+
+
+def test_the_factor_of_all_where_cameras_are_off(made, coarse):
+    errors = []
+    for seed in (1, 3):
+        cameras = noisy(made.cameras, 2.0, seed)
+        views = [replace(view, camera=camera) for view, camera in zip(made.views, cameras)]
+        found = find_common_scale(views, cameras, [depth * np.float32(1.05) for depth in coarse])
+        middle = np.median(coarse[0])
+        errors.append(found.factor * 1.05 + found.shift / middle - 1)
+    assert np.sqrt(np.mean(np.square(errors))) < 0.018        # 0.0225 where the mean correlation of all is best
 
 
 @pytest.mark.parametrize("unit", [1000, 0.001])

@@ -151,6 +151,7 @@ def test_what_no_view_sees_stays_and_joins(made, coarse, device):
 
 # -- against the twins ------------------------------------------------------------------------------------------------
 
+
 def test_a_round_is_that_of_the_twin(made, device):
     pytest.importorskip("scipy")
     from pagas_cl.surface.raster import each_depth
@@ -176,6 +177,7 @@ def test_a_round_is_that_of_the_twin(made, device):
 
 
 # -- subdividing ------------------------------------------------------------------------------------------------------
+
 
 def test_subdivision_is_the_same_surface_without_cracks():
     rng = np.random.default_rng(1)
@@ -290,6 +292,7 @@ def test_pair_surface_and_file(division, tmp_path):
 
 
 # -- with the engine --------------------------------------------------------------------------------------------------
+
 
 @pytest.mark.parametrize("subdivide", [None, 2.0])
 def test_refine_mesh_keeps_the_mesh(made, subdivide):

@@ -18,14 +18,14 @@ FILES = ("bundle.out", "bundle.rd.out", "bundle/bundle.out")
 LISTS = ("list.txt", "bundle.out.list.txt", "bundle.rd.out.list.txt", "bundle/list.txt")
 _FLIP = np.diag([1.0, -1.0, -1.0])
 
+
 def detect(folder: Path) -> bool:
     """Whether `folder` holds a bundle.out."""
-    return photos.first_file(Path(folder), FILES) is not None
+    return photos.first_file(folder, FILES) is not None
 
 
 def read(folder: Path, *, outside: bool = False) -> Scene:
     """Read the scene without the cameras that Bundler did not place; `outside`: also photos outside `folder`."""
-    folder = Path(folder)
     path = photos.first_file(folder, FILES) or folder / FILES[0]
     cameras, points = read_bundle(path)
     images = _images(folder, path, len(cameras), outside)
@@ -60,7 +60,7 @@ def _photo(folder: Path, name: str, where: str, outside: bool) -> Path:
 
 def read_bundle(path: Path) -> tuple[list[tuple[float, np.ndarray, np.ndarray]], np.ndarray]:
     """[(f, R (3, 3), t (3,))] in Bundler's axes, and points (N, 3), float64."""
-    lines = untrusted.read_text(Path(path)).splitlines()
+    lines = untrusted.read_text(path).splitlines()
     if not lines or not lines[0].startswith("# Bundle file v0.3"):
         raise InputError(f"{path} starts with {untrusted.short(lines[0] if lines else '')}, expected "
                          "'# Bundle file v0.3'")

@@ -24,15 +24,14 @@ CONVENTION = "opencv world_to_camera, pixel centres at +0.5"
 _KNOWN = ("image", "mask", "width", "height", "fx", "fy", "cx", "cy", "world_to_camera", "name")
 
 
-def detect(folder: str | Path) -> bool:
+def detect(folder: Path) -> bool:
     """Whether `folder` holds a cameras.json of ours."""
-    path = Path(folder) / NAME
+    path = folder / NAME
     return path.is_file() and '"world_to_camera"' in untrusted.read_text(path)
 
 
-def read(folder: str | Path, *, outside: bool = False) -> Scene:
+def read(folder: Path, *, outside: bool = False) -> Scene:
     """Read SCENE/cameras.json."""
-    folder = Path(folder)
     path = folder / NAME
     data = untrusted.read_json(path)
     if data.get("convention") != CONVENTION:
@@ -42,16 +41,16 @@ def read(folder: str | Path, *, outside: bool = False) -> Scene:
     return Scene([_view(folder, view, where, outside) for view, where in views], str(path))
 
 
-def write(folder: str | Path, views: list[View]) -> Path:
+def write(folder: Path, views: list[View]) -> Path:
     """Write SCENE/cameras.json for views whose photos lie in SCENE/images under their names."""
-    path = Path(folder) / NAME
+    path = folder / NAME
     entries = []
     for view in views:
         camera = view.camera
         entry = {"image": view.name, **{k: getattr(camera, k) for k in ("width", "height", "fx", "fy", "cx", "cy")},
                  "world_to_camera": camera.world_to_camera.tolist()}
         if isinstance(view.mask, Path):
-            entry["mask"] = os.path.relpath(view.mask, Path(folder) / "masks")
+            entry["mask"] = os.path.relpath(view.mask, folder / "masks")
         entries.append(entry)
     return write_text(path, json.dumps({"convention": CONVENTION, "views": entries}, indent=1))
 

@@ -5,26 +5,27 @@ photos of other models are undistorted as they are loaded, by pycolmap's lens mo
 belong to small copies of the photos (MapAnything) are read with `photos=`, the folder of the originals.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pagas_cl.errors import InputError, log
+from pagas_cl.scene.images import image_size
 from pagas_cl.scene.lens import Lens, ThroughLens
+from pagas_cl.scene.placement import find_placement
 from pagas_cl.scene.readers import untrusted
 from pagas_cl.scene.readers.colmap_model import Model, ModelImage, read_model
-from pagas_cl.scene.readers.originals import with_originals
-from pagas_cl.scene.readers.photos import find_mask, inside
+from pagas_cl.scene.readers.photos import find_mask, inside, list_photos
 from pagas_cl.scene.view import Scene, View
 
 _SMALL = 0.25      # of the photo's size: no principal point of a photo itself is nearer to the corner
-
 _PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
 
 
-def detect(folder: str | Path) -> bool:
+def detect(folder: Path) -> bool:
     """Whether `folder` holds a COLMAP model."""
-    return model_folder(Path(folder)) is not None
+    return model_folder(folder) is not None
 
 
 def model_folder(folder: Path) -> Path | None:
@@ -33,7 +34,7 @@ def model_folder(folder: Path) -> Path | None:
                  if all((folder / place / (part + suffix)).is_file() for part in ("cameras", "images"))), None)
 
 
-def read(folder: str | Path, *, outside: bool = False, photos: str | Path | None = None) -> Scene:
+def read(folder: Path, *, outside: bool = False, photos: str | Path | None = None) -> Scene:
     """Read the scene; every registered image becomes a view, in the order of their names.
 
     `photos`: folder of original photos of the same names (or stems), to which the cameras are scaled, crop and padding
@@ -41,7 +42,6 @@ def read(folder: str | Path, *, outside: bool = False, photos: str | Path | None
 
     InputError for no model, one that cannot be read, no registered image, photos that are missing or of another size.
     """
-    folder = Path(folder)
     place = model_folder(folder)
     if place is None:
         raise InputError(f"{str(folder)!r} has no COLMAP model: looked for cameras and images (.bin or .txt) in "
@@ -49,7 +49,7 @@ def read(folder: str | Path, *, outside: bool = False, photos: str | Path | None
     model = read_model(place)
     views = _views_of(model, folder / "images", folder, outside)
     if photos is not None:
-        views = with_originals(views, Path(photos))
+        views = _with_originals(views, Path(photos))
     return Scene(views, f"COLMAP model {str(place)!r}", model.points if len(model.points) else None)
 
 
@@ -119,3 +119,34 @@ def _tell_masks(views: list[View], masks: Path) -> None:
     if without:
         log.warning("%d of %d views have no mask in %s and are used whole: %s", len(without), len(views), masks,
                     ", ".join(without[:5]))
+
+
+def _with_originals(views: list[View], folder: Path) -> list[View]:
+    """The views with their photos out of `folder`, by name or stem, and cameras to match.
+
+    How each photo became the small one (stretched, padded, cropped) is found by comparing them. InputError where a
+    photo is missing, shows something else, or a view has a mask, which belongs to the small photo.
+    """
+    if not folder.is_dir():
+        raise InputError(f"photos: {folder} is no folder")
+    found = list_photos(folder)
+    names = {path.name: path for path in found}
+    stems = {path.stem: path for path in found}
+    result, kinds = [], set()
+    for view in views:
+        photo = names.get(Path(view.name).name) or stems.get(view.stem)
+        if photo is None:
+            raise InputError(f"photos: {folder} holds no photo called {Path(view.name).name}, of the {len(views)} that "
+                             "the cameras belong to")
+        if view.mask is not None:
+            raise InputError(f"view {view.name!r} has a mask of its small photo; put masks beside the originals, or "
+                             "leave them out")
+        small = view.camera.width, view.camera.height
+        placement = find_placement(photo, small, view.load_image(), f"photo {photo}")
+        kinds.add(placement.kind)
+        camera = placement.photo_camera(view.camera, *image_size(photo))
+        result.append(View(replace(camera, name=view.name), photo, None, view.name))
+    log.info("cameras belong to photos of %d x %d (%s); they are scaled to those in %s, %d x %d", views[0].camera.width,
+             views[0].camera.height, " and ".join(sorted(kinds)), folder, result[0].camera.width,
+             result[0].camera.height)
+    return result

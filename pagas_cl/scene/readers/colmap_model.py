@@ -74,7 +74,6 @@ class Model:
 
 def read_model(place: Path) -> Model:
     """The model in `place`, binary where cameras.bin and images.bin are there, else text."""
-    place = Path(place)
     binary = all((place / f"{part}.bin").is_file() for part in ("cameras", "images"))
     suffix = ".bin" if binary else ".txt"
     found = _guarded(place / f"cameras{suffix}", _cameras_bin if binary else _cameras_txt)

@@ -4,8 +4,6 @@ Convention: z-depth; extrinsics world-to-camera (3, 4), OpenCV; intrinsics for t
 order is that of their sorted paths. Its COLMAP export is read as COLMAP.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pagas_cl.errors import InputError
@@ -18,14 +16,13 @@ _NEEDED = ("depth", "extrinsics", "intrinsics")
 
 def detect(folder: Path) -> bool:
     """Whether one of the exports is there, with its depth."""
-    return any("depth" in predictions.arrays_of(Path(folder) / place) for place in PLACES)
+    return any("depth" in predictions.arrays_of(folder / place) for place in PLACES)
 
 
 def read(folder: Path, *, photos: Path | None = None, confidence: float | None = None) -> Scene:
     """Read the export; `photos`: folder of the original photos, looked for in images/ and the like by default;
     `confidence`: depths of less are left out, a quarter of the median (see depth_source.least_confidence) by default.
     """
-    folder = Path(folder)
     place = next((folder / name for name in PLACES if "depth" in predictions.arrays_of(folder / name)), None)
     if place is None:
         raise InputError(f"{folder} holds no export of Depth Anything 3: looked for {', '.join(PLACES)}")

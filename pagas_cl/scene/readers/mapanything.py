@@ -5,8 +5,6 @@ Convention: `depth_z` (1, h, w, 1) z-depth, `conf`, `mask`, `camera_poses` (1, 4
 export, whose photos are the network's small ones, is read as COLMAP (with `photos=` for the originals).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -31,12 +29,11 @@ def _files(folder: Path) -> list[Path]:
 
 def detect(folder: Path) -> bool:
     """Whether there are .npz files with depth_z, camera_poses and intrinsics."""
-    return bool(_files(Path(folder)))
+    return bool(_files(folder))
 
 
 def read(folder: Path, *, photos: Path | None = None, confidence: float | None = None) -> Scene:
     """Read the predictions; options as in depth_anything.read."""
-    folder = Path(folder)
     files = _files(folder)
     if not files:
         raise InputError(f"{folder} holds no .npz with {', '.join(sorted(_NEEDED))} in {', '.join(PLACES)}")

@@ -33,6 +33,7 @@ _FLIP = np.diag([1.0, -1.0, -1.0])
 _NUMBERS = (("FocalMm", 1, None), ("PixelSizeMm", 2, None), ("CenterPx", 2, None), ("ViewportPx", 2, None),
             ("LensDistortion", 2, "0 0"), ("RotationMatrix", 16, None), ("TranslationVector", 4, None))
 
+
 @dataclass(frozen=True, eq=False)
 class MeshLayer:
     """A mesh layer: `matrix` (4, 4) takes the file's vertices to the project's world."""
@@ -91,7 +92,6 @@ class Project:
 
 def detect(folder: Path) -> bool:
     """Whether `folder` holds a .mlp file (or is one)."""
-    folder = Path(folder)
     return folder.suffix.lower() == ".mlp" if folder.is_file() else any(folder.glob("*.mlp"))
 
 
@@ -100,7 +100,6 @@ def read(folder: Path, *, flavour: str | None = None, outside: bool = False) -> 
 
     Without `flavour` the reading of CenterPx is settled by the photos (`settle_flavour`), and told in the log.
     """
-    folder = Path(folder)
     files = [folder] if folder.is_file() else sorted(folder.glob("*.mlp"))
     if len(files) != 1:
         raise InputError(f"{folder} has {len(files)} .mlp files, expected one; name the one to read")

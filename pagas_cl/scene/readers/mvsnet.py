@@ -21,7 +21,7 @@ _SCALES = (2.0, 4.0, 8.0, 0.5, 0.25, 0.125)
 
 def detect(folder: Path) -> bool:
     """Whether `folder` has a sub-folder of NNNNNNNN_cam.txt files."""
-    return _camera_folder(Path(folder)) is not None
+    return _camera_folder(folder) is not None
 
 
 def _camera_folder(folder: Path) -> Path | None:
@@ -35,7 +35,6 @@ def read(folder: Path, *, pixel_center: float = 0.5, intrinsics_scale: float | N
     `intrinsics_scale` multiplies K, for camera files made for photos of another size (MVSNet's DTU training set: 4).
     Without it intrinsics that plainly belong to another size are refused.
     """
-    folder = Path(folder)
     place = _camera_folder(folder)
     if place is None:
         raise InputError(f"{folder} has no NNNNNNNN_cam.txt in {', '.join(CAMERA_FOLDERS)}")

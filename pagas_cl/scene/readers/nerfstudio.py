@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.camera import Camera, intrinsics
+from pagas_cl.scene.camera import FLIP, intrinsics
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene, View
@@ -28,14 +28,14 @@ _DEPTH = (("depth_file_path", "depth_unit_scale_factor"), ("depth_path", "intege
 _DEPTH_UNIT = 1e-3      # nerfstudio's where the file does not say
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 
+
 def detect(folder: Path) -> bool:
     """Whether `folder` holds a transforms.json (or transforms_train.json)."""
-    return photos.first_file(Path(folder), FILES) is not None
+    return photos.first_file(folder, FILES) is not None
 
 
 def read(folder: Path, *, outside: bool = False) -> Scene:
     """Read the scene; `outside`: whether photos and masks outside `folder` may be read."""
-    folder = Path(folder)
     path = photos.first_file(folder, FILES) or folder / FILES[0]
     data = untrusted.read_json(path)
     untrusted.refuse_near_misses(data, _KNOWN, str(path))
@@ -76,8 +76,8 @@ def _view(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str,
     c2w = untrusted.matrix(frame.get("transform_matrix"), 4, 4, f"{where}: transform_matrix")
     if np.abs(c2w[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise InputError(f"{where}: the last row of transform_matrix is {c2w[3].tolist()}, expected [0, 0, 0, 1]")
-    rigid = untrusted.pinhole(_intrinsics(values, width, height, where), c2w, width, height, photo.name)  # checks c2w
-    camera = Camera.from_opengl_c2w(rigid.K, rigid.world_to_camera, width, height, name=photo.name)
+    camera = untrusted.pinhole(_intrinsics(values, width, height, where), c2w @ FLIP, width, height, photo.name,
+                               camera_to_world=True)
     mask = frame.get("mask_path")
     if mask is not None:
         mask = photos.existing(photos.inside(folder, mask, f"{where}: mask_path", outside=outside), where)

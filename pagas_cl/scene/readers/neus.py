@@ -22,9 +22,10 @@ _KEY = re.compile(r"(world_mat|scale_mat)_(\d+)", re.ASCII)
 _SKEW_PIXELS = 0.05  # a skew that moves no pixel by more is calibration noise and is dropped
 _ENTRIES = 1_000_000
 
+
 def detect(folder: Path) -> bool:
     """Whether `folder` holds one of the npz files with a world_mat in it."""
-    path = photos.first_file(Path(folder), FILES)
+    path = photos.first_file(folder, FILES)
     if path is None:
         return False
     try:
@@ -44,7 +45,6 @@ def read(folder: Path, *, frame: str = "world", pixel_center: float = 0.5) -> Sc
     """
     if frame not in ("world", "sphere"):
         raise InputError(f"frame is {frame!r}, expected 'world' or 'sphere'")
-    folder = Path(folder)
     path = photos.first_file(folder, FILES)
     if path is None:
         raise InputError(f"{folder} has none of {', '.join(FILES)}")

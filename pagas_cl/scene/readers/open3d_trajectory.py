@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.camera import Camera, inverse_pose
+from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene, View
@@ -28,7 +28,7 @@ _MARK = b'"PinholeCameraTrajectory"'
 
 def detect(folder: Path) -> bool:
     """Whether `folder` holds a trajectory of Open3D."""
-    return bool(_trajectories(Path(folder)))
+    return bool(_trajectories(folder))
 
 
 def _trajectories(folder: Path) -> list[Path]:
@@ -44,7 +44,6 @@ def _trajectories(folder: Path) -> list[Path]:
 
 def read(folder: Path, *, pixel_center: float = PIXEL_CENTER) -> Scene:
     """Read the scene; `pixel_center`: where the intrinsics put the centre of the top-left pixel."""
-    folder = Path(folder)
     files = _trajectories(folder)
     if not files:
         raise InputError(f"{folder} has no PinholeCameraTrajectory .json and none of {', '.join(_LOGS)}")
@@ -89,7 +88,7 @@ def read_json(path: Path, *, pixel_center: float = PIXEL_CENTER) -> list[Camera]
                          "'PinholeCameraTrajectory'")
     cameras = []
     for i, (entry, where) in enumerate(untrusted.objects(data, "parameters", "camera", path)):
-        pose = _columns(entry.get("extrinsic"), 4, f"{where}: extrinsic")
+        pose = untrusted.numbers(entry.get("extrinsic"), 16, f"{where}: extrinsic").reshape(4, 4).T
         size, K = _intrinsic(entry.get("intrinsic"), f"{where}: intrinsic")
         cameras.append(untrusted.pinhole(K, pose, *size, f"camera {i}", pixel_center=pixel_center))
     return cameras
@@ -100,14 +99,8 @@ def _intrinsic(value: Any, where: str) -> tuple[tuple[int, int], np.ndarray]:
         raise InputError(f"{where} is {untrusted.short(value)}, expected an object with width, height and "
                          "intrinsic_matrix")
     size = untrusted.size(value.get("width"), value.get("height"), where)
-    return size, _columns(value.get("intrinsic_matrix"), 3, f"{where}: intrinsic_matrix")
-
-
-def _columns(values: Any, side: int, what: str) -> np.ndarray:
-    """A square matrix that JSON holds as one list, column by column."""
-    if not isinstance(values, list) or len(values) != side * side:
-        raise InputError(f"{what} is {untrusted.short(values)}, expected {side * side} numbers")
-    return np.array([untrusted.number(v, what) for v in values], np.float64).reshape(side, side).T
+    K = untrusted.numbers(value.get("intrinsic_matrix"), 9, f"{where}: intrinsic_matrix")
+    return size, K.reshape(3, 3).T
 
 
 def read_log(path: Path) -> list[np.ndarray]:
@@ -121,6 +114,5 @@ def read_log(path: Path) -> list[np.ndarray]:
         where = f"{path}, camera {start // 5}"
         untrusted.words(lines[start], f"{where}: head", 3)
         c2w = np.array([untrusted.words(row, f"{where}: pose", 4) for row in lines[start + 1:start + 5]])
-        rigid = untrusted.pinhole(np.eye(3), c2w, 1, 1, where)  # checks that it is
-        poses.append(inverse_pose(rigid.world_to_camera))
+        poses.append(untrusted.pinhole(np.eye(3), c2w, 1, 1, where, camera_to_world=True).world_to_camera)
     return poses

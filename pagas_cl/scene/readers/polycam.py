@@ -5,20 +5,16 @@ millimetres, smaller than the photo and covering the same; confidence 0 is low. 
 adjusted, are taken where they are there.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.camera import intrinsics
-from pagas_cl.scene.depth_source import least_confidence
+from pagas_cl.scene.camera import FLIP, intrinsics
 from pagas_cl.scene.readers import photos, rgbd, untrusted
 from pagas_cl.scene.view import Scene
 
 _KINDS = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
-_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 _KNOWN = ("fx", "fy", "cx", "cy", "width", "height", *(f"t_{r}{c}" for r in range(3) for c in range(4)))
 
 
@@ -28,7 +24,7 @@ def _root(folder: Path) -> Path:
 
 def detect(folder: Path) -> bool:
     """Whether there are keyframes with cameras of Polycam."""
-    root = _root(Path(folder))
+    root = _root(folder)
     path = next((file for cameras, _ in _KINDS for file in sorted((root / cameras).glob("*.json"))), None)
     try:
         return path is not None and b'"t_00"' in path.read_bytes()[:1 << 16]
@@ -38,7 +34,6 @@ def detect(folder: Path) -> bool:
 
 def read(folder: Path) -> Scene:
     """Read the keyframes."""
-    folder = Path(folder)
     root = _root(folder)
     places = ((root / cameras, root / images) for cameras, images in _KINDS)
     place = next((both for both in places if next(both[0].glob("*.json"), None) is not None
@@ -46,10 +41,8 @@ def read(folder: Path) -> Scene:
     if place is None:
         raise InputError(f"{root} has no cameras/*.json with images/: export raw data (Polycam's developer mode)")
     frames = [_frame(root, place[1], path) for path in sorted(place[0].glob("*.json"))]
-    sure = [frame.confidence for frame in frames if frame.confidence is not None]
-    source = f"{place[0]} (Polycam)"
-    least = least_confidence(sure, source) if sure else 0.0
-    return rgbd.scene_of(folder, frames, rgbd.Depth(1000.0, "millimetres, as the format says", least), source)
+    return rgbd.scene_of(folder, frames, rgbd.Depth(1000.0, "millimetres, as the format says"),
+                         f"{place[0]} (Polycam)")
 
 
 def _frame(root: Path, images: Path, path: Path) -> rgbd.Frame:
@@ -63,6 +56,6 @@ def _frame(root: Path, images: Path, path: Path) -> rgbd.Frame:
     if size != said:
         raise InputError(f"{path} says {said[0]} x {said[1]} and {photo.name} is {size[0]} x {size[1]}")
     pose = np.vstack([[[number[f"t_{r}{c}"] for c in range(4)] for r in range(3)], [0, 0, 0, 1]])
-    return rgbd.Frame(photo, pose @ _FLIP, intrinsics(*(number[key] for key in ("fx", "fy", "cx", "cy"))),
+    return rgbd.Frame(photo, pose @ FLIP, intrinsics(*(number[key] for key in ("fx", "fy", "cx", "cy"))),
                       photos.first_file(root / "depth", (f"{path.stem}.png",)),
                       photos.first_file(root / "confidence", (f"{path.stem}.png",)))

@@ -5,8 +5,6 @@ Convention: z-depth; OpenCV axes; K for the network's image, pixel centres at +0
 views of the photos themselves, where those are found, else of the network's own small ones.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +13,6 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.arrays import ArrayRef, PhotoInArray, members
-from pagas_cl.scene.camera import inverse_pose
 from pagas_cl.scene.depth_source import DepthSource, Stored, least_confidence
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.patches import evenly
@@ -25,6 +22,7 @@ from pagas_cl.scene.view import Scene, View
 
 MOST_ROWS = 100_000
 _COMPARED = 3       # photos that are compared with the network's
+
 
 @dataclass(frozen=True)
 class Row:
@@ -98,20 +96,15 @@ def scene_of(rows: Sequence[Row], originals: Sequence[Path] | None, names: Seque
         where = f"{source}, photo {k}"
         small = _size(row.depth)
         name = names[k] if originals is None else originals[k].name
-        pose = inverse_pose(untrusted.pinhole(np.eye(3), row.pose, 1, 1, where).world_to_camera) if camera_to_world \
-            else row.pose
-        camera = untrusted.pinhole(row.K, pose, *small, name)
+        camera = untrusted.pinhole(row.K, row.pose, *small, name, camera_to_world=camera_to_world)
         if originals is None and row.photo is not None:
             views.append(View(camera, PhotoInArray(row.photo), None, name))
             depths.append(DepthSource(row.depth, small, confidence=row.confidence, least=least))
             continue
         photo = (originals or [])[k]
-        pixels = None if row.photo is None or k not in compared else PhotoInArray(row.photo).load()
-        if row.photo is not None and k not in compared:
-            placement = _as_compared(views, depths, photo, small)
-            if placement is None:
-                placement = find_placement(photo, small, PhotoInArray(row.photo).load(), where, usual)
-        else:
+        placement = None if row.photo is None or k in compared else _as_compared(views, depths, photo, small)
+        if placement is None:
+            pixels = None if row.photo is None else PhotoInArray(row.photo).load()
             placement = find_placement(photo, small, pixels, where, usual)
         width, height = image_size(photo)
         views.append(View(placement.photo_camera(camera, width, height), photo, None, name))

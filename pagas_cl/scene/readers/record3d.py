@@ -5,8 +5,6 @@ Convention: poses are qx qy qz qw tx ty tz, camera-to-world, ARKit's (OpenGL) ax
 photos of w x h, or fx fy cx cy a frame; .depth is float32 metres and .conf 8 bit (0 low, 2 high), both packed by LZFSE.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,15 +13,13 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, need
-from pagas_cl.scene.camera import intrinsics
-from pagas_cl.scene.depth_source import least_confidence
+from pagas_cl.scene.camera import FLIP, intrinsics
 from pagas_cl.scene.digest import digest_file
 from pagas_cl.scene.files import translated
 from pagas_cl.scene.readers import photos, rgbd, untrusted
 from pagas_cl.scene.view import Scene
 
 NAMES = ("metadata", "metadata.json")
-_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 _PLACES = ("rgbd", "rgb", "color", "images")
 _KNOWN = ("w", "h", "dw", "dh", "K", "poses", "perFrameIntrinsicCoeffs")
 
@@ -64,7 +60,7 @@ def _stored(data: bytes) -> bytes | None:
 
 def detect(folder: Path) -> bool:
     """Whether metadata with poses is there beside photos."""
-    path = photos.first_file(Path(folder), NAMES)
+    path = photos.first_file(folder, NAMES)
     try:
         return path is not None and b'"poses"' in path.read_bytes()[:untrusted.MAX_BYTES]
     except OSError:
@@ -73,7 +69,6 @@ def detect(folder: Path) -> bool:
 
 def read(folder: Path) -> Scene:
     """Read the frames, by number."""
-    folder = Path(folder)
     path = photos.first_file(folder, NAMES)
     if path is None:
         raise InputError(f"{folder} has no {' or '.join(NAMES)}: unpack the .r3d (it is a zip archive)")
@@ -88,20 +83,17 @@ def read(folder: Path) -> Scene:
         raise InputError(f"{path} has {len(poses) if isinstance(poses, list) else 'no'} poses and {place} has "
                          f"{len(numbered)} photos, expected as many")
     frames = [_frame(folder, data, k, photo, f"{path}, frame {k}") for k, photo in enumerate(numbered)]
-    sure = [frame.confidence for frame in frames if frame.confidence is not None]
-    source = f"{path} (Record3D)"
-    least = least_confidence(sure, source) if sure else 0.0
-    return rgbd.scene_of(folder, frames, rgbd.Depth(1.0, "metres, as the format says", least), source)
+    return rgbd.scene_of(folder, frames, rgbd.Depth(1.0, "metres, as the format says"), f"{path} (Record3D)")
 
 
 def _frame(folder: Path, data: dict[str, Any], k: int, photo: Path, where: str) -> rgbd.Frame:
-    numbers = _numbers(data["poses"][k], 7, f"{where}: pose")
-    pose = rgbd.pose_from_quaternion(numbers, where) @ _FLIP
+    numbers = untrusted.numbers(data["poses"][k], 7, f"{where}: pose")
+    pose = rgbd.pose_from_quaternion(numbers, where) @ FLIP
     each = data.get("perFrameIntrinsicCoeffs")
     if isinstance(each, list) and len(each) == len(data["poses"]):
-        K = intrinsics(*_numbers(each[k], 4, f"{where}: perFrameIntrinsicCoeffs"))
+        K = intrinsics(*untrusted.numbers(each[k], 4, f"{where}: perFrameIntrinsicCoeffs"))
     else:
-        K = _numbers(data.get("K"), 9, f"{where}: K").reshape(3, 3).T
+        K = untrusted.numbers(data.get("K"), 9, f"{where}: K").reshape(3, 3).T
     (width, height), said = photos.photo_size(photo), untrusted.size(data.get("w"), data.get("h"), where)
     if abs(width / said[0] - height / said[1]) > 0.02:
         raise InputError(f"{where}: w and h are {said[0]} x {said[1]} and {photo.name} is {width} x {height}, of "
@@ -114,9 +106,3 @@ def _frame(folder: Path, data: dict[str, Any], k: int, photo: Path, where: str) 
     size = untrusted.size(data.get("dw", 192), data.get("dh", 256), f"{where}: depth")[::-1]
     return rgbd.Frame(photo, pose, K, Packed(packed, size, "<f4"),
                       Packed(sure, size, "u1") if sure.is_file() else None)
-
-
-def _numbers(value: Any, count: int, what: str) -> np.ndarray:
-    if not isinstance(value, list) or len(value) != count:
-        raise InputError(f"{what} is {untrusted.short(value)}, expected {count} numbers")
-    return np.array([untrusted.number(v, what) for v in value], np.float64)

@@ -1,7 +1,5 @@
 """What readers of RGB-D recordings share: poses out of text, frames without a pose, views with their depth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,13 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.camera import inverse_pose
-from pagas_cl.scene.depth_source import DepthSource, Stored
+from pagas_cl.scene.depth_source import DepthSource, Stored, least_confidence
 from pagas_cl.scene.placement import Placement
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
 
 _UNIT = 1e-2         # length of a quaternion in text: one further from 1 is damage
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -37,7 +35,6 @@ class Depth:
 
     scale: float
     unit: str
-    least: float = 0.0
     invalid: float | None = None
 
 
@@ -49,15 +46,16 @@ def scene_of(folder: Path, frames: Sequence[Frame], depth: Depth, source: str) -
     if len(tracked) < len(frames):
         log.info("%s: %d of %d frames have no pose (tracking lost) and are left out", source,
                  len(frames) - len(tracked), len(frames))
+    sure = [frame.confidence for frame in frames if frame.confidence is not None]
+    least = least_confidence(sure, source) if sure else 0.0
     views, depths = [], list[DepthSource | None]()
     for frame in tracked:
         width, height = photos.photo_size(frame.photo)
-        rigid = untrusted.pinhole(frame.K, frame.camera_to_world, width, height, frame.photo.name,
-                                  pixel_center=frame.pixel_center)      # checks both
-        camera = untrusted.pinhole(rigid.K, inverse_pose(rigid.world_to_camera), width, height, frame.photo.name)
+        camera = untrusted.pinhole(frame.K, frame.camera_to_world, width, height, frame.photo.name,
+                                   pixel_center=frame.pixel_center, camera_to_world=True)
         views.append(photos.view_of(folder, camera, frame.photo))
         depths.append(None if frame.depth is None else DepthSource(
-            frame.depth, (width, height), depth.scale, frame.placement, frame.confidence, depth.least, depth.invalid))
+            frame.depth, (width, height), depth.scale, frame.placement, frame.confidence, least, depth.invalid))
     return Scene(views, source, depths=tuple(depths) if any(depths) else None, depth_unit=depth.unit)
 
 
@@ -76,14 +74,14 @@ def pose_from_quaternion(numbers: Sequence[float] | npt.NDArray[np.float64], whe
     return pose
 
 
-def read_matrix(path: Path, rows: int = 4, columns: int = 4, lost: bool = False) -> np.ndarray:
-    """A matrix of a text file, float64; `lost`: whether it may hold inf and nan, which frames without a pose have."""
+def read_pose(path: Path) -> np.ndarray:
+    """(4, 4) of a text file, float64; NaN where it holds inf or nan, which frames without a pose have."""
     tokens = untrusted.read_text(path, 1 << 16).split()
-    if len(tokens) != rows * columns:
-        raise InputError(f"{path} holds {len(tokens)} numbers, expected {rows} x {columns}")
-    if lost and any(token.lower().lstrip("+-") in ("inf", "nan", "infinity") for token in tokens):
-        return np.full((rows, columns), np.nan)
-    return untrusted.words(tokens, str(path)).reshape(rows, columns)
+    if len(tokens) != 16:
+        raise InputError(f"{path} holds {len(tokens)} numbers, expected 4 x 4")
+    if any(token.lower().lstrip("+-") in ("inf", "nan", "infinity") for token in tokens):
+        return np.full((4, 4), np.nan)
+    return untrusted.words(tokens, str(path)).reshape(4, 4)
 
 
 def K_of(path: Path) -> np.ndarray:

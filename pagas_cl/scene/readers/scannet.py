@@ -4,8 +4,6 @@ Convention: pose camera-to-world, metres, OpenCV; -inf where tracking was lost; 
 intrinsics of its own at the place of the colour camera; pixel centres are not said, and read at +0.5.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pagas_cl.errors import InputError
@@ -18,13 +16,11 @@ _DEPTH_K = "intrinsic/intrinsic_depth.txt"
 
 def detect(folder: Path) -> bool:
     """Whether color/, pose/ and intrinsic/intrinsic_color.txt are there."""
-    folder = Path(folder)
     return (folder / _COLOR_K).is_file() and (folder / "pose").is_dir() and (folder / "color").is_dir()
 
 
 def read(folder: Path) -> Scene:
     """Read the frames that have a photo and a pose, by number."""
-    folder = Path(folder)
     if not detect(folder):
         raise InputError(f"{folder} is no export of ScanNet's SensReader: expected color/, pose/ and {_COLOR_K}")
     K, depth_K = rgbd.K_of(folder / _COLOR_K), None
@@ -40,7 +36,7 @@ def read(folder: Path) -> Scene:
         if depth.is_file() and depth_K is not None:
             sizes = sizes or (photos.photo_size(photo), photos.photo_size(depth))
             placement = rgbd.placed((K, sizes[0]), (depth_K, sizes[1]))
-        frames.append(rgbd.Frame(photo, rgbd.read_matrix(pose, lost=True), K, depth if depth.is_file() else None,
+        frames.append(rgbd.Frame(photo, rgbd.read_pose(pose), K, depth if depth.is_file() else None,
                                  placement=placement))
     if not frames:
         raise InputError(f"{folder / 'color'} has no photos")

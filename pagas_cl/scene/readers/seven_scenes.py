@@ -5,8 +5,6 @@ Convention: pose camera-to-world, metres, OpenCV; depth in millimetres, 65535 = 
 7-Scenes depth is not registered to colour.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +19,7 @@ _KINECT, _SIZE = (585.0, 585.0, 320.0, 240.0), (640, 480)
 _COLOR = (".color.png", ".color.jpg")
 _PLACES = (".", "data", "seq-01")
 
+
 def _place(folder: Path) -> Path | None:
     return next((folder / name for name in _PLACES if (folder / name).is_dir()
                  and next((folder / name).glob("frame-*.pose.txt"), None) is not None), None)
@@ -28,12 +27,11 @@ def _place(folder: Path) -> Path | None:
 
 def detect(folder: Path) -> bool:
     """Whether there are frame-*.pose.txt in the folder, in data/ or in seq-01/."""
-    return _place(Path(folder)) is not None
+    return _place(folder) is not None
 
 
 def read(folder: Path) -> Scene:
     """Read the frames."""
-    folder = Path(folder)
     place = _place(folder)
     if place is None:
         raise InputError(f"{folder} has no frame-NNNNNN.pose.txt (looked in {', '.join(_PLACES)})")
@@ -45,7 +43,7 @@ def read(folder: Path) -> Scene:
         photo = photos.first_file(place, (stem + suffix for suffix in _COLOR))
         if photo is None:
             raise InputError(f"{pose}: its photo {stem}{_COLOR[0]} is missing")
-        frames.append(rgbd.Frame(photo, rgbd.read_matrix(pose, lost=True), _K(path, photo),
+        frames.append(rgbd.Frame(photo, rgbd.read_pose(pose), _K(path, photo),
                                  photos.first_file(place, (stem + ".depth.png",))))
     if path is None:
         log.warning("%s: no camera-intrinsics.txt; the data set's 585 pixels are taken, and its depth is not "

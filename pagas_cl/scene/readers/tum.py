@@ -5,8 +5,6 @@ pixel centres at whole numbers. Intrinsics are not in the folder: `camera-intrin
 `camera_intrinsic.json`, else the 525 pixels, (319.5, 239.5), that the data set's page gives.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +20,7 @@ _SIZE, _DEFAULT = (640, 480), (525.0, 525.0, 319.5, 239.5)
 _APART = 0.03        # seconds between a photo and its depth map or pose
 _ROWS = 1_000_000
 
+
 def _trajectory(folder: Path) -> Path | None:
     return photos.first_file(folder, ("groundtruth.txt", "trajectory.txt", "CameraTrajectory.txt",
                                       "KeyFrameTrajectory.txt")) or next(iter(sorted(folder.glob("*.freiburg"))), None)
@@ -29,7 +28,6 @@ def _trajectory(folder: Path) -> Path | None:
 
 def detect(folder: Path) -> bool:
     """Whether a trajectory is there with a list of photos."""
-    folder = Path(folder)
     lists = photos.first_file(folder, LISTS) or photos.first_file(folder, ("rgb.txt",))
     return lists is not None and _trajectory(folder) is not None
 
@@ -37,7 +35,6 @@ def detect(folder: Path) -> bool:
 def read(folder: Path, *, outside: bool = False) -> Scene:
     """Read the photos that have a pose within 0.03 s, and depth maps likewise; `outside`: also files outside
     `folder`."""
-    folder = Path(folder)
     trajectory = _trajectory(folder)
     if not detect(folder) or trajectory is None:
         raise InputError(f"{folder} has no groundtruth.txt with rgb.txt or {LISTS[0]}")
@@ -54,8 +51,7 @@ def read(folder: Path, *, outside: bool = False) -> Scene:
         pose = rgbd.pose_from_quaternion(numbers[k, [4, 5, 6, 7, 1, 2, 3]], f"{trajectory}, time {poses[k][0]}")
         image = photos.existing(photos.inside(folder, photo, f"{folder}: photo", outside=outside), str(folder))
         file = depth and photos.existing(photos.inside(folder, depth, f"{folder}: depth", outside=outside), str(folder))
-        K, center = _K(folder, image)
-        frames.append(rgbd.Frame(image, pose, K, file or None, pixel_center=center))
+        frames.append(rgbd.Frame(image, pose, _K(folder, image), file or None, pixel_center=0.0))
     source = f"{trajectory} (TUM)"
     if not frames:
         raise InputError(f"{source}: none of the {lost} photos has a pose within {_APART} s")
@@ -105,11 +101,10 @@ def _nearest(times: np.ndarray, time: float) -> int:
     return min((j for j in (k - 1, k) if 0 <= j < len(times)), key=lambda j: abs(times[j] - time))
 
 
-def _K(folder: Path, photo: Path) -> tuple[np.ndarray, float]:
-    """K, and where it counts the first pixel's centre."""
+def _K(folder: Path, photo: Path) -> np.ndarray:
     path = photos.first_file(folder, _INTRINSICS)
     if path is not None:
-        return rgbd.K_of(path), 0.0
+        return rgbd.K_of(path)
     if photos.photo_size(photo) != _SIZE:
         raise InputError(f"{folder} has no intrinsics: put {_INTRINSICS[0]} (3 x 3) there")
-    return intrinsics(*_DEFAULT), 0.0
+    return intrinsics(*_DEFAULT)

@@ -63,7 +63,7 @@ def read_xml(path: Path, root: str) -> ElementTree.Element:
 
     Entity declarations, which can expand without bound or read other files, are refused before anything is expanded.
     """
-    data = read_bytes(Path(path), _XML_BYTES)
+    data = read_bytes(path, _XML_BYTES)
     with files.translated(f"{path} is not valid XML (", "): is the file damaged?"):
         _inspect_xml(data, path)
         element = ElementTree.fromstring(data)
@@ -155,6 +155,13 @@ def size(width: Any, height: Any, where: str) -> tuple[int, int]:
     return whole(width, 1, MAX_SIDE, f"{where}: width"), whole(height, 1, MAX_SIDE, f"{where}: height")
 
 
+def numbers(value: Any, count: int, what: str) -> npt.NDArray[np.float64]:
+    """A JSON list of so many numbers as float64 of shape (count,)."""
+    if not isinstance(value, list) or len(value) != count:
+        raise InputError(f"{what} is {short(value)}, expected {count} numbers")
+    return np.array([number(cell, what) for cell in value], np.float64)
+
+
 def matrix(value: Any, rows: int, columns: int, what: str) -> np.ndarray:
     """Nested JSON lists as float64 of shape (rows, columns)."""
     if not isinstance(value, list) or len(value) != rows or not all(
@@ -187,9 +194,10 @@ def refuse_near_misses(found: dict[str, Any], known: tuple[str, ...], where: str
                 raise InputError(f"{where}: unknown key {short(key)} while {name!r} is absent; is it a slip?")
 
 
-def pinhole(K: npt.ArrayLike, world_to_camera: npt.ArrayLike, width: int, height: int, name: str, *,
-            pixel_center: float = 0.5) -> Camera:
-    """Camera.from_opencv_w2c for values out of a file: also refuses sizes and focal lengths that no photo has."""
+def pinhole(K: npt.ArrayLike, pose: npt.ArrayLike, width: int, height: int, name: str, *,
+            pixel_center: float = 0.5, camera_to_world: bool = False) -> Camera:
+    """Camera.from_opencv_w2c, or from_c2w, for values out of a file: also refuses sizes and focal lengths that no photo
+    has."""
     size(width, height, f"camera {name!r}")
     K = np.asarray(K, np.float64)
     below = np.array([K[1, 0], K[2, 0], K[2, 1], K[2, 2] - 1]) if K.shape == (3, 3) else np.zeros(4)
@@ -197,6 +205,7 @@ def pinhole(K: npt.ArrayLike, world_to_camera: npt.ArrayLike, width: int, height
         raise InputError(f"camera {name!r}: K is {short(K.tolist())}, expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
     if max(abs(K[0, 0]), abs(K[1, 1]), abs(K[0, 2]), abs(K[1, 2])) > 1e9:
         raise InputError(f"camera {name!r}: K holds more than 1e9 pixels: is the file damaged?")
-    if np.abs(np.asarray(world_to_camera)).max(initial=0) > 1e15:
+    if np.abs(np.asarray(pose)).max(initial=0) > 1e15:
         raise InputError(f"camera {name!r}: the pose holds values above 1e15: is the file damaged?")
-    return Camera.from_opencv_w2c(K, world_to_camera, width, height, pixel_center=pixel_center, name=name)
+    make = Camera.from_c2w if camera_to_world else Camera.from_opencv_w2c
+    return make(K, pose, width, height, pixel_center=pixel_center, name=name)

@@ -5,8 +5,6 @@ Convention: depth (`depth_map` or `depth`, (S, h, w, 1)) is z-depth; `extrinsic`
 COLMAP model, which is read as COLMAP, and no depth.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pagas_cl.errors import InputError
@@ -28,12 +26,11 @@ def _place(folder: Path) -> Path | None:
 
 def detect(folder: Path) -> bool:
     """Whether depth, extrinsic and intrinsic are there together."""
-    return _place(Path(folder)) is not None
+    return _place(folder) is not None
 
 
 def read(folder: Path, *, photos: Path | None = None, confidence: float | None = None) -> Scene:
     """Read the predictions; options as in depth_anything.read."""
-    folder = Path(folder)
     place = _place(folder)
     if place is None:
         raise InputError(f"{folder} holds no predictions of VGGT: looked for depth_map (or depth), extrinsic and "

@@ -4,8 +4,6 @@ Convention: a line of poses.txt is a 4 x 4 matrix, camera-to-world, metres, Open
 name; K counts pixel centres at whole numbers; depth/<name>.png is registered, in millimetres.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +15,11 @@ from pagas_cl.scene.view import Scene
 
 def detect(folder: Path) -> bool:
     """Whether K.txt, poses.txt and images/ are there."""
-    folder = Path(folder)
     return (folder / "K.txt").is_file() and (folder / "poses.txt").is_file() and (folder / "images").is_dir()
 
 
 def read(folder: Path) -> Scene:
     """Read the frames; poses beyond the photos (of a sequence that was cut) are left out and counted."""
-    folder = Path(folder)
     path, images = folder / "poses.txt", photos.list_photos(folder / "images")
     lines = [line.split() for line in untrusted.read_text(path).splitlines() if line.strip()]
     if not images or len(lines) < len(images):

@@ -1,0 +1,60 @@
+"""What a setting may hold: the rules that the fields of a stage are declared by, and the check of them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from pagas_cl.errors import InputError
+
+
+def setting(default: Any, rule: Callable[[Any, Any], tuple[bool, str]], define: str = "") -> Any:
+    """A field of a stage. `rule(value, stage)`: whether the value holds, and what is expected; `define`: the -D define
+    of the kernels that a plain switch stands for."""
+    return field(default=default, metadata={"rule": rule, "define": define})
+
+
+def one_of(default: str, *choices: str) -> Any:
+    """A word out of `choices`."""
+    return setting(default, lambda value, _: (value in choices, " or ".join(map(repr, choices))))
+
+
+def real(default: float, low: float | str, high: float | str) -> Any:
+    """From `low` to `high`; a str names another setting of the stage, one before it."""
+    def rule(value: Any, stage: Any) -> tuple[bool, str]:
+        least, most = (getattr(stage, end) if isinstance(end, str) else end for end in (low, high))
+        ok = isinstance(value, (int, float)) and not isinstance(value, bool) and least <= value <= most
+        return ok, f"a number from {least:g} to {most:g}"
+
+    return setting(default, rule)
+
+
+def is_whole(value: Any, low: int, high: int) -> bool:
+    """Whether it is a whole number from `low` to `high`."""
+    return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
+
+
+def whole(default: int, low: int, high: int) -> Any:
+    """A whole number from `low` to `high`."""
+    return setting(default, lambda value, _: (is_whole(value, low, high), f"a whole number from {low} to {high}"))
+
+
+def switch(default: bool, define: str = "") -> Any:
+    """On or off; `define` as in `setting`."""
+    return setting(default, lambda value, _: (isinstance(value, bool), "true or false"), define)
+
+
+def effect() -> Any:
+    """What is done about an effect."""
+    return one_of("auto", "auto", "on", "off", "set")
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Settings that are checked when they are made."""
+
+    def __post_init__(self) -> None:
+        for own in fields(self):
+            value = getattr(self, own.name)
+            holds, expected = own.metadata["rule"](value, self)
+            if not holds:
+                raise InputError(f"setting {type(self).__name__.lower()}.{own.name} is {value!r}, expected {expected}")
