@@ -1,5 +1,6 @@
 // Refined depth maps of other views as evidence for one another (method section 8.1). Lengths in units; `scale` is
 // units per scene unit, in which the maps come.
+//   invert              what of a map the others are told
 //   count_differences   how far one other view's surface is from the target's, counted in bins
 //   add_view            what that view says of each depth, weighted by deviations
 //   average             depth, deviation and status that follow
@@ -11,99 +12,132 @@
 #define LENIENCE 2.0f                    // of `spread`: weights know no smaller deviation
 #define IN_COMMON 0.3f                   // share of their variance that views have in common and no average takes out
 
-// How much the target's depth would have to change for its point to lie on the other view's surface: the plane through
-// the cell of four pixels that the point lands in, whose inverse depth w is linear in the image, so that z w = 1 is
-// solved by one step. False where that view says nothing: it does not see the point, one of the four has no refined
-// depth, or there is a depth edge between them.
-bool difference(const Camera target, CAMERA_SPACE float *cameras, int view, int column, int row,
-                __global const float *depth, __global const float *depth_per_parallax, __global const float *map,
-                __global const float *deviations, float scale, float *per_pixel, float *change, float *unsure)
+// Variance that a depth counts with: its own deviation as far as it can be believed, and what maps differ by.
+#define VARIANCE(s, u, floor) (SQUARE(fmin(s, MOST_UNSURE * (u))) + SQUARE((floor) * (u)))
+#define SQUARE(x) ((x) * (x))
+
+// Inverse depths that photos confirm, 0 for all others.
+__kernel void invert(int count, __global const float *depth, __global const float *deviation,
+                     __global const uchar *status, __global float *inverse)
+{
+    EACH(i, count)
+    inverse[i] = status[i] == REFINED && deviation[i] < INFINITY && depth[i] > 0.0f ? 1.0f / depth[i] : 0.0f;
+}
+
+// How much the target's depths would have to change for their points to lie on the other view's surface: the plane of
+// the four pixels around them, whose inverse depth w is linear in the image, so that z w = 1 is solved by one step; and
+// deviations of that view there. Returns where it says anything: it sees the point, all four
+// have a refined depth, and there is no depth edge between them.
+mask_t difference(const Camera target, CAMERA_SPACE float *cameras, int view, int column, int row, float scale,
+                  __global const float *depth, columns_t u, __global const float *inverses,
+                  __global const float *deviations, columns_t *change, columns_t *unsure)
 {
     const Camera other = load_camera(cameras, view);
-    const int own = row * target.width + column;
-    const float d = depth[own] * scale, u = *per_pixel = depth_per_parallax[own] * scale;
-    if (!(d > 0.0f && u > 0.0f))
-        return false;
-    const float3 q = turned_ray(target, other, column, row), m = project_ray(other, q, d);
-    const float x = m.x - 0.5f, y = m.y - 0.5f;
-    if (!(m.z > NEAR && x >= 0.0f && y >= 0.0f && x < other.width - 1 && y < other.height - 1))
-        return false;
-    const int left = (int)x, top = (int)y, i = top * other.width + left, j = i + other.width;
-    const float near = fmin(fmin(map[i], map[i + 1]), fmin(map[j], map[j + 1])) * scale;
-    const float far = fmax(fmax(map[i], map[i + 1]), fmax(map[j], map[j + 1])) * scale;
-    if (!(near > 0.0f && far - near < EDGE * u))
-        return false;
-    const float a = x - left, b = y - top;
-    const float w00 = 1.0f / (map[i] * scale), w10 = 1.0f / (map[i + 1] * scale);
-    const float w01 = 1.0f / (map[j] * scale), w11 = 1.0f / (map[j + 1] * scale);
-    const float2 slope = (float2)((1 - b) * (w10 - w00) + b * (w11 - w01), (1 - a) * (w01 - w00) + a * (w11 - w10));
-    const float w = (1 - b) * ((1 - a) * w00 + a * w10) + b * ((1 - a) * w01 + a * w11);
-    const float d_zw = q.z * w + dot(slope, dmean_ddepth(other, q)) / m.z;      // d (z w) / d depth
-    *change = (1.0f - m.z * w) / d_zw;
-    *unsure = fmax(fmax(deviations[i], deviations[i + 1]), fmax(deviations[j], deviations[j + 1])) * scale;
-    return d_zw > 0.0f;
+    const columns_t d = LOAD_COLUMNS(depth + row * target.width + column) * scale;
+    columns_t q[3], w[4];
+    turned_rays(target, other, column, row, q);
+    const columns_t z = d * q[2] + other.t.z, inverse_z = 1.0f / z;
+    const columns_t x = other.fx * (d * q[0] + other.t.x) * inverse_z + other.cx - 0.5f;
+    const columns_t y = other.fy * (d * q[1] + other.t.y) * inverse_z + other.cy - 0.5f;
+    mask_t known = (d > 0.0f) & (u > 0.0f) & (z > NEAR) & (x >= 0.0f) & (y >= 0.0f) & (x < other.width - 1.0f)
+                   & (y < other.height - 1.0f);
+    if (!ANY(known))
+        return known;
+    const columns_t inside_x = select(ZERO, x, known), inside_y = select(ZERO, y, known);
+    const mask_t left = TO_WHOLE(inside_x), top = TO_WHOLE(inside_y), corner = top * other.width + left;
+    const columns_t a = inside_x - TO_COLUMNS(left), b = inside_y - TO_COLUMNS(top);
+    columns_t least = (columns_t)(INFINITY), most = ZERO;
+    *unsure = ZERO;
+    for (int k = 0; k < 4; ++k) {
+        const mask_t place = corner + (k >> 1) * other.width + (k & 1);
+        w[k] = pick(inverses, place) / scale;
+        least = fmin(least, w[k]);
+        most = fmax(most, w[k]);
+        *unsure = fmax(*unsure, pick(deviations, place) * scale);
+    }
+    const columns_t slope_x = (1 - b) * (w[1] - w[0]) + b * (w[3] - w[2]);
+    const columns_t slope_y = (1 - a) * (w[2] - w[0]) + a * (w[3] - w[1]);
+    const columns_t mean = (1 - b) * ((1 - a) * w[0] + a * w[1]) + b * ((1 - a) * w[2] + a * w[3]);
+    const columns_t moved = slope_x * other.fx * MEAN_SLOPE(q[0], q[2], other.t.x, other.t.z)
+                            + slope_y * other.fy * MEAN_SLOPE(q[1], q[2], other.t.y, other.t.z);
+    const columns_t d_zw = q[2] * mean + moved * inverse_z;                    // d (z w) / d depth
+    *change = (1.0f - z * mean) / d_zw;
+    return known & (least > 0.0f) & (most - least < EDGE * u * least * most) & (d_zw > 0.0f);
 }
 
-// Pixels of parallax; beyond BINS / PER_PIXEL views mean different surfaces. depth: 0 where it is not refined.
-__kernel void count_differences(__global const float *depth, __global const float *depth_per_parallax,   // scene units
-                                CAMERA_SPACE float *cameras, int view, float scale, __global const float *map,
-                                __global const float *deviations, int bins, float per_pixel, __global uint *counts)
+// Pixels of parallax; beyond BINS / PER_PIXEL views mean different surfaces. Of every `stride`-th row.
+__kernel void count_differences(__global const float *depth, __global const float *inverse,
+                                __global const float *depth_per_parallax,                          // scene units
+                                CAMERA_SPACE float *cameras, int view, float scale, __global const float *inverses,
+                                __global const float *deviations, int stride, int bins, float per_pixel,
+                                __global uint *counts)
 {
     const Camera target = load_camera(cameras, 0);
-    EACH_PIXEL(column, row, i, target.width, target.height)
-    float u, change, unsure;
-    if (!difference(target, cameras, view, column, row, depth, depth_per_parallax, map, deviations, scale, &u, &change,
-                    &unsure))
+    const int row = get_global_id(1) * stride + stride / 2;
+    if (row >= target.height)
         return;
-    const float bin = fabs(change) / u * per_pixel;
-    if (bin < bins)
-        atomic_inc(counts + (int)bin);
-}
-
-// Variance that a depth counts with: its own deviation as far as it can be believed, and what maps differ by.
-float variance_of(float deviation, float u, float floor)
-{
-    const float s = fmin(deviation, MOST_UNSURE * u), least = floor * u;
-    return s * s + least * least;
+    EACH_VECTOR(item, target.width) {
+        const int column = span_start(item, COLUMNS, target.width), i = row * target.width + column;
+        const columns_t u = LOAD_COLUMNS(depth_per_parallax + i) * scale;
+        columns_t change, unsure;
+        const mask_t known = difference(target, cameras, view, column, row, scale, depth, u, inverses, deviations,
+                                        &change, &unsure) & (LOAD_COLUMNS(inverse + i) > 0.0f);
+        const columns_t bin = select((columns_t)(-1.0f), fabs(change) / u * per_pixel, known);
+        for (int k = item * COLUMNS - column; k < COLUMNS; ++k)
+            if (LANE(float, bin, k) >= 0.0f && LANE(float, bin, k) < bins)
+                atomic_inc(counts + (int)LANE(float, bin, k));
+    }
 }
 
 __kernel void add_view(__global const float *depth, __global const float *depth_per_parallax,      // scene units
-                       CAMERA_SPACE float *cameras, int view, float scale, __global const float *map,
+                       CAMERA_SPACE float *cameras, int view, float scale, __global const float *inverses,
                        __global const float *deviations, float spread, float pixels,
-                       __global float *sums)                       // [H, W, 4] w change, w, w^2 and w times variances
+                       __global float *sums)                       // [4, H, W] w change, w, w^2 and w times variances
 {
     const Camera target = load_camera(cameras, 0);
-    EACH_PIXEL(column, row, i, target.width, target.height)
-    float u, change, unsure;
-    if (!difference(target, cameras, view, column, row, depth, depth_per_parallax, map, deviations, scale, &u, &change,
-                    &unsure))
+    const int row = get_global_id(1), count = target.width * target.height;
+    if (row >= target.height)
         return;
-    const float off = fabs(change) / (pixels * u);
-    if (!(off < 1.0f))
-        return;
-    const float t = off * off, rest = 1.0f - t * t * t * t;
-    const float w = rest * rest / variance_of(unsure, u, LENIENCE * spread);
-    const float v = variance_of(unsure, u, spread);
-    vstore4(vload4(i, sums) + (float4)(w * change, w, w * w * v, w * v), i, sums);
+    EACH_VECTOR(item, target.width) {
+        const int column = span_start(item, COLUMNS, target.width), i = row * target.width + column;
+        const int first = item * COLUMNS - column;
+        const columns_t u = LOAD_COLUMNS(depth_per_parallax + i) * scale;
+        columns_t change, unsure;
+        mask_t known = difference(target, cameras, view, column, row, scale, depth, u, inverses, deviations, &change,
+                                  &unsure);
+        const columns_t off = change / (pixels * u);
+        known &= off * off < 1.0f;
+        if (!ANY(known))
+            continue;
+        const columns_t w = select(ZERO, fading(off * off) / VARIANCE(unsure, u, LENIENCE * spread), known);
+        const columns_t wv = select(ZERO, w * VARIANCE(unsure, u, spread), known);
+        add_columns(sums + i, select(ZERO, w * change, known), first);
+        add_columns(sums + count + i, w, first);
+        add_columns(sums + 2 * count + i, w * wv, first);
+        add_columns(sums + 3 * count + i, wv, first);
+    }
 }
 
 // status: of the depth as it is; one that was rejected has no weight of its own, and where the others are to `propose`
 // another one that is refined from then on.
-__kernel void average(int count, float scale, float spread, int propose, __global const float *sums, __global const float *depth,
-                      __global const float *depth_per_parallax, __global float *deviation, __global uchar *status,
-                      __global float *averaged)                    // [H, W] scene units
+__kernel void average(int count, float scale, float spread, int propose, __global const float *sums,
+                      __global const float *depth, __global const float *depth_per_parallax,
+                      __global const float *deviation, __global const uchar *status,
+                      __global float *averaged, __global float *surer, __global uchar *found)
 {
     EACH(i, count)
-    const float4 sum = vload4(i, sums);
+    const float total = sums[i], others = sums[count + i];
     averaged[i] = depth[i];
-    if (!(sum.s1 > 0.0f) || (status[i] != REFINED && !propose))
+    surer[i] = deviation[i];
+    found[i] = status[i];
+    if (!(others > 0.0f) || (status[i] != REFINED && !propose))
         return;
     const float u = depth_per_parallax[i] * scale, s = deviation[i] * scale;
     const bool own = status[i] == REFINED && s < INFINITY;
-    const float w = own ? 1.0f / variance_of(s, u, LENIENCE * spread) : 0.0f, v = variance_of(s, u, spread);
-    const float weight = sum.s1 + w;
-    const float alone = (sum.s2 + w * w * v) / (weight * weight), mean = (sum.s3 + w * v) / weight;
-    averaged[i] = depth[i] + sum.s0 / weight / scale;
-    deviation[i] = sqrt(IN_COMMON * mean + (1.0f - IN_COMMON) * alone) / scale;
-    status[i] = REFINED;
+    const float w = own ? 1.0f / VARIANCE(s, u, LENIENCE * spread) : 0.0f, v = VARIANCE(s, u, spread);
+    const float weight = others + w, mean = (sums[3 * count + i] + w * v) / weight;
+    const float alone = (sums[2 * count + i] + w * w * v) / (weight * weight);
+    averaged[i] = depth[i] + total / weight / scale;
+    surer[i] = sqrt(IN_COMMON * mean + (1.0f - IN_COMMON) * alone) / scale;
+    found[i] = REFINED;
 }

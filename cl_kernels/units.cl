@@ -45,6 +45,15 @@ __kernel void normalize_depth(__global const float *given,         // [count] sc
     }
 }
 
+// Other depths for those that there are.
+__kernel void start_from(__global const float *start,              // [count] scene units, 0 = as it is
+                         int count, float scene_scale, __global float *depth)
+{
+    EACH(i, count)
+    if (depth[i] > 0.0f && start[i] > 0.0f)
+        depth[i] = quotient(start[i], scene_scale);
+}
+
 // What is given back of a view, in place; status as scene/depthmap.py has it.
 __kernel void denormalize_depth(__global const float *given, int count, float scene_scale, __global float *depth,
                                 __global float *parallax, __global uchar *status,

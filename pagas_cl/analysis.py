@@ -13,8 +13,6 @@ from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.inputs import asked_views, checked_depth, depth_array, depth_maps
 from pagas_cl.splat import PhotoStore
 
-_NOT_TOLD = ("gains", "local_specularity")  # of what is measured: arrays, no figures
-
 
 @dataclass(frozen=True)
 class EffectCost:
@@ -49,8 +47,8 @@ class Analysis:
 
     def as_dict(self) -> dict:
         views = [{"view": view.view, "contexts": list(view.contexts), "reason": view.reason,
-                  "measured": {name: value for name, value in vars(view.measured).items() if name not in _NOT_TOLD}
-                  if view.measured else {}, "effects": [decision.as_dict() for decision in view.decisions]}
+                  "measured": view.measured.figures if view.measured else {},
+                  "effects": [decision.as_dict() for decision in view.decisions]}
                  for view in self.views]
         costs = {name: {"seconds_on": cost.on, "seconds_off": cost.off, "device_bytes": cost.device_bytes}
                  for name, cost in self.costs.items()}

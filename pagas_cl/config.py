@@ -13,7 +13,7 @@ from pagas_cl.errors import InputError, nearest_of
 from pagas_cl.stage import Stage, effect, is_whole, one_of, real, setting, switch, whole
 
 # cameras of a view, its contexts and held-out views, lie in 64 kB of constant memory, which every device has
-MOST_CONTEXTS, MOST_WEIGHT = 800, 100.0
+MOST_CONTEXTS, MOST_WEIGHT, MOST_RAISED = 800, 100.0, 40.0     # the latter times a weight of smoothness
 
 
 @dataclass(frozen=True)
@@ -95,9 +95,11 @@ class Smoothness(Stage):
     """With "planar": a second difference beyond this, pixels of parallax, is a discontinuity and pulls no more; up to
     there its pull fades as (1 - (e / discontinuity)^8)^2."""
 
-    def weight_with(self, contexts: int) -> float:
-        """lambda_s where there are so many context views, at most the largest weight there is."""
-        return min(MOST_WEIGHT, self.weight * float(max(1.0, self.full_views / contexts) ** (2 / 3)))
+    def weight_with(self, contexts: int, mismatch: float = 1.0) -> float:
+        """lambda_s where there are so many context views, raised by `mismatch` (below 1 and NaN: not), at most the
+        largest weight there is."""
+        weight = self.weight * float(max(1.0, self.full_views / contexts) ** (2 / 3))
+        return min(MOST_WEIGHT, weight * mismatch if mismatch > 1 else weight)
 
 
 @dataclass(frozen=True)
@@ -211,8 +213,8 @@ class Agreement(Stage):
 
     rounds: int = whole(0, 0, 20)
     """How often each depth is averaged with what its context views' depth maps say; 0: not at all."""
-    steps: float = real(0.11, 0, 10)
-    """Steps of the photos between two rounds, as a share of those of the last level."""
+    steps: float = real(0.08, 0, 10)
+    """Steps of the photos between two rounds, as a share of those of the last level; each is longer by 1.4."""
     pixels: float = real(2.0, 1e-3, 100)
     """A depth map that says something else by more than this, pixels of parallax, is of another surface."""
 

@@ -3,13 +3,13 @@ whether refined views that contradict each other are cleaned before they are fus
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pagas_cl.config import MOST_WEIGHT, Config
+from pagas_cl.config import MOST_RAISED, MOST_WEIGHT, Config
 from pagas_cl.errors import log
 from pagas_cl.measurements import FAR_OFF, Measurements, measure
 from pagas_cl.splat.constants import SPECULAR_VIEW
@@ -23,7 +23,6 @@ DIFFERENT = 0.02         # pixels of parallax by which refined depth maps differ
                          # no photo resolves
 AGREEMENT_ROUNDS = 2     # each averages; between them, and not after the last, the photos have some steps
 CONTRADICTED = 0.04      # share of depths that others contradict, above which those are left out of a fusion
-MOST_RAISED = 40.0       # times the weight of the smoothness
 SHINY_DISCONTINUITY = 0.6  # smoothness.discontinuity at least: what a highlight bends is no discontinuity
 LOW_PASS = 0.06          # px^2: about what a photo's own pixel blurs; more than that blurs what is to be compared
 
@@ -140,15 +139,18 @@ def _decision(config: Config, name: str, measured: Measurements) -> Decision:
 
 
 def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
-           photos: PhotoStore, *,
-           normalized: NormalizedDepth | None = None) -> tuple[Config, list[Decision], Measurements | None]:
+           photos: PhotoStore, *, normalized: NormalizedDepth | None = None,
+           known: Mapping[str, Any] | None = None) -> tuple[Config, list[Decision], Measurements | None]:
     """Decide which effects this view calls for: the settings that follow, the decisions, and what they rest on.
 
-    Parameters are those of refine_depth; `normalized`: the depth where it is on the device already.
+    Parameters are those of refine_depth; `normalized`: the depth where it is on the device already; `known`: figures
+    that were measured under an earlier depth, which hold where they last.
     """
     if not config.effects.measured:
         return *decide(config, None), None
-    measured = measure(target, contexts, depth, config, device, photos, normalized=normalized)
+    measured = Measurements(**known) if known else None
+    if measured is None or not measured.lasting:
+        measured = measure(target, contexts, depth, config, device, photos, normalized=normalized)
     config, decisions = decide(config, measured)
     for decision in decisions:
         log.debug("view %s: %s %s (%.4g, threshold %.4g)", target.name, decision.effect, "on" if decision.on else "off",

@@ -1,6 +1,7 @@
 """What is measured of one view before it is refined (method section 8); what calls for which effect: effects.py."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -35,10 +36,21 @@ class Measurements:
     """How far the context photos are off across the direction that depth moves a point in, pixels: root mean square
     over views and quadrants of the target. No depth explains it: cameras, or lenses, are off by about as much."""
     masked: bool                # whether masks were given
-    gains: tuple                # gain and offset of each channel for each context view
+    gains: tuple = ()           # gain and offset of each channel for each context view
     local_specularity: np.ndarray | None = field(default=None, compare=False, repr=False)
     """Residual as in `specularity`, mean over the context views, float32 (down, across) on a grid of samples over the
     target; NaN = unknown."""
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """All of it by name but for the arrays: Measurements(**figures) decides alike."""
+        return {name: value for name, value in vars(self).items() if name not in ("gains", "local_specularity")}
+
+    @property
+    def lasting(self) -> bool:
+        """Whether it would be the same under the refined depth, as far as it matters: the photos could be compared, and
+        show no specularity, whose place no figure tells."""
+        return 0 < self.residual <= constants.SPECULAR_VIEW
 
     @property
     def unexplained(self) -> float:

@@ -155,7 +155,8 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     report = {"contexts": [view.name for view in contexts], "held_out": [view.name for view in held_out],
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
-              "planned_bytes": refined.planned_bytes, "seconds": time.perf_counter() - start}
+              "planned_bytes": refined.planned_bytes, "measured": measured.figures if measured else {},
+              "seconds": time.perf_counter() - start}
     moved, status = moved_by_evidence(refined, depth)
     reason = rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined, status)
     if reason:

@@ -13,20 +13,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pagas_cl.config import MOST_WEIGHT, Config
+from pagas_cl.config import Config
 from pagas_cl.effects import agreement_rounds, decide_agreement, settle
 from pagas_cl.progress import Progress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.depthmap import REFINED
 from pagas_cl.scene.view import View
-from pagas_cl.surface.agreement import Agreement, DepthEvidence
+from pagas_cl.surface.agreement import Agreement, send
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
     from pagas_cl.splat import PhotoStore
 
 _BYTES = 64     # a pixel: more than a comparison takes beside the photos that wait on the device
+_LONGER = 1.4   # steps of a few: as far as half as many again would
 
 
 @dataclass(frozen=True)
@@ -44,92 +45,81 @@ def later_rounds(config: Config, views: int) -> list[Round]:
 
 
 def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partners, results: Sequence[DepthResult],
-                   config: Config, device: Device, photos: PhotoStore, progress: Progress | None = None) -> DepthResult:
+                   config: Config, device: Device, photos: PhotoStore, progress: Progress | None = None,
+                   steps: int = 0) -> DepthResult:
     """One view's depths averaged with those of other views, where they see the same surface. What photos refused stays
-    as it is: none is asked again.
+    as it is: none is asked again. With `steps`: see average_and_step.
 
     `results`: of the round before, the view's own first, then those of others. The others are as in refine.refine_one.
     """
-    return _averaged(results, config, device, photos, propose=False)
-
-
-def _averaged(results: Sequence[DepthResult], config: Config, device: Device, photos: PhotoStore,
-              propose: bool) -> DepthResult:
-    """`propose`: also in place of depths that photos refused."""
-    own, start, owners = results[0], time.perf_counter(), {}
-    if own.reason or all(result.reason for result in results[1:]):
+    own, *others = results[0], *(result for result in results[1:] if not result.reason)
+    start, found = time.perf_counter(), {}
+    if own.reason or not others:
         return own
-    for result in results:
-        if not result.reason:
-            owners[_evidence(result)] = result
     photos.trim(_BYTES * max(result.depth.size for result in results))
-
-    def send(evidence: DepthEvidence) -> tuple[Any, Any]:
-        """Once for all views of a round that are compared with it."""
-        return photos.held(owners[evidence], 8 * evidence.depth.size, lambda: evidence.send(device))
-
-    mine, *others = owners
-    comparison = Agreement(mine, others, device, send)
+    # once for all views of a round that are compared with it
+    comparison = Agreement(own, others, device,
+                           lambda other: photos.held(other, 17 * other.depth.size, lambda: send(other, device)))
     spread = comparison.spread()
     decision = decide_agreement(spread, config)
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
     report = {**own.report, "effects": [*effects, decision.as_dict()]}
-    if not decision.on:
-        return replace(own, report=report)
-    found = comparison.average(spread, config.agreement.pixels, propose)
-    report["differences"] = [*own.report.get("differences", ()), spread]
-    report["seconds"] = own.report.get("seconds", 0.0) + time.perf_counter() - start
-    return replace(own, depth=found.depth, status=found.status, deviation=found.deviation, report=report)
+    if decision.on:
+        report["differences"] = [*own.report.get("differences", ()), spread]
+        averaged = comparison.average(spread, config.agreement.pixels, propose=steps > 0)
+        if steps:
+            told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
+            few = _few(config, steps, len(partners.contexts), report)
+            stepped = _steps(views, partners, own, averaged["depth"], few, device, photos, told)
+            # what no view has spoken for, or the photos speak against, is as it was
+            refined = (comparison.read(averaged, "status")["status"] == REFINED) & (stepped.status == REFINED)
+            found = {name: np.where(refined, getattr(stepped, name), getattr(own, name)) for name in averaged}
+            found["parallax"] = stepped.parallax
+        else:
+            found = comparison.read(averaged, *averaged)
+    comparison.release()
+    report["seconds"] = report.get("seconds", 0.0) + time.perf_counter() - start
+    return replace(own, report=report, **found)
 
 
 def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partners, results: Sequence[DepthResult],
                      config: Config, device: Device, photos: PhotoStore,
                      progress: Progress | None = None) -> DepthResult:
-    """The same, and then some steps of the photos, from there, which refuse what matches worse than it did."""
-    steps = max(1, round(config.agreement.steps * config.pyramid.steps[-1])) if config.agreement.steps else 0
-    averaged = _averaged(results, config, device, photos, propose=steps > 0)
-    if averaged.depth is results[0].depth or not steps:
-        return averaged
-    start, target, contexts = time.perf_counter(), views[partners.target], [views[k] for k in partners.contexts]
-    few = _few(config, steps, len(contexts), results[0].report)
-    stepped = _steps(target, contexts, results[0].depth, averaged.depth, few, device, photos,
-                     [views[k] for k in partners.held_out], progress)
-    # what no view has spoken for, or the photos speak against, is as it was
-    kept, refined = results[0], (averaged.status == REFINED) & (stepped.status == REFINED)
-    report = {**averaged.report, "seconds": averaged.report["seconds"] + time.perf_counter() - start}
-    return replace(averaged, depth=np.where(refined, stepped.depth, kept.depth), parallax=stepped.parallax,
-                   status=np.where(refined, stepped.status, kept.status),
-                   deviation=np.where(refined, stepped.deviation, kept.deviation), report=report)
+    """The same, also in place of depths that photos refused, and then some steps of the photos, from there, which
+    refuse what matches worse than it did."""
+    share = config.agreement.steps
+    return average_depths(views, partners, results, config, device, photos, progress,
+                          max(1, round(share * config.pyramid.steps[-1])) if share else 0)
 
 
 def _few(config: Config, steps: int, contexts: int, report: Mapping[str, Any]) -> Config:
     """The settings for so few steps from a depth that is nearly right: at full size, smoothness raised at once, for
     mismatch by what was measured (`report`). Photos that do not match anywhere around (solver.mismatch) do not tell one
     depth from another."""
-    raised = [e["evidence"] for e in report.get("effects", ()) if e["effect"] == "mismatch" and e["on"]] or [1.0]
-    weight = min(MOST_WEIGHT, config.smoothness.weight_with(contexts) * raised[0])
+    mismatch = [e["evidence"] for e in report.get("effects", ()) if e["effect"] == "mismatch"] or [1.0]
     return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__early_damping=1.0,
-                                smoothness__weight=weight, smoothness__full_views=1,
-                                effects__pyramid="set", effects__mismatch="set", solver__mismatch=2.0)
+                                solver__rate=min(100.0, _LONGER * config.solver.rate),
+                                smoothness__weight=config.smoothness.weight_with(contexts, mismatch[0]),
+                                smoothness__full_views=1, effects__pyramid="set", effects__mismatch="set",
+                                solver__mismatch=2.0)
 
 
-def _steps(target: View, contexts: Sequence[View], depth: np.ndarray, start: np.ndarray, config: Config,
-           device: Device, photos: PhotoStore, held_out: Sequence[View], progress: Progress | None) -> Any:
+def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, result: DepthResult, start: Any,
+           config: Config, device: Device, photos: PhotoStore, told: Callable[[int, int], None] | None) -> Any:
+    """From `start`, on the device, for what the view called for when it was refined, or calls for now."""
     from pagas_cl.splat import NormalizedDepth, refine_levels
     from pagas_cl.splat.budget import fit_memory
 
-    told = (lambda done, total: progress(f"agree {target.name}", done, total)) if progress else None
+    target, contexts, held_out = views[partners.target], *(
+        [views[k] for k in chosen] for chosen in (partners.contexts, partners.held_out))
 
     def attempt(photos: PhotoStore) -> Any:
-        normalized = NormalizedDepth(target, depth, device)
-        settled, _, measured = settle(target, contexts, depth, config, device, photos, normalized=normalized)
+        normalized = NormalizedDepth(target, result.depth, device)
+        settled, _, measured = settle(target, contexts, result.depth, config, device, photos, normalized=normalized,
+                                      known=result.report.get("measured"))
         if len(settled.pyramid.scales) > 1:      # asked for by noise, for a depth that is far off
             settled = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps)
-        return refine_levels(target, contexts, depth, settled, device, photos, progress=told, measured=measured,
+        return refine_levels(target, contexts, result.depth, settled, device, photos, progress=told, measured=measured,
                              normalized=normalized, start=start, held_out=held_out)
 
     return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)
-
-
-def _evidence(result: DepthResult) -> DepthEvidence:
-    return DepthEvidence(result.camera, result.depth, result.deviation, result.status, result.parallax)

@@ -140,10 +140,10 @@ class Evidence:
         self._run([*launches, self._bind("refuse", grid=(pixels,), count=pixels, worse=one, status=status)])
         evidence.release()
 
-    def decide(self, held_out: "Sequence[Evidence]" = ()) -> EvidenceDecision:
+    def decide(self, held_out: "Sequence[Evidence]" = (), told: bool = True) -> EvidenceDecision:
         """Send back what the photos do not confirm; buffers.depth holds what is accepted.
 
-        `held_out`, each of a photo that took no part, are weighed here.
+        `held_out`, each of a photo that took no part, are weighed here. `told`: whether it has cost and held_out.
         """
         self.weigh()
         n, (bent, around), solver = self.size.pixels, self._scratch, self.programs.config.solver
@@ -160,6 +160,8 @@ class Evidence:
                    self._bind("deviate", file="deviation.cl", status=status, before=self._before, after=self._after,
                               bent=bent, error_factor=self.prior.error_factor, misaligned=self.prior.misaligned,
                               deviation=deviation, **extent)])
+        if not told:
+            return EvidenceDecision(status, deviation, (float("nan"), float("nan")), ())
         return EvidenceDecision(status, deviation, self.costs(), tuple(evidence.judge() for evidence in held_out))
 
     def judge(self) -> tuple[float, float]:

@@ -33,13 +33,14 @@ class Schedule:
     measured: int = 0
 
     @classmethod
-    def of(cls, config: Config, steps: int, measure: bool = False) -> "Schedule":
-        """For so many steps; `measure`: mismatch too, where that is asked for."""
+    def of(cls, config: Config, steps: int, measure: bool = False, again: bool = False) -> "Schedule":
+        """For so many steps; `measure`: mismatch too, where that is asked for; `again`: from a refined depth, so that
+        one fit of exposure will do."""
         photos_first, radius = config.solver.photos_first(steps), config.splatting.final_radius
         narrow = config.with_settings(splatting__radius=radius, splatting__final_radius=0.0) if radius else config
         return cls({start: Phase(narrow if start >= steps // 2 else config, start >= photos_first)
                     for start in sorted({0, photos_first, steps // 2})},
-                   frozenset(exposure.fitted_before(steps) if config.loss.exposure else ()),
+                   frozenset(exposure.fitted_before(1 if again else steps) if config.loss.exposure else ()),
                    photos_first if measure and mismatch.is_asked(config) else 0)
 
     @property
@@ -86,7 +87,7 @@ class Level:
         if raised:
             run_once(self.device.queue,
                      smooth.raising(self._first, self.buffers, self.target, self.given.specularity))
-            weight = mismatch.raised(self.config.smoothness.weight_with(len(self.views)), self.mismatch)
+            weight = self.config.smoothness.weight_with(len(self.views), self.mismatch)
         _release(self.smooth)
         self.smooth = smooth.launches(self._first, self.buffers, self.target, weight)
 

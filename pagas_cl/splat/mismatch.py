@@ -1,14 +1,13 @@
 """Launches of mismatch.cl: the variance that photos which do not match leave in a depth, against how much the surface
 bends (method section 5.2)."""
 
-from pagas_cl.config import MOST_WEIGHT, Config
+from pagas_cl.config import MOST_RAISED, Config
 from pagas_cl.runtime.program import run_once
 from pagas_cl.splat.buffers import SampleGrid
 from pagas_cl.splat.constants import NUMBER, QUANTILE
 from pagas_cl.splat.measure import Rows
 
 VIEWS = 3            # context views that are asked
-MOST_RAISED = 40.0   # times the weight of the smoothness
 _BENDS = 4           # rows before those of the views
 _LEAST = 100         # samples that tell anything
 _NORMAL = 0.6745     # median of |x| where x has a standard deviation of 1
@@ -59,8 +58,3 @@ def is_asked(config: Config) -> bool:
 def nbytes(samples: int, contexts: int) -> int:
     """Bytes of the device that measuring takes."""
     return Rows.nbytes(_BENDS + min(VIEWS, contexts), samples)
-
-
-def raised(weight: float, evidence: float) -> float:
-    """The weight of the smoothness by what was measured (NaN: nothing), never lower than it was."""
-    return min(MOST_WEIGHT, weight * max(1.0, evidence)) if evidence == evidence else weight

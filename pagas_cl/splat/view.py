@@ -1,12 +1,11 @@
 """Refine the depth map of one view: a pure function of target, contexts, depth and settings (method section 7)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
-from pagas_cl.runtime.memory import download
 from pagas_cl.scene.camera import viewing_distance
 from pagas_cl.splat.budget import plan_for
 from pagas_cl.splat.buffers import Size, level_size
@@ -40,19 +39,22 @@ class Refinement:
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
                   progress=None, held_out=(), measured=None, normalized: NormalizedDepth | None = None,
-                  start: np.ndarray | None = None) -> Refinement:
+                  start: cl.Buffer | None = None) -> Refinement:
     """Run the pyramid on one view with at least one context view; `depth` (H, W), z in scene units, 0 = no surface.
 
     `photos` are a PhotoStore (a new one by default) or StreamedPhotos; `progress(done, total)` is told of the steps
     that the device has done, of those of all levels; `held_out` views take no part and judge the result; evidence and
     deviations depend on `measured` (Measurements); `normalized` is the depth where it is on the device already, and is
-    used up. `start` (H, W): where the steps of a full-size level alone start from, in place of `depth`, which the
-    evidence compares with. DeviceMemoryError comes before the first step, where the device may not hold what is
+    used up. `start`, on the device, float32 in scene units: where the steps of a full-size level alone start from, in
+    place of `depth`, which the evidence compares with; neither mismatch is measured nor is it told then what photos say
+    of the whole (cost, held_out). DeviceMemoryError comes before the first step, where the device may not hold what is
     planned.
     """
     photos = photos or PhotoStore(device)
     cameras = [view.camera for view in (target, *contexts, *held_out)]
     planned = plan_for(cameras, len(contexts), config, isinstance(photos, StreamedPhotos))
+    if start is not None:
+        planned = replace(planned, beside_photos=planned.beside_photos + start.size)
     planned.check(target.name, device)
     planned.tell(target.name)
     photos.trim(planned.beside_photos)
@@ -64,7 +66,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
         level = run.level(scale, before, start)
         earlier = sum(config.pyramid.steps[:number])
         done.append(level.run(steps, progress and (lambda done, _, earlier=earlier: progress(earlier + done, total)),
-                              Schedule.of(config, steps, measure=scale == 1)))
+                              Schedule.of(config, steps, scale == 1, start is not None)))
         if level.buffers.history is not None:
             losses += level.read("history", max(config.pyramid.steps))[:done[-1]].tolist()
         if scale < 1:
@@ -73,7 +75,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
             del level            # its photos too, before those of the next one
     if progress and done[-1] < steps:                # the schedule has ended it
         progress(total, total)
-    return run.finish(level, EvidencePrior.of(measured), tuple(done), losses, planned.nbytes)
+    return run.finish(level, EvidencePrior.of(measured), tuple(done), losses, planned.nbytes, start is None)
 
 
 def full_level(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None) -> Level:
@@ -130,16 +132,15 @@ class _Run:
             self.write_initial(at_size, size)
             self.resampler.enlarge_depth(*before, at_size, out, size)
         if start is not None:
-            valid = download(self.device, out, start.shape) > 0
-            cl.enqueue_copy(self.device.queue, out, np.where(valid, start / self.scene_scale, 0).astype(np.float32))
+            self.normalized.start_from(start, out)
         level.start()
         return level
 
-    def finish(self, level: Level, prior: EvidencePrior, steps, losses, planned: int) -> Refinement:
+    def finish(self, level: Level, prior: EvidencePrior, steps, losses, planned: int, told: bool) -> Refinement:
         programs, buffers, initial = level.programs, level.hand_over(), self.normalized.buffer
         contexts, held_out = Evidence(programs, buffers, level.views, initial, prior), [
             Evidence(programs, buffers, [view], initial, prior) for view in level.judges]
-        decision = contexts.decide(held_out)
+        decision = contexts.decide(held_out, told)
         depth, parallax, deviation, status = self.normalized.denormalize(
             buffers.depth, buffers.depth_per_parallax, decision.status, decision.deviation, self.depth.shape)
         for held in (buffers, contexts, decision, self.normalized):

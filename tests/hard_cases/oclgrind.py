@@ -111,12 +111,13 @@ def agree(scene, device) -> None:
     """Every kernel of the rounds of agreement."""
     import numpy as np
 
+    from pagas_cl.result import DepthResult
     from pagas_cl.scene.depthmap import REFINED
-    from pagas_cl.surface.agreement import Agreement, DepthEvidence
+    from pagas_cl.surface.agreement import Agreement
 
     parallax = np.full(scene.depth.shape, 0.05, np.float32)
-    said = [DepthEvidence(view.camera, scene.depth, 0.1 * parallax, np.full(scene.depth.shape, REFINED, np.uint8),
-                          parallax) for view in (scene.target, *scene.contexts)]
+    said = [DepthResult(view.camera, scene.depth, np.full(scene.depth.shape, REFINED, np.uint8), 0.1 * parallax,
+                        parallax) for view in (scene.target, *scene.contexts)]
     compared = Agreement(said[0], said[1:], device)
     compared.spread()
     compared.average(0.1, 2.0)

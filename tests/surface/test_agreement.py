@@ -13,9 +13,10 @@ from twins import agreement as twin
 from pagas_cl.effects import decide_agreement
 from pagas_cl.presets import preset
 from pagas_cl.refine import refine_views
+from pagas_cl.result import DepthResult
 from pagas_cl.rounds import average_and_step, average_depths, later_rounds
 from pagas_cl.scene.depthmap import KEPT, REFINED, REJECTED
-from pagas_cl.surface.agreement import Agreement, DepthEvidence
+from pagas_cl.surface.agreement import Agreement
 
 pytestmark = pytest.mark.kernels
 
@@ -27,7 +28,17 @@ def evidence(camera, depth, deviation=0.01, status=REFINED):
     def filled(value, dtype):
         return np.full(depth.shape, value, dtype)
 
-    return DepthEvidence(camera, depth, filled(deviation, "f4"), filled(status, "u1"), filled(PIXEL, "f4"))
+    return DepthResult(camera, depth, filled(status, "u1"), filled(deviation, "f4"), filled(PIXEL, "f4"))
+
+
+def trusted(view):
+    """Its depths that photos confirm, 0 for all others."""
+    return np.where((view.status == REFINED) & (view.depth > 0) & np.isfinite(view.deviation), view.depth, 0.0)
+
+
+def averaged(comparison, *given):
+    found = comparison.average(*given)
+    return replace(comparison.own, **comparison.read(found, *found))
 
 
 @pytest.fixture
@@ -53,17 +64,16 @@ def test_the_device_equals_the_twin(planes, device):
     own, others = views[3], views[:3] + views[4:6]
     comparison = Agreement(own, others, device)
     d, u = own.depth.astype(float), own.parallax.astype(float)
-    told = [twin.difference(own.camera, d, u, o.camera, o.trusted.astype(float), o.deviation.astype(float))
-            for o in others]
-    apart = np.concatenate([(np.abs(change) / u)[own.trusted > 0] for change, _ in told])
+    told = [twin.difference(own.camera, d, u, o.camera, trusted(o), o.deviation.astype(float)) for o in others]
+    apart = np.concatenate([(np.abs(change) / u)[trusted(own) > 0] for change, _ in told])
     spread = comparison.spread()
     assert spread == pytest.approx(np.median(apart[apart < 4]) / 0.6745 / 2**0.5, abs=1e-3) and 0.2 < spread < 0.4
-    got, want = comparison.average(spread, 2.0), twin.average(d, own.deviation, u, own.status, told, spread, 2.0)
+    got, want = averaged(comparison, spread, 2.0), twin.average(d, own.deviation, u, own.status, told, spread, 2.0)
     near = np.abs(got.depth - want[0]) < 1e-5          # what an edge of a cell decides may fall otherwise
     assert near.mean() > 0.999 and (got.status == want[2]).mean() > 0.999
     known = near & np.isfinite(want[1])
     assert np.allclose(got.deviation[known], want[1][known], rtol=1e-3) and (want[0] != d).mean() > 0.5
-    again = Agreement(own, others, device).average(spread, 2.0)
+    again = averaged(Agreement(own, others, device), spread, 2.0)
     assert again.depth.tobytes() == got.depth.tobytes() and again.deviation.tobytes() == got.deviation.tobytes()
 
 
@@ -71,9 +81,9 @@ def test_an_exact_plane_is_met_exactly(planes, device):
     """However steep, and however far off along the ray: no fixed point is iterated to."""
     own = replace(planes[3], depth=planes[3].depth + np.float32(1.5) * PIXEL)
     comparison = Agreement(own, planes[:3] + planes[4:], device)
-    found = comparison.average(comparison.spread(), 4.0)
+    found = averaged(comparison, comparison.spread(), 4.0)
     alone = replace(own, status=np.full_like(own.status, REJECTED))
-    others = Agreement(alone, planes[:3] + planes[4:], device).average(0.1, 4.0)
+    others = averaged(Agreement(alone, planes[:3] + planes[4:], device), 0.1, 4.0)
     seen = others.status == REFINED
     assert seen.mean() > 0.9 and np.abs(others.depth - planes[3].depth)[seen].max() < 2e-5
     middle = np.s_[40:80, 60:100]
@@ -83,7 +93,7 @@ def test_an_exact_plane_is_met_exactly(planes, device):
 def test_noise_averages_and_deviations_shrink(planes, device):
     rng = np.random.default_rng(1)
     views = [noisy(view, rng) for view in planes]
-    found = Agreement(views[3], views[:3] + views[4:], device).average(0.3, 2.0)
+    found = averaged(Agreement(views[3], views[:3] + views[4:], device), 0.3, 2.0)
     error = [np.std((view.depth - planes[3].depth) / PIXEL) for view in (views[3], found)]
     assert error[1] < 0.6 * error[0]
     s = views[3].deviation
@@ -98,7 +108,8 @@ def test_other_surfaces_say_nothing(planes, device):
         view = replace(planes[2], **{name: getattr(planes[2], name).copy() for name in arrays})
         for name, value in arrays.items():
             getattr(view, name)[...] = value
-        return Agreement(replace(own, depth=own.depth + np.float32(0.1) * PIXEL), [view], device).average(0.1, 2.0)
+        nearly = replace(own, depth=own.depth + np.float32(0.1) * PIXEL)
+        return averaged(Agreement(nearly, [view], device), 0.1, 2.0)
 
     stripes = planes[2].depth + 4 * PIXEL * (np.arange(160) % 2)
     before = own.depth + np.float32(0.1) * PIXEL
@@ -115,7 +126,7 @@ def test_what_photos_refused_is_replaced_where_they_judge_it_anew(planes, device
     status[50:70, 70:90] = REJECTED
     own = replace(planes[3], depth=planes[3].depth + np.float32(0.5) * PIXEL, status=status)
     comparison = Agreement(own, planes[:3], device)
-    last, earlier = (comparison.average(0.1, 2.0, propose) for propose in (False, True))
+    last, earlier = (averaged(comparison, 0.1, 2.0, propose) for propose in (False, True))
     assert (last.status == status).all() and (last.depth == own.depth)[50:70, 70:90].all()
     assert (earlier.status == REFINED).all() and (earlier.depth == last.depth)[status == REFINED].all()
     assert np.abs(earlier.depth - planes[3].depth)[50:70, 70:90].max() < 2e-5
@@ -125,7 +136,7 @@ def test_what_has_no_parallax_is_left_alone(planes, device):
     own = replace(planes[3], parallax=np.zeros_like(planes[3].parallax), status=np.full_like(planes[3].status, KEPT))
     comparison = Agreement(own, planes[:3], device)
     assert np.isnan(comparison.spread())
-    found = comparison.average(0.1, 2.0)
+    found = averaged(comparison, 0.1, 2.0)
     assert np.array_equal(found.depth, own.depth) and np.array_equal(found.status, own.status)
 
 
