@@ -1,4 +1,5 @@
-"""What speaks for refined cameras: pairs of photos that took no part, views that agree with others (method section 9)."""
+"""What speaks for refined cameras: pairs of photos that took no part, and views that agree with others (method section
+9)."""
 
 from __future__ import annotations
 
@@ -10,6 +11,7 @@ LEAST_GAIN = 0.03         # of the held-back pairs' cost: less may be chance
 LEAST_FALL = 1e-4         # of that cost itself: photos that show nothing cost next to nothing
 WRONG = 2.0               # a view whose pairs agree so many times worse than the others' has a wrong camera
 UNLIKE = 0.1              # and so badly: photos of different things have a cost of 0.18
+REACH = 0.125             # of a photo's width: farther off cameras were rarely brought back
 WIDE_LOSS = 0.01          # of the wide pairs' cost: less may be chance
 LOST = 0.6                # of the cost beside its place: a photo that costs more is not in its place
 MOST_LOST = 0.25          # share of the pairs, and of the views, for which cameras are not to blame
@@ -21,21 +23,23 @@ def lost(rounds: Rounds, state: State) -> bool:
     return bool(_lost(found[:, 0], found[:, 2]) > MOST_LOST)
 
 
-def beyond(costs: np.ndarray, beside: np.ndarray, wrong: float, pixels: float) -> str:
+def beyond(costs: np.ndarray, beside: np.ndarray, wrong: float, pixels: float, width: float) -> str:
     """Why cameras are refused as farther off than can be mended: costs of pairs that took no part, (n,), in their place
-    and beside it; the share of views whose cameras are wrong; pixels that whole photos lie beside one another."""
+    and beside it; the share of views whose cameras are wrong; pixels that whole photos lie beside one another, and of
+    their width."""
     share = max(_lost(costs, beside), wrong)
     if share <= MOST_LOST:
         return ""
     told = f"by about {pixels:.0f} pixels" if np.isfinite(pixels) else "by more than can be measured"
-    return (f"they are off {told}, too far for them to be brought back: {share:.0%} of the photos that were looked at "
-            "still do not show what the surface has there; run a bundle adjustment of features first (colmap "
-            "bundle_adjuster, or that of the program that the cameras are of)")
+    return (f"photos lie {told} beside one another, and {share:.0%} of those looked at still show other things than "
+            f"the surface has there after the cameras were moved; at best {REACH * width:.0f} pixels can be brought "
+            "back: run a bundle adjustment of features first (colmap bundle_adjuster, or that of the program that the "
+            "cameras are of)")
 
 
 def _lost(costs: np.ndarray, beside: np.ndarray) -> float:
     """Share of pairs of photos that agree hardly better in their place than beside it."""
-    known = np.isfinite(costs) & (beside > 0)
+    known = np.isfinite(costs) & (beside > 10 * LEAST_FALL)
     return float((costs[known] > LOST * beside[known]).mean()) if known.any() else 0.0
 
 

@@ -223,8 +223,8 @@ def _judged(views, given, pairs, rounds, state, wrong, samples, unknowns, report
     wide_names, wide, wide_seen, _ = costs_of(rounds.pairs.wide, _WIDE)
     moved = np.array([pixel_motion(old, new, points) if len(points) else np.nan
                       for old, new, (points, _) in zip(given, state.cameras, samples)])
-    reason = (beyond(costs[:, 1], beside, len(wrong) / len(views), report["beside"]) or no_gain(costs, *seen)
-              or bent(wide, *wide_seen))
+    reason = (beyond(costs[:, 1], beside, len(wrong) / len(views), report["beside"], given[0].width)
+              or no_gain(costs, *seen) or bent(wide, *wide_seen))
     maps = not reason and (state.map_numbers > 0 or bool((state.maps != neutral).any()))
     report |= {"cost_before": float(costs[:, 0].mean()) if len(costs) else None,
                "cost_after": float(costs[:, 1].mean()) if len(costs) else None, "spread": state.spread,

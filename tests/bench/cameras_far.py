@@ -6,7 +6,8 @@ A made scene (seven views, photos of 160 x 120), cameras turned and moved at ran
 coarse surface has it ("good"), or as a network leaves it (a factor and a shift a view, errors, holes), brought together
 under these cameras. Pixels left: what true matches are off by when each point takes the depth that suits all photos
 (what photos can see), and by which photos move to the true cameras after a similarity (what depth then is off by is
-bent, tilted or shifted, too). OUT gets figures.json and table.md.
+bent, tilted or shifted, too). Whole photos are measured only where coarse ones do not find
+together (else 0.0). OUT gets figures.json and table.md.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ def table(rows: list[dict]) -> str:
         yes = np.array([row["accepted"] for row in those])
         worst = ["-" if not yes.any() else f"{after[yes, k].max():.2f}" for k in (0, 1)]
         seen, whole = (f"{np.median(given[:, k]):.2f}, {np.median(after[:, k]):.2f}; {worst[k]}" for k in (0, 1))
-        told = ", ".join(f"{np.nanmedian([row[key] or np.nan for row in those]):.1f}" for key in ("off", "beside"))
+        told = ", ".join(f"{np.nanmedian([row[key] for row in those]):.1f}" for key in ("off", "beside"))
         lines.append(f"| {kind} | {pixels:g} | {yes.sum()} of {len(yes)} | {seen} | {whole} | {told} |")
     return "\n".join(lines) + "\n"
 
