@@ -168,7 +168,7 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     adjuster = Adjuster(device, scene_scale, intrinsics=unknowns != ("pose",))
     frames = Frames(adjuster, views, depths, moves, photos)
     finest = min(1.0, float(np.sqrt(_FINEST / np.median([c.width * c.height for c in given]))))
-    rounds = Rounds(frames, pairs, finest, typical)
+    rounds = Rounds(frames, pairs, finest, typical, progress)
     state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
                   _lenses(given, unknowns, lenses), _lens_numbers(unknowns), _map_numbers(unknowns))
     if state.map_numbers:
@@ -178,15 +178,15 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     coarse = bool(measured > FAR or elsewhere > FAR_OFF or state.map_numbers or outliers)
     wrong, beside = _run(rounds, COARSE if coarse else FINE, state, given), 0.0
     if lost(rounds, state) or wrong - outliers:        # farther off than coarse photos reach
-        again = Rounds(frames, pairs, finest, typical)
+        again = Rounds(frames, pairs, finest, typical, progress)
         first.cameras, beside = again.turned(first.cameras, first.maps, Stage(0.25, 0.7, 0))
         others = _run(again, COARSE, first, given)
         if (lost(again, first), len(others)) < (lost(rounds, state), len(wrong)):
             rounds, state, wrong = again, first, others
-    return _judged(views, given, pairs, rounds, state, wrong, samples, unknowns,
-                   {"off": measured, "matches_elsewhere": elsewhere, "coarse": coarse, "beside": beside,
-                    "rounds": state.log,
-                    "seconds": time.perf_counter() - start})
+    found = _judged(views, given, rounds, state, wrong, samples, {
+        "off": measured, "matches_elsewhere": elsewhere, "coarse": coarse, "beside": beside, "rounds": state.log})
+    found.report["seconds"] = time.perf_counter() - start
+    return found
 
 
 def _run(rounds: Rounds, stages: Sequence[Stage], state: State, given: Sequence[Camera]) -> set[int]:
@@ -206,7 +206,7 @@ def _put_back(state: State, views: set[int], given: Sequence[Camera]) -> None:
         state.cameras[k] = given[k]
 
 
-def _judged(views, given, pairs, rounds, state, wrong, samples, unknowns, report) -> CameraRefinement:
+def _judged(views, given, rounds, state, wrong, samples, report) -> CameraRefinement:
     """Whether pairs that took no part agree better: neighbours, and those far apart."""
     neutral = np.tile([1.0, 0.0], (len(views), 1))
 

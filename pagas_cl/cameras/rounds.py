@@ -13,6 +13,7 @@ from pagas_cl.cameras.motion import moved, placed, twist_between
 from pagas_cl.cameras.pairs import Pairs
 from pagas_cl.cameras.solve import Term, Unknowns, assemble, pixel_scales, solve
 from pagas_cl.cameras.turns import first_turns, turned
+from pagas_cl.progress import Progress
 from pagas_cl.scene.camera import Camera
 
 NEAR_ENOUGH, LOOSE, ANY = 0.01, 0.03, 0.5      # share of the depth by which views that see the same point may differ
@@ -71,8 +72,9 @@ class Rounds:
     """Runs stages over `pairs`. `finest`: share of the photos' size at which the last one works; `typical`: depths of
     the views, units."""
 
-    def __init__(self, frames: Frames, pairs: Pairs, finest: float, typical: Sequence[float]):
-        self.frames, self.pairs, self.finest, self.typical = frames, pairs, finest, typical
+    def __init__(self, frames: Frames, pairs: Pairs, finest: float, typical: Sequence[float],
+                 progress: Progress | None = None):
+        self.frames, self.pairs, self.finest, self.typical, self.progress = frames, pairs, finest, typical, progress
         self.adjuster = frames.adjuster
         self.scene_scale = self.adjuster.scene_scale
 
@@ -90,12 +92,16 @@ class Rounds:
             for buffer in initial:
                 buffer.release()
             before, initial = now, first
+            if self.progress:
+                self.progress("refine the cameras", stages.index(stage), len(stages))
             for _ in range(stage.rounds):
                 before, step = self._round(before, state, stage)
                 if step < STILL:
                     break
         if stages[-1].free:
             self._rescale(before, initial, state)
+        if self.progress:
+            self.progress("refine the cameras", len(stages), len(stages))
         release(before)
         for buffer in initial:
             buffer.release()
