@@ -28,7 +28,7 @@ def beyond(costs: np.ndarray, beside: np.ndarray, wrong: float, pixels: float, w
     and beside it; the share of views whose cameras are wrong; pixels that whole photos lie beside one another, and of
     their width."""
     share = max(_lost(costs, beside), wrong)
-    if share <= MOST_LOST:
+    if share <= MOST_LOST and not (pixels and wrong):      # where all were far off, one that is left out still is
         return ""
     told = f"by about {pixels:.0f} pixels" if np.isfinite(pixels) else "by more than can be measured"
     return (f"photos lie {told} beside one another, and {share:.0%} of those looked at still show other things than "
