@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from pagas_cl.bench import time_step
-from pagas_cl.cameras.effect import FEWEST, MOST, decide_cameras
+from pagas_cl.cameras.effect import FEWEST, MOST, camera_seconds, decide_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import EFFECTS, Decision, decide, decide_consistency
 from pagas_cl.measurements import Measurements, measure
@@ -79,13 +79,16 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
         decisions = decide(config, measured)[1]
         found.append(ViewAnalysis(target.name, tuple(v.name for v in contexts), tuple(decisions), measured))
         if costs and not timed:
-            timed, measured_costs = target.name, effect_costs(target, contexts, depth, config, measured, device, photos,
-                                                              tell)
+            timed, few = target.name, (index, *partners.contexts)
+            measured_costs = effect_costs(target, contexts, depth, config, measured, device, photos, tell)
     tell("analyze", len(asked), len(asked))
     agreement = decide_consistency([view.camera for view in views], depths, config, device)[1]
     cameras = None
     if config.effects.cameras != "set" and FEWEST <= len(views) <= MOST:
         cameras = decide_cameras(views, depths, config, device)[0]
+        if cameras.on and timed:
+            measured_costs["cameras"] = EffectCost(camera_seconds(
+                [views[k] for k in few], [depths[k] for k in few], config, device, len(views)), 0.0, 0)
     return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement, cameras)
 
 

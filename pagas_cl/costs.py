@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pagas_cl.cameras.effect import camera_seconds
 from pagas_cl.config import Config, Context
 from pagas_cl.effects import agreement_rounds, decide, settle
 from pagas_cl.errors import InputError
@@ -26,6 +27,7 @@ from pagas_cl.scene.sampling import sample_depth
 from pagas_cl.splat import PhotoStore, refine_levels
 
 _SHORT, _MOST = 8, 4000   # steps of the short run, enough that colours are fitted as often; and most of the long one
+_AROUND = 6               # views beside one that tell what refining cameras takes
 _FEW = 64                 # views that are looked at one by one
 _REPEATS = 3
 _RATE = 1e-5              # of the runs that are timed: depths stay, for Gaussians that are torn apart take longer
@@ -142,7 +144,7 @@ class Costs:
                  and (names is None or k in wanted)]
         if not asked:
             raise InputError("no view to be refined has a depth map with a valid pixel: nothing to time")
-        self.device, self._known, self._measured = device, {}, None
+        self.device, self._scene, self._known, self._cameras, self._measured = device, len(views), {}, {}, None
         self.pixels = [views[k].camera.width * views[k].camera.height for k in asked]
         most = max(config.context.number for _, config in rungs()) + MOST_HELD_OUT
         chooser = ContextChooser([view.camera for view in views], samples, Context(number=most))
@@ -150,15 +152,18 @@ class Costs:
         by_size = [asked[k] for k in np.argsort(self.pixels, kind="stable")]
         middle = len(by_size) // 2
         for k in by_size[middle:] + by_size[:middle]:
-            self.target, self.chosen = views[k], [views[j] for j in chooser.choose(k).indices]
+            around = chooser.choose(k).indices
+            self.target, self.chosen = views[k], [views[j] for j in around]
             if self.chosen:
                 self.depth = depth_array(depths[k])
+                self._few = [(views[j], None if depths[j] is None else depth_array(depths[j]))
+                             for j in (k, *around[:_AROUND])]
                 return
         raise InputError("no view has a usable context view: nothing would be refined")
 
     def seconds(self, config: Config) -> float:
-        """Expected mean time per view, with the effects that the probed view calls for, and with all rounds of
-        agreement that views may have; that of refining cameras is not counted."""
+        """Expected mean time per view, with the effects that the probed view calls for, with all rounds of agreement
+        that views may have, and with each one's share of refining the scene's cameras where these are off."""
         contexts, held_out = shared_out(self.chosen, config.context.number)
         settled = self._settled(config, contexts)
         kind = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(1,), solver__views_per_step=1,
@@ -171,8 +176,12 @@ class Costs:
         between = max(agreement_rounds(config, len(self.pixels)) - 1, 0) if config.agreement.steps else 0
         steps = max(1, round(config.agreement.steps * config.pyramid.steps[-1]))
         again = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,))
-        return float(np.mean([cost.seconds(settled, pixels, len(contexts), photos) + between
-                              * cost.seconds(again, pixels, len(contexts), photos) for pixels in self.pixels]))
+        choice = config.effects.cameras
+        if choice not in self._cameras:
+            self._cameras[choice] = camera_seconds(*zip(*self._few), config, self.device, self._scene)
+        return self._cameras[choice] * self._scene / len(self.pixels) + float(np.mean(
+            [cost.seconds(settled, pixels, len(contexts), photos) + between
+             * cost.seconds(again, pixels, len(contexts), photos) for pixels in self.pixels]))
 
     @cached_property
     def _photo(self) -> float:

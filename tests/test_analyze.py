@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,6 +51,20 @@ def test_the_command_follows_what_is_asked_for(scene, capsys):
     assert run(["analyze", str(scene), "--depth-dir", str(scene / "depth_initial"), "--views", "target", "--no-costs",
                 "--effect", "exposure=off", "--quiet"]) == 0
     assert "asked for: off" in capsys.readouterr().out
+
+
+def test_cameras_that_are_off_are_told_with_their_cost(made, device):
+    from support.camera_noise import noisy
+
+    from pagas_cl.analysis import analyze
+    from pagas_cl.commands.analyze import summary
+
+    views = [replace(view, camera=camera) for view, camera in
+             zip(made.views, noisy([view.camera for view in made.views], 1.0, 0))]
+    found = analyze(views, [made.initial_depth(view.camera) for view in made.views], names=["target"], device=device)
+    told = " ".join(line.strip() for line in summary(found))
+    assert found.cameras.on and found.costs["cameras"].on > 0
+    assert "cameras scene pixels that photos are off by" in " ".join(told.split()) and "a view" in told
 
 
 def test_a_summary_comes_first_and_the_table_on_demand(scene, capsys):

@@ -1,12 +1,14 @@
 """The cost model: exact on times that are linear, and of the right size on a real run."""
 
 import time
+from dataclasses import replace
 
 import pytest
 from support.scenes import relief_scene
 
 from pagas_cl import costs
 from pagas_cl.__main__ import run as run_command
+from pagas_cl.cameras.effect import camera_seconds
 from pagas_cl.errors import InputError
 from pagas_cl.presets import preset
 from pagas_cl.refine import refine_views
@@ -75,6 +77,25 @@ def test_a_run_takes_about_what_was_expected(made):
     refine_views(made.views, depths, names=[made.views[0].name], config=config, device=device)
     taken = time.perf_counter() - start
     assert taken / 2.5 < seconds < 2.5 * taken
+
+
+def test_refining_cameras_is_expected_where_they_are_off(made, monkeypatch):
+    """A view's share of the scene's, where the effect would be on; measured once."""
+    from support.camera_noise import noisy
+
+    device, config = open_device(None), preset("balanced").with_settings(pyramid__steps=(1,))
+    depths = [made.initial_depth(view.camera) for view in made.views]
+    off = [replace(view, camera=camera) for view, camera in
+           zip(made.views, noisy([view.camera for view in made.views], 1.0, 0))]
+    assert camera_seconds(made.views, depths, config, device, len(depths)) == 0
+    assert camera_seconds(off, depths, config.with_settings(effects__cameras="set"), device, len(depths)) == 0
+    assert camera_seconds(off, depths, config, device, 1000) == 0          # not unasked
+    expected = costs.Costs(off, depths, device, names=[view.name for view in off[:2]])
+    monkeypatch.setattr(costs, "probe", lambda *_, **__: costs.Cost(0.0, 0.0, 0.0, 0.0))
+    with_them = expected.seconds(config)
+    assert expected.seconds(config.with_settings(effects__cameras="off")) == 0
+    assert with_them == expected.seconds(config) > 0
+    assert with_them == pytest.approx(len(off) / 2 * expected._cameras["auto"])
 
 
 def test_the_richest_setting_that_fits_is_chosen(made, monkeypatch):

@@ -30,7 +30,7 @@ ALLOWED = {
     "refine": {"acceptance", "cameras", "jobs", "scene", "runtime", "surface", "splat", "result", "measurements",
                "effects", "keep_mesh", "progress", "rounds"},
     "evaluate": {"scene"}, "synthetic": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
-    "selftest": {"scene", "runtime", "splat", "reference", "refine"},
+    "selftest": {"scene", "runtime", "splat", "reference", "refine", "cameras", "synthetic"},
 }
 WITHOUT_OPENCL = {"errors", "stage", "config", "presets", "progress", "scene", "reference", "report", "evaluate",
                   "synthetic", "result"}

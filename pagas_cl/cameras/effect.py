@@ -29,7 +29,7 @@ def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     (None where none was called for). `depths_or_mesh` as in refine_cameras, `device` as in refine_views."""
     settled = replace(config, effects=replace(config.effects, cameras="set"))
     choice = config.effects.cameras
-    if choice in ("off", "set") or (choice == "auto" and not FEWEST <= len(views) <= MOST):
+    if not _may(choice, len(views)):
         return list(views), settled, None
     device, off = _device(device, choice), None
     if device is None:
@@ -55,6 +55,23 @@ def decide_cameras(views: Sequence[View], depths_or_mesh, config: Config,
     off = photos_off(views, depths, config, device, PhotoStore(device))
     on = choice == "on" or (choice == "auto" and off[0] > OFF)
     return Decision("cameras", off[0], OFF, on, WORDS if choice == "auto" else f"asked for: {choice}"), off
+
+
+def camera_seconds(views: Sequence[View], depths_or_mesh, config: Config, device, number: int) -> float:
+    """Seconds a view that effects.cameras takes in a scene of `number` views, by those of `views`, a few that see the
+    same: the work grows with pairs, and so with views."""
+    if not _may(config.effects.cameras, number) or len(views) < FEWEST:
+        return 0.0
+    decision, off = decide_cameras(views, depths_or_mesh, config, device)
+    if not decision.on:
+        return 0.0
+    found = refine_cameras(views, depths_or_mesh, config=config, device=device, measured=off)
+    return found.report.get("seconds", 0.0) / len(views)
+
+
+def _may(choice: str, number: int) -> bool:
+    """Whether the effect may be on for so many views."""
+    return choice == "on" or (choice == "auto" and FEWEST <= number <= MOST)
 
 
 def with_cameras(views: Sequence[View], found: CameraRefinement) -> list[View]:

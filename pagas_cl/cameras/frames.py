@@ -97,9 +97,9 @@ class Frames:
             cl.enqueue_copy(self.device.queue, out[-1], frame.depth)
         return out
 
-    def read(self, frame: Frame) -> np.ndarray:
-        """Its depth, units, (H, W)."""
-        return download(self.device, frame.depth, (frame.size.height, frame.size.width))
+    def read(self, frame: Frame, buffer: cl.Buffer) -> np.ndarray:
+        """A buffer of a frame, or like those that it has, (H, W)."""
+        return download(self.device, buffer, (frame.size.height, frame.size.width))
 
     def _buffer(self, nbytes: int, role: str) -> cl.Buffer:
         return self.device.memory.buffer(self.device.context, nbytes, role)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pagas_cl.cameras.accept import bent, beyond, lost, no_gain, wrong_views
 from pagas_cl.cameras.adjust import Adjuster
 from pagas_cl.cameras.frames import Frames, depths_of
 from pagas_cl.cameras.motion import pixel_motion, surface_points
@@ -34,13 +35,8 @@ if TYPE_CHECKING:
 UNKNOWNS = ("pose", "focal", "principal_point", "depth_scale", "depth_shift")
 OFF = 0.13                # pixels that photos are off by across the direction of depth, from which cameras are refined
 FAR = 0.8                 # the same from which coarse photos come first
-LEAST_GAIN = 0.03         # of the held-back pairs' cost: less may be chance
-LEAST_FALL = 1e-4         # of that cost itself: photos that show nothing cost next to nothing
-WRONG = 2.0               # a view whose pairs agree so many times worse than the others' has a wrong camera
-UNLIKE = 0.1              # and so badly: photos of different things have a cost of 0.18
 _FINEST = 640_000         # pixels of a photo at the finest size: more say the same of a camera
 _WIDE = 0.25              # of the finest size: views far apart are off by too many pixels for fine detail to tell
-_WIDE_LOSS = 0.01         # of their cost: less may be chance
 _MEASURED = 4             # views that are measured
 
 
@@ -172,28 +168,45 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     adjuster = Adjuster(device, scene_scale, intrinsics=unknowns != ("pose",))
     frames = Frames(adjuster, views, depths, moves, photos)
     finest = min(1.0, float(np.sqrt(_FINEST / np.median([c.width * c.height for c in given]))))
-    rounds = Rounds(frames, pairs, finest, typical)
+    rounds = Rounds(frames, pairs, finest, typical, progress)
     state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
                   _lenses(given, unknowns, lenses), _lens_numbers(unknowns), _map_numbers(unknowns))
     if state.map_numbers:
         state.maps[:, 0] = first_scales(given, surfaces, pairs.used)
         rounds.run(MAPS, state)
-    coarse = (measured > FAR or elsewhere > FAR_OFF or state.map_numbers > 0
-              or bool(_wrong(rounds, state, Stage(0.25, 0.7, 0))))
-    rounds.run(COARSE if coarse else FINE, state)
-    if wrong := _wrong(rounds, state, Stage(0.5, 0.7, 0)):         # the others once more, without what misled them
-        rounds.pairs = pairs.without(wrong)
-        for k in wrong:
-            state.cameras[k] = given[k]
+    first, outliers = state.copy(), wrong_views(rounds, state, Stage(0.25, 0.7, 0))
+    coarse = bool(measured > FAR or elsewhere > FAR_OFF or state.map_numbers or outliers)
+    wrong, beside = _run(rounds, COARSE if coarse else FINE, state, given), 0.0
+    if lost(rounds, state) or wrong - outliers:        # farther off than coarse photos reach
+        again = Rounds(frames, pairs, finest, typical, progress)
+        first.cameras, beside = again.turned(first.cameras, first.maps, Stage(0.25, 0.7, 0))
+        others = _run(again, COARSE, first, given)
+        if (lost(again, first), len(others)) < (lost(rounds, state), len(wrong)):
+            rounds, state, wrong = again, first, others
+    found = _judged(views, given, rounds, state, wrong, samples, {
+        "off": measured, "matches_elsewhere": elsewhere, "coarse": coarse, "beside": beside, "rounds": state.log})
+    found.report["seconds"] = time.perf_counter() - start
+    return found
+
+
+def _run(rounds: Rounds, stages: Sequence[Stage], state: State, given: Sequence[Camera]) -> set[int]:
+    """All stages; once more without the views that turn out to be wrong, which are returned and stay as given."""
+    rounds.run(stages, state)
+    wrong = wrong_views(rounds, state, Stage(0.5, 0.7, 0))
+    if wrong:                                          # the others once more, without what misled them
+        rounds.pairs = rounds.pairs.without(wrong)
+        _put_back(state, wrong, given)
         rounds.run(COARSE, state)
-        for k in wrong:
-            state.cameras[k] = given[k]
-    return _judged(views, given, pairs, rounds, state, wrong, samples, unknowns,
-                   {"off": measured, "matches_elsewhere": elsewhere, "coarse": coarse, "rounds": state.log,
-                    "seconds": time.perf_counter() - start})
+        _put_back(state, wrong, given)
+    return wrong
 
 
-def _judged(views, given, pairs, rounds, state, wrong, samples, unknowns, report) -> CameraRefinement:
+def _put_back(state: State, views: set[int], given: Sequence[Camera]) -> None:
+    for k in views:
+        state.cameras[k] = given[k]
+
+
+def _judged(views, given, rounds, state, wrong, samples, report) -> CameraRefinement:
     """Whether pairs that took no part agree better: neighbours, and those far apart."""
     neutral = np.tile([1.0, 0.0], (len(views), 1))
 
@@ -203,14 +216,15 @@ def _judged(views, given, pairs, rounds, state, wrong, samples, unknowns, report
                          ((given, neutral), (state.cameras, state.maps))], -1)
         known = np.isfinite(both[:, 0]).all(axis=-1)
         names = [(views[one].name, views[two].name) for (one, two), k in zip(pairs, known) if k]
-        return names, both[known, 0], both[known, 1].sum(axis=0)
+        return names, both[known, 0], both[known, 1].sum(axis=0), both[known, 2, 1]
 
-    names, costs, seen = costs_of(rounds.pairs.held, 1.0)
+    names, costs, seen, beside = costs_of(rounds.pairs.held, 1.0)
     told = [(*pair, float(a), float(b)) for pair, (a, b) in zip(names, costs)]
-    wide_names, wide, wide_seen = costs_of(rounds.pairs.wide, _WIDE)
+    wide_names, wide, wide_seen, _ = costs_of(rounds.pairs.wide, _WIDE)
     moved = np.array([pixel_motion(old, new, points) if len(points) else np.nan
                       for old, new, (points, _) in zip(given, state.cameras, samples)])
-    reason = _reason(costs, *seen) or _bent(wide, *wide_seen)
+    reason = (beyond(costs[:, 1], beside, len(wrong) / len(views), report["beside"], given[0].width)
+              or no_gain(costs, *seen) or bent(wide, *wide_seen))
     maps = not reason and (state.map_numbers > 0 or bool((state.maps != neutral).any()))
     report |= {"cost_before": float(costs[:, 0].mean()) if len(costs) else None,
                "cost_after": float(costs[:, 1].mean()) if len(costs) else None, "spread": state.spread,
@@ -222,42 +236,6 @@ def _judged(views, given, pairs, rounds, state, wrong, samples, unknowns, report
     return CameraRefinement(given if reason else state.cameras, not reason, reason, moved, told, left_out,
                             state.maps[:, 0] if maps else None,
                             state.maps[:, 1] * rounds.scene_scale if maps else None, report)
-
-
-def _reason(costs: np.ndarray, seen_before: float, seen_after: float) -> str:
-    if not len(costs):
-        return "no pair of photos that took no part sees the same surface"
-    before, after = costs.mean(axis=0)
-    better = int((costs[:, 1] < costs[:, 0]).sum())
-    told = f"(mean cost {before:.4f} before, {after:.4f} after; {better} of {len(costs)} pairs better)"
-    if before - after < max(LEAST_GAIN * before, LEAST_FALL) or 2 * better < len(costs):
-        return f"the pairs of photos that took no part do not agree clearly better {told}"
-    if seen_after < 0.8 * seen_before:
-        return f"pairs that took no part see less of the same surface {told}"
-    return ""
-
-
-def _bent(costs: np.ndarray, seen_before: float, seen_after: float) -> str:
-    """Why cameras of which neighbours agree better are refused all the same: views far apart agree worse."""
-    if not len(costs):
-        return ""
-    before, after = costs.mean(axis=0)
-    better = int((costs[:, 1] < costs[:, 0]).sum())
-    bent = after > (1 + _WIDE_LOSS) * before and 2 * better <= len(costs)      # most pairs: one that is off is no bend
-    if not bent and seen_after >= 0.8 * seen_before:
-        return ""
-    return (f"neighbouring photos agree better, those of views far apart do not: a chain of views bends (mean cost "
-            f"{before:.4f} before, {after:.4f} after; {better} of {len(costs)} wide pairs better)")
-
-
-def _wrong(rounds: Rounds, state: State, stage: Stage) -> set[int]:
-    """Views that agree with none of the others, which agree among themselves."""
-    costs = rounds.agreement(state.cameras, state.maps, stage)
-    known = np.isfinite(costs)
-    if known.sum() < 4:
-        return set()
-    usual = float(np.median(costs[known]))
-    return {int(k) for k in np.flatnonzero(known & (costs > max(WRONG * usual, UNLIKE)))}
 
 
 def _lenses(cameras: Sequence[Camera], unknowns, given) -> tuple[int, ...]:

@@ -12,6 +12,8 @@ from pagas_cl.cameras.frames import Frames, release, through
 from pagas_cl.cameras.motion import moved, placed, twist_between
 from pagas_cl.cameras.pairs import Pairs
 from pagas_cl.cameras.solve import Term, Unknowns, assemble, pixel_scales, solve
+from pagas_cl.cameras.turns import first_turns, turned
+from pagas_cl.progress import Progress
 from pagas_cl.scene.camera import Camera
 
 NEAR_ENOUGH, LOOSE, ANY = 0.01, 0.03, 0.5      # share of the depth by which views that see the same point may differ
@@ -20,6 +22,8 @@ STILL = 0.01              # pixels of a size: a round that moves cameras by less
 INFLATION = 40.0          # residuals that say the same, within a window
 LEAST_VARIANCE = 1e-6     # of a residual: photos of 8 bits leave more, what rounding alone leaves says nothing
 STRANGE = 0.01            # by so much more than cameras and maps are off the scale of maps is taken to be their own
+ASIDE = 9.0               # so many pixels beside its place a photo says as much of another as any other photo does
+WAYS = ((0.0, 0.0), (ASIDE, 0.0), (-ASIDE, 0.0), (0.0, ASIDE), (0.0, -ASIDE))
 SETTLE = 3                # steps of the depths alone before pairs are judged
 
 
@@ -54,13 +58,23 @@ class State:
     residual: float = 0.0
     log: list[dict] = field(default_factory=list)
 
+    def copy(self) -> State:
+        """Another one that stands where this does."""
+        return replace(self, cameras=list(self.cameras), maps=self.maps.copy(), log=list(self.log))
+
+
+def aside(frame: Frame, x: float, y: float) -> Frame:
+    """The frame with its photo moved by some pixels."""
+    return replace(frame, camera=replace(frame.camera, cx=frame.camera.cx + x, cy=frame.camera.cy + y))
+
 
 class Rounds:
     """Runs stages over `pairs`. `finest`: share of the photos' size at which the last one works; `typical`: depths of
     the views, units."""
 
-    def __init__(self, frames: Frames, pairs: Pairs, finest: float, typical: Sequence[float]):
-        self.frames, self.pairs, self.finest, self.typical = frames, pairs, finest, typical
+    def __init__(self, frames: Frames, pairs: Pairs, finest: float, typical: Sequence[float],
+                 progress: Progress | None = None):
+        self.frames, self.pairs, self.finest, self.typical, self.progress = frames, pairs, finest, typical, progress
         self.adjuster = frames.adjuster
         self.scene_scale = self.adjuster.scene_scale
 
@@ -78,12 +92,16 @@ class Rounds:
             for buffer in initial:
                 buffer.release()
             before, initial = now, first
+            if self.progress:
+                self.progress("refine the cameras", stages.index(stage), len(stages))
             for _ in range(stage.rounds):
                 before, step = self._round(before, state, stage)
                 if step < STILL:
                     break
         if stages[-1].free:
             self._rescale(before, initial, state)
+        if self.progress:
+            self.progress("refine the cameras", len(stages), len(stages))
         release(before)
         for buffer in initial:
             buffer.release()
@@ -173,7 +191,7 @@ class Rounds:
         maps that is not the cameras' at all is put into `state.maps` instead."""
         ratios, sizes = [], []
         for frame, buffer in zip(frames, initial):
-            now, then = self.frames.read(frame), self.frames.read(replace(frame, depth=buffer))
+            now, then = self.frames.read(frame, frame.depth), self.frames.read(frame, buffer)
             valid = (now > 0) & (then > 0)
             if valid.any():
                 ratios.append(float(np.log(then[valid].astype(np.float64) / now[valid]).mean()))
@@ -199,8 +217,8 @@ class Rounds:
 
     def judged(self, cameras: Sequence[Camera], maps: np.ndarray, pairs: Sequence[tuple[int, int]],
                stage: Stage) -> np.ndarray:
-        """Mean robust cost of `pairs`, both ways, and pixels seen: (pairs, 2), NaN where nothing is. The depths first
-        follow the pairs that are used."""
+        """Mean robust cost of `pairs`, both ways, pixels seen, and the mean cost with one photo moved aside (pairs, 3);
+        NaN where nothing is seen. The depths first follow the pairs that are used."""
         frames = self.frames.at(cameras, self.finest * stage.share, stage.sigma, maps)
         for _ in range(SETTLE):
             for target, others in enumerate(self.pairs.used):
@@ -210,10 +228,23 @@ class Rounds:
                                                NEAR_ENOUGH, STEP / slope)
         out = []
         for pair in pairs:
-            both = sum(self.adjuster.costs(frames[one], [frames[two]], LOOSE)[0] for one, two in (pair, pair[::-1]))
-            out.append((both[0] / both[1] if both[1] else np.nan, both[1]))
+            rows = sum(self.adjuster.costs(frames[one], [aside(frames[two], *way) for way in WAYS], LOOSE)
+                       for one, two in (pair, pair[::-1]))
+            (cost, seen), (beside, number) = rows[0], rows[1:].sum(axis=0)
+            out.append((cost / seen if seen else np.nan, seen, beside / number if number else np.nan))
         release(frames)
-        return np.array(out).reshape(-1, 2)
+        return np.array(out).reshape(-1, 3)
+
+    def turned(self, cameras: Sequence[Camera], maps: np.ndarray, stage: Stage) -> tuple[list[Camera], float]:
+        """The cameras after first_turns, and by how many pixels (of full size) whole photos lie beside one another."""
+        frames = self.frames.at(cameras, self.finest * stage.share, stage.sigma, maps)
+        normals = [self.frames.read(frame, frame.normal) for frame in frames]
+        depths = [self.frames.read(frame, frame.depth) * self.scene_scale for frame in frames]
+        release(frames)
+        pairs = sorted({(min(one, k), max(one, k)) for one, others in enumerate(self.pairs.used) for k in others})
+        turns, way = first_turns([frame.camera for frame in frames], normals, depths, pairs)
+        return ([turned(camera, turn) for camera, turn in zip(cameras, turns)],
+                way * cameras[0].width / frames[0].camera.width)
 
     def agreement(self, cameras: Sequence[Camera], maps: np.ndarray, stage: Stage) -> np.ndarray:
         """Of each view: the median over its pairs of the mean robust cost, as they are; NaN without any. (N,)"""

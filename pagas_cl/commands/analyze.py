@@ -89,7 +89,7 @@ def summary(analysis) -> list[str]:
 def _told(analysis) -> list[tuple[str, str]]:
     """What stands at the head of each paragraph of the summary, and its text."""
     decided = [decision for view in analysis.views for decision in view.decisions]
-    decided += [analysis.consistency] if analysis.consistency is not None else []
+    decided += [decision for decision in (analysis.cameras, analysis.consistency) if decision is not None]
     without = sum(not view.decisions for view in analysis.views)
     lines = [("", f"{len(analysis.views)} views" + (f", {without} of them not to be refined (--table says why)"
                                                     if without else ""))]
@@ -101,7 +101,7 @@ def _told(analysis) -> list[tuple[str, str]]:
         lines += [("", ""), ("", what)] if of else []
         for name, found in of.items():
             total = sum(d.effect == name for d in decided)
-            where = "scene" if name == "consistency" else f"{len(found)} of {total} view{'s' if total > 1 else ''}"
+            where = f"{len(found)} of {total} view{'s' if total > 1 else ''}" if name in EFFECTS else "scene"
             lines.append((f"  {name:<16}{where:<15}", f"{_why(found)}{_cost_of(analysis, name)}"))
     return lines + ([("", ""), ("", f"Costs: of {analysis.timed}, on {analysis.device}.")] if analysis.costs else [])
 

@@ -92,7 +92,7 @@ def command(
     if mesh is None and given.depths is None:
         raise InputError(f"{str(scene)!r} holds neither depth maps nor a mesh: expected either --mesh or --depth-dir "
                          "(where the refinement starts), got neither")
-    as_given = found.views
+    as_given, cameras = found.views, {view.name: view.camera for view in found.views}
     for view in as_given:
         view.check_files()
     check_writable("--output", output and output.parent)
@@ -111,16 +111,16 @@ def command(
         if mesh is not None:
             depths = initial_depths(found, mesh, None, None, progress, None if keep_mesh else folder, names,
                                     place["device"])
+            more["effects__cameras"] = "set"
         else:
             depths = together(given, align)
             depths = depths if folder is not None else loaded(depths)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more))
-            config = config.with_settings(effects__cameras="set" if mesh else config.effects.cameras)
         with noted(page and page.note):
             results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
-                                   progress=progress, on_view=page and partial(_add_pictures, page))
+                                   progress=progress, on_view=page and partial(_add_pictures, page, cameras))
         made = None
         if output is not None and keep_mesh:
             made = displaced_mesh(mesh, found.views, depths, results, config, subdivide, device=place["device"])
@@ -205,8 +205,9 @@ def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mes
                          "(--set fusion.voxel=...)")
 
 
-def _add_pictures(page, view, initial, result) -> None:
-    """Put a view's pictures on the page as soon as it is done, so that an interrupted run has them."""
+def _add_pictures(page, given, view, initial, result) -> None:
+    """Put a view's pictures on the page as soon as it is done, so that an interrupted run has them; `given`: cameras by
+    name, as they came."""
     from pagas_cl.effects import Decision
 
     report = result.report
@@ -216,7 +217,7 @@ def _add_pictures(page, view, initial, result) -> None:
         remarks += [f"{what}: " + "; ".join(effects)] if effects else []
     figures = {"seconds": round(report["seconds"], 2)} if "seconds" in report else {}
     page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
-             counts={**result.counts, **figures}, remarks=remarks, reason=result.reason)
+             counts={**result.counts, **figures}, remarks=remarks, reason=result.reason, given=given[view.name])
 
 
 def _show_mesh(page, views, mesh, made, results, device) -> None:

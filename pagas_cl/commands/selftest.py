@@ -8,6 +8,7 @@ import typer
 
 from pagas_cl.errors import PagasError
 from pagas_cl.runtime.device import open_device
+from pagas_cl.selftest import cameras
 from pagas_cl.selftest.check import run_all
 from pagas_cl.selftest.large import run_large
 from pagas_cl.selftest.table import CASES
@@ -20,10 +21,11 @@ def command(
     """Run the small hard cases: case, tolerance, worst figure, ok. Status 1 when one of them fails."""
     opened = open_device(device)
     logging.getLogger("pagas_cl").setLevel(logging.WARNING)     # plans of views would part the table
-    total = sum(len(case.blends) for case in CASES)
+    total = sum(len(case.blends) for case in (*CASES, *cameras.CASES))
     sys.stdout.write(f"{opened.info}\n{'':>9}{'case':<48}{'blend':<12}{'tolerance':>10}{'worst':>11}\n")
     outcomes = []
-    for number, outcome in enumerate(chain(run_all(opened), run_large(opened) if large else ()), start=1):
+    for number, outcome in enumerate(chain(
+            run_all(opened), cameras.run_cameras(opened), run_large(opened) if large else ()), start=1):
         outcomes.append(outcome)
         case, place = outcome.case, f"{number}/{total}" if number <= total else "large"
         result = "ok" if outcome.ok else "FAILED: " + "; ".join(outcome.faults)

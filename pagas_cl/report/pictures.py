@@ -37,11 +37,12 @@ class Picture:
     map_name: str = ""
 
 
-def view_pictures(photo, camera: Camera, before, after, *, change=None, confidence=None) -> list[Picture]:
+def view_pictures(photo, camera: Camera, before, after, *, change=None, confidence=None,
+                  given: Camera | None = None) -> list[Picture]:
     """Every picture of one view: of its photo, uint8 (H, W, 3), and its z-depths (H, W), 0 = no surface.
 
     `change` (H, W) is the signed move in pixels of parallax (`parallax_change`), NaN = unknown; `confidence` (H, W) is
-    from 0 to 1.
+    from 0 to 1; `given`: the camera as it was, where `camera` is a refined one.
     """
     low, high = depth_range(before, after)
     depths = {"before": np.asarray(before), "after": np.asarray(after)}
@@ -60,6 +61,13 @@ def view_pictures(photo, camera: Camera, before, after, *, change=None, confiden
     if confidence is not None:
         pictures.append(Picture("confidence", "confidence", colored(confidence, 0, 1, after > 0),
                                 "from 0 (the photos say nothing) to 1 (they fix the depth)", "sequential"))
+    if given is not None:
+        (uv, z), (own, _) = (project_depth(camera, other, np.asarray(after)) for other in (given, camera))
+        moved, known = np.linalg.norm(uv - own, axis=-1), (np.asarray(after) > 0) & (z > 0)
+        most = max(depth_range(np.where(known, moved, 0))[1], _SMALLEST_CHANGE)
+        pictures.append(Picture("camera", "camera", colored(moved, 0, most, known),
+                                f"pixels that the photo was off by, as its refined camera has it: from 0 to {most:.2g}",
+                                "sequential"))
     return pictures
 
 

@@ -52,12 +52,13 @@ class Report:
         self.write()
 
     def add(self, view, before, after, *, contexts=(), parallax=None, confidence=None, counts=None, remarks=(),
-            reason: str = "") -> None:
+            reason: str = "", given=None) -> None:
         """Write the pictures of one View (maps as in `view_pictures`) and remember its row of the table.
 
         The change is measured by the Cameras `contexts` (`parallax_change`), or by `parallax` (H, W), the change of
         depth that is one pixel of parallax, 0 = unknown; without either of them there is no picture of it. `counts` are
-        columns of the table, `remarks` lines above the pictures; `reason`: why the view came back as it came.
+        columns of the table, `remarks` lines above the pictures; `reason`: why the view came back as it came;
+        `given`: its Camera before cameras were refined.
         """
         photo, camera = view.load_image(), view.camera
         change = parallax_change(camera, list(contexts), before, after) if contexts else None
@@ -65,7 +66,8 @@ class Report:
             change = change_in_units(before, after, parallax)
         stem = flat_stem(view.name, self._stems)
         self._stems.append(stem)
-        pictures = view_pictures(photo, camera, before, after, change=change, confidence=confidence)
+        pictures = view_pictures(photo, camera, before, after, change=change, confidence=confidence,
+                                 given=None if given is camera else given)
         figures = self._figures(stem, pictures)
         self._views.append({"view": view.name, **(counts or {}), **_change_figures(change, confidence, after)})
         self._reasons.append(reason)

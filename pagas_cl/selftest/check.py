@@ -6,6 +6,7 @@ same bits twice; then a few steps: finite, inputs without a surface stay so, fix
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,7 @@ DAMPED = 1e-3             # gradient per pixel of parallax below which the solve
 class Outcome:
     """What a case came to: the worst figure against its tolerance, and what is wrong (empty where nothing is)."""
 
-    case: Case
+    case: Any         # a Case, or what is like it: see cameras.py
     blend: str
     worst: float
     faults: tuple[str, ...]

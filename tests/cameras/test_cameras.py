@@ -244,7 +244,7 @@ def test_pairs_that_judge_take_no_part(relief):
 
 def test_wide_pairs_judge_too(relief, device):
     """Of views with few context views the farthest that see the same; a made scene gains there, a bent one does not."""
-    from pagas_cl.cameras.refine import _bent
+    from pagas_cl.cameras.accept import bent
 
     context = Context(number=3)
     pairs = choose_pairs(relief.cameras, relief.depths, context)
@@ -256,9 +256,9 @@ def test_wide_pairs_judge_too(relief, device):
     found = refine_cameras(relief.through(noisy(relief.cameras, 1.0, 0)), relief.depths, config=config, device=device)
     assert found.accepted and len(found.report["wide_pairs"]) >= 3
     assert all(pair["after"] < pair["before"] for pair in found.report["wide_pairs"])
-    assert _bent(np.zeros((0, 2)), 0, 0) == "" == _bent(np.array([[0.2, 0.1], [0.1, 0.09]]), 100, 90)
-    assert "1 of 2 wide pairs better" in _bent(np.array([[0.1, 0.09], [0.1, 0.15]]), 100, 100)
-    assert "bends" in _bent(np.array([[0.2, 0.1]]), 100, 50)
+    assert bent(np.zeros((0, 2)), 0, 0) == "" == bent(np.array([[0.2, 0.1], [0.1, 0.09]]), 100, 90)
+    assert "1 of 2 wide pairs better" in bent(np.array([[0.1, 0.09], [0.1, 0.15]]), 100, 100)
+    assert "bends" in bent(np.array([[0.2, 0.1]]), 100, 50)
 
 
 def test_the_pose_of_a_photo_that_judges_is_fitted(relief, device):

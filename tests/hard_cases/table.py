@@ -23,6 +23,7 @@ NOT_RUN = "not run"
 def measure(path: Path, large: bool) -> int:
     """Run every case on this machine's device; figures to `path`. The number of failures."""
     from pagas_cl.runtime.device import open_device
+    from pagas_cl.selftest.cameras import run_cameras
     from pagas_cl.selftest.check import run_all
     from pagas_cl.selftest.large import run_large
 
@@ -37,7 +38,7 @@ def measure(path: Path, large: bool) -> int:
         sys.stdout.write(f"{outcome.case.name:<48}{outcome.blend:<12}{outcome.worst:>10.1e}  "
                          f"{'; '.join(outcome.faults) or 'ok'}\n")
 
-    for outcome in chain(run_all(device), run_large(device) if large else ()):
+    for outcome in chain(run_all(device), run_cameras(device), run_large(device) if large else ()):
         note(outcome)
     failed = sum(bool(row["faults"]) for row in rows)
     path.write_text(json.dumps({"device": device.info.title, "kind": device.info.kind, "rows": rows}, indent=1))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pagas_cl.refine import refine_depth
-from pagas_cl.selftest import BLENDS, run_case
+from pagas_cl.selftest import BLENDS, cameras, run_case
 from pagas_cl.selftest import scenes as make
 from pagas_cl.selftest.large import SIZES, run_one
 from pagas_cl.selftest.table import CAMERAS, DEPTHS, IMAGES, SETTINGS
@@ -26,6 +26,12 @@ def test_case(device, case, blend):
     assert outcome.ok, f"worst {outcome.worst:.2g} of {case.tolerance:g}: {'; '.join(outcome.faults)}"
 
 
+@pytest.mark.parametrize("case", cameras.CASES, ids=lambda case: case.name)
+def test_cameras_that_are_off(device, case):
+    outcome = cameras.run_camera_case(case, device)
+    assert outcome.ok, f"worst {outcome.worst:.2g} of {case.tolerance:g}: {'; '.join(outcome.faults)}"
+
+
 @pytest.mark.skipif(not os.environ.get("PAGAS_CL_LARGE"), reason="12 and 17 megapixels: PAGAS_CL_LARGE=1, on a GPU")
 @pytest.mark.parametrize("blend", BLENDS)
 @pytest.mark.parametrize("size", SIZES)
@@ -35,7 +41,7 @@ def test_large_case(device, size, blend):
 
 
 def test_names_are_unique():
-    names = [case.name for case in CASES]
+    names = [case.name for case in (*CASES, *cameras.CASES)]
     assert len(set(names)) == len(names)
 
 
@@ -43,7 +49,8 @@ def test_readme_lists_every_case():
     from pathlib import Path
 
     page = (Path(__file__).parent / "README.md").read_text()
-    missing = [name for name in (*(case.name for case in CASES), *SIZES) if f"| {name} |" not in page]
+    named = (*(case.name for case in (*CASES, *cameras.CASES)), *SIZES)
+    missing = [name for name in named if f"| {name} |" not in page]
     assert not missing, missing
 
 

@@ -26,6 +26,27 @@ def rms_motion(cameras, others, depths) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
+def unexplained(true, cameras, depths, used) -> float:
+    """Pixels that true matches are off by through `cameras`, each point at the depth that suits its context views
+    (`used`, of each view) best: what photos can see of cameras that are off. `depths`: true ones."""
+    rng, squares = np.random.default_rng(0), []
+    for t, others in enumerate(used):
+        rows, columns = (rng.permutation(np.argwhere(depths[t] > 0))[:300]).T
+        d = depths[t][rows, columns].astype(np.float64)
+        points = (true[t].rays_at(rows, columns) * d[:, None]) @ true[t].world_to_camera[:3, :3] + true[t].center
+        there = [true[k].project(points)[0] for k in others]
+        rays = cameras[t].rays_at(rows, columns) @ cameras[t].world_to_camera[:3, :3]
+
+        def at(d):
+            return np.array([cameras[k].project(rays * d[:, None] + cameras[t].center)[0] for k in others]) - there
+
+        for _ in range(8 if others else 0):
+            slope = (at(1.0001 * d) - at(d)) / (1e-4 * d)[:, None]
+            d = d - np.clip((slope * at(d)).sum((0, 2)) / (slope**2).sum((0, 2)), -0.2 * d, 0.2 * d)
+        squares += [(at(d) ** 2).sum(-1).mean()] if others else []
+    return float(np.sqrt(np.mean(squares)))
+
+
 def after_similarity(cameras, true) -> list:
     """`cameras` after the similarity that brings their centres and axes nearest to those of `true`."""
     there, here = (np.array([c.center for c in those]) for those in (true, cameras))
