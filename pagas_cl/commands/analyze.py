@@ -11,6 +11,7 @@ import typer
 from pagas_cl.commands._console import shown_progress
 from pagas_cl.commands._start import check_report, check_source, check_writable, initial_depths, load_scene
 from pagas_cl.effects import EFFECTS
+from pagas_cl.errors import plain
 from pagas_cl.scene.files import write_text
 
 MANY = ("--views", "--set", "--effect")
@@ -150,7 +151,7 @@ def show(analysis, table: bool = False) -> None:
             lines += ["", f"{'effect':<16}{'without it':>12}{'with it':>12}{'memory':>12}  a view"]
         lines += [f"{name:<16}{seconds(cost.off):>12}{seconds(cost.on):>12}{size(cost.device_bytes):>12}"
                   for name, cost in analysis.costs.items()]
-    sys.stdout.write("\n".join(lines) + "\n")
+    sys.stdout.write("\n".join(map(plain, [*lines, ""])))
 
 
 def page(analysis, source: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._start import check_writable
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import InputError, log, plain
 from pagas_cl.scene.files import write_text
 
 
@@ -170,4 +170,4 @@ def _table(title, rows):
     for name, row in rows.items():
         cells = ("" if x is None else f"{x:d}" if isinstance(x, int) else f"{x:.5g}" for x in map(row.get, columns))
         lines.append(f"{name:<{head}}" + "".join(f"  {cell:>{widths[c]}}" for cell, c in zip(cells, columns)))
-    return "\n".join(lines) + "\n\n"
+    return "\n".join(map(plain, [*lines, "", ""]))
