@@ -48,7 +48,7 @@ def command(
     found = load_scene(scene, format, outside)
     names = [found.views[found.index(name)].name for name in views] or None
     check_writable("--json", output and output.parent)
-    check_report(report)
+    check_report(report, "analysis.json")
     with shown_progress(quiet) as progress, one_run(report) if report else nullcontext():
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, names=names)
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,

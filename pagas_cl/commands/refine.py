@@ -67,6 +67,7 @@ def command(
     from pagas_cl.jobs.finished import one_run, remove_run
     from pagas_cl.keep_mesh import displaced_mesh, write_whole
     from pagas_cl.refine import fuse_results, refine_views
+    from pagas_cl.report import picture_files
     from pagas_cl.scene.mesh_file import write_mesh
 
     _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide, allow_loss,
@@ -88,16 +89,17 @@ def command(
         view.check_files()
     check_writable("--output", output and output.parent)
     check_writable("--save-depth", save_depth)
-    check_report(report, "report.json")
+    names = [found.views[found.index(name)].name for name in views] or None
+    pictures = picture_files(names or [view.name for view in found.views], None not in (output, mesh))
+    check_report(report, "report.json", pictures)
     # finished views are kept with the depth maps, or beside the mesh until it is written; all that can be asked of
     # them later is kept, so that nothing is refined again for it
     folder = output.parent / f".{output.name}.views" if save_depth is None and output is not None else save_depth
     place = _place(device, devices, scheduler)
-    names = [found.views[found.index(name)].name for name in views] or None
     config_words = ", ".join([preset, *settings])
     with (resumable(folder, len(names or found.views)), shown_progress(quiet) as progress,
           one_run(folder) if folder else nullcontext(), one_run(report) if report else nullcontext(),
-          _report(report, found, config_words, place, asked.obj) as page):
+          _report(report, found, config_words, place, asked.obj, pictures) as page):
         found, config = _settled_cameras(found, mesh, config, place["device"], progress, page)
         if mesh is not None:
             depths = initial_depths(found, mesh, None, None, progress, None if keep_mesh else folder, names,
@@ -234,7 +236,7 @@ def _show_mesh(page, views, mesh, made, results, device) -> None:
     page.add_mesh(before, after, view=views[place], depths=depths)
 
 
-def _report(folder, found, settings: str, place, asked: str):
+def _report(folder, found, settings: str, place, asked: str, pictures):
     """The Report to fill, or a context of None where none was asked for."""
     if folder is None:
         return nullcontext()
@@ -242,7 +244,7 @@ def _report(folder, found, settings: str, place, asked: str):
     from pagas_cl.report import Report
 
     where = place.get("executor") or getattr(place["device"], "info", place["device"])
-    return Report(folder, "pagas-cl refine", facts=[
+    return Report(folder, "pagas-cl refine", pictures=pictures, facts=[
         ("scene", f"{found.source}, {len(found.views)} views"), ("settings", settings), ("command", asked or ""),
         ("version", f"pagas_cl {__version__}"), ("device", str(where))])
 

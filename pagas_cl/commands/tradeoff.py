@@ -43,7 +43,7 @@ def command(
     found = load_scene(scene, format, outside)
     for view in found.views:
         view.check_files()
-    check_report(report, "tradeoff.json")
+    check_report(report, "tradeoff.json", ["tradeoff.png"])
     if truth is not None and not truth.exists():
         raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
     opened = open_device(device)
