@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_small_scene
+from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, said, write_small_scene
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import InputError, OutputError
@@ -30,7 +30,7 @@ STRANGERS = ("notes.txt", ".a.part", ".target.npz.other-7.part", ".fine.ply.othe
              "journal/a.txt", "views/a.json", ".fine.ply.views/mine.txt", ".fine.ply.views/.work/a.json",
              ".fusion-a/blocks.npy", "left/target.npz", "fine.mtl", "fine_0.png", "fine.obj.mtl", "stop", "lock",
              "names.json")
-SETTINGS = ("--set", "pyramid.steps=3", "--context", "3", "--quiet")
+SETTINGS = ("--set", "pyramid.steps=3", "--context", "3", "--quiet", *NOT_MEASURED)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 from support import job_scenes as work
-from support.job_scenes import QUICK, load_small_scene, write_small_scene
+from support.job_scenes import NOT_MEASURED, QUICK, load_small_scene, write_small_scene
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import InputError
@@ -165,7 +165,7 @@ def test_the_way_through_the_commands(tmp_path, capsys):
     for name, depth in zip(file_stems(names), depths):
         save_depth(tmp_path / f"depth/{name}.npz", depth)
     refine = ["refine", str(scene), "--depth-dir", str(tmp_path / "depth"), "--save-depth", str(out), "--quiet",
-              "--set", "pyramid.steps=3"]
+              "--set", "pyramid.steps=3", *NOT_MEASURED]
     assert command_line.run([*refine, "--report", str(tmp_path / "report")]) == 0
     assert sorted(str(file.relative_to(out)) for file in out.rglob("*.npz") if OWN not in file.parts) == \
         ["b.png.npz", "b.tif.npz", "left/0001.npz", "right/0001.npz"]
@@ -202,8 +202,8 @@ def test_awkward_names_through_every_command_that_writes(tmp_path, capsys, monke
         assert command_line.run([command, str(place), "--depth-dir", str(tmp_path / "depth"), "--quiet",
                                  *map(str, more)]) == status
 
-    run("refine", "--save-depth", out, "--report", out / "page", "--set", "pyramid.steps=2", "--effect",
-        "agreement=off", "cameras=off")
+    run("refine", "--save-depth", out, "--report", out / "page", "--set", "pyramid.steps=2", *NOT_MEASURED,
+        "agreement=off")
     told = json.loads((out / "page/report.json").read_text())
     assert [row["view"] for row in told["views"]] == names and len(list((out / "page").glob("*_change.png"))) == 6
     run("analyze", "--report", out / "analysis", "--no-costs", "--json", out / "a.json")

@@ -24,7 +24,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
-from support.job_scenes import AS_SET, QUICK, bytes_of, load_small_scene, write_small_scene
+from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, write_small_scene
 
 from pagas_cl.refine import refine_views
 from pagas_cl.rounds import later_rounds
@@ -40,7 +40,7 @@ def arguments(scene: Path, out: Path, more=()) -> list[str]:
     if tuple(more) == ("executor",):
         return [sys.executable, "-m", "support.kill_trials", "--through-executor", str(scene), str(out)]
     return [*COMMAND, str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth", str(out), "--quiet",
-            "--set", "pyramid.steps=12", "--context", "3", "--effect", "cameras=off", *AS_SET, *more]
+            "--set", "pyramid.steps=12", "--context", "3", *NOT_MEASURED, *more]
 
 
 def through_executor(scene: Path, out: Path) -> None:
