@@ -26,6 +26,7 @@ from pathlib import Path
 import numpy as np
 from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, write_small_scene
 
+from pagas_cl.jobs import follow_parent
 from pagas_cl.refine import refine_views
 from pagas_cl.rounds import later_rounds
 from pagas_cl.scene import locks
@@ -46,7 +47,7 @@ def arguments(scene: Path, out: Path, more=()) -> list[str]:
 def through_executor(scene: Path, out: Path) -> None:
     """What somebody's own program does."""
     views, depths = load_small_scene(scene)
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=follow_parent) as pool:
         refine_views(views, depths, config=CONFIG, folder=out, executor=pool)
 
 
