@@ -25,15 +25,17 @@ LEGEND = ["Shares are of the pixels with a surface to start from: refined = move
           "Pictures: click for full size; dark grey = no value; the strip below a picture is its scale, from left to "
           "right."]
 _MESH, _BEGUN = "mesh", f"{OWN}/pictures.json"
-_OF_A_VIEW = ("photo.jpg", *(f"{key}.png" for key in ("depth_before", "depth_after", "normals_before", "normals_after",
-                                                      "change", "confidence")))
+_OF_A_VIEW = ("photo.jpg", "depth_before.png", "depth_after.png", "normals_before.png", "normals_after.png",
+              "change.png", "confidence.png")
 _OF_MESHES = ("photo.jpg", "shaded_before.png", "shaded_after.png")
 
 
 def picture_files(names, meshes: bool = False) -> list[str]:
     """Names of the pictures that a Report of these views has, and of two meshes."""
-    return [f"{stem}_{key}" for stem in _stems(names).values() for key in _OF_A_VIEW] + [
-        f"{_MESH}_{key}" for key in _OF_MESHES if meshes]
+    stems = [_MESH]
+    for name in dict.fromkeys(names):
+        stems.append(flat_stem(name, stems))
+    return [f"{stem}_{key}" for stem in stems[not meshes:] for key in (_OF_MESHES if stem == _MESH else _OF_A_VIEW)]
 
 
 def pictures_in(folder: Path) -> set[str]:
@@ -44,13 +46,6 @@ def pictures_in(folder: Path) -> set[str]:
             told = json.loads(read_bytes(file))
             found.update(told.get("pictures") or picture_files([row["view"] for row in told["views"]], meshes=True))
     return found
-
-
-def _stems(names) -> dict[str, str]:
-    stems: dict[str, str] = {}
-    for name in names:
-        stems[name] = flat_stem(name, (_MESH, *stems.values()))
-    return stems
 
 
 class Report:
