@@ -68,6 +68,7 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
 
     Looked for: depth maps that the format itself has, depth maps in the usual folders, one mesh in the folder.
     """
+    from pagas_cl.scene.depthmap import find_depth
     from pagas_cl.scene.readers import read_scene
 
     options = {**({"outside": True} if outside else {}), **({} if photos is None else {"photos": photos})}
@@ -92,7 +93,7 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
         unit = found.depth_unit if depth_scale is None else f"{depth_scale:g} for one scene unit, as you say"
         return Given(found, None, depths, unit, depth_scale is not None, found.source)
     for name in DEPTH_FOLDERS:
-        if (Path(scene) / name).is_dir() and _some(found.views, Path(scene) / name):
+        if any(find_depth(Path(scene) / name, view.name) for view in found.views):
             return _from_folder(found, Path(scene) / name, depth_scale, names)
     meshes = _meshes(Path(scene))
     if len(meshes) > 1:
@@ -101,12 +102,6 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
     for path in meshes:
         check_parts(path, outside=outside)
     return Given(found, meshes[0] if meshes else None, None)
-
-
-def _some(views, folder: Path) -> bool:
-    from pagas_cl.scene.depthmap import find_depth
-
-    return any(find_depth(folder, view.name) for view in views)
 
 
 def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given:
