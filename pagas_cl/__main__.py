@@ -21,6 +21,7 @@ from pagas_cl.errors import (
     NoDeviceError,
     NothingRefinedError,
     PagasError,
+    plain,
 )
 
 INTERRUPTED, NOTHING_REFINED = 130, 3
@@ -124,7 +125,7 @@ def _explain(error: Exception) -> int:
                         "update its driver or choose another device (pagas-cl devices)"), 1
     else:
         text, status = f"{type(error).__name__}: {error} (run again with --debug to see where)", 1
-    sys.stderr.write(f"pagas-cl: {' '.join(text.split())}\n")
+    sys.stderr.write(f"pagas-cl: {plain(' '.join(text.split()))}\n")
     return status
 
 

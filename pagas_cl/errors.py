@@ -2,10 +2,29 @@
 every part writes to."""
 
 import logging
+import os
+import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+# what a terminal obeys, or what begins another line or direction of writing
+_CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+
+
+def plain(text: str) -> str:
+    """One line of text as it may be shown: control characters, which names of files may hold, become escapes."""
+    return _CONTROLS.sub(lambda found: ascii(found[0])[1:-1], text)
+
+
+def _plainly(record: logging.LogRecord) -> bool:
+    if isinstance(record.args, tuple):
+        record.args = tuple(plain(str(given)) if isinstance(given, (str, os.PathLike, BaseException)) else given
+                            for given in record.args)
+    return True
+
+
 log = logging.getLogger("pagas_cl")
+log.addFilter(_plainly)
 
 
 def nearest_of(word: str, known: Iterable[str]) -> str:

@@ -118,7 +118,7 @@ def test_refine_takes_a_time_instead_of_a_preset(tmp_path, capsys, monkeypatch):
     folder = write_scene(made, tmp_path / "scene")
     (folder / "depth_initial" / f"{made.views[2].name}.npz").unlink()          # a view without a depth map
     common = ["refine", str(folder), "--depth-dir", str(folder / "depth_initial"), "--save-depth",
-              str(tmp_path / "out"), "--views", made.views[0].name, "--quiet"]
+              str(tmp_path / "out"), "--views", made.views[0].name, "--quiet", "--no-align"]
     assert run_command([*common, "--time-per-view", "100", "--set", "pyramid.steps=5"]) == 0
     assert "settings: slow, about" in capsys.readouterr().err
     assert (tmp_path / "out" / f"{made.views[0].name}.npz").is_file()

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -57,10 +58,11 @@ def shipped_files():
             for path in folder.rglob("*") if path.suffix in SHIPPED and "__pycache__" not in path.parts}
 
 
-def modules():
+@cache
+def modules() -> list[tuple]:
     """(part, path, syntax tree) of every module of pagas_cl; a part is a folder or a module at the top."""
-    for path in sorted(SOURCES["pagas_cl"].rglob("*.py")):
-        yield path.relative_to(SOURCES["pagas_cl"]).parts[0].removesuffix(".py"), path, ast.parse(path.read_text())
+    return [(path.relative_to(SOURCES["pagas_cl"]).parts[0].removesuffix(".py"), path, ast.parse(path.read_text()))
+            for path in sorted(SOURCES["pagas_cl"].rglob("*.py"))]
 
 
 def imported(tree):

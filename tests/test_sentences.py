@@ -50,7 +50,7 @@ def test_streams_that_nobody_reads(scene, tmp_path, streams):
 @slow
 def test_a_run_whose_messages_nobody_reads(scene, tmp_path):
     command = f"'{sys.executable}' -m pagas_cl refine '{scene}' --depth-dir '{scene}/depth_initial' --save-depth " \
-              f"'{tmp_path}' --set pyramid.steps=3 --views target"
+              f"'{tmp_path}' --set pyramid.steps=3 --no-align --effect cameras=off --views target"
     for streams in ("2>&1 | head -1", ">&- 2>&-"):
         assert subprocess.run(["bash", "-c", f"set -o pipefail; {command} {streams}"]).returncode == 0
         assert (tmp_path / "target.npz").exists()
@@ -169,6 +169,6 @@ def test_a_bad_limit_of_memory_is_told_once_before_the_work(scene, tmp_path, mon
     monkeypatch.setenv(memory.ENVIRONMENT, "much")
     monkeypatch.setattr(device, "_still_open", lambda *_: None)      # as in a process of its own
     assert command_line.run(["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth",
-                             str(tmp_path / "out"), *place]) == 2
+                             str(tmp_path / "out"), "--no-align", *place]) == 2
     told = capsys.readouterr().err
     assert told.count("PAGAS_CL_MEMORY is 'much', expected megabytes above 0") == 1 and "tried again" not in told

@@ -9,7 +9,7 @@ from collections import Counter
 from contextlib import contextmanager
 from functools import cache
 
-from pagas_cl.errors import NothingRefinedError, NothingRefinedWarning, log
+from pagas_cl.errors import NothingRefinedError, NothingRefinedWarning, log, plain
 
 _LINE_EVERY = 10.0  # seconds between lines where standard error is a file
 
@@ -161,7 +161,7 @@ def shown_progress(quiet: bool = False):
     else:
         from rich import progress
 
-        with progress.Progress(progress.TextColumn("{task.description}"), progress.BarColumn(),
+        with progress.Progress(progress.TextColumn("{task.description}", markup=False), progress.BarColumn(),
                                progress.MofNCompleteColumn(), progress.TimeElapsedColumn(),
                                progress.TextColumn("gone,"), progress.TimeRemainingColumn(),
                                progress.TextColumn("left"), console=console()) as bars:
@@ -169,7 +169,7 @@ def shown_progress(quiet: bool = False):
 
             def draw(stage: str, done: float, total: int) -> None:
                 if stage not in tasks:
-                    tasks[stage] = bars.add_task(stage, total=total)
+                    tasks[stage] = bars.add_task(plain(stage), total=total)
                 bars.update(tasks[stage], completed=done, total=total)
 
             yield draw
@@ -183,7 +183,7 @@ class Lines:
         self._times: dict[str, tuple[float, float]] = {}    # of each stage: when it began, when its last line was
 
     def __call__(self, stage: str, done: float, total: int) -> None:
-        now = self._clock()
+        stage, now = plain(stage), self._clock()
         began, last = self._times.setdefault(stage, (now, now))
         if done >= total:
             self._times.pop(stage)

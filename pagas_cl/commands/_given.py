@@ -93,9 +93,8 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
         unit = found.depth_unit if depth_scale is None else f"{depth_scale:g} for one scene unit, as you say"
         return Given(found, None, depths, unit, depth_scale is not None, found.source)
     for name in DEPTH_FOLDERS:
-        folder = Path(scene) / name
-        if folder.is_dir() and any(find_depth(folder, view.name) for view in found.views):
-            return _from_folder(found, folder, depth_scale, names)
+        if any(find_depth(Path(scene) / name, view.name) for view in found.views):
+            return _from_folder(found, Path(scene) / name, depth_scale, names)
     meshes = _meshes(Path(scene))
     if len(meshes) > 1:
         raise InputError(f"{str(scene)!r} holds several meshes ({', '.join(path.name for path in meshes[:5])}): name "

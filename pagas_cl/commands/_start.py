@@ -1,6 +1,7 @@
 """What commands do before the work: try the places they write to, read the scene and the initial depth of its views."""
 
 import tempfile
+from collections.abc import Collection
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from pagas_cl.scene.files import read_bytes
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.readers.mesh_parts import check_parts
 
-_BESIDE = ("report.json", "tradeoff.json")      # beside the pages of refine and tradeoff
+_BESIDE = ("report.json", "tradeoff.json", "analysis.json")      # beside the pages of refine, tradeoff, analyze
 
 
 def check_source(mesh, other, what: str, outside: bool, option: str = "--depth-dir") -> None:
@@ -47,19 +48,24 @@ def check_writable(option: str, folder: Path | None) -> None:
                 path.rmdir()
 
 
-def check_report(folder: Path | None, beside: str = "") -> None:
-    """The same of the folder of a page, which has the file `beside`: no other page or picture is replaced by ours."""
+def check_report(folder: Path | None, beside: str, pictures: Collection[str] = ()) -> None:
+    """The same of the folder of a page, which has the file `beside` and `pictures`: none is replaced that is not
+    ours."""
+    from pagas_cl.report import pictures_in
+
     check_writable("--report", folder)
     if folder is None:
         return
     page, there = folder / "index.html", {name for name in _BESIDE if (folder / name).exists()}
-    picture = folder / "tradeoff.png"
+    ours = pictures_in(folder).union(["tradeoff.png", "tradeoff.json"] if "tradeoff.json" in there else [])
+    ours.update([beside] if page.exists() or ours else [])
+    others = [file for file in (beside, *pictures) if file not in ours and (folder / file).exists()]
     if page.exists() and b"pagas" not in read_bytes(page):
         taken = f"{str(page)!r} is a page of somebody else, which ours would replace"
-    elif page.exists() and there != {beside} - {""}:
+    elif page.exists() and there != {beside}:
         taken = f"{str(page)!r} is the page of another command, which this one would replace"
-    elif beside == "tradeoff.json" and picture.exists() and beside not in there:
-        taken = f"{str(picture)!r} is not ours to replace"
+    elif others:
+        taken = f"{str(folder / others[0])!r} is not ours to replace"
     else:
         return
     raise InputError(f"--report: {taken}: choose another folder")

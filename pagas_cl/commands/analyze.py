@@ -14,6 +14,7 @@ from pagas_cl.commands._console import shown_progress
 from pagas_cl.commands._settings import build_config, effect_settings
 from pagas_cl.commands._start import check_report, check_source, check_writable, initial_depths, load_scene
 from pagas_cl.effects import EFFECTS
+from pagas_cl.errors import plain
 from pagas_cl.jobs.finished import one_run
 from pagas_cl.report.page import html_page
 from pagas_cl.scene.files import write_text
@@ -48,7 +49,7 @@ def command(
     found = load_scene(scene, format, outside)
     names = [found.views[found.index(name)].name for name in views] or None
     check_writable("--json", output and output.parent)
-    check_report(report)
+    check_report(report, "analysis.json")
     with shown_progress(quiet) as progress, one_run(report) if report else nullcontext():
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, names=names)
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
@@ -151,7 +152,7 @@ def show(analysis, table: bool = False) -> None:
             lines += ["", f"{'effect':<16}{'without it':>12}{'with it':>12}{'memory':>12}  a view"]
         lines += [f"{name:<16}{seconds(cost.off):>12}{seconds(cost.on):>12}{size(cost.device_bytes):>12}"
                   for name, cost in analysis.costs.items()]
-    sys.stdout.write("\n".join(lines) + "\n")
+    sys.stdout.write("\n".join(map(plain, [*lines, ""])))
 
 
 def page(analysis, source: str) -> str:

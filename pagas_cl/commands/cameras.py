@@ -9,7 +9,7 @@ import typer
 from pagas_cl.cameras.model import REPORT, check_place, write_model
 from pagas_cl.commands._console import shown_progress
 from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
-from pagas_cl.errors import log
+from pagas_cl.errors import log, plain
 from pagas_cl.jobs.finished import one_run
 from pagas_cl.scene.files import write_text
 from pagas_cl.scene.mesh import to_surface
@@ -60,4 +60,4 @@ def table(told, names) -> str:
               for name, moved in zip(names, told.moved)]
     lines += ["", f"{'pair that took no part':<60}{'cost before':>12}{'after':>9}"] if told.pairs else []
     lines += [f"{f'{one}, {other}'[-59:]:<60}{before:>12.4f}{after:>9.4f}" for one, other, before, after in told.pairs]
-    return "\n".join([*lines, "", str(told), ""])
+    return "\n".join(map(plain, [*lines, "", str(told), ""]))

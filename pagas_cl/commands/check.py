@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from pagas_cl.commands._given import look, together
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import InputError, log, plain
 from pagas_cl.scene.check import check_views
 from pagas_cl.scene.depth_mesh import mesh_of_depths
 
@@ -53,4 +53,4 @@ def table(report) -> str:
         lines.append(f"{r.name:<34}{r.seeing:>8}{r.inside:>10.1%}{agreement:>11}{r.patches:>9}")
     half_pixel, sentence = report.at_command_line
     ending = [sentence] if report.ok else []  # else it is the error's sentence, on standard error
-    return "\n".join([*lines, "", half_pixel, *ending, ""])
+    return "\n".join(map(plain, [*lines, "", half_pixel, *ending, ""]))

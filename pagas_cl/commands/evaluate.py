@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._start import check_writable
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import InputError, log, plain
 from pagas_cl.evaluate import chamfer, compare_depth, compare_predictions, depth_per_parallax, f_score
 from pagas_cl.evaluate.clouds import extent, floor_of, load_ground, load_points, load_visible, read_shape
 from pagas_cl.jobs.finished import users_of
@@ -158,4 +158,4 @@ def _table(title, rows):
     for name, row in rows.items():
         cells = ("" if x is None else f"{x:d}" if isinstance(x, int) else f"{x:.5g}" for x in map(row.get, columns))
         lines.append(f"{name:<{head}}" + "".join(f"  {cell:>{widths[c]}}" for cell, c in zip(cells, columns)))
-    return "\n".join(lines) + "\n\n"
+    return "\n".join(map(plain, [*lines, "", ""]))

@@ -18,7 +18,7 @@ from pagas_cl.errors import InputError, PagasError, log, need
 from pagas_cl.jobs.executors import check_address
 from pagas_cl.jobs.finished import one_run, remove_run
 from pagas_cl.keep_mesh import check_kept, check_subdivide, displaced_mesh, write_whole
-from pagas_cl.report import Report
+from pagas_cl.report import Report, picture_files
 from pagas_cl.result import joined
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.mesh import to_surface
@@ -97,16 +97,17 @@ def command(
         view.check_files()
     check_writable("--output", output and output.parent)
     check_writable("--save-depth", save_depth)
-    check_report(report, "report.json")
+    names = [found.views[found.index(name)].name for name in views] or None
+    pictures = picture_files(names or [view.name for view in found.views], None not in (output, mesh))
+    check_report(report, "report.json", pictures)
     # finished views are kept with the depth maps, or beside the mesh until it is written; all that can be asked of
     # them later is kept, so that nothing is refined again for it
     folder = output.parent / f".{output.name}.views" if save_depth is None and output is not None else save_depth
     place = _place(device, devices, scheduler)
-    names = [found.views[found.index(name)].name for name in views] or None
     config_words = ", ".join([preset, *settings])
     with (resumable(folder, len(names or found.views)), shown_progress(quiet) as progress,
           one_run(folder) if folder else nullcontext(), one_run(report) if report else nullcontext(),
-          _report(report, found, config_words, place, asked.obj) as page):
+          _report(report, found, config_words, place, asked.obj, pictures) as page):
         found, config = _settled_cameras(found, mesh, config, place["device"], progress, page)
         if mesh is not None:
             depths = initial_depths(found, mesh, None, None, progress, None if keep_mesh else folder, names,
@@ -229,12 +230,12 @@ def _show_mesh(page, views, mesh, made, results, device) -> None:
     page.add_mesh(before, after, view=views[place], depths=depths)
 
 
-def _report(folder, found, settings: str, place, asked: str):
+def _report(folder, found, settings: str, place, asked: str, pictures):
     """The Report to fill, or a context of None where none was asked for."""
     if folder is None:
         return nullcontext()
     where = place.get("executor") or getattr(place["device"], "info", place["device"])
-    return Report(folder, "pagas-cl refine", facts=[
+    return Report(folder, "pagas-cl refine", pictures=pictures, facts=[
         ("scene", f"{found.source}, {len(found.views)} views"), ("settings", settings), ("command", asked or ""),
         ("version", f"pagas_cl {__version__}"), ("device", str(where))])
 

@@ -7,7 +7,7 @@ import typer
 
 from pagas_cl.commands._console import shown_progress
 from pagas_cl.commands._start import check_report, check_source, initial_depths, load_scene
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, plain
 from pagas_cl.runtime.device import open_device
 
 MANY = ("--views", "--held-out")
@@ -43,7 +43,7 @@ def command(
     found = load_scene(scene, format, outside)
     for view in found.views:
         view.check_files()
-    check_report(report, "tradeoff.json")
+    check_report(report, "tradeoff.json", ["tradeoff.png"])
     if truth is not None and not truth.exists():
         raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
     opened = open_device(device)
@@ -57,7 +57,7 @@ def command(
     if not study.points:
         raise InputError(f"--budget {budget:g} minutes are too few for a single setting on this device: raise it, or "
                          "measure smaller photos")
-    sys.stdout.write("\n".join([headline(study), *notes(study)]) + "\n\n")
+    sys.stdout.write("\n".join(map(plain, [headline(study), *notes(study), "", ""])))
     sys.stdout.write(ablation_table(study.points) if ablation else markdown(study.points))
     sys.stdout.write("".join(f"\n{line}\n" for line in closing(study)))
     if report is not None:

@@ -6,5 +6,6 @@ with it (`worker`), which views go together (`plan`), what is on disk (`store`, 
 """
 
 from pagas_cl.jobs.whole import refine_all
+from pagas_cl.jobs.worker import follow_parent
 
-__all__ = ["refine_all"]
+__all__ = ["follow_parent", "refine_all"]

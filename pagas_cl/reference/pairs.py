@@ -52,14 +52,14 @@ def candidates(projected: Projected, width: int, height: int, splatting: Splatti
     m = projected.m
     inside = projected.valid & (m > -reach - 1).all(axis=1) & (m < np.array([width, height]) + reach + 1).all(axis=1)
     g = np.flatnonzero(inside)
-    corner = np.floor(m[g]).astype(np.int64)
+    columns, rows = ([(at, at + 0.5 - mean, (at >= 0) & (at < side)) for at in (
+        np.floor(mean).astype(np.int64) + step for step in range(-reach, reach + 1))]
+        for mean, side in zip(m[g].T, (width, height)))
     found = []
-    for dy in range(-reach, reach + 1):
-        for dx in range(-reach, reach + 1):
-            xy = corner + (dx, dy)
-            Delta = xy + 0.5 - m[g]
-            hit = ((xy >= 0) & (xy < (width, height))).all(axis=1) & (np.hypot(*Delta.T) <= radius)
-            found.append((g[hit], xy[hit, 1] * width + xy[hit, 0], Delta[hit]))
+    for y, v, in_rows in rows:
+        for x, u, in_columns in columns:
+            hit = np.flatnonzero(in_rows & in_columns & (np.hypot(u, v) <= radius))
+            found.append((g[hit], y[hit] * width + x[hit], np.stack([u[hit], v[hit]], axis=-1)))
     gaussian, pixel, Delta = (np.concatenate(part) for part in zip(*found))
     raw, log_d = _weight(projected, gaussian, Delta)
     if splatting.blend == "alpha":

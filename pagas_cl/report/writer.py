@@ -2,6 +2,7 @@
 
 import json
 import time
+from contextlib import suppress
 from html import escape
 from pathlib import Path
 
@@ -11,9 +12,9 @@ from pagas_cl.report.headline import STATUS, bar, sentence, shares, summed
 from pagas_cl.report.mesh_view import SCRIPTS, mesh_viewer
 from pagas_cl.report.page import compared, figure, html_page
 from pagas_cl.report.pictures import change_in_units, parallax_change, shaded_pictures, view_pictures
-from pagas_cl.scene.files import write_text
+from pagas_cl.scene.files import DAMAGE, read_bytes, write_text
 from pagas_cl.scene.images import write_image
-from pagas_cl.scene.names import flat_stem
+from pagas_cl.scene.names import OWN, flat_stem
 
 LEGEND = ["Shares are of the pixels with a surface to start from: refined = moved by the photos; kept = the input "
           "stays, since no other photo sees the pixel, it is masked out, the photos show "
@@ -24,6 +25,28 @@ LEGEND = ["Shares are of the pixels with a surface to start from: refined = move
           "the photos fix the depth, 0.5 = they fix it to one pixel of parallax, 0 = they say nothing.",
           "Pictures: click for full size; dark grey = no value; the strip below a picture is its scale, from left to "
           "right."]
+_MESH, _BEGUN = "mesh", f"{OWN}/pictures.json"
+_OF_A_VIEW = ("photo.jpg", "depth_before.png", "depth_after.png", "normals_before.png", "normals_after.png",
+              "change.png", "confidence.png")
+_OF_MESHES = ("photo.jpg", "shaded_before.png", "shaded_after.png")
+
+
+def picture_files(names, meshes: bool = False) -> list[str]:
+    """Names of the pictures that a Report of these views has, and of two meshes."""
+    stems = [_MESH]
+    for name in dict.fromkeys(names):
+        stems.append(flat_stem(name, stems))
+    return [f"{stem}_{key}" for stem in stems[not meshes:] for key in (_OF_MESHES if stem == _MESH else _OF_A_VIEW)]
+
+
+def pictures_in(folder: Path) -> set[str]:
+    """Names of the pictures that runs have written in `folder`, as report.json tells, or were about to when killed."""
+    found = set()
+    for file in (folder / "report.json", folder / _BEGUN):
+        with suppress(*DAMAGE, TypeError, AttributeError):
+            told = json.loads(read_bytes(file))
+            found.update(told.get("pictures") or picture_files([row["view"] for row in told["views"]], meshes=True))
+    return found
 
 
 class Report:
@@ -31,16 +54,20 @@ class Report:
 
     Used as a context manager, so that an interrupted run has a page of what was done. The folder is made, files of the
     same names are replaced; `notes` are lines below the title, `facts` pairs of a word and a text (scene, command).
+    `pictures`: names (`picture_files`) that are noted down as ours before the first is written, for the next run.
     """
 
-    def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=()):
+    def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=(), pictures=()):
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
         self.title, self.notes, self.facts = title, list(notes), list(facts)
         self._views: list[dict] = []
         self._reasons: list[str] = []
         self._sections: list[tuple] = []
-        self._stems = ["mesh"]
+        self._stems = [_MESH]
+        self._pictures = pictures_in(self.folder).union(pictures)
+        if pictures:
+            write_text(self.folder / _BEGUN, json.dumps({"pictures": sorted(self._pictures)}))
         self._mesh, self._stopped, self._began = "", "", time.monotonic()
 
     def __enter__(self) -> "Report":
@@ -81,7 +108,7 @@ class Report:
         as shaded pictures with a slider beside its photo.
         """
         html = mesh_viewer(before, after, values, camera=view and view.camera)
-        figures = self._figures("mesh", shaded_pictures(view, *depths)) if depths is not None else []
+        figures = self._figures(_MESH, shaded_pictures(view, *depths)) if depths is not None else []
         lines = "".join(f"<p>{line}</p>" for line in map(escape, remarks))
         self._mesh = f'<h2>mesh</h2>{lines}{html}<div class="pictures">{"".join(figures)}</div>'
 
@@ -95,8 +122,10 @@ class Report:
         rows = [_cells(row, columns) for row in (*self._views, *([total] if len(total) > 1 else []))]
         headline = sentence(self._views, self._reasons, self._stopped)
         facts = [*self.facts, ("time", _duration(time.monotonic() - self._began))] if self.facts else []
-        content = {"headline": headline, **dict(facts), "notes": self.notes, "views": self._views}
+        content = {"headline": headline, **dict(facts), "notes": self.notes, "views": self._views,
+                   "pictures": sorted(name for name in self._pictures if (self.folder / name).exists())}
         write_text(self.folder / "report.json", json.dumps(content, indent=1) + "\n")
+        (self.folder / _BEGUN).unlink(missing_ok=True)
         page = html_page(self.title, self.notes, columns, rows, self._sections, LEGEND if self._views else [],
                          headline=headline, facts=facts, lead=bar(self._views), body=self._mesh,
                          scripts=["page.js", *(SCRIPTS if self._mesh else [])])
@@ -108,6 +137,7 @@ class Report:
         for picture in pictures:
             links[picture.key] = f"{stem}_{picture.key}.{'jpg' if picture.key == 'photo' else 'png'}"
             write_image(self.folder / links[picture.key], picture.pixels)
+            self._pictures.add(links[picture.key])
         found = {picture.key: picture for picture in pictures}
         pairs = [(key, key.replace("_before", "_after")) for key in found if key.endswith("_before")]
         single = [picture for key, picture in found.items() if not any(key in pair for pair in pairs)]

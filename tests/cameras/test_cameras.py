@@ -23,8 +23,8 @@ pytestmark = pytest.mark.slow
 class Case:
     """A made scene: true cameras and initial depth maps, and its views with other cameras."""
 
-    def __init__(self, **settings):
-        self.scene = relief_scene(194, 145, **{"contexts": 6, "held_out": 0, **settings})
+    def __init__(self, width=194, height=145, **settings):
+        self.scene = relief_scene(width, height, **{"contexts": 6, "held_out": 0, **settings})
         self.views = self.scene.all_views
         self.cameras = [view.camera for view in self.views]
         self.depths = [self.scene.initial_depth(camera) for camera in self.cameras]
@@ -108,7 +108,7 @@ def test_one_wrong_camera_is_named_and_left_out(relief, device):
     (dict(exposure=0.3, foreground=True, noise=3.0), 0.2), (dict(zooms=(1.0, 1.4, 0.8), sizes=(1.0, 1.3)), 0.35),
     (dict(base=0.0, detail=0.0, steps=0), 0.2)], ids=["masks, exposure, noise", "mixed", "plane"])
 def test_hard_scenes(settings, most, device):
-    case = Case(**settings)
+    case = Case(160, 120, **settings)
     cameras = noisy(case.cameras, 1.0, 0)
     found = refine_cameras(case.through(cameras), case.depths, device=device)
     assert found.accepted and case.error(found.cameras) < most < case.error(cameras)

@@ -14,7 +14,7 @@ from pagas_cl.commands._settings import build_config
 from pagas_cl.errors import DeviceError, InputError, MissingExtraError, NoDeviceError
 from pagas_cl.scene.depthmap import load_depth, save_depth
 
-QUICK = ["--quiet", "--set", "pyramid.steps=3"]
+QUICK = ["--quiet", "--no-align", "--set", "pyramid.steps=3"]
 
 
 @pytest.fixture(scope="module")

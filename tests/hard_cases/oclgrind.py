@@ -35,7 +35,7 @@ def command() -> list[str] | None:
 
 
 def inside() -> None:
-    """Run every kernel once or more, two steps of each setting; print the names of the kernels."""
+    """Run every kernel once or more, a step of each setting, two levels of one a blend; print the kernels' names."""
     from dataclasses import replace
 
     from pagas_cl.refine import refine_depth
@@ -62,9 +62,10 @@ def inside() -> None:
     for name, settings in SETTINGS.items():
         scene = make.crowded(16, 14) if "crowded" in name else make.base(size=(18, 16))
         smoothness = "normal" if "switches" in name else "planar"
+        scales = (0.5, 1.0) if name in BLENDS else (1.0,)
         config = BLENDS[name.split(",")[0]].with_settings(**settings, smoothness__kind=smoothness,
-                                                         smoothness__weight=0.1, pyramid__scales=(0.5, 1.0),
-                                                         pyramid__steps=(1, 1))
+                                                         smoothness__weight=0.1, pyramid__scales=scales,
+                                                         pyramid__steps=(1,) * len(scales))
         held_out = [scene.contexts[1]] if name == "order-free" else []
         if name == "order-free":
             refine_depth(scene.target, scene.contexts[:1], scene.depth, config=config, device="oclgrind",

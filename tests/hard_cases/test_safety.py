@@ -7,6 +7,7 @@ import itertools
 import re
 import subprocess
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,16 @@ def variant(name: str):
 ORDER_FREE_ONLY = ("composite.cl",)       # never built with the alpha blend
 
 
+@cache
+def asked_of(device, file, defines) -> list:
+    """Of each kernel its name, bytes of local memory, and work-items of a group."""
+    built = cl.Program(device.context, NO_DOUBLE + program.source(file)).build(
+        [*program.OPTIONS, *(f"-D{define}" for define in defines)])
+    return [(kernel.function_name, *(np.prod(kernel.get_work_group_info(what, device.cl_device)) for what in (
+        cl.kernel_work_group_info.LOCAL_MEM_SIZE, cl.kernel_work_group_info.COMPILE_WORK_GROUP_SIZE)))
+            for kernel in built.all_kernels()]
+
+
 @pytest.mark.kernels
 @pytest.mark.parametrize("file, name", [(file, name) for file, name in itertools.product(FILES, VARIANTS)
                                         if not (file in ORDER_FREE_ONLY and name.startswith("alpha"))
@@ -51,14 +62,10 @@ def test_kernels_fit_any_device_of_opencl_1_2(device, file, name):
     given = options.defines(variant(name).with_settings(solver__gradient_filter=2), device, 64) + MORE.get(file, ())
     given = OWN.get(file, given)
     for part in tile.SCALAR:
-        built = cl.Program(device.context, NO_DOUBLE + program.source(file)).build(
-            [*program.OPTIONS, *(f"-D{define}" for define in (*given, *part.defines))])
-        for kernel in built.all_kernels():
-            local, group = (kernel.get_work_group_info(getattr(cl.kernel_work_group_info, what), device.cl_device)
-                            for what in ("LOCAL_MEM_SIZE", "COMPILE_WORK_GROUP_SIZE"))
+        for name, local, group in asked_of(device, file, program._mentioned(file, (*given, *part.defines))):
             if TILE_OF.get(file, part) is part:
-                assert local <= 32 << 10, f"{kernel.function_name}: {local} bytes of local memory"
-            assert np.prod(group) <= 256, f"{kernel.function_name}: a work-group of {group}"
+                assert local <= 32 << 10, f"{name}: {local} bytes of local memory"
+            assert group <= 256, f"{name}: a work-group of {group}"
 
 
 @pytest.mark.kernels

@@ -110,8 +110,7 @@ def test_from_the_command_line(scene, cluster, tmp_path, capsys):
     cluster.add("127.0.0.2")
     cluster.ready(1)
     command = ["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--quiet", "--set", "pyramid.steps=3",
-               "--effect", "cameras=off",
-               "--views", "target", "context_00", "context_01"]
+               *work.NOT_MEASURED, "--views", "target", "context_00", "context_01"]
     assert command_line.run([*command, "--save-depth", str(tmp_path / "a"), "--scheduler", cluster.address]) == 0
     assert command_line.run([*command, "--save-depth", str(tmp_path / "b")]) == 0
     assert bytes_of(tmp_path / "a") == bytes_of(tmp_path / "b") and len(bytes_of(tmp_path / "a")) == 3

@@ -9,7 +9,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 
 import pytest
-from support.job_scenes import QUICK, bytes_of, load_small_scene, write_small_scene
+from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, write_small_scene
 
 from pagas_cl.errors import DeviceError
 from pagas_cl.refine import refine_depth, refine_views
@@ -62,7 +62,7 @@ def test_a_worker_ends_when_its_parent_does(scene, tmp_path, temporary, how):
     """And its device is free for the same command, which goes on."""
     out = tmp_path / "out"
     command = [sys.executable, "-m", "pagas_cl", "refine", str(scene), "--depth-dir", str(scene / "depth_initial"),
-               "--save-depth", str(out), "--devices", "all", "--quiet", "--set", "pyramid.steps=60"]
+               "--save-depth", str(out), "--devices", "all", "--quiet", "--set", "pyramid.steps=60", *NOT_MEASURED]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     until(lambda: bytes_of(out) or process.poll() is not None, "the first view")
     started = children(process.pid)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_small_scene
+from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, said, write_small_scene
 from support.kill_trials import WAYS, arguments, options, run_trials, undisturbed
 
 import pagas_cl.__main__ as command_line
@@ -49,7 +49,7 @@ def finished(whole_run, tmp_path):
 
 def command(scene, out, *more):
     return ["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth", str(out), "--quiet",
-            "--set", "pyramid.steps=3", "--effect", "agreement=off", "--context", "3", *map(str, more)]
+            "--set", "pyramid.steps=3", *NOT_MEASURED, "agreement=off", "--context", "3", *map(str, more)]
 
 
 def refine(scene, folder, **more):
@@ -221,7 +221,7 @@ def test_mesh_output_goes_on_too_and_leaves_nothing_beside(scene, tmp_path, monk
     import pagas_cl.surface.blocks as blocks
 
     arguments = ["refine", str(scene), "--mesh", str(scene / "mesh_coarse.ply"), "--output", str(tmp_path / "fine.ply"),
-                 "--quiet", "--set", "pyramid.steps=3"]
+                 "--quiet", "--set", "pyramid.steps=3", *NOT_MEASURED]
 
     def interrupted(*_, **__):
         raise KeyboardInterrupt

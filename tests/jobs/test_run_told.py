@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from support.job_scenes import NOT_MEASURED
 from support.scenes import relief_scene
 
 import pagas_cl.__main__ as command_line
@@ -24,7 +25,7 @@ def scene(tmp_path_factory):
 
 def refine(scene, out, *more):
     return command_line.run(["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth",
-                             str(out), "--quiet", "--set", "pyramid.steps=3", *map(str, more)])
+                             str(out), "--quiet", "--set", "pyramid.steps=3", *NOT_MEASURED, *map(str, more)])
 
 
 @pytest.mark.parametrize("at, agreement, how", [(0, "off", ""), (2, "off", "finished"), (2, "on", "begun")])

@@ -11,15 +11,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_small_scene
+from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, said, write_small_scene
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import InputError, OutputError
 from pagas_cl.refine import refine_views
+from pagas_cl.report import picture_files, pictures_in
 from pagas_cl.report.page import html_page
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.depthmap import load_depth, save_depth
 from pagas_cl.scene.files import replaced
+from pagas_cl.scene.names import OWN
 
 pytestmark = pytest.mark.slow
 
@@ -28,7 +30,7 @@ STRANGERS = ("notes.txt", ".a.part", ".target.npz.other-7.part", ".fine.ply.othe
              "journal/a.txt", "views/a.json", ".fine.ply.views/mine.txt", ".fine.ply.views/.work/a.json",
              ".fusion-a/blocks.npy", "left/target.npz", "fine.mtl", "fine_0.png", "fine.obj.mtl", "stop", "lock",
              "names.json")
-SETTINGS = ("--set", "pyramid.steps=3", "--context", "3", "--quiet")
+SETTINGS = ("--set", "pyramid.steps=3", "--context", "3", "--quiet", *NOT_MEASURED)
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +133,28 @@ def test_pages_of_two_commands_do_not_replace_each_other(scene, tmp_path, capsys
     for command in (refine, analyze):
         assert command_line.run(list(command)) == 2 and "is the page of another command" in capsys.readouterr().err
     assert (tmp_path / "index.html").read_text() == page and (tmp_path / "tradeoff.png").read_text() == "mine"
+
+
+def test_a_picture_of_somebody_else_is_not_replaced(scene, tmp_path, capsys, monkeypatch):
+    """Of exactly a name that ours would have; others stay, and what an earlier run has written or begun is ours."""
+    (tmp_path / "target_other.png").write_text("theirs")
+    meshes = ("--mesh", str(scene / "mesh_coarse.ply"), "--output", str(tmp_path / "m" / "fine.ply"), "--keep-mesh")
+    refine = ["refine", str(scene), *meshes, "--report", str(tmp_path), "--views", "target", *SETTINGS]
+    analyze = ["analyze", str(scene), *meshes[:2], "--report", str(tmp_path)]
+    for file, command in (("target_change.png", refine), ("target_photo.jpg", refine), ("mesh_photo.jpg", refine),
+                          ("report.json", refine), ("analysis.json", analyze)):
+        (tmp_path / file).write_text("{}")
+        assert command_line.run(list(command)) == 2 and f"{file}' is not ours to replace" in capsys.readouterr().err
+        assert (tmp_path / file).read_text() == "{}" and len(list(tmp_path.iterdir())) == 2
+        (tmp_path / file).unlink()
+    for killed in (True, False, False):
+        with monkeypatch.context() as patched:
+            if killed:
+                patched.setattr("pagas_cl.report.Report.write", lambda report: None)
+            assert command_line.run(list(refine)) == 0
+    pictures = {path.name for path in tmp_path.iterdir() if path.suffix in (".png", ".jpg")} - {"target_other.png"}
+    assert pictures == set(picture_files(["target.png"], meshes=True)) == pictures_in(tmp_path)
+    assert (tmp_path / "target_other.png").read_text() == "theirs" and not (tmp_path / OWN).exists()
 
 
 def test_a_model_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import pyopencl as cl
 import pytest
-from support.job_scenes import QUICK, bytes_of, load_small_scene, write_small_scene
+from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, write_small_scene
 from support.kill_trials import check_whole
 
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError
@@ -144,7 +144,7 @@ def test_the_command_ends_with_status_1(scene, tmp_path, failing, device, capsys
 
     folder = write_small_scene(tmp_path / "scene", 5)
     words = ["refine", str(folder), "--depth-dir", str(folder / "depth_initial"), "--save-depth", str(tmp_path / "out"),
-             "--quiet", "--set", "pyramid.steps=3", "--effect", "agreement=off", "cameras=off", "--context", "3"]
+             "--quiet", "--set", "pyramid.steps=3", *NOT_MEASURED, "agreement=off", "--context", "3"]
     failing(int(0.5 * scene.launches), opens=False)
     assert command_line.run(words) == 1
     told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("pagas-cl:")]

@@ -1,6 +1,7 @@
 """What views are called: a property test over awkward names, through everything that writes, finds or asks by name."""
 
 import json
+import re
 import sys
 import unicodedata
 from pathlib import Path
@@ -12,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 from support import job_scenes as work
-from support.job_scenes import QUICK, load_small_scene, write_small_scene
+from support.job_scenes import NOT_MEASURED, QUICK, load_small_scene, write_small_scene
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import InputError
@@ -164,7 +165,7 @@ def test_the_way_through_the_commands(tmp_path, capsys):
     for name, depth in zip(file_stems(names), depths):
         save_depth(tmp_path / f"depth/{name}.npz", depth)
     refine = ["refine", str(scene), "--depth-dir", str(tmp_path / "depth"), "--save-depth", str(out), "--quiet",
-              "--set", "pyramid.steps=3"]
+              "--set", "pyramid.steps=3", *NOT_MEASURED]
     assert command_line.run([*refine, "--report", str(tmp_path / "report")]) == 0
     assert sorted(str(file.relative_to(out)) for file in out.rglob("*.npz") if OWN not in file.parts) == \
         ["b.png.npz", "b.tif.npz", "left/0001.npz", "right/0001.npz"]
@@ -180,44 +181,56 @@ def test_the_way_through_the_commands(tmp_path, capsys):
 
 
 HOSTILE = ["a.png", "cam/a.png", "n\nl.png", "<b>#?%& ' \".png", "x" * 245 + ".png", "q\udce4.png"]
+OBEYED = "n\n\x1b]0;t\x07\rl\x9b1m\u202e[red].png"      # by a terminal
 
 
 @pytest.mark.slow
 def test_awkward_names_through_every_command_that_writes(tmp_path, capsys, monkeypatch):
+    """And nothing in a name is obeyed by the terminal, or begins a line there."""
+    names = [OBEYED if "\n" in name else name for name in HOSTILE]
     pycolmap = pytest.importorskip("pycolmap")
     short = plan.changed("short", "", preset("balanced"), pyramid__steps=(2,))
     for stream in (sys.stdout, sys.stderr):        # as in a process of our own
         stream.reconfigure(errors="backslashreplace")
     monkeypatch.setattr("pagas_cl.tradeoffs.study.front_plan", lambda: [short])
     monkeypatch.setattr("pagas_cl.tradeoffs.study.Guess", lambda *_: Mock(seconds=lambda *_: 0.0))
-    scene, out = rig(tmp_path / "scene", HOSTILE, []), tmp_path / "out"
-    for stem, depth in zip(file_stems(HOSTILE), load_small_scene(write_small_scene(tmp_path / "plain", 6))[1]):
+    scene, out = rig(tmp_path / "scene", names, []), tmp_path / "out"
+    for stem, depth in zip(file_stems(names), load_small_scene(write_small_scene(tmp_path / "plain", 6))[1]):
         save_depth(tmp_path / f"depth/{stem}.npz", depth)
 
     def run(command, *more, status=0, place=scene):
         assert command_line.run([command, str(place), "--depth-dir", str(tmp_path / "depth"), "--quiet",
                                  *map(str, more)]) == status
 
-    run("refine", "--save-depth", out, "--report", out / "page", "--set", "pyramid.steps=2", "--effect",
-        "agreement=off", "cameras=off")
+    run("refine", "--save-depth", out, "--report", out / "page", "--set", "pyramid.steps=2", *NOT_MEASURED,
+        "agreement=off")
     told = json.loads((out / "page/report.json").read_text())
-    assert [row["view"] for row in told["views"]] == HOSTILE and len(list((out / "page").glob("*_change.png"))) == 6
+    assert [row["view"] for row in told["views"]] == names and len(list((out / "page").glob("*_change.png"))) == 6
     run("analyze", "--report", out / "analysis", "--no-costs", "--json", out / "a.json")
-    assert [view["view"] for view in json.loads((out / "a.json").read_text())["views"]] == HOSTILE
+    assert [view["view"] for view in json.loads((out / "a.json").read_text())["views"]] == names
     assert (out / "analysis/index.html").read_text().count("<h2 ") == 6
     run("tradeoff", "--report", out / "study", "--sample", "6")
     study = json.loads((out / "study/tradeoff.json").read_text())
-    assert list(study["initial"]) == file_stems(HOSTILE) == [record["case"] for record in study["records"]]
+    assert list(study["initial"]) == file_stems(names) == [record["case"] for record in study["records"]]
     assert command_line.run(["evaluate", str(out), str(tmp_path / "depth"), "--scene", str(scene), "--json",
                              str(out / "e.json")]) == 0
-    assert [name.partition(": ")[0] for name in json.loads((out / "e.json").read_text())] == HOSTILE
-    capsys.readouterr()
+    assert [name.partition(": ")[0] for name in json.loads((out / "e.json").read_text())] == names
+    from_depths = ("--depth-dir", str(tmp_path / "depth"))
+    assert command_line.run(["check", str(scene), *from_depths]) in (0, 2)
+    refine = ["refine", str(scene), *from_depths, "--report", str(out / "one")]
+    assert command_line.run([*refine, "--views", "b", "--hold-out", OBEYED]) == 2 == command_line.run(
+        [*refine, "--views", "n"])
+    told = "".join(capsys.readouterr())
     run("cameras", "--output", out / "cameras", status=2)
-    assert "has a name that is no UTF-8" in capsys.readouterr().err and not (out / "cameras").exists()
-    camera_file.write(scene, [view for view in read_scene(scene).views if view.name != HOSTILE[-1]])
+    told += (refused := capsys.readouterr().err)
+    assert "has a name that is no UTF-8" in refused and not (out / "cameras").exists()
+    camera_file.write(scene, [view for view in read_scene(scene).views if view.name != names[-1]])
     run("cameras", "--output", out / "cameras")
     model = pycolmap.Reconstruction(str(out / "cameras/sparse/0"))
-    assert [model.images[k].name for k in sorted(model.images)] == HOSTILE[:-1]
+    assert [model.images[k].name for k in sorted(model.images)] == names[:-1]
+    told += "".join(capsys.readouterr())
+    assert told.count(r"n\n\x1b]0;t\x07\rl\x9b1m\u202e[red].png") > 2
+    assert not re.search("[\0-\t\v-\x1f\x7f-\x9f\u202e]|^ *(\\\\x1b|l\\\\x9b)", told, re.M)
 
 
 @pytest.mark.slow

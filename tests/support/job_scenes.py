@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from support.scenes import relief_scene
 
+from pagas_cl.effects import EFFECTS
 from pagas_cl.presets import preset
 from pagas_cl.refine import refine_one, refine_views
 from pagas_cl.result import DepthResult
@@ -20,9 +21,12 @@ from pagas_cl.synthetic.scene import write_scene
 
 TESTS = Path(__file__).resolve().parents[1]
 # cameras off: whether a scene calls for them is measured before any job; agreement off: one round, whose files are
-# final as they come (more of them: tests/surface/test_agreement.py, and what kill_trials.py kills)
+# final as they come (more of them: tests/surface/test_agreement.py, and what kill_trials.py kills); the others as the
+# preset has them: to measure what a view calls for takes longer than so small a view's refinement. NOT_MEASURED: the
+# same on the command line, where depth maps are not brought together, either
+NOT_MEASURED = ["--no-align", "--effect", "cameras=off", *(f"{name}=set" for name in EFFECTS)]
 QUICK = preset("balanced").with_settings(pyramid__steps=(3,), context__number=3, effects__cameras="off",
-                                         effects__agreement="off")
+                                         effects__agreement="off", **{f"effects__{name}": "set" for name in EFFECTS})
 
 
 def write_small_scene(folder, views=8) -> Path:

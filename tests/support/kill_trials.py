@@ -2,13 +2,15 @@
 
     PYTHONPATH=tests:tests/jobs python -m support.kill_trials --trials 50 --way all
 
-One trial is one SIGKILL or SIGTERM. A run is killed again and again until it finishes by itself; then the next one
-begins. Ways: in this process, one process a device (--devices), a pool of the caller's, a Dask cluster (one worker,
-which outlives the runs). After each trial no process that the killed one had started may be left, the folder's lock is
-free, and files of others beside and below it are as they were.
+One trial is one SIGKILL or SIGTERM: mostly once k of the depth maps of all rounds are written, k drawn among those that
+are not yet there, else after a time that is drawn. A run is killed again and again until it finishes by itself; then
+the next one begins. Ways: in this process, one process a device (--devices), a pool of the caller's, a Dask cluster
+(one worker, which outlives the runs). After each trial no process that the killed one had started may be left, the
+folder's lock is free, and files of others beside and below it are as they were.
 """
 
 import argparse
+import math
 import multiprocessing
 import os
 import random
@@ -22,11 +24,14 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
-from support.job_scenes import bytes_of, load_small_scene, write_small_scene
+from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, write_small_scene
 
-from pagas_cl.jobs.finished import begun_in
+from pagas_cl.jobs import follow_parent
+from pagas_cl.refine import refine_views
+from pagas_cl.rounds import later_rounds
 from pagas_cl.scene import locks
 
+CONFIG = QUICK.with_settings(pyramid__steps=(12,), effects__agreement="auto")      # as the command line has it
 COMMAND = [sys.executable, "-m", "pagas_cl", "refine"]
 WAYS = ("in-process", "devices", "executor", "dask")
 STRANGERS = ("notes.txt", ".target.npz.other-7.part", "inputs/a.npy", "left/target.npz", "stop", "../lock", "../a.part")
@@ -36,31 +41,25 @@ def arguments(scene: Path, out: Path, more=()) -> list[str]:
     if tuple(more) == ("executor",):
         return [sys.executable, "-m", "support.kill_trials", "--through-executor", str(scene), str(out)]
     return [*COMMAND, str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth", str(out), "--quiet",
-            "--set", "pyramid.steps=60", *more]
+            "--set", "pyramid.steps=12", "--context", "3", *NOT_MEASURED, *more]
 
 
 def through_executor(scene: Path, out: Path) -> None:
     """What somebody's own program does."""
-    from pagas_cl.presets import preset
-    from pagas_cl.refine import refine_views
-
     views, depths = load_small_scene(scene)
-    config = preset("balanced").with_settings(pyramid__steps=(60,))      # as the command line has it
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        refine_views(views, depths, config=config, folder=out, executor=pool)
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=follow_parent) as pool:
+        refine_views(views, depths, config=CONFIG, folder=out, executor=pool)
 
 
 def _environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
 
 
-def run_whole(scene: Path, out: Path, more=()) -> float:
-    """Run undisturbed; seconds it took."""
-    start = time.monotonic()
+def run_whole(scene: Path, out: Path, more=()) -> None:
+    """Run undisturbed."""
     done = subprocess.run(arguments(scene, out, more), capture_output=True, text=True, env=_environment())
     if done.returncode != 0:
         raise RuntimeError(done.stderr)
-    return time.monotonic() - start
 
 
 def family(process: int) -> set[int]:
@@ -80,23 +79,30 @@ def alive(process: int) -> bool:
         return False
 
 
-def kill_once(scene: Path, out: Path, after: float, more=(), how=signal.SIGKILL) -> bool:
-    """Start the command and kill it after so many seconds; whether it was still running. RuntimeError where a process
-    that it has started outlives it by ten seconds."""
+def written(out: Path) -> list[int]:
+    """Views that are finished in each round that has begun."""
+    work = out / ".pagas_cl"
+    return [len(list(place.glob("views/*.json"))) for place in (work, *work.glob("round_*"))]
+
+
+def kill_once(scene: Path, out: Path, after: float, count: int, more=(), how=signal.SIGKILL) -> bool:
+    """Start the command and kill it after so many seconds, or once `count` views are written; whether it was still
+    running. RuntimeError where a process that it has started outlives it by ten seconds."""
     process = subprocess.Popen(arguments(scene, out, more), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
                                env=_environment())
-    try:
-        process.wait(after)
-        return False
-    except subprocess.TimeoutExpired:
-        started = family(process.pid)
-        process.send_signal(how)
-        process.wait()
-        for _ in range(200):
-            if not any(map(alive, started)):
-                return True
-            time.sleep(0.05)
-        raise RuntimeError(f"{sum(map(alive, started))} processes are left of a run that was killed") from None
+    start = time.monotonic()
+    while time.monotonic() - start < after and sum(written(out)) < count:
+        if process.poll() is not None:
+            return False
+        time.sleep(0.002)
+    started = family(process.pid)
+    process.send_signal(how)
+    process.wait()
+    for _ in range(200):
+        if not any(map(alive, started)):
+            return True
+        time.sleep(0.05)
+    raise RuntimeError(f"{sum(map(alive, started))} processes are left of a run that was killed")
 
 
 def check_whole(out: Path) -> int:
@@ -129,28 +135,34 @@ def check_others(out: Path) -> None:
 
 
 def undisturbed(folder: Path, views: int = 8) -> tuple[Path, dict, float]:
-    """A scene of so many views, what a run in this process gives for it, and the seconds that the second one takes."""
+    """A scene of so many views, what a run in this process gives for it, and the seconds that another would take."""
     scene = write_small_scene(folder / "scene", views)
-    run_whole(scene, folder / "whole")
-    return scene, bytes_of(folder / "whole"), run_whole(scene, folder / "whole again")
+    views, depths = load_small_scene(scene)
+    start = time.monotonic()
+    refine_views(views, depths, config=CONFIG, folder=folder / "whole")
+    return scene, bytes_of(folder / "whole"), 2 + time.monotonic() - start
 
 
 def run_trials(trials: int, folder: Path, like: tuple, seed: int = 0, more=()) -> dict:
     """Kill `trials` times; figures of what happened. `like` is what `undisturbed` gave. RuntimeError where a result is
     not as it should be."""
     rng, (scene, wanted, whole) = random.Random(seed), like
-    figures = {"kills": 0, "runs": 0, "kills with some views kept": 0}
+    figures = {"kills": 0, "runs": 0, "kills with some views kept": 0, "kills within a round": 0}
+    total = len(wanted) * (1 + len(later_rounds(CONFIG, len(wanted))))
     while figures["kills"] < trials:
         out, killed = folder / f"run{figures['runs']}" / "out", True
         settle(out)
         while killed and figures["kills"] < trials:
             how = rng.choice((signal.SIGKILL, signal.SIGTERM))
-            killed = kill_once(scene, out, rng.uniform(0.1 * whole, 1.05 * whole), more, how)
-            finished = check_whole(out)
+            left, by_time = range(sum(written(out)) + 1, total), rng.random() < 0.2
+            moment = ((rng.uniform(0.1 * whole, 1.05 * whole), total) if by_time or not left
+                      else (math.inf, rng.choice(left)))
+            killed = kill_once(scene, out, *moment, more, how)
+            check_whole(out)
             check_others(out)
             figures["kills"] += killed
-            kept = finished < len(wanted) and max(finished, begun_in(out))
-            figures["kills with some views kept"] += killed and kept > 0
+            figures["kills with some views kept"] += killed and 0 < sum(written(out)) < total
+            figures["kills within a round"] += killed and any(0 < count < len(wanted) for count in written(out))
         run_whole(scene, out, more)
         figures["runs"] += 1
         check_others(out)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from support.job_scenes import NOT_MEASURED
 from support.scenes import relief_scene
 
 from pagas_cl.__main__ import run
@@ -16,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 pytest.importorskip("open3d")
 pytest.importorskip("pycolmap")
-FEW = ["--set", "pyramid.scales=1", "--set", "pyramid.steps=8", "--quiet"]
+FEW = ["--set", "pyramid.scales=1", "pyramid.steps=8", "--quiet", *NOT_MEASURED[1:]]      # but brought together
 
 
 @pytest.fixture(scope="module")
