@@ -48,28 +48,28 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     """One view's depths averaged with those of other views, where they see the same surface. What photos refused stays
     as it is: none is asked again.
 
-    `results`: of the round before, the view's own first, then those of others. The others are as in refine.refine_one.
+    `results`: of the round before, the view's own first, then those of others, in memory or on disk (StoredResult), from
+    where they are read when the device has to have them. The others are as in refine.refine_one.
     """
-    return _averaged(results, config, device, photos, propose=False)
+    return _averaged(_loaded(results[0]), results, config, device, photos, propose=False)
 
 
-def _averaged(results: Sequence[DepthResult], config: Config, device: Device, photos: PhotoStore,
+def _averaged(own: DepthResult, results: Sequence[DepthResult], config: Config, device: Device, photos: PhotoStore,
               propose: bool) -> DepthResult:
-    """`propose`: also in place of depths that photos refused."""
-    own, start, owners = results[0], time.perf_counter(), {}
-    if own.reason or all(result.reason for result in results[1:]):
+    """`own` is the first of `results` in memory; `propose`: also in place of depths that photos refused."""
+    start = time.perf_counter()
+    others = [result for result in results[1:] if not result.reason]
+    if own.reason or not others:
         return own
-    for result in results:
-        if not result.reason:
-            owners[_evidence(result)] = result
-    photos.trim(_BYTES * max(result.depth.size for result in results))
+    photos.trim(_BYTES * max(_pixels(result) for result in results))
 
-    def send(evidence: DepthEvidence) -> tuple[Any, Any]:
-        """Once for all views of a round that are compared with it."""
-        return photos.held(owners[evidence], 8 * evidence.depth.size, lambda: evidence.send(device))
+    def send(result: DepthResult) -> tuple[Any, Any]:
+        """Once for all views of a round that are compared with it, whose arrays are not looked at again."""
+        owner = results[0] if result is own else result
+        return photos.held(getattr(owner, "identity", owner), 8 * _pixels(result),
+                           lambda: _evidence(result).send(device))
 
-    mine, *others = owners
-    comparison = Agreement(mine, others, device, send)
+    comparison = Agreement(own, others, device, send)
     spread = comparison.spread()
     decision = decide_agreement(spread, config)
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
@@ -87,15 +87,16 @@ def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partn
                      progress: Progress | None = None) -> DepthResult:
     """The same, and then some steps of the photos, from there, which refuse what matches worse than it did."""
     steps = max(1, round(config.agreement.steps * config.pyramid.steps[-1])) if config.agreement.steps else 0
-    averaged = _averaged(results, config, device, photos, propose=steps > 0)
-    if averaged.depth is results[0].depth or not steps:
+    kept = _loaded(results[0])
+    averaged = _averaged(kept, results, config, device, photos, propose=steps > 0)
+    if averaged.depth is kept.depth or not steps:
         return averaged
     start, target, contexts = time.perf_counter(), views[partners.target], [views[k] for k in partners.contexts]
-    few = _few(config, steps, len(contexts), results[0].report)
-    stepped = _steps(target, contexts, results[0].depth, averaged.depth, few, device, photos,
+    few = _few(config, steps, len(contexts), kept.report)
+    stepped = _steps(target, contexts, kept.depth, averaged.depth, few, device, photos,
                      [views[k] for k in partners.held_out], progress)
     # what no view has spoken for, or the photos speak against, is as it was
-    kept, refined = results[0], (averaged.status == REFINED) & (stepped.status == REFINED)
+    refined = (averaged.status == REFINED) & (stepped.status == REFINED)
     report = {**averaged.report, "seconds": averaged.report["seconds"] + time.perf_counter() - start}
     return replace(averaged, depth=np.where(refined, stepped.depth, kept.depth), parallax=stepped.parallax,
                    status=np.where(refined, stepped.status, kept.status),
@@ -129,6 +130,15 @@ def _steps(target: View, contexts: Sequence[View], depth: np.ndarray, start: np.
                              normalized=normalized, start=start, held_out=held_out)
 
     return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)
+
+
+def _loaded(result: Any) -> DepthResult:
+    """A result that may be on disk, in memory."""
+    return result if isinstance(result, DepthResult) else result.loaded()
+
+
+def _pixels(result: DepthResult) -> int:
+    return result.camera.width * result.camera.height
 
 
 def _evidence(result: DepthResult) -> DepthEvidence:

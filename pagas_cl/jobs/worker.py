@@ -58,6 +58,11 @@ class PhotoMemory:
                 self._make_room(key)
         return promise.result()
 
+    def forget(self, key) -> None:
+        """Let go of the array `key`, if it is here."""
+        with self._lock:
+            self._held.pop(key, None)
+
     def _make_room(self, last) -> None:
         with self._lock:
             sizes = {key: promise.result().nbytes for key, promise in self._held.items() if promise.done()}
@@ -77,6 +82,10 @@ class Remembered:
 
     def load(self) -> np.ndarray:
         return self.memory.get(self.key, self.read)
+
+    def release(self) -> None:
+        """It is where it was wanted."""
+        self.memory.forget(self.key)
 
 
 class WorkerContext:
@@ -120,7 +129,8 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
         raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "
                           "planned the run: install the same version everywhere")
     with _one_at_a_time, ThreadPoolExecutor(_READERS) as readers, ThreadPoolExecutor(1) as writer:
-        views, ended, ahead = _worker_context(batch.device).views(batch), [], {}
+        context = _worker_context(batch.device)
+        views, photos, ended, ahead = context.views(batch), context.photos if batch.photos else None, [], {}
         for task, following in zip(batch.tasks, [*batch.tasks[1:], None]):
             if (work_folder(batch.folder) / STOP).exists():
                 break
@@ -128,20 +138,21 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
             if record is not None:
                 ended.append(record)
                 continue
-            depth = ahead.pop(task.name, None) or _read_ahead(readers, task, views, batch.photos)
+            depth = ahead.pop(task.name, None) or _read_ahead(readers, task, views, photos)
             if following is not None:
-                ahead[following.name] = _read_ahead(readers, following, views, batch.photos)
+                ahead[following.name] = _read_ahead(readers, following, views, photos)
             ended.append(_attempt(batch, task, views, depth, writer, inside and inside(len(ended))))
             if len(ended) > 1 and isinstance(ended[-2], Future):
                 ended[-2] = ended[-2].result()  # no more than one result waits to be written
         return [record.result() if isinstance(record, Future) else record for record in ended]
 
 
-def _read_ahead(readers: ThreadPoolExecutor, task: ViewTask, views: dict, photos: bool) -> Future:
-    """Have the `photos` of `task` read, and its depth map, which is what is promised."""
+def _read_ahead(readers: ThreadPoolExecutor, task: ViewTask, views: dict, photos) -> Future:
+    """Have the photos of `task` read that the PhotoStore has not (None: none is wanted), and its depth map, which is
+    what is promised."""
     depth = readers.submit(task.depth.load)
     for k in task.partners.all if photos else ():
-        readers.submit(views[k].load_image)  # who needs the photo is told what was wrong with it
+        readers.submit(lambda view=views[k]: photos.has(view) or view.load_image())  # who needs it is told what is wrong
     return depth
 
 

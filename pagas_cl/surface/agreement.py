@@ -14,6 +14,7 @@ from pagas_cl.scene.depthmap import REFINED
 from pagas_cl.scene.sampling import NEAR, scene_scale_of
 
 if TYPE_CHECKING:
+    from pagas_cl.result import DepthResult
     from pagas_cl.runtime.device import Device
 
 _BINS, _PER_PIXEL = 4096, 1024.0     # differences up to 4 pixels of parallax
@@ -37,7 +38,6 @@ class DepthEvidence:
         known = (self.status == REFINED) & (self.depth > 0) & np.isfinite(self.deviation)
         return np.where(known, self.depth, np.float32(0))
 
-
     def send(self, device: Device) -> tuple[Any, Any]:
         """`trusted` and `deviation`, on the device."""
         from pagas_cl.runtime.memory import upload
@@ -47,10 +47,11 @@ class DepthEvidence:
 
 class Agreement:
     """Compares `own` with `others`, depth maps of one round, in their order; on `device`, one of them at a time.
-    `send(evidence)`: as its method does it, where some are on the device already."""
+    `send(other)`: as DepthEvidence does it, where some are on the device already; it alone then looks at their arrays.
+    """
 
-    def __init__(self, own: DepthEvidence, others: Sequence[DepthEvidence], device: Device,
-                 send: Callable[[DepthEvidence], tuple[Any, Any]] | None = None):
+    def __init__(self, own: DepthEvidence | DepthResult, others: Sequence[Any], device: Device,
+                 send: Callable[[Any], tuple[Any, Any]] | None = None):
         from pagas_cl.runtime.memory import upload
         from pagas_cl.runtime.program import build
 
