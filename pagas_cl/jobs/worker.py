@@ -19,6 +19,7 @@ from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputErro
 from pagas_cl.jobs.finished import find_finished, work_folder, write_finished
 from pagas_cl.jobs.store import translate_os_errors
 from pagas_cl.jobs.task import Batch, Record, ViewTask, code_version
+from pagas_cl.runtime.host import trim
 from pagas_cl.scene.view import View
 
 STOP = "stop"              # a file of this name in the work folder asks every worker to end after its present view
@@ -144,7 +145,9 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
             ended.append(_attempt(batch, task, views, depth, writer, inside and inside(len(ended))))
             if len(ended) > 1 and isinstance(ended[-2], Future):
                 ended[-2] = ended[-2].result()  # no more than one result waits to be written
-        return [record.result() if isinstance(record, Future) else record for record in ended]
+        ended = [record.result() if isinstance(record, Future) else record for record in ended]
+    trim()
+    return ended
 
 
 def _read_ahead(readers: ThreadPoolExecutor, task: ViewTask, views: dict, photos) -> Future:
@@ -215,6 +218,7 @@ def close_worker_contexts() -> None:
         _worker_contexts.clear()
         _lost.clear()
         give_back()
+    trim()
 
 
 def worker_name() -> str:
