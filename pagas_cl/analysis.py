@@ -85,10 +85,12 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
             timed, measured_costs = target.name, effect_costs(target, contexts, depth, config, measured, device, photos,
                                                               tell)
     tell("analyze", len(asked), len(asked))
+    tell("compare the depth maps", 0, 1)
     agreement = decide_consistency([view.camera for view in views], depths, config, device)[1]
     cameras = None
     if config.effects.cameras != "set" and FEWEST <= len(views) <= MOST:
         cameras = decide_cameras(views, depths, config, device)[0]
+        tell("measure the cameras", 1, 1)
     return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement, cameras)
 
 

@@ -40,7 +40,9 @@ def command(
     """Measure what SCENE calls for; refines nothing. The decisions are those that refine takes."""
     from pagas_cl.analysis import analyze
     from pagas_cl.commands._settings import build_config, effect_settings
+    from pagas_cl.expected import Expected
     from pagas_cl.jobs.finished import one_run
+    from pagas_cl.runtime.device import open_device
 
     check_source(mesh, depth_dir, "where a refinement would start", outside)
     config = build_config(preset, [*settings, *effect_settings(effects)])
@@ -49,6 +51,12 @@ def command(
     check_writable("--json", output and output.parent)
     check_report(report)
     with shown_progress(quiet) as progress, one_run(report) if report else nullcontext():
+        device = open_device(device)
+        expected = Expected(progress, [v for v in found.views if names is None or v.name in names], config, device)
+        if mesh is not None:
+            expected.mesh_drawn()
+        expected.analyzed(costs)
+        expected.cameras(False)
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, names=names)
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
                            progress=progress)

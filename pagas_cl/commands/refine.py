@@ -4,7 +4,7 @@ from collections import Counter
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
-from itertools import product
+from itertools import count, product
 from pathlib import Path
 
 import typer
@@ -64,6 +64,7 @@ def command(
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
+    from pagas_cl.expected import Expected
     from pagas_cl.jobs.finished import one_run, remove_run
     from pagas_cl.keep_mesh import displaced_mesh, write_whole
     from pagas_cl.refine import fuse_results, refine_views
@@ -98,6 +99,14 @@ def command(
     with (resumable(folder, len(names or found.views)), shown_progress(quiet) as progress,
           one_run(folder) if folder else nullcontext(), one_run(report) if report else nullcontext(),
           _report(report, found, config_words, place, asked.obj) as page):
+        expected = Expected(progress, [v for v in found.views if names is None or v.name in names], config,
+                            place["device"])
+        expected.cameras(mesh is not None)
+        if mesh is not None:
+            expected.mesh_drawn()
+        expected.rounds(page is not None)
+        if output is not None and not keep_mesh:
+            expected.fused(page is not None)
         found, config = _settled_cameras(found, mesh, config, place["device"], progress, page)
         if mesh is not None:
             depths = initial_depths(found, mesh, None, None, progress, None if keep_mesh else folder, names,
@@ -111,7 +120,8 @@ def command(
             config = config.with_settings(effects__cameras="set" if mesh else config.effects.cameras)
         with noted(page and page.note):
             results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
-                                   progress=progress, on_view=page and partial(_add_pictures, page))
+                                   progress=progress, on_view=page and partial(_add_pictures, page, count(1), len(names or found.views),
+                                                          progress))
         made = None
         if output is not None and keep_mesh:
             made = displaced_mesh(mesh, found.views, depths, results, config, subdivide, device=place["device"])
@@ -124,6 +134,7 @@ def command(
             log.info("mesh: %s", output)
         if page is not None and made is not None:
             _show_mesh(page, found.views, mesh, made, results, place["device"])
+            progress("show the mesh", 1, 1)
         if save_depth is not None:
             _save_cameras(save_depth, as_given, results)
         _tell(results, save_depth, report)
@@ -206,7 +217,7 @@ def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mes
                          "(--set fusion.voxel=...)")
 
 
-def _add_pictures(page, view, initial, result) -> None:
+def _add_pictures(page, number, total: int, progress, view, initial, result) -> None:
     """Put a view's pictures on the page as soon as it is done, so that an interrupted run has them."""
     from pagas_cl.effects import Decision
 
@@ -218,6 +229,7 @@ def _add_pictures(page, view, initial, result) -> None:
     figures = {"seconds": round(report["seconds"], 2)} if "seconds" in report else {}
     page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
              counts={**result.counts, **figures}, remarks=remarks, reason=result.reason)
+    progress("pictures", next(number), total)
 
 
 def _show_mesh(page, views, mesh, made, results, device) -> None:

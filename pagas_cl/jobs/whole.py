@@ -22,7 +22,7 @@ from pagas_cl.jobs.run import Run
 from pagas_cl.jobs.store import DepthFile, Store, translate_os_errors
 from pagas_cl.jobs.task import Batch, Record, code_version
 from pagas_cl.jobs.worker import STOP, close_worker_contexts
-from pagas_cl.progress import ViewProgress
+from pagas_cl.progress import ViewProgress, tell
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import for_planning
 from pagas_cl.scene.reasons import warn_of_nothing
@@ -78,6 +78,9 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
     template = Batch(work, {}, {}, (), config, folder, workers.device, code_version(), extras)
     _make_ready(folder)
     runs, failed, wanted = [], [], _wanted(planner, asked, folder, extras, later)
+    for number, (some, place) in enumerate(zip(wanted, [*(round_folder(folder, k) for k in range(len(later))), folder])):
+        unfinished = max(0, len(some) - len(records_in(place)))      # told anew when it is planned
+        tell(progress, "expect_some", _stage(number), unfinished, len(some), len(asked))
     try:
         for number, views_of_round in enumerate(wanted[:-1]):
             place = round_folder(folder, number)
@@ -85,7 +88,7 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
             collect = _Collect(views_of_round, views, depths, place, progress, None, _stage(number))
             runs.append(Run(workers, place, collect, progress and collect.inside))
             runs[-1].finish(_unfinished(planner, groups(views_of_round, views, workers.count()),
-                                        replace(template, folder=place, extras=True), collect))
+                                        replace(template, folder=place, extras=True), collect, len(asked)))
             collect.results()        # raises where every view has failed
             failed += [record for record in collect.records.values() if record.error]
             lost = {record.name for record in failed}
@@ -97,7 +100,8 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
         for record in failed:
             collect(record)
         runs.append(Run(workers, folder, collect, progress and collect.inside))
-        runs[-1].finish(_unfinished(planner, groups(wanted[-1], views, workers.count()), template, collect))
+        runs[-1].finish(_unfinished(planner, groups(wanted[-1], views, workers.count()), template, collect,
+                                    len(asked)))
     except _Ended as ended:
         raise ended.error from None
     finally:
@@ -141,13 +145,14 @@ def _is_finished(planner: Planner, index: int, folder: Path, extras: bool) -> bo
         return False
 
 
-def _unfinished(planner: Planner, parts, template: Batch, collect: "_Collect"):
+def _unfinished(planner: Planner, parts, template: Batch, collect: "_Collect", of: int):
     """Batches of what no earlier run has finished, each planned when it is asked for; where there was an earlier run
     all of them first, so that what is kept of it is told before the work begins."""
     todos = (_todo(planner, part, template, collect) for part in parts)
     earlier = len(records_in(template.folder))
     if earlier:
         todos = list(todos)
+        collect.progress.expect(sum(map(len, todos)), of)
         kept = sum(not record.error for record in collect.records.values())
         log.info("%d of %d views were finished by an earlier run and are kept%s", kept, len(collect.asked),
                  "" if kept else ": it had other inputs, settings or code")

@@ -76,7 +76,7 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
     """
     with tempfile.TemporaryDirectory(prefix=".fusion-", dir=folder) as scratch:
         scratch = Path(scratch)
-        plan, blocks = plan_with_blocks(views, depths, settings, BlockFiles(scratch))
+        plan, blocks = plan_with_blocks(views, depths, settings, BlockFiles(scratch), progress)
         trim()
         allowed = min(available_mb(), max(_USUAL_MB, 2 * mesh_mb(plan))) if memory_mb is None else memory_mb
         if plan.memory_mb <= allowed:
@@ -96,7 +96,10 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
             files.append(file)
             if progress:
                 progress("fuse", done, len(tasks))
-        return join([file for file in files if file is not None], boxes, plan, memory_mb is None)
+        whole = join([file for file in files if file is not None], boxes, plan, memory_mb is None)
+        if progress:
+            progress("extract the mesh", 1, 1)
+        return whole
 
 
 def cut(plan: FusionPlan, blocks: np.ndarray, allowed_mb: float, views) -> list[Box]:
