@@ -7,7 +7,7 @@ device's work is a hundredth of it.
 from collections.abc import Sequence
 
 from pagas_cl.config import Config
-from pagas_cl.costs import Cost
+from pagas_cl.costs import RUNS, Cost
 from pagas_cl.effects import EFFECTS, agreement_rounds
 from pagas_cl.outlook import Outlook
 from pagas_cl.scene.view import View
@@ -22,10 +22,12 @@ class Expected:
     """Tells `progress` what is to come of the `views` that are asked for; nothing where it does not want to know."""
 
     def __init__(self, progress, views: Sequence[View], config: Config, device):
+        self.progress = progress
         self.outlook = progress if isinstance(progress, Outlook) else Outlook()
         self.sizes = [view.camera.width * view.camera.height for view in views]
         self.pixels, self.config = sum(self.sizes), config
         self.contexts = max(0, min(config.context.number, len(views) - 1))
+        self.kind = "device"
         self.scale = 1.0 if getattr(getattr(device, "info", None), "kind", "GPU") == "CPU" else _GPU
 
     def cameras(self, mesh: bool) -> None:
@@ -36,19 +38,33 @@ class Expected:
     def mesh_drawn(self) -> None:
         self._device("render the mesh", _RENDER * self.pixels)
 
-    def rounds(self, pictures: bool) -> None:
-        """Of refining all views, and of their pictures."""
+    def rounds(self, pictures: bool) -> float:
+        """Of refining all views, and of their pictures; seconds of the former."""
         grey = _GREY if self.config.loss.grey else 1.0
         measured = _MEASURE * self.pixels if self.config.effects.measured else 0.0
-        self._device("refine", measured + grey * self._views(self.config))
+        total = measured + grey * self._views(self.config)
+        self._device("refine", total)
         steps = max(1, round(self.config.agreement.steps * self.config.pyramid.steps[-1]))
         again = self.config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,))
         rounds = agreement_rounds(self.config, len(self.sizes))
         for number in range(1, rounds + 1):
             stepped = measured + grey * self._views(again) if number < rounds and self.config.agreement.steps else 0.0
             self._device(f"agree, round {number}", _AVERAGE * self.pixels + stepped)
+            total += _AVERAGE * self.pixels + stepped
         if pictures:
             self._host("pictures", _PICTURES)
+        return total
+
+    def probed(self) -> None:
+        """Of finding the settings that fit a time, before they are refined with (`timed`)."""
+        short = self.config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(20,))
+        self._device("time the settings", RUNS * _VIEW.seconds(short, max(self.sizes), self.contexts))
+
+    def timed(self, config: Config, seconds: float) -> None:
+        """These settings were chosen, which take so long on this device."""
+        self.config, self.scale, self.kind = config, 1.0, "timed"
+        self.scale = seconds / self.rounds(pictures=False)
+        self.rounds(pictures=False)
 
     def fused(self, shown: bool) -> None:
         for stage, seconds in (("plan the mesh", _PLAN), ("fuse", _FUSE), ("extract the mesh", _EXTRACT)):
@@ -66,7 +82,7 @@ class Expected:
         return sum(_VIEW.seconds(config, pixels, self.contexts) for pixels in self.sizes)
 
     def _device(self, stage: str, seconds: float) -> None:
-        self.outlook.expect(stage, self.scale * seconds)
+        self.outlook.expect(stage, self.scale * seconds, self.kind)
 
     def _host(self, stage: str, seconds: float) -> None:
         self.outlook.expect(stage, seconds * self.pixels, "host")

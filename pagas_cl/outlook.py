@@ -72,10 +72,12 @@ class Outlook:
 
     def left(self) -> float:
         """Seconds that were left at the last call."""
-        speed = {kind: self._speed(kind) for kind in {stage.kind for stage in self._stages.values()}}
+        kinds = {stage.kind for stage in self._stages.values()}
+        usual = max([1.0, *(self._speed(kind, 1.0) for kind in kinds)])    # what slows one down slows the others
+        speed = {kind: self._speed(kind, usual) for kind in kinds}
         return sum(stage.left(speed[stage.kind]) for stage in self._stages.values())
 
-    def _speed(self, kind: str) -> float:
+    def _speed(self, kind: str, usual: float) -> float:
         seen = [stage for stage in self._stages.values() if stage.kind == kind and stage.begun and stage.seconds]
-        return (sum(stage.spent for stage in seen) + _USUAL) / (
+        return (sum(stage.spent for stage in seen) + _USUAL * usual) / (
             sum(stage.expected * stage.done for stage in seen) + _USUAL)

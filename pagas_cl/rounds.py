@@ -48,8 +48,8 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     """One view's depths averaged with those of other views, where they see the same surface. What photos refused stays
     as it is: none is asked again.
 
-    `results`: of the round before, the view's own first, then those of others, in memory or on disk (StoredResult), from
-    where they are read when the device has to have them. The others are as in refine.refine_one.
+    `results`: of the round before, the view's own first, then those of others, in memory or on disk (StoredResult),
+    from where they are read when the device has to have them. The others are as in refine.refine_one.
     """
     return _averaged(_loaded(results[0]), results, config, device, photos, propose=False)
 
@@ -63,20 +63,24 @@ def _averaged(own: DepthResult, results: Sequence[DepthResult], config: Config, 
         return own
     photos.trim(_BYTES * max(_pixels(result) for result in results))
 
+    def owner(result: DepthResult) -> Any:
+        given = results[0] if result is own else result
+        return getattr(given, "identity", given)
+
     def send(result: DepthResult) -> tuple[Any, Any]:
         """Once for all views of a round that are compared with it, whose arrays are not looked at again."""
-        owner = results[0] if result is own else result
-        return photos.held(getattr(owner, "identity", owner), 8 * _pixels(result),
-                           lambda: _evidence(result).send(device))
+        return photos.held(owner(result), 8 * _pixels(result), lambda: _evidence(result).send(device))
 
     comparison = Agreement(own, others, device, send)
     spread = comparison.spread()
     decision = decide_agreement(spread, config)
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
     report = {**own.report, "effects": [*effects, decision.as_dict()]}
-    if not decision.on:
+    found = comparison.average(spread, config.agreement.pixels, propose) if decision.on else None
+    if photos.on_host:          # where they would take the memory of all else
+        photos.forget(map(owner, (own, *others)))
+    if found is None:
         return replace(own, report=report)
-    found = comparison.average(spread, config.agreement.pixels, propose)
     report["differences"] = [*own.report.get("differences", ()), spread]
     report["seconds"] = own.report.get("seconds", 0.0) + time.perf_counter() - start
     return replace(own, depth=found.depth, status=found.status, deviation=found.deviation, report=report)

@@ -11,6 +11,7 @@ import typer
 
 from pagas_cl.commands._console import noted, nothing_refined, shown_progress
 from pagas_cl.commands._given import look, together
+from pagas_cl.commands._memory import tell_memory
 from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
 from pagas_cl.commands._start import check_report, check_source, check_writable, initial_depths, loaded, resumable
 from pagas_cl.errors import InputError, PagasError, log, need
@@ -68,6 +69,7 @@ def command(
     from pagas_cl.jobs.finished import one_run, remove_run
     from pagas_cl.keep_mesh import displaced_mesh, write_whole
     from pagas_cl.refine import fuse_results, refine_views
+    from pagas_cl.runtime.host import trim
     from pagas_cl.scene.mesh_file import write_mesh
 
     _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide, allow_loss,
@@ -104,6 +106,8 @@ def command(
         expected.cameras(mesh is not None)
         if mesh is not None:
             expected.mesh_drawn()
+        if time_per_view is not None or time_budget is not None:
+            expected.probed()
         expected.rounds(page is not None)
         if output is not None and not keep_mesh:
             expected.fused(page is not None)
@@ -116,12 +120,13 @@ def command(
             depths = depths if folder is not None else loaded(depths)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
-                                    lambda config: apply_settings(config, settings, **more))
+                                    lambda config: apply_settings(config, settings, **more), expected)
             config = config.with_settings(effects__cameras="set" if mesh else config.effects.cameras)
+        tell_memory(found.views, config, place["device"], output is not None and not keep_mesh, memory)
         with noted(page and page.note):
+            drawn = page and partial(_add_pictures, page, count(1), len(names or found.views), progress)
             results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
-                                   progress=progress, on_view=page and partial(_add_pictures, page, count(1), len(names or found.views),
-                                                          progress))
+                                   progress=progress, on_view=drawn)
         made = None
         if output is not None and keep_mesh:
             made = displaced_mesh(mesh, found.views, depths, results, config, subdivide, device=place["device"])
@@ -130,6 +135,7 @@ def command(
             made = fuse_results(found.views, results, config, progress, memory, page and page.note,
                                 device=place["device"])
             write_mesh(output, made)
+            trim()
         if output is not None:
             log.info("mesh: %s", output)
         if page is not None and made is not None:

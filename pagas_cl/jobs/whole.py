@@ -78,7 +78,8 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
     template = Batch(work, {}, {}, (), config, folder, workers.device, code_version(), extras)
     _make_ready(folder)
     runs, failed, wanted = [], [], _wanted(planner, asked, folder, extras, later)
-    for number, (some, place) in enumerate(zip(wanted, [*(round_folder(folder, k) for k in range(len(later))), folder])):
+    places = [*(round_folder(folder, number) for number in range(len(later))), folder]
+    for number, (some, place) in enumerate(zip(wanted, places)):
         unfinished = max(0, len(some) - len(records_in(place)))      # told anew when it is planned
         tell(progress, "expect_some", _stage(number), unfinished, len(some), len(asked))
     try:

@@ -155,7 +155,7 @@ def _read_ahead(readers: ThreadPoolExecutor, task: ViewTask, views: dict, photos
     what is promised."""
     depth = readers.submit(task.depth.load)
     for k in task.partners.all if photos else ():
-        readers.submit(lambda view=views[k]: photos.has(view) or view.load_image())  # who needs it is told what is wrong
+        readers.submit(lambda view=views[k]: photos.has(view) or view.load_image())  # who needs it is told of faults
     return depth
 
 

@@ -52,7 +52,8 @@ def view_pictures(photo, camera: Camera, before, after, *, change=None, confiden
                  for when, depth in depths.items()]
     for when, depth in depths.items():
         normals = normals_of(depth, camera)
-        pictures.append(Picture(f"normals_{when}", f"normals {when}", normal_colors(normals, (normals != 0).any(axis=-1)),
+        rgb = normal_colors(normals, (normals != 0).any(axis=-1))
+        pictures.append(Picture(f"normals_{when}", f"normals {when}", rgb,
                                 "red: to the right, green: up, blue: towards the camera"))
     if change is not None:
         known = np.isfinite(change)

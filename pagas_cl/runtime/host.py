@@ -2,16 +2,15 @@
 
 import ctypes
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 
 def trim() -> None:
     """Give back to the system what was freed and is kept for the next time: with glibc a third of a run's memory."""
     if sys.platform == "linux":
-        try:
+        with suppress(OSError, AttributeError):       # another C library
             ctypes.CDLL(None).malloc_trim(0)
-        except (OSError, AttributeError):       # another C library
-            pass
 
 
 def resident_mb() -> float:

@@ -20,8 +20,8 @@ class PhotoStore:
     """
 
     def __init__(self, device, limit_bytes: int | None = None):
-        most = min(device.memory.limit // 4, _ON_A_CPU if device.info.kind == "CPU" else device.memory.limit)
-        self.device, self.limit = device, limit_bytes or most
+        self.device, self.on_host = device, device.info.kind == "CPU"
+        self.limit = limit_bytes or min(device.memory.limit // 4, _ON_A_CPU if self.on_host else device.memory.limit)
         self._held: dict[Hashable, tuple] = {}        # by owner: what is on the device, bytes
 
     def photo(self, view) -> cl.Buffer:

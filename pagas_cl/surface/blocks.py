@@ -34,7 +34,7 @@ from pagas_cl.surface.fuse import (
 from pagas_cl.surface.grid import block_resolution
 from pagas_cl.surface.pieces import in_order, pieces
 
-_USUAL_MB = 600.0     # of host memory where nobody says how much: what a photo and a mesh leave goes to the grid
+USUAL_MB = 600.0     # of host memory where nobody says how much: what a photo and a mesh leave goes to the grid
 _NEAR = 0.1           # voxels: a vertex that two boxes share lies on the side between them
 _PHOTO_BYTES = 40     # a pixel of the view at hand: depth, colours, and what Open3D copies of them (measured)
 
@@ -67,8 +67,8 @@ class Box:
 
 def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_mb: float | None = None, *, weights=None,
                 progress=None, executor=None, folder=None) -> Surface:
-    """Fuse depth maps to a mesh in at most `memory_mb` of host memory, in boxes if need be. By default in some 600 MB, or
-    what the mesh itself takes, of what is free, and with the bytes that one grid gives.
+    """Fuse depth maps to a mesh in at most `memory_mb` of host memory, in boxes if need be. By default in some 600 MB,
+    or what the mesh itself takes, of what is free, and with the bytes that one grid gives.
 
     As surface.fuse.fuse. An `executor` (concurrent.futures) fuses boxes elsewhere, `memory_mb` for each; photos and
     depths must then be on disk, and Open3D where it runs. `folder` is for what is put on disk meanwhile; all machines
@@ -78,7 +78,7 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
         scratch = Path(scratch)
         plan, blocks = plan_with_blocks(views, depths, settings, BlockFiles(scratch), progress)
         trim()
-        allowed = min(available_mb(), max(_USUAL_MB, 2 * mesh_mb(plan))) if memory_mb is None else memory_mb
+        allowed = min(available_mb(), max(USUAL_MB, 2 * mesh_mb(plan))) if memory_mb is None else memory_mb
         if plan.memory_mb <= allowed:
             return fuse(views, depths, settings, weights, progress, plan=plan, memory_mb=allowed)
         log.info("%s", plan)
