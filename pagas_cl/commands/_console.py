@@ -173,7 +173,8 @@ class Bar(Outlook):
 
         self._bars = progress.Progress(
             progress.TextColumn("{task.description}"), progress.BarColumn(),
-            progress.TextColumn("{task.fields[count]}"), progress.TimeElapsedColumn(), progress.TextColumn("gone, {task.fields[left]} left"), console=console())
+            progress.TextColumn("{task.fields[count]}"), progress.TimeElapsedColumn(),
+            progress.TextColumn("gone, {task.fields[left]} left"), console=console())
         self._task = self._bars.add_task("start", total=1.0, count="", left="?")
 
     def __enter__(self) -> "Bar":

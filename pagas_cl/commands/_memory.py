@@ -15,7 +15,8 @@ _AGREE = 64              # the same of a comparison with others, on the device, 
 _GRID = 430              # bytes a pixel of a grid, where views overlap as little as they can
 
 
-def tell_memory(views: Sequence[View], config: Config, device, fused: bool, memory_mb: float | None) -> dict[str, float]:
+def tell_memory(views: Sequence[View], config: Config, device, fused: bool,
+                memory_mb: float | None) -> dict[str, float]:
     """Log the most MB that refining these views, and fusing them (in `memory_mb`), will take, with what this process
     has now; gives them by stage."""
     from pagas_cl.splat.budget import plan_for

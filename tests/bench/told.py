@@ -5,7 +5,7 @@
     python tests/bench/told.py --record FILE -- refine SCENE --mesh M --output O      # one command: FILE as JSON
 
 What a run told is looked at when 10, 50 and 90 % of its time had gone. On a machine that has other work to do times
-come and go: repeat it (--times).
+come and go: repeat it (--times), or let the runs go by the clock of their own processor time (--clock cpu).
 """
 
 from __future__ import annotations
@@ -25,35 +25,43 @@ import numpy as np
 SHARES = (0.1, 0.5, 0.9)
 
 
-def record(file: Path, arguments: list[str], stop_at: float) -> int:
-    """Run a command here, and write what its progress said and what the run took; it is killed when `stop_at` views are
-    refined."""
+def record(file: Path, arguments: list[str], stop_at: float, clock) -> int:
+    """Run a command here, and write what its progress said and what the run took; it ends at once when `stop_at` views
+    are refined. `clock` tells the seconds since the process began."""
     from pagas_cl import outlook
     from pagas_cl.__main__ import run
     from pagas_cl.commands import _console
 
-    told, start = [], time.time() - time.clock_gettime(time.CLOCK_PROCESS_CPUTIME_ID)
+    told = []
 
     class Recorder(outlook.Outlook):
+        def __init__(self):
+            super().__init__(clock)
+
+        def expect(self, *given):
+            super().expect(*given)
+            told.append((clock(), "start", 0, 1, self.left()))
+
         def __call__(self, stage, done, total):
             super().__call__(stage, done, total)
-            told.append((time.time() - start, stage, done, total, self.left()))
+            told.append((self.now, stage, done, total, self.left()))
             if stage == "refine" and done >= stop_at:
                 os._exit(0)
 
     _console.Lines = Recorder
     status = run(arguments)
     usage = resource.getrusage(resource.RUSAGE_SELF)
-    file.write_text(json.dumps({"status": status, "seconds": time.time() - start, "told": told,
+    file.write_text(json.dumps({"status": status, "seconds": clock(), "told": told,
                                 "cpu": usage.ru_utime + usage.ru_stime, "mb": usage.ru_maxrss * 1024 / 1e6}))
     return status
 
 
-def run_one(arguments: list[str], folder: Path, stop_at: float = float("inf")) -> dict:
+def run_one(arguments: list[str], folder: Path, clock: str, stop_at: float = float("inf")) -> dict:
     """The same in a process of its own; what it wrote to standard error is in `said`."""
     file = folder / "told.json"
-    done = subprocess.run([sys.executable, __file__, "--record", str(file), "--stop-at", str(stop_at), "--", *arguments],
-                          capture_output=True, text=True)
+    command = [sys.executable, __file__, "--record", str(file), "--stop-at", str(stop_at), "--clock", clock,
+               "--began", str(time.time())]
+    done = subprocess.run([*command, "--", *arguments], capture_output=True, text=True)
     if stop_at < float("inf"):
         return {}
     if done.returncode:
@@ -123,6 +131,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--record", type=Path)
     parser.add_argument("--stop-at", type=float, default=float("inf"))
+    parser.add_argument("--began", type=float, default=time.time())
+    parser.add_argument("--clock", choices=("wall", "cpu"), default="wall")
     parser.add_argument("--kinds", nargs="+", default=["fast", "balanced", "resumed", "analyze", "small"])
     parser.add_argument("--width", type=int, default=518)
     parser.add_argument("--views", type=int, default=8)
@@ -130,7 +140,8 @@ def main() -> int:
     parser.add_argument("arguments", nargs="*")
     ask = parser.parse_args()
     if ask.record:
-        return record(ask.record, ask.arguments, ask.stop_at)
+        clock = time.process_time if ask.clock == "cpu" else lambda: time.time() - ask.began
+        return record(ask.record, ask.arguments, ask.stop_at, clock)
     print("| run | s | s of CPU | MB | left and told at 10 %, s | at 50 % | at 90 % | stages, s |\n" + "|---" * 8 + "|")
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -143,8 +154,8 @@ def main() -> int:
                 if name not in ask.kinds:
                     continue
                 if stop_at:
-                    run_one(arguments, place, stop_at)
-                found = run_one(arguments, place)
+                    run_one(arguments, place, ask.clock, stop_at)
+                found = run_one(arguments, place, ask.clock)
                 cells = [f"{left:.0f}, {told:.0f}" for left, told in compared(found)]
                 print(f"| {name} | {found['seconds']:.0f} | {found['cpu']:.0f} | {found['mb']:.0f} | "
                       f"{' | '.join(cells)} | {stages(found)} |", flush=True)
