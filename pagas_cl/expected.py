@@ -12,10 +12,11 @@ from pagas_cl.effects import EFFECTS, agreement_rounds
 from pagas_cl.outlook import Outlook
 from pagas_cl.scene.view import View
 
-_VIEW = Cost(photo=0.03, setup=5e-8, per_step=2.9e-8, per_view_step=2.9e-8)
-_GREY, _GPU = 0.65, 0.01
+_COLOUR = Cost(photo=0.03, setup=8e-8, per_step=2.9e-8, per_view_step=2.9e-8)
+_GREY = Cost(photo=0.03, setup=8e-8, per_step=1.5e-8, per_view_step=1.5e-8)
+_GPU = 0.01
 _AVERAGE, _MEASURE, _MEASURED = 3e-7, 3.5e-7, 6     # seconds a pixel; views that are measured for the cameras
-_RENDER, _PICTURES, _PLAN, _FUSE, _EXTRACT, _SHOW = 4e-8, 1.1e-6, 1.8e-7, 6.5e-7, 1.5e-7, 3e-7      # a pixel
+_RENDER, _PICTURES, _PLAN, _FUSE, _EXTRACT, _SHOW = 3e-8, 1.4e-6, 2.2e-7, 7e-7, 1e-7, 3e-7      # a pixel
 
 
 class Expected:
@@ -40,17 +41,16 @@ class Expected:
 
     def rounds(self, pictures: bool) -> float:
         """Of refining all views, and of their pictures; seconds of the former."""
-        grey = _GREY if self.config.loss.grey else 1.0
         measured = _MEASURE * self.pixels if self.config.effects.measured else 0.0
-        total = measured + grey * self._views(self.config)
+        total = measured + self._views(self.config)
         self._device("refine", total)
         steps = max(1, round(self.config.agreement.steps * self.config.pyramid.steps[-1]))
         again = self.config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,))
         rounds = agreement_rounds(self.config, len(self.sizes))
         for number in range(1, rounds + 1):
-            stepped = measured + grey * self._views(again) if number < rounds and self.config.agreement.steps else 0.0
-            self._device(f"agree, round {number}", _AVERAGE * self.pixels + stepped)
-            total += _AVERAGE * self.pixels + stepped
+            steps = measured + self._views(again) if number < rounds and self.config.agreement.steps else 0.0
+            self._device(f"agree, round {number}", _AVERAGE * self.pixels + steps)
+            total += _AVERAGE * self.pixels + steps
         if pictures:
             self._host("pictures", _PICTURES)
         return total
@@ -58,7 +58,7 @@ class Expected:
     def probed(self) -> None:
         """Of finding the settings that fit a time, before they are refined with (`timed`)."""
         short = self.config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(20,))
-        self._device("time the settings", RUNS * _VIEW.seconds(short, max(self.sizes), self.contexts))
+        self._device("time the settings", RUNS * self._view(short, max(self.sizes)))
 
     def timed(self, config: Config, seconds: float) -> None:
         """These settings were chosen, which take so long on this device."""
@@ -76,10 +76,13 @@ class Expected:
         self._device("analyze", _MEASURE * self.pixels)
         if costs:
             timed = self.config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(20,))
-            self._device("time the effects", len(EFFECTS) * _VIEW.seconds(timed, max(self.sizes), self.contexts))
+            self._device("time the effects", len(EFFECTS) * self._view(timed, max(self.sizes)))
 
     def _views(self, config: Config) -> float:
-        return sum(_VIEW.seconds(config, pixels, self.contexts) for pixels in self.sizes)
+        return sum(self._view(config, pixels) for pixels in self.sizes)
+
+    def _view(self, config: Config, pixels: int) -> float:
+        return (_GREY if config.loss.grey else _COLOUR).seconds(config, pixels, self.contexts)
 
     def _device(self, stage: str, seconds: float) -> None:
         self.outlook.expect(stage, self.scale * seconds, self.kind)

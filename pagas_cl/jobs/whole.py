@@ -6,6 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from pagas_cl.errors import InputError, PagasError, log
 from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.finished import (
@@ -73,6 +75,9 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
     samples, asked = _sampled(depths, asked)
     depths = store.put_arrays(depths)
     planner = Planner(on_disk(views, store), depths, samples, config, work)
+    if any(isinstance(sample, np.ndarray) for sample in samples):       # few views: whole depth maps
+        planner.settle(asked)
+    del samples
     claim_names(folder, [planner.stems[index] for index in asked])
     workers = Workers(executor, device)
     template = Batch(work, {}, {}, (), config, folder, workers.device, code_version(), extras)

@@ -23,7 +23,7 @@ from pagas_cl.runtime.host import trim
 from pagas_cl.scene.view import View
 
 STOP = "stop"              # a file of this name in the work folder asks every worker to end after its present view
-_READERS = 6               # photos that are decoded at a time
+_READERS = min(6, os.cpu_count() or 6)      # photos that are decoded at a time
 _PHOTO_BYTES = 1 << 30     # most memory for decoded photos
 _one_at_a_time = Lock()    # tasks of one process share a device's queue
 _worker_contexts: dict = {}

@@ -145,6 +145,7 @@ def fuse_box(inputs: tuple | Path, task: tuple[Box, Path]) -> Path | None:
             integrate(grid, plan, blocks, view, depths[index], None if weights is None else weights[index])
     vertices, faces, normals, colours = grid.extract(plan.settings.min_views - 0.5)
     del grid
+    trim()
     edge = block_resolution(plan.settings.truncation) * plan.voxel / plan.grid_scale
     if len(faces):
         middle = np.floor(vertices[faces].mean(axis=1, dtype=np.float64) / edge).astype(np.int64)
@@ -195,6 +196,7 @@ def join(files: list[Path], boxes, plan: FusionPlan, ordered: bool = False) -> S
     remembered, places = zip(*(_remember(file, sides, _NEAR * cell) for file in files))
     first = _first_rows(np.concatenate(places))
     large = _large_parts(remembered, first, plan.settings)
+    trim()
     vertices, faces, normals, colours = _assembled(remembered, first, large)
     if ordered:
         keep, faces = in_order(vertices, normals, faces)
