@@ -31,8 +31,8 @@ _lost: list[str] = []      # the view at which the device failed, until one is r
 
 
 class PhotoMemory:
-    """The photos and masks used last, up to `limit` bytes, so that each is read once: until they are released, since the
-    device has them. Any thread may ask."""
+    """The photos and masks used last, up to `limit` bytes, so that each is read once; until the device
+    has them (release). Any thread may ask."""
 
     def __init__(self, limit: int = _PHOTO_BYTES):
         self.limit, self._held, self._lock = limit, OrderedDict(), Lock()

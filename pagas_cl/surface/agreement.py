@@ -14,7 +14,6 @@ from pagas_cl.scene.depthmap import REFINED
 from pagas_cl.scene.sampling import NEAR, scene_scale_of
 
 if TYPE_CHECKING:
-    from pagas_cl.result import DepthResult
     from pagas_cl.runtime.device import Device
 
 _BINS, _PER_PIXEL = 4096, 1024.0     # differences up to 4 pixels of parallax
@@ -46,11 +45,11 @@ class DepthEvidence:
 
 
 class Agreement:
-    """Compares `own` with `others`, depth maps of one round, in their order; on `device`, one of them at a time.
-    `send(other)`: as DepthEvidence does it, where some are on the device already; it alone then looks at their arrays.
-    """
+    """Compares `own` with `others`, depth maps of one round with what a DepthEvidence has, in their order; on `device`,
+    one of them at a time. `send(other)`: as its method does it, where some are on the device already; it alone then
+    looks at their arrays."""
 
-    def __init__(self, own: DepthEvidence | DepthResult, others: Sequence[Any], device: Device,
+    def __init__(self, own: Any, others: Sequence[Any], device: Device,
                  send: Callable[[Any], tuple[Any, Any]] | None = None):
         from pagas_cl.runtime.memory import upload
         from pagas_cl.runtime.program import build
