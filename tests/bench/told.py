@@ -18,6 +18,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
+from math import ceil, sqrt
 from pathlib import Path
 
 import numpy as np
@@ -93,7 +95,8 @@ def stages(found: dict) -> str:
 
 
 def make(folder: Path, width: int, height: int, views: int) -> Path:
-    """Photos of a made relief (rendered small and enlarged: for times alone), cameras, and the mesh to start from."""
+    """Photos of a made relief under a square of cameras (rendered small, enlarged: for times alone), cameras, and the
+    mesh to start from."""
     from PIL import Image
 
     from pagas_cl.scene.mesh import Surface
@@ -101,9 +104,12 @@ def make(folder: Path, width: int, height: int, views: int) -> Path:
     from pagas_cl.scene.readers import camera_file
     from pagas_cl.scene.view import View
     from pagas_cl.synthetic import relief_scene
+    from pagas_cl.synthetic.layout import camera_at
 
     part = max(1, width // 388)
-    made = relief_scene(width // part, height // part, contexts=views - 1, held_out=0)
+    made, side = relief_scene(width // part, height // part, contexts=1, held_out=0), ceil(sqrt(views))
+    made = replace(made, cameras=[camera_at(made.relief, f"{k:03d}", 0.6 * (k % side - (side - 1) / 2),
+                                            0.6 * (k // side - (side - 1) / 2)) for k in range(views)])
     (folder / "images").mkdir(parents=True)
     for k, camera in enumerate(made.cameras):
         photo = Image.fromarray(made.image(k)).resize((width, height), Image.BICUBIC)
@@ -146,7 +152,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         scene = make(folder / "scene", ask.width, round(ask.width * 0.748), ask.views)
-        small = make(folder / "small", 160, 120, 40) if "small" in ask.kinds else folder
+        small = make(folder / "small", 160, 120, 24) if "small" in ask.kinds else folder
         for number in range(ask.times):
             place = folder / f"run{number}"
             place.mkdir()
