@@ -14,7 +14,7 @@ from pagas_cl.scene.view import View
 
 _COLOUR = Cost(photo=0.03, setup=8e-8, per_step=2.9e-8, per_view_step=2.9e-8)
 _GREY = Cost(photo=0.03, setup=8e-8, per_step=1.5e-8, per_view_step=1.5e-8)
-_GPU = 0.01
+_GPU, _KERNELS, _VIEWER = 0.01, 0.5, 0.8        # seconds to load kernels, of the first page with a mesh
 _AVERAGE, _MEASURE, _MEASURED = 3e-7, 3.5e-7, 6     # seconds a pixel; views that are measured for the cameras
 _RENDER, _PICTURES, _PLAN, _FUSE, _EXTRACT, _SHOW = 3e-8, 1.4e-6, 2.2e-7, 7e-7, 1e-7, 3e-7      # a pixel
 
@@ -34,7 +34,7 @@ class Expected:
     def cameras(self, mesh: bool) -> None:
         if self.config.effects.cameras not in ("off", "set"):
             share = min(1.0, _MEASURED / max(len(self.sizes), 1))
-            self._device("measure the cameras", (share * _MEASURE + _RENDER * mesh) * self.pixels)
+            self._device("measure the cameras", _KERNELS + (share * _MEASURE + _RENDER * mesh) * self.pixels)
 
     def mesh_drawn(self) -> None:
         self._device("render the mesh", _RENDER * self.pixels)
@@ -70,7 +70,7 @@ class Expected:
         for stage, seconds in (("plan the mesh", _PLAN), ("fuse", _FUSE), ("extract the mesh", _EXTRACT)):
             self._host(stage, seconds)
         if shown:
-            self._host("show the mesh", _SHOW)
+            self._host("show the mesh", _SHOW + _VIEWER / self.pixels)
 
     def analyzed(self, costs: bool) -> None:
         self._device("analyze", _MEASURE * self.pixels)
