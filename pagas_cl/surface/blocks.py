@@ -74,6 +74,7 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
     depths must then be on disk, and Open3D where it runs. `folder` is for what is put on disk meanwhile; all machines
     must see it. InputError also where the mesh alone would not fit.
     """
+    trim()
     with tempfile.TemporaryDirectory(prefix=".fusion-", dir=folder) as scratch:
         scratch = Path(scratch)
         plan, blocks = plan_with_blocks(views, depths, settings, BlockFiles(scratch), progress)
