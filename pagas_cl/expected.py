@@ -73,7 +73,7 @@ class Expected:
             self._host("show the mesh", _SHOW + _VIEWER / self.pixels)
 
     def analyzed(self, costs: bool) -> None:
-        self._device("analyze", _MEASURE * self.pixels)
+        self._device("analyze", _KERNELS + _MEASURE * self.pixels)
         if costs:
             timed = self.config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(20,))
             self._device("time the effects", len(EFFECTS) * self._view(timed, max(self.sizes)))
