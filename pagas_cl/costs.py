@@ -183,10 +183,10 @@ class Costs:
         return float(np.mean([cost.seconds(settled, pixels, len(contexts), photos) + between
                               * cost.seconds(again, pixels, len(contexts), photos) for pixels in self.pixels]))
 
-    def _tell(self, ended: bool = False) -> None:
+    def _tell(self) -> None:
         self._ran += 1
         if self._progress:
-            self._progress("time the settings", RUNS if ended else min(self._ran, RUNS - 1), RUNS)
+            self._progress("time the settings", min(self._ran, RUNS - 1), RUNS)
 
     @cached_property
     def _photo(self) -> float:
@@ -223,5 +223,4 @@ class Costs:
                 raise InputError(f"a view takes at least {expected:.3g} s on {self.device.info.title} with the "
                                  f"cheapest settings, {seconds:.3g} s were allowed; give more time or refine smaller "
                                  "photos")
-        self._tell(ended=True)
         return found

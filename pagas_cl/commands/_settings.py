@@ -83,11 +83,12 @@ def config_in_time(views, depths, names, device, per_view: float | None, budget:
     Arguments as in refine_views; `per_view` seconds, or `budget` minutes for all views: one of the two; `expected`
     (pagas_cl.expected.Expected) is told what follows.
     """
-    from pagas_cl.costs import Costs
+    from pagas_cl.costs import RUNS, Costs
 
     costs = Costs(views, depths, device, names, expected.progress)
     choice = costs.choose(per_view if per_view is not None else 60 * budget / len(costs.pixels), change)
     log.info("settings: %s, about %.3g s per view, %.1f minutes for %d views (reading the mesh and fusing not counted)",
              choice.name, choice.seconds, choice.seconds * choice.views / 60, choice.views)
+    expected.progress("time the settings", RUNS, RUNS)
     expected.timed(choice.config, choice.seconds * choice.views)
     return choice.config
