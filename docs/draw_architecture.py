@@ -20,10 +20,10 @@ PICTURE = ROOT / "docs" / "architecture.svg"
 # Rooms by level, from those that know most to those that know least: middle (pixels), name, what is in it, one line.
 LEVELS = [
     [(360, "command line, filters", "__main__ commands filters", "typer, MeshLab scripts, Open3D"),
-     (830, "studies", "tradeoffs costs bench demo selftest analysis", "error against time, self-test, demo")],
+     (830, "studies", "tradeoffs costs bench demo selftest analysis expected", "error against time, self-test, demo")],
     [(360, "refine", "refine rounds cameras keep_mesh acceptance effects measurements", "the method on one page"),
      (830, "report, evaluate, synthetic", "report evaluate synthetic", "pictures, figures, test scenes")],
-    [(200, "jobs", "jobs progress", "many views, devices, resuming"),
+    [(200, "jobs", "jobs progress outlook", "many views, devices, resuming"),
      (1000, "result", "result", "DepthResult: what a view gives back")],
     [(200, "splat", "splat", "launches: a module a kernel file"),
      (640, "surface", "surface", "mesh depth and solve, TSDF")],

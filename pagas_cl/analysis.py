@@ -82,6 +82,7 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
             timed, few = target.name, (index, *partners.contexts)
             measured_costs = effect_costs(target, contexts, depth, config, measured, device, photos, tell)
     tell("analyze", len(asked), len(asked))
+    tell("compare the depth maps", 0, 1)
     agreement = decide_consistency([view.camera for view in views], depths, config, device)[1]
     cameras = None
     if config.effects.cameras != "set" and FEWEST <= len(views) <= MOST:
@@ -89,6 +90,7 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
         if cameras.on and timed:
             measured_costs["cameras"] = EffectCost(camera_seconds(
                 [views[k] for k in few], [depths[k] for k in few], config, device, len(views)), 0.0, 0)
+        tell("measure the cameras", 1, 1)
     return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement, cameras)
 
 

@@ -26,10 +26,11 @@ from pagas_cl.scene.names import place_of
 from pagas_cl.scene.sampling import sample_depth
 from pagas_cl.splat import PhotoStore, refine_levels
 
-_SHORT, _MOST = 8, 4000   # steps of the short run, enough that colours are fitted as often; and most of the long one
 _AROUND = 6               # views beside one that tell what refining cameras takes
-_FEW = 64                 # views that are looked at one by one
 _REPEATS = 3
+_SHORT, _MOST = 8, 4000   # steps of the short run, enough that colours are fitted as often; and most of the long one
+RUNS = 2 * (2 + 3 * _REPEATS)      # that two kinds of settings are probed by, if the first long one is long enough
+_FEW = 64                 # views that are looked at one by one
 _RATE = 1e-5              # of the runs that are timed: depths stay, for Gaussians that are torn apart take longer
 _PHOTOS = 4               # that are read to know how long one takes: they differ
 _LEAST = 0.5              # seconds that the long run must take longer than the short one
@@ -85,8 +86,9 @@ def rungs() -> list[tuple[str, Config]]:
             ("balanced", preset("balanced")), ("accurate", preset("accurate"))]
 
 
-def probe(target, contexts, depth, config: Config, device, *, photo: float, held_out=()) -> Cost:
-    """Measure the cost of `config`'s kind of settings on one view by short runs; `photo` as `photo_seconds` found."""
+def probe(target, contexts, depth, config: Config, device, *, photo: float, held_out=(), ran=lambda: None) -> Cost:
+    """Measure the cost of `config`'s kind of settings on one view by short runs, calling ran() after each; `photo` as
+    `photo_seconds` found."""
     photos = PhotoStore(device)
     contexts = contexts[:config.context.number]
 
@@ -96,7 +98,9 @@ def probe(target, contexts, depth, config: Config, device, *, photo: float, held
         short = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__patience=0,
                                       solver__views_per_step=each, solver__rate=_RATE)
         refine_levels(target, contexts, depth, short, device, photos, held_out=held_out)
-        return time.perf_counter() - start
+        took = time.perf_counter() - start
+        ran()
+        return took
 
     for each in (1, min(3, len(contexts))):
         measure(_SHORT, each)  # compiles and uploads
@@ -137,7 +141,8 @@ def photo_seconds(views, device) -> float:
 class Costs:
     """Expected times of any settings for the views of a scene (as refine_views has them), each kind probed once."""
 
-    def __init__(self, views, depths, device, names=None):
+    def __init__(self, views, depths, device, names=None, progress=None):
+        self._progress, self._ran = progress, 0
         samples = [None if depth is None else sample_depth(depth_array(depth)) for depth in depths]
         wanted = {place_of(name, [view.name for view in views]) for name in names or ()}
         asked = [k for k, sample in enumerate(samples) if sample is not None and len(sample.rows)
@@ -170,7 +175,7 @@ class Costs:
                                     solver__rate=1.0, solver__final_rate=1.0, solver__patience=0)
         if kind not in self._known:
             self._known[kind] = probe(self.target, contexts, self.depth, kind, self.device, photo=self._photo,
-                                      held_out=held_out)
+                                      held_out=held_out, ran=self._tell)
         cost = self._known[kind]
         photos = self._photos(config.context.number)
         between = max(agreement_rounds(config, len(self.pixels)) - 1, 0) if config.agreement.steps else 0
@@ -182,6 +187,11 @@ class Costs:
         return self._cameras[choice] * self._scene / len(self.pixels) + float(np.mean(
             [cost.seconds(settled, pixels, len(contexts), photos) + between
              * cost.seconds(again, pixels, len(contexts), photos) for pixels in self.pixels]))
+
+    def _tell(self) -> None:
+        self._ran += 1
+        if self._progress:
+            self._progress("time the settings", min(self._ran, RUNS - 1), RUNS)
 
     @cached_property
     def _photo(self) -> float:

@@ -5,6 +5,14 @@ from typing import Any, TypeAlias
 
 # What a caller is told of a run by: (stage, done, total).
 Progress: TypeAlias = Callable[[str, float, float], Any]
+
+
+def tell(progress: Progress | None, what: str, *given: Any) -> None:
+    """Tell who listens, if it wants to know, what is to come: `what` is a method of outlook.Outlook."""
+    if hasattr(progress, what):
+        getattr(progress, what)(*given)
+
+
 _STEPS = 0.95       # of a view's time; what judges and writes its depth comes after
 
 
@@ -16,6 +24,10 @@ class ViewProgress:
 
     def __init__(self, progress: Progress | None, total: int, stage: str = "refine"):
         self.progress, self.total, self.stage, self._most = progress, total, stage, -1.0
+
+    def expect(self, number: int, of: int) -> None:
+        """So many are left to do, of `of` views that the run has."""
+        tell(self.progress, "expect_some", self.stage, number, self.total, of)
 
     def at(self, done: float) -> None:
         """`done` views are."""

@@ -233,6 +233,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
             if on_view and number == len(later):
                 on_view(views[index], arrays[index], results[done])
         view_progress.at(len(asked))
+        photos.forget(before.values())
     photos.clear()
     warn_of_nothing(views, depths, results)
     return results

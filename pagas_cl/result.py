@@ -14,6 +14,8 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED, central_normals, confidence_of, surface_depth
 from pagas_cl.scene.view import View
 
+_ROWS = 64      # of a depth map whose normals are worked out in float64 at a time
+
 
 def in_short(result: Any) -> str:
     """A result in a line: view, size, what became of its depths."""
@@ -125,4 +127,9 @@ def _same(one: Camera, other: Camera) -> bool:
 
 def normals_of(depth: np.ndarray, camera: Camera) -> npt.NDArray[np.float32]:
     """Normals of a depth map; see DepthResult.normals."""
-    return np.nan_to_num(central_normals(depth, camera)).astype(np.float32)
+    normals = np.empty((*depth.shape, 3), np.float32)
+    for start in range(0, len(depth), _ROWS):        # some rows at a time, with a neighbour above and below
+        top = max(start - 1, 0)
+        part = central_normals(depth[top:start + _ROWS + 1], camera, top)
+        normals[start:start + _ROWS] = np.nan_to_num(part[start - top:start - top + _ROWS])
+    return normals

@@ -50,16 +50,22 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     """One view's depths averaged with those of other views, where they see the same surface. What photos refused stays
     as it is: none is asked again. With `steps`: see average_and_step.
 
-    `results`: of the round before, the view's own first, then those of others. The others are as in refine.refine_one.
+    `results`: of the round before, the view's own first, then those of others, in memory or on disk (StoredResult),
+    from where they are read when the device has to have them. The others are as in refine.refine_one.
     """
-    own, *others = results[0], *(result for result in results[1:] if not result.reason)
+    own, *others = _loaded(results[0]), *(result for result in results[1:] if not result.reason)
     start, found = time.perf_counter(), {}
     if own.reason or not others:
         return own
-    photos.trim(_BYTES * max(result.depth.size for result in results))
-    # once for all views of a round that are compared with it
-    comparison = Agreement(own, others, device,
-                           lambda other: photos.held(other, 17 * other.depth.size, lambda: send(other, device)))
+    photos.trim(_BYTES * max(_pixels(result) for result in results))
+
+    def owner(result: Any) -> Any:
+        given = results[0] if result is own else result
+        return getattr(given, "identity", given)
+
+    # once for all views of a round that are compared with it, whose arrays are not looked at again
+    comparison = Agreement(own, others, device, lambda result: photos.held(
+        owner(result), 17 * _pixels(result), lambda: send(result, device)))
     spread = comparison.spread()
     decision = decide_agreement(spread, config)
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
@@ -67,6 +73,8 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     if decision.on:
         report["differences"] = [*own.report.get("differences", ()), spread]
         averaged = comparison.average(spread, config.agreement.pixels, propose=steps > 0)
+        if photos.on_host:          # where they would take the memory of all else
+            photos.forget(map(owner, (own, *others)))
         if steps:
             told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
             few = _few(config, steps, len(partners.contexts), report)
@@ -123,3 +131,12 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, resul
                              normalized=normalized, start=start, held_out=held_out)
 
     return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)
+
+
+def _loaded(result: Any) -> DepthResult:
+    """A result that may be on disk, in memory."""
+    return result if isinstance(result, DepthResult) else result.loaded()
+
+
+def _pixels(result: DepthResult) -> int:
+    return result.camera.width * result.camera.height

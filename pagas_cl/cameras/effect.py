@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,13 +13,14 @@ from pagas_cl.cameras.refine import OFF, CameraRefinement, photos_off, refine_ca
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision
 from pagas_cl.errors import DeviceError, log
-from pagas_cl.progress import Progress
+from pagas_cl.progress import Progress, tell
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.mesh import Mesh, to_surface
 from pagas_cl.scene.view import View
 
 FEWEST = 4                # views: three to tell how far a camera is off, and one more to judge
 MOST = 300                # views for which it is decided unasked: all depth maps are in memory at once
+_TIMES = 9                # as long as measuring them takes refining them
 WORDS = "pixels that photos are off by across the direction of depth"
 
 
@@ -31,15 +33,19 @@ def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     choice = config.effects.cameras
     if not _may(choice, len(views)):
         return list(views), settled, None
-    device, off = _device(device, choice), None
+    device, off, done = _device(device, choice), None, progress or (lambda stage, done, total: None)
     if device is None:
         return list(views), settled, None
     if choice == "auto":
+        start = time.perf_counter()
         decision, off = decide_cameras(views, depths_or_mesh, config, device)
+        done("measure the cameras", 1, 1)
         log.info("%s", decision)
         if not decision.on:
             return list(views), settled, None
-    found = refine_cameras(views, depths_or_mesh, config=config, device=device, progress=progress, measured=off)
+        tell(progress, "expect", "refine the cameras", _TIMES * (time.perf_counter() - start), "cameras")
+    found = refine_cameras(views, depths_or_mesh, config=config, device=device, measured=off)
+    done("refine the cameras", 1, 1)
     log.info("%s", found)
     return with_cameras(views, found), settled, found
 

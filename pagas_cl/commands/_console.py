@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from functools import cache
 
 from pagas_cl.errors import NothingRefinedError, NothingRefinedWarning, log, plain
+from pagas_cl.outlook import Outlook
 
 _LINE_EVERY = 10.0  # seconds between lines where standard error is a file
 
@@ -159,36 +160,53 @@ def shown_progress(quiet: bool = False):
     elif not sys.stderr.isatty():
         yield Lines()
     else:
+        with Bar() as bar:
+            yield bar
+
+
+class Bar(Outlook):
+    """Progress on a terminal: one bar from start to end, of the time of the whole run."""
+
+    def __init__(self):
+        super().__init__()
         from rich import progress
 
-        with progress.Progress(progress.TextColumn("{task.description}", markup=False), progress.BarColumn(),
-                               progress.MofNCompleteColumn(), progress.TimeElapsedColumn(),
-                               progress.TextColumn("gone,"), progress.TimeRemainingColumn(),
-                               progress.TextColumn("left"), console=console()) as bars:
-            tasks = {}
+        self._bars = progress.Progress(
+            progress.TextColumn("{task.description}", markup=False), progress.BarColumn(),
+            progress.TextColumn("{task.fields[count]}"), progress.TimeElapsedColumn(),
+            progress.TextColumn("gone, {task.fields[left]} left"), console=console())
+        self._task = self._bars.add_task("start", total=1.0, count="", left="?")
 
-            def draw(stage: str, done: float, total: int) -> None:
-                if stage not in tasks:
-                    tasks[stage] = bars.add_task(plain(stage), total=total)
-                bars.update(tasks[stage], completed=done, total=total)
+    def __enter__(self) -> "Bar":
+        self._bars.start()
+        return self
 
-            yield draw
+    def __exit__(self, *_) -> None:
+        self._bars.stop()
+
+    def __call__(self, stage: str, done: float, total: int) -> None:
+        super().__call__(stage, done, total)
+        left, gone = self.left(), self.now - self.began
+        self._bars.update(self._task, description=plain(stage), completed=gone / (gone + left) if gone + left else 0.0,
+                          count=f"{int(done)}/{total}", left=f"{int(left) // 60}:{int(left) % 60:02}")
 
 
-class Lines:
+class Lines(Outlook):
     """Progress for a file or a pipe: one line every few seconds, and one when a stage is done."""
 
     def __init__(self, write=None, clock=time.monotonic):
-        self._write, self._clock = write or sys.stderr.write, clock
-        self._times: dict[str, tuple[float, float]] = {}    # of each stage: when it began, when its last line was
+        super().__init__(clock)
+        self._write, self._told = write or sys.stderr.write, float("nan")
+        self._begins: dict[str, float] = {}
 
     def __call__(self, stage: str, done: float, total: int) -> None:
-        stage, now = plain(stage), self._clock()
-        began, last = self._times.setdefault(stage, (now, now))
+        stage = plain(stage)
+        super().__call__(stage, done, total)
+        began = self._begins.setdefault(stage, self.now)
+        self._told = self.began if self._told != self._told else self._told
         if done >= total:
-            self._times.pop(stage)
-            self._write(f"{stage}: {total} of {total} in {now - began:.0f} s\n")
-        elif done and now - last >= _LINE_EVERY:
-            self._times[stage] = began, now
-            left = (now - began) * (total - done) / done
-            self._write(f"{stage}: {int(done)} of {total}, about {left:.0f} s left\n")
+            self._begins.pop(stage)
+            self._write(f"{stage}: {total} of {total} in {self.now - began:.0f} s\n")
+        elif done and self.now - self._told >= _LINE_EVERY:
+            self._told = self.now
+            self._write(f"{stage}: {int(done)} of {total}, about {self.left():.0f} s left\n")

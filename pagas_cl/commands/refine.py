@@ -4,7 +4,7 @@ from collections import Counter
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
-from itertools import product
+from itertools import count, product
 from pathlib import Path
 
 import typer
@@ -12,15 +12,18 @@ import typer
 from pagas_cl import __version__
 from pagas_cl.commands._console import noted, nothing_refined, shown_progress
 from pagas_cl.commands._given import look, together
+from pagas_cl.commands._memory import tell_memory
 from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
 from pagas_cl.commands._start import check_report, check_source, check_writable, initial_depths, loaded, resumable
 from pagas_cl.errors import InputError, PagasError, log, need
+from pagas_cl.expected import Expected
 from pagas_cl.jobs.executors import check_address
 from pagas_cl.jobs.finished import one_run, remove_run
 from pagas_cl.keep_mesh import check_kept, check_subdivide, displaced_mesh, write_whole
 from pagas_cl.report import Report, picture_files
 from pagas_cl.result import joined
 from pagas_cl.runtime.device import open_device
+from pagas_cl.runtime.host import trim
 from pagas_cl.scene.mesh import to_surface
 from pagas_cl.scene.mesh_file import check_mesh_path, write_mesh
 from pagas_cl.scene.readers import camera_file
@@ -108,6 +111,16 @@ def command(
     with (resumable(folder, len(names or found.views)), shown_progress(quiet) as progress,
           one_run(folder) if folder else nullcontext(), one_run(report) if report else nullcontext(),
           _report(report, found, config_words, place, asked.obj, pictures) as page):
+        expected = Expected(progress, [v for v in found.views if names is None or v.name in names], config,
+                            place["device"])
+        expected.cameras(mesh is not None)
+        if mesh is not None:
+            expected.mesh_drawn()
+        if time_per_view is not None or time_budget is not None:
+            expected.probed()
+        expected.rounds(page is not None)
+        if output is not None and not keep_mesh:
+            expected.fused(page is not None)
         found, config = _settled_cameras(found, mesh, config, place["device"], progress, page)
         if mesh is not None:
             depths = initial_depths(found, mesh, None, None, progress, None if keep_mesh else folder, names,
@@ -118,10 +131,13 @@ def command(
             depths = depths if folder is not None else loaded(depths)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
-                                    lambda config: apply_settings(config, settings, **more))
+                                    lambda config: apply_settings(config, settings, **more), expected)
+            config = config.with_settings(effects__cameras="set" if mesh else config.effects.cameras)
+        tell_memory(found.views, config, place["device"], output is not None and not keep_mesh, memory)
         with noted(page and page.note):
+            drawn = page and partial(_add_pictures, page, cameras, count(1), len(names or found.views), progress)
             results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
-                                   progress=progress, on_view=page and partial(_add_pictures, page, cameras))
+                                   progress=progress, on_view=drawn)
         made = None
         if output is not None and keep_mesh:
             made = displaced_mesh(mesh, found.views, depths, results, config, subdivide, device=place["device"])
@@ -130,10 +146,12 @@ def command(
             made = fuse_results(found.views, results, config, progress, memory, page and page.note,
                                 device=place["device"])
             write_mesh(output, made)
+            trim()
         if output is not None:
             log.info("mesh: %s", output)
         if page is not None and made is not None:
             _show_mesh(page, found.views, mesh, made, results, place["device"])
+            progress("show the mesh", 1, 1)
         if save_depth is not None:
             _save_cameras(save_depth, as_given, results)
         _tell(results, save_depth, report)
@@ -206,7 +224,7 @@ def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mes
                          "(--set fusion.voxel=...)")
 
 
-def _add_pictures(page, given, view, initial, result) -> None:
+def _add_pictures(page, given, number, total: int, progress, view, initial, result) -> None:
     """Put a view's pictures on the page as soon as it is done, so that an interrupted run has them; `given`: cameras by
     name, as they came."""
     from pagas_cl.effects import Decision
@@ -219,6 +237,7 @@ def _add_pictures(page, given, view, initial, result) -> None:
     figures = {"seconds": round(report["seconds"], 2)} if "seconds" in report else {}
     page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
              counts={**result.counts, **figures}, remarks=remarks, reason=result.reason, given=given[view.name])
+    progress("pictures", next(number), total)
 
 
 def _show_mesh(page, views, mesh, made, results, device) -> None:

@@ -207,8 +207,9 @@ class EarlierResults:
         """What they are is told by the keys of their tasks."""
         return " ".join(key for _, _, key in self.results)
 
-    def load(self) -> list[DepthResult]:
-        return [StoredResult.found(camera, self.folder, stem, key).loaded() for camera, stem, key in self.results]
+    def load(self) -> "list[StoredResult]":
+        """Told of, and not read: a round reads them one at a time."""
+        return [StoredResult.found(camera, self.folder, stem, key) for camera, stem, key in self.results]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -220,6 +221,7 @@ class StoredResult:
     record: Record
 
     __repr__ = in_short
+    identity = property(lambda self: (self.folder, self.record.key))
     file = property(lambda self: self.folder / f"{self.record.stem}.npz")
     name = property(lambda self: self.record.name)
     reason = property(lambda self: self.record.reason)

@@ -35,6 +35,12 @@ class Planner:
         self._digests, self._partners, self._keys = {}, {}, {}
         self._earlier = None
 
+    def settle(self, asked: Collection[int]) -> None:
+        """Choose the partners of all views `asked` at once, and forget the depth maps."""
+        for index in asked:
+            self.partners(index)
+        self._chooser = None
+
     def after(self, folder: Path, refined: Collection[int], work) -> "Planner":
         """Of the round after this one, whose results of the views `refined` are in `folder`."""
         planner = copy(self)

@@ -6,6 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from pagas_cl.errors import InputError, PagasError, log
 from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.finished import (
@@ -22,7 +24,7 @@ from pagas_cl.jobs.run import Run
 from pagas_cl.jobs.store import Store, translate_os_errors
 from pagas_cl.jobs.task import Batch, Record, code_version
 from pagas_cl.jobs.worker import STOP, close_worker_contexts
-from pagas_cl.progress import ViewProgress
+from pagas_cl.progress import ViewProgress, tell
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import for_planning
 from pagas_cl.scene.depth_source import DepthSource
@@ -75,11 +77,18 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
     samples, asked = _sampled(depths, asked)
     depths = store.put_arrays(depths)
     planner = Planner(on_disk(views, store), depths, samples, config, work)
+    if any(isinstance(sample, np.ndarray) for sample in samples):       # few views: whole depth maps
+        planner.settle(asked)
+    del samples
     claim_names(folder, [planner.stems[index] for index in asked])
     workers = Workers(executor, device)
     template = Batch(work, {}, {}, (), config, folder, workers.device, code_version(), extras)
     _make_ready(folder)
     runs, failed, wanted = [], [], _wanted(planner, asked, folder, extras, later)
+    places = [*(round_folder(folder, number) for number in range(len(later))), folder]
+    for number, (some, place) in enumerate(zip(wanted, places)):
+        unfinished = max(0, len(some) - len(records_in(place)))      # told anew when it is planned
+        tell(progress, "expect_some", _stage(number), unfinished, len(some), len(asked))
     try:
         for number, views_of_round in enumerate(wanted[:-1]):
             place = round_folder(folder, number)
@@ -87,7 +96,7 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
             collect = _Collect(views_of_round, views, depths, place, progress, None, _stage(number))
             runs.append(Run(workers, place, collect, progress and collect.inside))
             runs[-1].finish(_unfinished(planner, groups(views_of_round, views, workers.count()),
-                                        replace(template, folder=place, extras=True), collect))
+                                        replace(template, folder=place, extras=True), collect, len(asked)))
             collect.results()        # raises where every view has failed
             failed += [record for record in collect.records.values() if record.error]
             lost = {record.name for record in failed}
@@ -99,7 +108,8 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
         for record in failed:
             collect(record)
         runs.append(Run(workers, folder, collect, progress and collect.inside))
-        runs[-1].finish(_unfinished(planner, groups(wanted[-1], views, workers.count()), template, collect))
+        runs[-1].finish(_unfinished(planner, groups(wanted[-1], views, workers.count()), template, collect,
+                                    len(asked)))
     except _Ended as ended:
         raise ended.error from None
     finally:
@@ -143,13 +153,14 @@ def _is_finished(planner: Planner, index: int, folder: Path, extras: bool) -> bo
         return False
 
 
-def _unfinished(planner: Planner, parts, template: Batch, collect: "_Collect"):
+def _unfinished(planner: Planner, parts, template: Batch, collect: "_Collect", of: int):
     """Batches of what no earlier run has finished, each planned when it is asked for; where there was an earlier run
     all of them first, so that what is kept of it is told before the work begins."""
     todos = (_todo(planner, part, template, collect) for part in parts)
     earlier = len(records_in(template.folder))
     if earlier:
         todos = list(todos)
+        collect.progress.expect(sum(map(len, todos)), of)
         kept = sum(not record.error for record in collect.records.values())
         log.info("%d of %d views were finished by an earlier run and are kept%s", kept, len(collect.asked),
                  "" if kept else ": it had other inputs, settings or code")

@@ -19,10 +19,11 @@ from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputErro
 from pagas_cl.jobs.finished import find_finished, work_folder, write_finished
 from pagas_cl.jobs.store import translate_os_errors
 from pagas_cl.jobs.task import Batch, Record, ViewTask, code_version
+from pagas_cl.runtime.host import trim
 from pagas_cl.scene.view import View
 
 STOP = "stop"              # a file of this name in the work folder asks every worker to end after its present view
-_READERS = 6               # photos that are decoded at a time
+_READERS = min(6, os.cpu_count() or 6)      # photos that are decoded at a time
 _PHOTO_BYTES = 1 << 30     # most memory for decoded photos
 _one_at_a_time = Lock()    # tasks of one process share a device's queue
 _worker_contexts: dict = {}
@@ -30,7 +31,8 @@ _lost: list[str] = []      # the view at which the device failed, until one is r
 
 
 class PhotoMemory:
-    """The photos and masks used last, up to `limit` bytes, so that each is read once. Any thread may ask."""
+    """The photos and masks used last, up to `limit` bytes, so that each is read once; until the device
+    has them (release). Any thread may ask."""
 
     def __init__(self, limit: int = _PHOTO_BYTES):
         self.limit, self._held, self._lock = limit, OrderedDict(), Lock()
@@ -50,13 +52,17 @@ class PhotoMemory:
             try:
                 pixels = load()
             except BaseException as error:
-                with self._lock:
-                    del self._held[key]
+                self.forget(key)
                 promise.set_exception(error)
             else:
                 promise.set_result(pixels)
                 self._make_room(key)
         return promise.result()
+
+    def forget(self, key) -> None:
+        """Let go of the array `key`, if it is here."""
+        with self._lock:
+            self._held.pop(key, None)
 
     def _make_room(self, last) -> None:
         with self._lock:
@@ -77,6 +83,10 @@ class Remembered:
 
     def load(self) -> np.ndarray:
         return self.memory.get(self.key, self.read)
+
+    def release(self) -> None:
+        """It is where it was wanted."""
+        self.memory.forget(self.key)
 
 
 class WorkerContext:
@@ -120,7 +130,8 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
         raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "
                           "planned the run: install the same version everywhere")
     with _one_at_a_time, ThreadPoolExecutor(_READERS) as readers, ThreadPoolExecutor(1) as writer:
-        views, ended, ahead = _worker_context(batch.device).views(batch), [], {}
+        context = _worker_context(batch.device)
+        views, photos, ended, ahead = context.views(batch), context.photos if batch.photos else None, [], {}
         for task, following in zip(batch.tasks, [*batch.tasks[1:], None]):
             if (work_folder(batch.folder) / STOP).exists():
                 break
@@ -128,20 +139,23 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
             if record is not None:
                 ended.append(record)
                 continue
-            depth = ahead.pop(task.name, None) or _read_ahead(readers, task, views, batch.photos)
+            depth = ahead.pop(task.name, None) or _read_ahead(readers, task, views, photos)
             if following is not None:
-                ahead[following.name] = _read_ahead(readers, following, views, batch.photos)
+                ahead[following.name] = _read_ahead(readers, following, views, photos)
             ended.append(_attempt(batch, task, views, depth, writer, inside and inside(len(ended))))
             if len(ended) > 1 and isinstance(ended[-2], Future):
                 ended[-2] = ended[-2].result()  # no more than one result waits to be written
-        return [record.result() if isinstance(record, Future) else record for record in ended]
+        ended = [record.result() if isinstance(record, Future) else record for record in ended]
+    trim()
+    return ended
 
 
-def _read_ahead(readers: ThreadPoolExecutor, task: ViewTask, views: dict, photos: bool) -> Future:
-    """Have the `photos` of `task` read, and its depth map, which is what is promised."""
+def _read_ahead(readers: ThreadPoolExecutor, task: ViewTask, views: dict, photos) -> Future:
+    """Have the photos of `task` read that the PhotoStore has not (None: none is wanted), and its depth map, which is
+    what is promised."""
     depth = readers.submit(task.depth.load)
     for k in task.partners.all if photos else ():
-        readers.submit(views[k].load_image)  # who needs the photo is told what was wrong with it
+        readers.submit(lambda view=views[k]: photos.has(view) or view.load_image())  # who needs it is told of faults
     return depth
 
 
@@ -204,6 +218,7 @@ def close_worker_contexts() -> None:
         _worker_contexts.clear()
         _lost.clear()
         give_back()
+    trim()
 
 
 def worker_name() -> str:

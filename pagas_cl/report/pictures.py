@@ -13,6 +13,7 @@ from pagas_cl.result import normals_of
 from pagas_cl.scene.camera import Camera
 
 _SMALLEST_CHANGE = 0.1  # pixels: where nothing moved the scale does not blow rounding up to full colour
+_ROWS = 64              # of a picture worked out at a time
 NOTHING = (34, 34, 34)  # colour of a pixel without a value
 _CLAY, _LIGHT = (214, 208, 198), np.array([-0.62, -0.62, -0.48])  # as in viewer.js
 
@@ -50,9 +51,11 @@ def view_pictures(photo, camera: Camera, before, after, *, change=None, confiden
     pictures += [Picture(f"depth_{when}", f"depth {when}", colored(depth, low, high, depth > 0),
                          f"z-depth from {low:.4g} to {high:.4g} scene units", "sequential")
                  for when, depth in depths.items()]
-    normals = {when: normals_of(depth, camera) for when, depth in depths.items()}
-    pictures += [Picture(f"normals_{when}", f"normals {when}", normal_colors(n, (n != 0).any(axis=-1)),
-                         "red: to the right, green: up, blue: towards the camera") for when, n in normals.items()]
+    for when, depth in depths.items():
+        normals = normals_of(depth, camera)
+        rgb = normal_colors(normals, (normals != 0).any(axis=-1))
+        pictures.append(Picture(f"normals_{when}", f"normals {when}", rgb,
+                                "red: to the right, green: up, blue: towards the camera"))
     if change is not None:
         known = np.isfinite(change)
         most = max(float(np.percentile(np.abs(change[known]), 99)) if known.any() else 0.0, _SMALLEST_CHANGE)
@@ -125,15 +128,30 @@ def colored(values, low: float, high: float, valid, map_name: str = "sequential"
     """Colours, uint8 (H, W, 3), of `values` (H, W) clipped to `low` .. `high`; NOTHING where not `valid`, (H, W)."""
     anchors = np.array(MAPS[map_name], np.float64)
     places = np.linspace(0, 1, len(anchors))
-    share = np.clip((np.where(valid, values, low) - low) / max(high - low, 1e-30), 0, 1)
-    rgb = np.stack([np.interp(share, places, anchors[:, channel]) for channel in range(3)], axis=-1)
-    return np.where(valid[..., None], np.rint(rgb), NOTHING).astype(np.uint8)
+
+    def rows(values, valid) -> np.ndarray:
+        share = np.clip((np.where(valid, values, low) - low) / max(high - low, 1e-30), 0, 1)
+        rgb = np.stack([np.interp(share, places, anchors[:, channel]) for channel in range(3)], axis=-1)
+        return np.where(valid[..., None], np.rint(rgb), NOTHING)
+
+    return _in_colour(rows, np.asarray(values), valid)
 
 
 def normal_colors(normals, valid) -> np.ndarray:
     """Colours, uint8 (H, W, 3), of unit normals (H, W, 3) in camera axes, turned to the camera."""
-    facing = np.where(normals[..., 2:] > 0, -normals, normals) * (1, -1, -1)
-    return np.where(valid[..., None], np.rint((facing + 1) * 127.5), NOTHING).astype(np.uint8)
+    def rows(normals, valid) -> np.ndarray:
+        facing = np.where(normals[..., 2:] > 0, -normals, normals) * (1, -1, -1)
+        return np.where(valid[..., None], np.rint((facing + 1) * 127.5), NOTHING)
+
+    return _in_colour(rows, normals, valid)
+
+
+def _in_colour(rows, *maps) -> np.ndarray:
+    """uint8 (H, W, 3) of `rows(...)`, which works out a strip from those of all `maps`: in little memory."""
+    pixels = np.empty((*maps[0].shape[:2], 3), np.uint8)
+    for start in range(0, len(pixels), _ROWS):
+        pixels[start:start + _ROWS] = rows(*(part[start:start + _ROWS] for part in maps))
+    return pixels
 
 
 def css_gradient(map_name: str) -> str:

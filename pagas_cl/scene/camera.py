@@ -110,10 +110,11 @@ class Camera:
         """Viewing direction (camera +z) in world coordinates, float64 of shape (3,), unit length."""
         return self.world_to_camera[2, :3].copy()
 
-    def rays(self) -> npt.NDArray[np.float64]:
-        """Rays through all pixel centres with z = 1, camera coordinates: float64 of shape (height, width, 3)."""
+    def rays(self, first: int = 0, rows: int | None = None) -> npt.NDArray[np.float64]:
+        """Rays through all pixel centres with z = 1, camera coordinates: float64 of shape (height, width, 3); or those
+        of some `rows`, from the one number `first` on."""
         x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
-        y = (np.arange(self.height) + 0.5 - self.cy) / self.fy
+        y = (np.arange(first, self.height if rows is None else first + rows) + 0.5 - self.cy) / self.fy
         x, y = np.meshgrid(x, y)
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 

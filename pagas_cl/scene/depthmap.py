@@ -171,11 +171,12 @@ def confidence_of(depth: np.ndarray, deviation: np.ndarray, parallax: np.ndarray
     return np.where((depth > 0) & (parallax > 0) & np.isfinite(trust), trust, 0).astype(np.float32)
 
 
-def central_normals(depth: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.float64]:
+def central_normals(depth: npt.ArrayLike, camera: Camera, first: int = 0) -> npt.NDArray[np.float64]:
     """Unit normals (H, W, 3) by central differences of the depth map's points, in camera coordinates, towards the
-    camera; NaN where a pixel or one of its four neighbours has no depth, or the points are on a line."""
+    camera; NaN where a pixel or one of its four neighbours has no depth, or the points are on a line. `depth` may be
+    some rows of the map, from the one number `first` on."""
     depth = np.asarray(depth, np.float64)
-    points = np.where(depth > 0, depth, np.nan)[..., None] * camera.rays()
+    points = np.where(depth > 0, depth, np.nan)[..., None] * camera.rays(first, len(depth))
     normals = np.full(points.shape, np.nan)
     # image axes down and right: this order points towards the camera
     cross = np.cross(points[2:, 1:-1] - points[:-2, 1:-1], points[1:-1, 2:] - points[1:-1, :-2])

@@ -132,5 +132,5 @@ def _write_ply(path: Path, surface: Surface) -> None:
               "property list uchar int vertex_indices", "end_header"]
     with open(path, "wb") as file:
         file.write(("\n".join(header) + "\n").encode("ascii"))
-        file.write(vertices.tobytes())
-        file.write(faces.tobytes())
+        vertices.tofile(file)
+        faces.tofile(file)

@@ -1,6 +1,6 @@
 """Photos on the device: all of them, each uploaded once, or one at a time."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any
 
 import numpy as np
@@ -9,6 +9,7 @@ import pyopencl as cl
 from pagas_cl.splat.buffers import Size
 
 PHOTO_MARGIN = 16         # pixels behind a photo that may be read
+_ON_A_CPU = 256 << 20     # bytes kept of what other views may want, where the device's memory is the host's
 
 
 class PhotoStore:
@@ -19,27 +20,38 @@ class PhotoStore:
     """
 
     def __init__(self, device, limit_bytes: int | None = None):
-        self.device, self.limit = device, limit_bytes or device.memory.limit // 4
-        self._held: dict[int, tuple] = {}        # by id: owner, which keeps its id, what is on the device, bytes
+        self.device, self.on_host = device, device.info.kind == "CPU"
+        self.limit = limit_bytes or min(device.memory.limit // 4, _ON_A_CPU if self.on_host else device.memory.limit)
+        self._held: dict[Hashable, tuple] = {}        # by owner: what is on the device, bytes
 
     def photo(self, view) -> cl.Buffer:
         """Buffer of (height, width) uchar4 of `view`, a pagas_cl.scene.view.View."""
         def send() -> cl.Buffer:
             pixels, buffer = rgba(view.load_image(), view.load_mask()), photo_buffer(self.device, size)
             cl.enqueue_copy(self.device.queue, buffer, pixels)
+            _forget_on_host(view)
             return buffer
 
         size = _full_size(view).pixels
         return self.held(view, photo_bytes(size), send)
 
-    def held(self, owner: object, nbytes: int, send: Callable[[], Any]) -> Any:
+    def held(self, owner: Hashable, nbytes: int, send: Callable[[], Any]) -> Any:
         """What `send()` brings to the device for `owner`, `nbytes` of it: kept as long as photos are."""
-        found = self._held.pop(id(owner), None)
+        found = self._held.pop(owner, None)
         if found is None:
             self._make_room(nbytes)
-            found = owner, send(), nbytes
-        self._held[id(owner)] = found            # last in the order of use
-        return found[1]
+            found = send(), nbytes
+        self._held[owner] = found            # last in the order of use
+        return found[0]
+
+    def has(self, view) -> bool:
+        """Whether its photo is on the device."""
+        return view in self._held
+
+    def forget(self, owners) -> None:
+        """Let go of what is held for `owners`, and so of them."""
+        for owner in owners:
+            self._held.pop(owner, None)
 
     def level(self, views, sizes: list[Size], resampler):
         """Photos of `views` at `sizes`, all on the device; none on the host (see StreamedPhotos)."""
@@ -53,7 +65,7 @@ class PhotoStore:
 
     def beside(self, views) -> int:
         """Bytes of what is here and is not of `views`."""
-        return sum(self._held[key][2] for key in self._held.keys() - {id(view) for view in views})
+        return sum(self._held[owner][1] for owner in self._held.keys() - set(views))
 
     def trim(self, nbytes: int):
         """Keep no more photos than leave room for `nbytes` of other buffers."""
@@ -61,7 +73,7 @@ class PhotoStore:
         self._make_room(0)
 
     def _make_room(self, nbytes: int):
-        while self._held and sum(size for *_, size in self._held.values()) + nbytes > self.limit:
+        while self._held and sum(size for _, size in self._held.values()) + nbytes > self.limit:
             self._held.pop(next(iter(self._held)))
 
 
@@ -101,7 +113,15 @@ class StreamedPhotos:
     def _full(self, view) -> np.ndarray:
         if id(view) not in self._pixels:
             self._pixels[id(view)] = view, rgba(view.load_image(), view.load_mask())
+            _forget_on_host(view)
         return self._pixels[id(view)][1]
+
+
+def _forget_on_host(view) -> None:
+    """Where its photo and mask were read ahead, they need not wait any longer."""
+    for source in (view.image, view.mask):
+        if hasattr(source, "release"):
+            source.release()
 
 
 def _full_size(view) -> Size:

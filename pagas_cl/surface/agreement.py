@@ -43,8 +43,9 @@ def _program(device: Device, columns: int = 1) -> Program:
 
 
 class Agreement:
-    """Compares `own` with `others`, DepthResults of one round, in their order; on `device`, one of them at a time.
-    `sent(result)`: as `send` does it, where some are on the device already."""
+    """Compares `own`, a DepthResult, with `others` of the same round, in memory or on disk (StoredResult), in their
+    order; on `device`, one of them at a time. `sent(result)`: as `send` does it, where some are on the device already;
+    it alone looks at the arrays of the others."""
 
     def __init__(self, own: Any, others: Sequence[Any], device: Device,
                  sent: Callable[[Any], list[Any]] | None = None):

@@ -16,6 +16,7 @@ import numpy as np
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import InputError, log
+from pagas_cl.runtime.host import trim
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
 from pagas_cl.surface.fuse import (
@@ -33,6 +34,7 @@ from pagas_cl.surface.fuse import (
 from pagas_cl.surface.grid import block_resolution
 from pagas_cl.surface.pieces import in_order, pieces
 
+USUAL_MB = 600.0     # of host memory where nobody says how much: what a photo and a mesh leave goes to the grid
 _NEAR = 0.1           # voxels: a vertex that two boxes share lies on the side between them
 _PHOTO_BYTES = 40     # a pixel of the view at hand: depth, colours, and what Open3D copies of them (measured)
 
@@ -65,16 +67,19 @@ class Box:
 
 def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_mb: float | None = None, *, weights=None,
                 progress=None, executor=None, folder=None) -> Surface:
-    """Fuse depth maps to a mesh in at most `memory_mb` of host memory (by default what is free), in boxes if need be.
+    """Fuse depth maps to a mesh in at most `memory_mb` of host memory, in boxes if need be. By default in some 600 MB,
+    or what the mesh itself takes, of what is free, and with the bytes that one grid gives.
 
     As surface.fuse.fuse. An `executor` (concurrent.futures) fuses boxes elsewhere, `memory_mb` for each; photos and
     depths must then be on disk, and Open3D where it runs. `folder` is for what is put on disk meanwhile; all machines
     must see it. InputError also where the mesh alone would not fit.
     """
-    allowed = available_mb() if memory_mb is None else memory_mb
+    trim()
     with tempfile.TemporaryDirectory(prefix=".fusion-", dir=folder) as scratch:
         scratch = Path(scratch)
-        plan, blocks = plan_with_blocks(views, depths, settings, BlockFiles(scratch))
+        plan, blocks = plan_with_blocks(views, depths, settings, BlockFiles(scratch), progress)
+        trim()
+        allowed = min(available_mb(), max(USUAL_MB, 2 * mesh_mb(plan))) if memory_mb is None else memory_mb
         if plan.memory_mb <= allowed:
             return fuse(views, depths, settings, weights, progress, plan=plan, memory_mb=allowed)
         log.info("%s", plan)
@@ -92,7 +97,10 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
             files.append(file)
             if progress:
                 progress("fuse", done, len(tasks))
-        return join([file for file in files if file is not None], boxes, plan)
+        whole = join([file for file in files if file is not None], boxes, plan, memory_mb is None)
+        if progress:
+            progress("extract the mesh", 1, 1)
+        return whole
 
 
 def cut(plan: FusionPlan, blocks: np.ndarray, allowed_mb: float, views) -> list[Box]:
@@ -138,6 +146,7 @@ def fuse_box(inputs: tuple | Path, task: tuple[Box, Path]) -> Path | None:
             integrate(grid, plan, blocks, view, depths[index], None if weights is None else weights[index])
     vertices, faces, normals, colours = grid.extract(plan.settings.min_views - 0.5)
     del grid
+    trim()
     edge = block_resolution(plan.settings.truncation) * plan.voxel / plan.grid_scale
     if len(faces):
         middle = np.floor(vertices[faces].mean(axis=1, dtype=np.float64) / edge).astype(np.int64)
@@ -176,8 +185,9 @@ class _Piece:
     sizes: np.ndarray         # (P,) int64: triangles of each
 
 
-def join(files: list[Path], boxes, plan: FusionPlan) -> Surface:
-    """One mesh from the pieces; they are read one at a time."""
+def join(files: list[Path], boxes, plan: FusionPlan, ordered: bool = False) -> Surface:
+    """One mesh from the pieces; they are read one at a time. `ordered`: vertices and faces as one grid would have them,
+    which takes more memory."""
     if not files:
         raise empty_mesh(plan)
     cell = plan.voxel / plan.grid_scale
@@ -187,7 +197,13 @@ def join(files: list[Path], boxes, plan: FusionPlan) -> Surface:
     remembered, places = zip(*(_remember(file, sides, _NEAR * cell) for file in files))
     first = _first_rows(np.concatenate(places))
     large = _large_parts(remembered, first, plan.settings)
-    return _assembled(remembered, first, large, plan)
+    trim()
+    vertices, faces, normals, colours = _assembled(remembered, first, large)
+    if ordered:
+        keep, faces = in_order(vertices, normals, faces)
+        vertices, normals, colours = vertices[keep], normals[keep], colours[keep]
+    vertices, normals, colours = in_world(plan, vertices, normals, colours)
+    return Surface(vertices, faces, normals, colours)
 
 
 def _remember(file: Path, sides, near: float) -> tuple[_Piece, np.ndarray]:
@@ -227,12 +243,12 @@ def _large_parts(remembered, first: np.ndarray, settings: Fusion) -> list[np.nda
     return np.split(large, offsets[1:-1])
 
 
-def _assembled(remembered, first: np.ndarray, large, plan: FusionPlan) -> Surface:
-    """The mesh, its arrays made once at their full size."""
+def _assembled(remembered, first: np.ndarray, large) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, faces, normals and colours in the grid's unit, each made once at its full size."""
     rows = np.cumsum([0] + [len(piece.border) for piece in remembered])
     counted = [_own(piece, first[rows[k]:rows[k + 1]] < rows[k], large[k]) for k, piece in enumerate(remembered)]
     starts = np.cumsum([0] + [count for count, _ in counted])
-    vertices, normals, colours = (np.empty((starts[-1], 3), kind) for kind in (np.float64, np.float32, np.float32))
+    vertices, normals, colours = (np.empty((starts[-1], 3), np.float32) for _ in range(3))
     faces, at = np.empty((sum(count for _, count in counted), 3), np.int32), 0
     number_of_row = np.full(len(first), -1, np.int32)
     for k, piece in enumerate(remembered):
@@ -243,13 +259,13 @@ def _assembled(remembered, first: np.ndarray, large, plan: FusionPlan) -> Surfac
             number[piece.border[shared]] = number_of_row[first[here][shared]]
             number_of_row[here] = number[piece.border]
             place = slice(starts[k], starts[k + 1])
-            vertices[place], normals[place], colours[place] = in_world(
-                plan, *(archive[name][own] for name in ("vertices", "normals", "colours")))
+            for whole, name in ((vertices, "vertices"), (normals, "normals"), (colours, "colours")):
+                whole[place] = archive[name][own]
             part = archive["faces"]
         part = part[stays[part[:, 0]]]
         faces[at:at + len(part)] = number[part]
         at += len(part)
-    return Surface(vertices, faces, normals, colours)
+    return vertices, faces, normals, colours
 
 
 def _own(piece: _Piece, shared: np.ndarray, large: np.ndarray) -> tuple[int, int]:

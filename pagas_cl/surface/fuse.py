@@ -66,7 +66,7 @@ def fusion_plan(views, depths, settings: Fusion = Fusion()) -> FusionPlan:
     return plan_with_blocks(views, depths, settings, [])[0]
 
 
-def plan_with_blocks(views, depths, settings: Fusion, of_views) -> tuple[FusionPlan, np.ndarray]:
+def plan_with_blocks(views, depths, settings: Fusion, of_views, progress=None) -> tuple[FusionPlan, np.ndarray]:
     """`fusion_plan`, and all different blocks: int32 of shape (N, 3). Those of each view are appended to `of_views`."""
     cameras = [view.camera if isinstance(view, View) else view for view in views]
     if len(cameras) != len(depths):
@@ -81,6 +81,8 @@ def plan_with_blocks(views, depths, settings: Fusion, of_views) -> tuple[FusionP
             blocks = grid.touched(depth, _intrinsics(camera), _pose(plan, camera), every=wide)
         of_views.append(blocks)
         union.add(blocks)
+        if progress:
+            progress("plan the mesh", len(of_views), len(cameras))
     blocks = union.blocks()
     return replace(plan, block_count=len(blocks)), blocks
 

@@ -203,3 +203,13 @@ def test_a_mesh_run_hands_its_executor_on_to_the_boxes(photos, wanted, tmp_path,
                             Config().with_settings(effects__consistency="off", fusion__polish=False), executor=pool,
                             folder=tmp_path)
         assert (given["executor"] is pool) == wanted and given["folder"] == tmp_path
+
+
+def test_unless_told_otherwise_little_memory_is_taken_for_the_same_bytes(scene, monkeypatch):
+    views, depths = scene
+    monkeypatch.setattr(blocks, "USUAL_MB", 0.5 * fusion_plan(views, depths, SETTINGS).memory_mb)
+    monkeypatch.setattr(blocks, "mesh_mb", lambda plan: 0.1)
+    monkeypatch.setattr(blocks, "fuse", None)        # not in one grid
+    mesh, other = fuse_within(views, depths, SETTINGS), fuse(views, depths, SETTINGS)
+    for name in ("vertices", "faces", "normals", "colors"):
+        assert np.array_equal(getattr(mesh, name), getattr(other, name)), name

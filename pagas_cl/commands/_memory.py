@@ -1,0 +1,39 @@
+"""How much host memory a run will take, told before it begins. Where the device is a CPU its memory is the host's."""
+
+from collections.abc import Sequence
+
+from pagas_cl.config import Config
+from pagas_cl.errors import log
+from pagas_cl.runtime.host import resident_mb, trim
+from pagas_cl.scene.choice import MOST_HELD_OUT
+from pagas_cl.scene.view import View
+from pagas_cl.surface.blocks import USUAL_MB
+
+_KERNELS = 60.0          # MB: compiled, and what their compiler keeps
+_VIEW = 85               # bytes a pixel of the view under way: photos read ahead, results, what judges and draws them
+_AGREE = 64              # the same of a comparison with others, on the device, beside 8 of each other view
+_GRID = 430              # bytes a pixel of a grid, where views overlap as little as they can
+
+
+def tell_memory(views: Sequence[View], config: Config, device, fused: bool,
+                memory_mb: float | None) -> dict[str, float]:
+    """Log the most MB that refining these views, and fusing them (in `memory_mb`), will take, with what this process
+    has now; gives them by stage."""
+    from pagas_cl.splat.budget import plan_for
+
+    trim()
+    now, cameras = resident_mb(), [view.camera for view in views]
+    largest = max(camera.width * camera.height for camera in cameras)
+    contexts = min(config.context.number, len(views) - 1)
+    on_device = 0.0
+    if contexts and getattr(getattr(device, "info", None), "kind", "GPU") == "CPU":
+        some = sorted(cameras, key=lambda camera: -camera.width * camera.height)[:1 + contexts + MOST_HELD_OUT]
+        agree = largest * (_AGREE + 8 * (1 + contexts)) + plan_for(some, contexts, config).photos
+        on_device = min(max(plan_for(some, contexts, config).nbytes, agree), device.memory.limit) / 1e6
+    planned = {"refining": now + on_device + _KERNELS + largest * _VIEW / 1e6}
+    if fused:
+        whole = sum(camera.width * camera.height for camera in cameras) * _GRID / 1e6
+        planned["fusing"] = now + _KERNELS + min(whole, memory_mb or USUAL_MB)
+    log.info("host memory: %s MB are planned (%s)", f"{max(planned.values()):,.0f}",
+             ", ".join(f"{stage} {mb:,.0f}" for stage, mb in planned.items()))
+    return planned

@@ -1,0 +1,59 @@
+"""What a run holds on the host: no photo that the device has, no other view's depth map, and what it has told."""
+
+from __future__ import annotations
+
+import pytest
+from support.job_scenes import QUICK, load_small_scene, write_small_scene
+
+pytest.importorskip("pyopencl")
+from pagas_cl.jobs import worker
+from pagas_cl.refine import refine_views
+from pagas_cl.result import DepthResult
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return load_small_scene(write_small_scene(tmp_path_factory.mktemp("memory") / "scene"))
+
+
+def test_a_photo_is_here_or_on_the_device(scene, tmp_path, device):
+    views, depths = scene
+    twice, looked = [], []
+
+    def look(stage, done, total):
+        for context in list(worker._worker_contexts.values()):
+            looked.append(stage)
+            twice.extend(view.name for view in context._views.values()
+                         if context.photos.has(view) and view.image.key in context._memory._held)
+
+    refine_views(views, depths, config=QUICK, device=device, folder=tmp_path, progress=look)
+    assert looked and not twice
+
+
+def test_depth_maps_of_the_round_before_are_let_go_of(scene, tmp_path, device, monkeypatch):
+    """On a CPU none is kept; elsewhere none of the host, in a folder."""
+    views, depths = scene
+    config = QUICK.with_settings(agreement__rounds=2, agreement__steps=0.5, effects__agreement="on")
+    held = []
+
+    def look(stage, done, total):
+        for context in list(worker._worker_contexts.values()):
+            held.extend(owner for owner in context.photos._held if isinstance(owner, DepthResult)
+                        or context.photos.on_host and isinstance(owner, tuple) and done == int(done))
+
+    stored = refine_views(views, depths, config=config, device=device, folder=tmp_path, progress=look)
+    here = refine_views(views, depths, config=config, device=device)
+    assert not held
+    assert all((a.depth == b.depth).all() for a, b in zip(stored, here))
+
+
+def test_what_a_run_will_take_is_told(scene, device, caplog):
+    from pagas_cl.commands._memory import tell_memory
+    from pagas_cl.runtime.host import resident_mb
+
+    with caplog.at_level("INFO", "pagas_cl"):
+        planned = tell_memory(scene[0], QUICK, device, True, None)
+    assert f"host memory: {max(planned.values()):,.0f} MB are planned" in caplog.text
+    assert all(resident_mb() < mb < resident_mb() + 200 for mb in planned.values())

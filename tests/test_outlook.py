@@ -1,0 +1,95 @@
+"""Time left, by a clock of the test's own: what is to come counts, and what an earlier run did does not."""
+
+from __future__ import annotations
+
+import pytest
+
+from pagas_cl.outlook import Outlook
+
+
+class Clock:
+    """Stands still but for what a stage is said to take."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def run(outlook, clock, *work):
+    """Do `work`, stages of (name, seconds a unit, first, last): what was left and what was told after each unit."""
+    units = [(stage, seconds, k, last) for stage, seconds, first, last in work for k in range(first, last)]
+    total, told = sum(seconds for _, seconds, _, _ in units), []
+    start = clock.now
+    begun = set()
+    for stage, seconds, k, last in units:
+        if stage not in begun:
+            outlook(stage, k if k else 0, last)
+            begun.add(stage)
+        clock.now += seconds
+        outlook(stage, k + 1, last)
+        told.append((total - (clock.now - start), outlook.left(), (clock.now - start) / total))
+    return told
+
+
+def assert_true(told, within=0.2):
+    for left, said, gone in told:
+        assert gone < 0.1 or abs(said - left) <= within * left + 0.05, (gone, left, said)
+
+
+@pytest.mark.parametrize("speed", [0.02, 1.0, 7.0])
+def test_a_machine_of_any_speed(speed):
+    """From a tenth on within a fifth of what is left, though nine tenths of the run are other stages."""
+    outlook, clock = Outlook(clock := Clock()), clock
+    for stage, seconds, kind in (("draw", 1.0, "device"), ("refine", 100.0, "device"), ("agree", 40.0, "device"),
+                                 ("pictures", 20.0, "host"), ("fuse", 30.0, "host")):
+        outlook.expect(stage, seconds, kind)
+    host = speed if speed >= 1 else 1.0        # a GPU's machine is no faster than others at what the host does
+    assert_true(run(outlook, clock, ("draw", speed, 0, 1), ("refine", 10 * speed, 0, 10), ("agree", 4 * speed, 0, 10),
+                    ("pictures", 2 * host, 0, 10), ("fuse", 3 * host, 0, 10)))
+
+
+def test_what_an_earlier_run_finished_takes_no_time_and_tells_none():
+    outlook, clock = Outlook(clock := Clock()), clock
+    outlook.expect("refine", 80.0)
+    outlook.expect("fuse", 20.0)
+    outlook.expect_some("refine", 2, 8, 8)
+    assert outlook.left() == pytest.approx(40.0)
+    outlook("refine", 0, 8)
+    for k in range(1, 7):
+        outlook("refine", k, 8)         # at once: their files are there
+    assert outlook.left() == pytest.approx(40.0)
+    assert_true(run(outlook, clock, ("refine", 30.0, 6, 8), ("fuse", 60.0, 0, 1)))
+
+
+def test_stages_that_are_not_called_for_are_not_waited_for():
+    outlook, clock = Outlook(clock := Clock()), clock
+    for stage in ("cameras", "refine", "agree", "fuse"):
+        outlook.expect(stage, 50.0)
+    run(outlook, clock, ("refine", 25.0, 0, 2))
+    assert outlook.left() == pytest.approx(100.0)
+    outlook("fuse", 0, 1)
+    assert outlook.left() == pytest.approx(50.0)
+
+
+def test_a_stage_within_another_has_its_own_time():
+    """Timing the effects on the first view does not make the others seem slow."""
+    outlook, clock = Outlook(clock := Clock()), clock
+    outlook("analyze", 0, 10)
+    clock.now += 1.0
+    outlook("time the effects", 0, 4)
+    for k in range(4):
+        clock.now += 20.0
+        outlook("time the effects", k + 1, 4)
+    outlook("analyze", 1, 10)
+    assert outlook.left() == pytest.approx(9.0)
+
+
+def test_nothing_is_known_of_a_stage_that_nobody_expected():
+    outlook, clock = Outlook(clock := Clock()), clock
+    outlook("make", 0, 4)
+    assert outlook.left() == 0.0
+    clock.now += 5.0
+    outlook("make", 1, 4)
+    assert outlook.left() == pytest.approx(15.0)
