@@ -11,10 +11,11 @@ VIEWS = 3            # context views that are asked
 _BENDS = 4           # rows before those of the views
 _LEAST = 100         # samples that tell anything
 _NORMAL = 0.6745     # median of |x| where x has a standard deviation of 1
-# Growth of the mean square of second differences when their pixels lie twice as far apart: of a surface, whose bending
-# adds up, and of errors, which have nothing to do with one another over 4 pixels. Fitted, as the two below, to made
-# scenes with and without mismatch and to real pairs with truth (tests/bench/AGREEMENT.md).
-_SURFACE, _ERRORS = 9.6, 2.0
+# Growth of the mean square of second differences when their pixels lie twice as far apart: of a surface, the least, for
+# one that is rough at every size (a smooth one bends more with distance: 9.6), and of errors, which have nothing to do
+# with one another over 4 pixels. Fitted, as the two below, to made scenes with and without mismatch and to real pairs
+# with truth (tests/bench/AGREEMENT.md).
+_SURFACE, _ERRORS = 5.0, 2.0
 _MATCH = 1.5         # variance of a depth, of that which one patch of one photo leaves
 _BALANCED = 3.0      # variance of a surface's bends over that of errors for which the default weight is right
 

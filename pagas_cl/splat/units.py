@@ -41,11 +41,11 @@ class NormalizedDepth:
         for buffer in filter(None, (visible, bounds)):
             buffer.release()
 
-    def start_from(self, start, depth):
+    def start_from(self, start, depth, count: int):
         """Put into `depth`, a buffer in units, what the buffer `start` has in scene units, where both have one."""
         run_once(self._device.queue, [
-            bind(build(self._device, "units.cl", SHARED), "start_from", (start.size // 4,), start=start,
-                 count=start.size // 4, scene_scale=self._device_scale(), depth=depth)])
+            bind(build(self._device, "units.cl", SHARED), "start_from", (count,), start=start, count=count,
+                 scene_scale=self._device_scale(), depth=depth)])
 
     def denormalize(self, refined, parallax, status, deviation, shape):
         """(depth, parallax, deviation, status) on the host, scene units, from the buffers of `shape` in units.

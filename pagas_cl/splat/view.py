@@ -132,7 +132,7 @@ class _Run:
             self.write_initial(at_size, size)
             self.resampler.enlarge_depth(*before, at_size, out, size)
         if start is not None:
-            self.normalized.start_from(start, out)
+            self.normalized.start_from(start, out, size.pixels)
         level.start()
         return level
 

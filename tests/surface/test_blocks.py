@@ -117,7 +117,8 @@ def test_boxes_on_an_executor(scene, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(file.name for file in files)  # nothing is left
     alone = fuse_within(views, depths, SETTINGS, memory)
     assert np.array_equal(mesh.vertices, alone.vertices) and np.array_equal(mesh.faces, alone.faces)
-    assert told[-1][1] == told[-1][2] == len(told) > 2
+    fused = [step[1:] for step in told if step[0] == "fuse"]
+    assert fused == [(number, len(fused)) for number in range(1, len(fused) + 1)] and len(fused) > 2
 
 
 def test_every_block_is_in_one_box_and_boxes_fit(scene, tmp_path):
