@@ -50,7 +50,7 @@ def test_samples_equal_the_twin(device, monkeypatch):
 
 def test_balance_of_errors_and_bending():
     """Errors that the photos allow and that do not grow as a surface's bending does raise it; either alone does not."""
-    assert mismatch.balance(1.0, 5.0, 1.0) == mismatch.balance(1.0, 9.6, 1.0) == 0 and mismatch.balance(1.0, 2.0, 0.0) == 0
+    assert mismatch.balance(1.0, 5.0, 1.0) == mismatch.balance(1.0, 9.6, 1.0) == mismatch.balance(1.0, 2.0, 0.0) == 0
     assert mismatch.balance(1.0, 2.0, 1.0) == MOST_RAISED
     some = [mismatch.balance(1.0, growth, 1.0) for growth in (4.8, 4.0, 3.5, 2.5)]
     assert some == sorted(some) and some[0] < 1 < some[1]
