@@ -43,7 +43,7 @@ __kernel IN_BOXES
 void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
                       __constant float *cameras, int view, float low_pass, float threshold, float relative,
                       __global const uint *z_first, __global const float *exposure,
-                      __global const int *landing, __global volatile uint *sums)                // [H', W', CHANNELS + 1]
+                      __global const int *landing, __global volatile uint *sums)             // [H', W', CHANNELS + 1]
 {
     __local uint boxed[(CHANNELS + 1) * BOX];
     __local int corners[4];

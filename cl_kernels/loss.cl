@@ -19,7 +19,7 @@ void gather_down(__global const float *partials, int left, int top, int width, i
         UNROLL for (int k = 0; k < RUN; ++k)
             sum[0][k] = sum[1][k] = sum[2][k] = ZERO;
         UNROLL for (int j = 0; j < TAPS + RUN - 1; ++j) {
-            const mask_t there = row + j >= 0 && row + j < height - HALO ? -1 : 0;  // read in any case: loads do not wait
+            const mask_t there = row + j >= 0 && row + j < height - HALO ? -1 : 0;       // read all the same
             __global const float *at = partials + 3 * c * plane + clamp(row + j, 0, height - HALO - 1) * pitch
                                        + min(column, width - COLUMNS);
             UNROLL for (int q = 0; q < 3; ++q) {

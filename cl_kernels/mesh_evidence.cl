@@ -68,8 +68,8 @@ float3 at_depth(const Eye eye, int column, int row, float d)
 __kernel void gather(__global const float *positions, __global const float *normals, int count,
                      __constant float *camera,
                      __global const float *drawn,                  // [H, W] of the mesh as it is, units
-                     __global const float *depth, __global const float *deviation, float scale,     // [H, W] scene units
-                     float orientation,                            // 1: normals point outwards, -1: inwards, 0: as it comes
+                     __global const float *depth, __global const float *deviation, float scale,   // [H, W] scene units
+                     float orientation,                            // of normals: 1 outwards, -1 inwards, 0 as it comes
                      __global const float *reach,
                      __global float2 *words,
                      __global int *seen,                           // [V] views that the vertex is not hidden from

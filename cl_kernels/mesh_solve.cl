@@ -33,7 +33,8 @@ __kernel void find_links(__global const float *positions, __global const float *
             const float bend = (1.0f - dot(n, vload3(j, normals))) / crease;
             const float steep = fabs(delta[i] - delta[j])
                                 / (fmax(distance(p, vload3(j, positions)) * scale, 0.3f) * jump);
-            weight[side] = fmin(flatness[i], flatness[j]) < SHARP ? 0.0f : 1.0f / ((1.0f + bend * bend) * (1.0f + steep * steep));
+            const float soft = (1.0f + bend * bend) * (1.0f + steep * steep);
+            weight[side] = fmin(flatness[i], flatness[j]) < SHARP ? 0.0f : 1.0f / soft;
         }
         links[k] = (float2)(weight[0], weight[1]);
     }
@@ -156,7 +157,8 @@ __kernel void turn(__global const float *scalars, int step, int first_time, int 
                    __global const float *inverse_diagonal, __global float *p)
 {
     EACH(i, count)
-    const float before = scalars[(step & 1) ^ 1], beta = !first_time && before > 0.0f ? scalars[step & 1] / before : 0.0f;
+    const float before = scalars[(step & 1) ^ 1];
+    const float beta = !first_time && before > 0.0f ? scalars[step & 1] / before : 0.0f;
     p[i] = residual[i] * inverse_diagonal[i] + (first_time ? 0.0f : beta * p[i]);
 }
 

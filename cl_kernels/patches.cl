@@ -59,7 +59,8 @@ __kernel void warp_photo(__global const float *depth, __constant float *cameras,
         const mask_t nearest = TO_WHOLE(inside_v + 0.5f) * width + TO_WHOLE(inside_u + 0.5f);
         seen &= z <= pick((__global const float *)z_first, nearest) + threshold;
 #endif
-        const mask_t right = min(x + 1, (mask_t)(width - 1)) - x, below = (min(y + 1, (mask_t)(height - 1)) - y) * width;
+        const mask_t right = min(x + 1, (mask_t)(width - 1)) - x;
+        const mask_t below = (min(y + 1, (mask_t)(height - 1)) - y) * width;
         seen &= pick_grey(photo, pixel, &g00) & pick_grey(photo, pixel + right, &g10)
                 & pick_grey(photo, pixel + below, &g01) & pick_grey(photo, pixel + right + below, &g11);
         const columns_t value = (1 - b) * ((1 - a) * g00 + a * g10) + b * ((1 - a) * g01 + a * g11);

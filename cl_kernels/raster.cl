@@ -2,14 +2,14 @@
 //   draw         each work-item a triangle: small ones at once, the rest into a list
 //   draw_large   each work-group a triangle of that list, its pixels side by side
 //   to_depth     bits of the z-buffer to depth
-// Depths are positive, so that their bits sort as the numbers do: one atomic minimum a pixel, in any order. What decides
+// Depths are positive, so that their bits sort as the numbers do: one atomic minimum a pixel, in any order. What tells
 // whether a pixel's centre lies in a triangle is written with fma() alone, so that no compiler contracts it one way for
 // one triangle and another way for its neighbour: no pixel falls between two triangles.
 #include "constants.clh"
 #include "eye.clh"
 
 #define LARGE 256                        // pixels of the bounding box from which on a work-group draws
-#define NEAR_SHARE 1e-6f                 // of a triangle's largest depth: what is nearer to the camera's plane is left out
+#define NEAR_SHARE 1e-6f                 // of a triangle's largest depth: nearer to the camera's plane it is left out
 #define EMPTY 0x7f800000u                // infinity: no surface
 
 float fixed_dot(float3 a, float3 b)
@@ -125,7 +125,7 @@ __kernel void draw_large(__global const float *vertices, __global const int *fac
     }
 }
 
-__kernel void to_depth(__global uint *z_buffer, int count, float unit)         // in place; `unit` of depth that comes out
+__kernel void to_depth(__global uint *z_buffer, int count, float unit)        // in place; `unit` of what comes out
 {
     EACH(i, count)
     z_buffer[i] = z_buffer[i] == EMPTY ? 0u : as_uint(as_float(z_buffer[i]) * unit);

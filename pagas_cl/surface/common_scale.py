@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -66,12 +67,12 @@ def find_common_scale(views: Sequence[View], cameras: Sequence[Camera], depths: 
     best, span, bent = 0.0, RANGE, 0.0
     sweeps = [_Sweep(views, depths, pairs, side) for side in _SIDES]
     for sweep in sweeps:
-        best = sweep.best(best, span, sweep.parallax, lambda value: sweep.score(value, bent))      # noqa: B023
+        best = sweep.best(best, span, sweep.parallax, partial(sweep.score, bent=bent))
         span, range_ = _FINER * _STEP * sweep.parallax, sweep.range
         if sweep.parallax / range_ < _BENDABLE:      # else depths that bend look as they did
-            trial = sweep.best(bent, _BENDABLE, sweep.parallax / range_, lambda value: sweep.score(best, value))  # noqa: B023
+            trial = sweep.best(bent, _BENDABLE, sweep.parallax / range_, partial(sweep.score, best))
             bent = trial if sweep.score(best, trial) > sweep.score(best, 0.0) + CLEAR else 0.0
-            best = sweep.best(best, span, sweep.parallax, lambda value: sweep.score(value, bent))      # noqa: B023
+            best = sweep.best(best, span, sweep.parallax, partial(sweep.score, bent=bent))
     given = sweeps[-1].score(0.0, 0.0)
     if not sweeps[-1].score(best, bent) > given + (CLEAR if known else 0.0) or abs(best) > 0.98 * RANGE:
         return CommonScale(1.0, 0.0, given, given)
