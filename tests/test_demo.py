@@ -69,8 +69,18 @@ def test_demo_with_a_faked_refinement(tmp_path, capsys, monkeypatch):
     assert status == 0, said.err
     assert "target" in said.out and "correlation with the held-out photo" in said.out
     assert (tmp_path / "report" / "index.html").is_file()
+    assert run(["demo", "--output", str(tmp_path), "--width", "96", "--context", "2", "--quiet"]) == 0    # its own
     old, new = map(float, re.search(r"target\s+([\d.]+) -> ([\d.]+)", said.out).groups())
     assert new == pytest.approx(0.5 * old, rel=0.05)
+
+
+def test_demo_replaces_nothing_of_others(tmp_path, capsys):
+    for name in ("scene", "report", "mesh_refined.ply"):
+        (tmp_path / name).write_text("theirs")
+        assert run(["demo", "--output", str(tmp_path)]) == 2
+        assert f"{name}' is not ours to replace: choose another folder" in capsys.readouterr().err
+        assert [path.read_text() for path in tmp_path.iterdir()] == ["theirs"]
+        (tmp_path / name).unlink()
 
 
 def test_demo_on_a_device(tmp_path):

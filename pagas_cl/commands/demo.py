@@ -8,6 +8,8 @@ import typer
 from pagas_cl.commands._console import shown_progress
 from pagas_cl.commands._start import check_writable
 from pagas_cl.demo import make_example, run_demo
+from pagas_cl.errors import InputError
+from pagas_cl.jobs.finished import one_run
 from pagas_cl.runtime.device import open_device
 
 
@@ -24,11 +26,14 @@ def command(
 ):
     """Make a scene, refine it, show the errors before and after, pictures and the mesh."""
     check_writable("--output", output)
+    taken = [output / name for name in ("scene", "report", "mesh_refined.ply") if (output / name).exists()]
+    if taken and not (output / "scene" / "depth_true").is_dir() and format is None:      # no earlier demo's
+        raise InputError(f"--output: {str(taken[0])!r} is not ours to replace: choose another folder")
     if format is not None:
         sys.stdout.write(make_example(output, format, width, round(width * 0.75), contexts))
         return
     opened = open_device(device)  # before the scene is made: no seconds of work where there is none
-    with shown_progress(quiet) as progress:
+    with one_run(output), shown_progress(quiet) as progress:
         result = run_demo(output, width=width, height=round(width * 0.75), contexts=contexts, preset=preset,
                           device=opened, progress=progress, bar=bar)
     sys.stdout.write(result.table())

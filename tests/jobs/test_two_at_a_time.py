@@ -43,7 +43,7 @@ def another_run(folder):
 
 
 PLACES = {"depth": "", "report": "", "mesh": ".fine.ply.views", "kept": ".fine.ply.views", "analyze": "page",
-          "cameras": "", "tradeoff": ""}
+          "cameras": "", "tradeoff": "", "demo": ""}
 
 
 @pytest.mark.parametrize("name", PLACES)
@@ -51,7 +51,8 @@ def test_the_second_run_is_refused_and_changes_nothing(scene, tmp_path, capsys, 
     pytest.importorskip("open3d")
     from_depths = ("--depth-dir", str(scene / "depth_initial"))
     known = {**commands(scene, tmp_path, scene / "depth_initial"),
-             "tradeoff": ("tradeoff", str(scene), *from_depths, "--report", str(tmp_path), "--quiet")}
+             "tradeoff": ("tradeoff", str(scene), *from_depths, "--report", str(tmp_path), "--quiet"),
+             "demo": ("demo", "--output", str(tmp_path), "--quiet")}
     command = [word for word in known[name] if word != "--json" and not word.endswith(".json")]
     with another_run(tmp_path / PLACES[name]):
         before = sorted(tmp_path.rglob("*"))
