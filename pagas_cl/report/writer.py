@@ -27,7 +27,7 @@ LEGEND = ["Shares are of the pixels with a surface to start from: refined = move
           "right."]
 _MESH, _BEGUN = "mesh", f"{OWN}/pictures.json"
 _OF_A_VIEW = ("photo.jpg", "depth_before.png", "depth_after.png", "normals_before.png", "normals_after.png",
-              "change.png", "confidence.png")
+              "change.png", "confidence.png", "camera.png")
 _OF_MESHES = ("photo.jpg", "shaded_before.png", "shaded_after.png")
 
 

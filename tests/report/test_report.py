@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from pagas_cl import Camera, View
-from pagas_cl.report import Report
+from pagas_cl.report import Report, picture_files
 from pagas_cl.report.headline import sentence
 from pagas_cl.report.pictures import (
     NOTHING,
@@ -110,6 +110,14 @@ def test_report_writes_pictures_page_and_numbers(tmp_path):
     names = sorted(path.name for path in folder.iterdir())
     assert len(names) == 9 and not any("part" in name for name in names)
     assert Image.open(folder / "b_depth_after.png").size == (WIDTH, HEIGHT)
+
+
+def test_every_picture_has_a_name_that_is_asked_about_first(tmp_path):
+    """Else one of somebody else would be replaced (picture_files)."""
+    view = View(camera(name="a.png"), np.full((HEIGHT, WIDTH, 3), 99, np.uint8))
+    with Report(tmp_path, "a title", []) as report:
+        report.add(view, plane(4.0), plane(4.1), contexts=[camera(0.5)], confidence=plane(0.5), given=camera(0.2))
+    assert {path.name for path in tmp_path.glob("*.*g")} == set(picture_files([view.name]))
 
 
 def test_report_without_views_has_a_page(tmp_path):
