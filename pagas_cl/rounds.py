@@ -65,16 +65,16 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
 
     # once for all views of a round that are compared with it, whose arrays are not looked at again
     comparison = Agreement(own, others, device, lambda result: photos.held(
-        owner(result), 17 * _pixels(result), lambda: send(result, device)))
+        owner(result), 8 * _pixels(result), lambda: send(result, device)))
     spread = comparison.spread()
     decision = decide_agreement(spread, config)
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
     report = {**own.report, "effects": [*effects, decision.as_dict()]}
-    if decision.on:
+    averaged = comparison.average(spread, config.agreement.pixels, propose=steps > 0) if decision.on else None
+    if photos.on_host:          # where they would take the memory of all else
+        photos.forget(map(owner, (own, *others)))
+    if averaged is not None:
         report["differences"] = [*own.report.get("differences", ()), spread]
-        averaged = comparison.average(spread, config.agreement.pixels, propose=steps > 0)
-        if photos.on_host:          # where they would take the memory of all else
-            photos.forget(map(owner, (own, *others)))
         if steps:
             told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
             few = _few(config, steps, len(partners.contexts), report)

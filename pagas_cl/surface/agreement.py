@@ -22,18 +22,19 @@ _LEAST_ROWS = 32                     # of a large view, that are spread over it
 _NORMAL = 0.6745                     # median of |x| where x has a standard deviation of 1
 
 
-def send(result: Any, device: Device) -> list[Any]:
-    """Depth, deviation, status and parallax of a DepthResult on the device, and inverse depths that photos confirm, 0
-    for all others: 17 bytes a pixel."""
+def send(result: Any, device: Device) -> tuple[Any, Any]:
+    """What others are told of a DepthResult, on the device: inverse depths that photos confirm, 0 for all others, and
+    deviations; 8 bytes a pixel."""
     from pagas_cl.runtime.memory import upload
     from pagas_cl.runtime.program import bind, run_once
 
-    depth, deviation, status, parallax = sent = [
-        upload(device, array) for array in (result.depth, result.deviation, result.status, result.parallax)]
+    depth, deviation, status = (upload(device, array) for array in (result.depth, result.deviation, result.status))
     inverse, count = device.memory.buffer(device.context, 4 * result.depth.size), result.depth.size
     run_once(device.queue, [bind(_program(device), "invert", (count,), count=count, depth=depth, deviation=deviation,
                                  status=status, inverse=inverse)])
-    return [*sent, inverse]
+    for buffer in (depth, status):
+        buffer.release()
+    return inverse, deviation
 
 
 def _program(device: Device, columns: int = 1) -> Program:
@@ -48,7 +49,7 @@ class Agreement:
     it alone looks at the arrays of the others."""
 
     def __init__(self, own: Any, others: Sequence[Any], device: Device,
-                 sent: Callable[[Any], list[Any]] | None = None):
+                 sent: Callable[[Any], tuple[Any, Any]] | None = None):
         from pagas_cl.runtime.memory import upload
 
         self.own, self.others, self.device = own, list(others), device
@@ -57,8 +58,10 @@ class Agreement:
         self._columns = device.lanes if device.lanes <= own.depth.shape[1] else 1     # of a row, side by side
         self._program = _program(device, self._columns)
         self._cameras = upload(device, camera_table(own.camera, [view.camera for view in others], 1 / self._scale))
-        self._depth, self._deviation, self._status, self._parallax, self._inverse = self._sent(own)
-        self._held = [self._cameras]
+        self._inverse, self._deviation = self._sent(own)
+        self._depth, self._status, self._parallax = (
+            upload(device, array) for array in (own.depth, own.status, own.parallax))
+        self._held = [self._cameras, self._depth, self._status, self._parallax]
 
     def spread(self) -> float:
         """Standard deviation of a depth by how far the maps differ, pixels of parallax: median over pixels (of 32
@@ -103,7 +106,7 @@ class Agreement:
     def _each(self) -> Iterator[dict[str, Any]]:
         """Arguments of a comparison with each other view."""
         for number, other in enumerate(self.others, start=1):
-            _, deviation, _, _, inverse = self._sent(other)
+            inverse, deviation = self._sent(other)
             yield {"view": number, "scale": self._scale, "cameras": self._cameras, "depth": self._depth,
                    "depth_per_parallax": self._parallax, "inverses": inverse, "deviations": deviation}
 
