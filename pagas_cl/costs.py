@@ -10,14 +10,14 @@ seconds: work is linear in pixels, in steps and in the context views of a step; 
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from pagas_cl.cameras.effect import camera_seconds
 from pagas_cl.config import Config, Context
-from pagas_cl.effects import agreement_rounds, decide, settle
+from pagas_cl.effects import agreement_rounds, between_rounds, decide, settle
 from pagas_cl.errors import InputError
 from pagas_cl.presets import preset
 from pagas_cl.scene.choice import MOST_HELD_OUT, ContextChooser, shared_out
@@ -178,15 +178,15 @@ class Costs:
                                       held_out=held_out, ran=self._tell)
         cost = self._known[kind]
         photos = self._photos(config.context.number)
-        between = max(agreement_rounds(config, len(self.pixels)) - 1, 0) if config.agreement.steps else 0
-        steps = max(1, round(config.agreement.steps * config.pyramid.steps[-1]))
-        again = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,))
+        few, times = between_rounds(config), max(agreement_rounds(config, len(self.pixels)) - 1, 0)
+        again = few and replace(settled, pyramid=few.pyramid)
         choice = config.effects.cameras
         if choice not in self._cameras:
             self._cameras[choice] = camera_seconds(*zip(*self._few), config, self.device, self._scene)
         return self._cameras[choice] * self._scene / len(self.pixels) + float(np.mean(
-            [cost.seconds(settled, pixels, len(contexts), photos) + between
-             * cost.seconds(again, pixels, len(contexts), photos) for pixels in self.pixels]))
+            [cost.seconds(settled, pixels, len(contexts), photos)
+             + (times * cost.seconds(again, pixels, len(contexts), photos) if again else 0.0)
+             for pixels in self.pixels]))
 
     def _tell(self) -> None:
         self._ran += 1

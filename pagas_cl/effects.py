@@ -173,6 +173,13 @@ def agreement_rounds(config: Config, views: int) -> int:
     return config.agreement.rounds if choice == "set" else config.agreement.rounds or AGREEMENT_ROUNDS
 
 
+def between_rounds(config: Config) -> Config | None:
+    """The settings of the steps that photos have between two rounds, at full size; None where they have none."""
+    share = config.agreement.steps
+    return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(
+        max(1, round(share * config.pyramid.steps[-1])),)) if share else None
+
+
 def decide_agreement(spread: float, config: Config) -> Decision:
     """Whether a view is averaged with others, whose depth maps differ by `spread` (surface.agreement); NaN: there are
     none to speak of."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from pagas_cl.config import Config
 from pagas_cl.costs import RUNS, Cost
-from pagas_cl.effects import EFFECTS, agreement_rounds
+from pagas_cl.effects import EFFECTS, agreement_rounds, between_rounds
 from pagas_cl.outlook import Outlook
 from pagas_cl.scene.view import View
 
@@ -39,21 +39,21 @@ class Expected:
     def mesh_drawn(self) -> None:
         self._device("render the mesh", _RENDER * self.pixels)
 
-    def rounds(self, pictures: bool) -> float:
-        """Of refining all views, and of their pictures; seconds of the former."""
-        measured = _MEASURE * self.pixels if self.config.effects.measured else 0.0
-        total = measured + self._views(self.config)
-        self._device("refine", total)
-        steps = max(1, round(self.config.agreement.steps * self.config.pyramid.steps[-1]))
-        again = self.config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,))
-        rounds = agreement_rounds(self.config, len(self.sizes))
-        for number in range(1, rounds + 1):
-            steps = measured + self._views(again) if number < rounds and self.config.agreement.steps else 0.0
-            self._device(f"agree, round {number}", _AVERAGE * self.pixels + steps)
-            total += _AVERAGE * self.pixels + steps
+    def rounds(self, pictures: bool) -> None:
+        """Refining all views, and their pictures."""
+        for stage, seconds in self._refining():
+            self._device(stage, seconds)
         if pictures:
             self._host("pictures", _PICTURES)
-        return total
+
+    def _refining(self) -> list[tuple[str, float]]:
+        measured = _MEASURE * self.pixels if self.config.effects.measured else 0.0
+        again, rounds = between_rounds(self.config), agreement_rounds(self.config, len(self.sizes))
+        stages = [("refine", measured + self._views(self.config))]
+        for number in range(1, rounds + 1):
+            steps = measured + self._views(again) if number < rounds and again else 0.0
+            stages.append((f"agree, round {number}", _AVERAGE * self.pixels + steps))
+        return stages
 
     def probed(self) -> None:
         """Of finding the settings that fit a time, before they are refined with (`timed`)."""
@@ -62,8 +62,8 @@ class Expected:
 
     def timed(self, config: Config, seconds: float) -> None:
         """These settings were chosen, which take so long on this device."""
-        self.config, self.scale, self.kind = config, 1.0, "timed"
-        self.scale = seconds / self.rounds(pictures=False)
+        self.config, self.kind = config, "timed"
+        self.scale = seconds / sum(expected for _, expected in self._refining())
         self.rounds(pictures=False)
 
     def fused(self, shown: bool) -> None:

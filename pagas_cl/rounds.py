@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.effects import agreement_rounds, decide_agreement, settle
+from pagas_cl.effects import agreement_rounds, between_rounds, decide_agreement, settle
 from pagas_cl.progress import Progress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import Partners
@@ -46,9 +46,9 @@ def later_rounds(config: Config, views: int) -> list[Round]:
 
 def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partners, results: Sequence[DepthResult],
                    config: Config, device: Device, photos: PhotoStore, progress: Progress | None = None,
-                   steps: int = 0) -> DepthResult:
+                   steps: Config | None = None) -> DepthResult:
     """One view's depths averaged with those of other views, where they see the same surface. What photos refused stays
-    as it is: none is asked again. With `steps`: see average_and_step.
+    as it is: none is asked again. With `steps`, settings of some: see average_and_step.
 
     `results`: of the round before, the view's own first, then those of others, in memory or on disk (StoredResult),
     from where they are read when the device has to have them. The others are as in refine.refine_one.
@@ -70,14 +70,14 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     decision = decide_agreement(spread, config)
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
     report = {**own.report, "effects": [*effects, decision.as_dict()]}
-    averaged = comparison.average(spread, config.agreement.pixels, propose=steps > 0) if decision.on else None
+    averaged = comparison.average(spread, config.agreement.pixels, propose=steps is not None) if decision.on else None
     if photos.on_host:          # where they would take the memory of all else
         photos.forget(map(owner, (own, *others)))
     if averaged is not None:
         report["differences"] = [*own.report.get("differences", ()), spread]
-        if steps:
+        if steps is not None:
             told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
-            few = _few(config, steps, len(partners.contexts), report)
+            few = _few(steps, len(partners.contexts), report)
             stepped = _steps(views, partners, own, averaged["depth"], few, device, photos, told)
             # what no view has spoken for, or the photos speak against, is as it was
             refined = (comparison.read(averaged, "status")["status"] == REFINED) & (stepped.status == REFINED)
@@ -95,18 +95,15 @@ def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partn
                      progress: Progress | None = None) -> DepthResult:
     """The same, also in place of depths that photos refused, and then some steps of the photos, from there, which
     refuse what matches worse than it did."""
-    share = config.agreement.steps
-    return average_depths(views, partners, results, config, device, photos, progress,
-                          max(1, round(share * config.pyramid.steps[-1])) if share else 0)
+    return average_depths(views, partners, results, config, device, photos, progress, between_rounds(config))
 
 
-def _few(config: Config, steps: int, contexts: int, report: Mapping[str, Any]) -> Config:
-    """The settings for so few steps from a depth that is nearly right: at full size, smoothness raised at once, for
-    mismatch by what was measured (`report`). Photos that do not match anywhere around (solver.mismatch) do not tell one
-    depth from another."""
+def _few(config: Config, contexts: int, report: Mapping[str, Any]) -> Config:
+    """Settings of so few steps, from a depth that is nearly right: smoothness raised at once, for mismatch by what was
+    measured (`report`). Photos that do not match anywhere around (solver.mismatch) do not tell one depth from
+    another."""
     mismatch = [e["evidence"] for e in report.get("effects", ()) if e["effect"] == "mismatch"] or [1.0]
-    return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__early_damping=1.0,
-                                solver__rate=min(100.0, _LONGER * config.solver.rate),
+    return config.with_settings(solver__early_damping=1.0, solver__rate=min(100.0, _LONGER * config.solver.rate),
                                 smoothness__weight=config.smoothness.weight_with(contexts, mismatch[0]),
                                 smoothness__full_views=1, effects__pyramid="set", effects__mismatch="set",
                                 solver__mismatch=2.0)
