@@ -78,5 +78,3 @@ def wrong_views(rounds: Rounds, state: State, stage: Stage) -> set[int]:
         return set()
     usual = float(np.median(costs[known]))
     return {int(k) for k in np.flatnonzero(known & (costs > max(WRONG * usual, UNLIKE)))}
-
-

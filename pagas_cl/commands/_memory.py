@@ -28,8 +28,9 @@ def tell_memory(views: Sequence[View], config: Config, device, fused: bool,
     on_device = 0.0
     if contexts and getattr(getattr(device, "info", None), "kind", "GPU") == "CPU":
         some = sorted(cameras, key=lambda camera: -camera.width * camera.height)[:1 + contexts + MOST_HELD_OUT]
-        agree = largest * (_AGREE + 8 * (1 + contexts)) + plan_for(some, contexts, config).photos
-        on_device = min(max(plan_for(some, contexts, config).nbytes, agree), device.memory.limit) / 1e6
+        plan = plan_for(some, contexts, config)
+        agree = largest * (_AGREE + 8 * (1 + contexts)) + plan.photos
+        on_device = min(max(plan.nbytes, agree), device.memory.limit) / 1e6
     planned = {"refining": now + on_device + _KERNELS + largest * _VIEW / 1e6}
     if fused:
         whole = sum(camera.width * camera.height for camera in cameras) * _GRID / 1e6
