@@ -33,19 +33,19 @@ def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     choice = config.effects.cameras
     if not _may(choice, len(views)):
         return list(views), settled, None
-    device, off, done = _device(device, choice), None, progress or (lambda stage, done, total: None)
+    device, off = _device(device, choice), None
     if device is None:
         return list(views), settled, None
     if choice == "auto":
         start = time.perf_counter()
         decision, off = decide_cameras(views, depths_or_mesh, config, device)
-        done("measure the cameras", 1, 1)
+        if progress:
+            progress("measure the cameras", 1, 1)
         log.info("%s", decision)
         if not decision.on:
             return list(views), settled, None
         tell(progress, "expect", "refine the cameras", _TIMES * (time.perf_counter() - start), "cameras")
-    found = refine_cameras(views, depths_or_mesh, config=config, device=device, measured=off)
-    done("refine the cameras", 1, 1)
+    found = refine_cameras(views, depths_or_mesh, config=config, device=device, progress=progress, measured=off)
     log.info("%s", found)
     return with_cameras(views, found), settled, found
 
