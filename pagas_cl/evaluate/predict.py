@@ -59,8 +59,8 @@ def predict_photo(target, depth, other, other_depth=None, *, patch=7, tolerance=
 
 def compare_predictions(target, depths, other, other_depth=None, **settings) -> list[Prediction]:
     """`predict_photo` for several depth maps over the pixels that all predict: none gains by leaving some out. `other`:
-    a view, or several (the same photo, its pose fitted to each depth map: cameras.judge.fitted_pose), of which each depth
-    map is judged under the one that predicts it best, since a fit may end beside the best pose."""
+    a view, or several (the same photo, its pose fitted to each depth map: cameras.judge.fitted_pose), of which each
+    depth map is judged under the one that predicts it best, since a fit may end beside the best pose."""
     others = other if isinstance(other, (list, tuple)) else [other]
     others = [view for k, view in enumerate(others) if all(view is not earlier for earlier in others[:k])]
     each = [[predict_photo(target, depth, view, other_depth, **settings) for view in others] for depth in depths]
