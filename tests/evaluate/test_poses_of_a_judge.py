@@ -1,4 +1,4 @@
-"""A photo that judges several depth maps, its pose fitted to each: each map counts under the pose that suits it best."""
+"""A photo that judges several depth maps, its pose fitted to each: each counts under the pose that suits it best."""
 
 from dataclasses import replace
 
