@@ -1,0 +1,118 @@
+"""Edges of a triangle mesh, known all through its splitting: nothing is sorted again after the first time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+# corners of the new triangles where edges 01; 01 and 12; all three are split: 0 1 2 corners, 3 4 5 middles of 01 12 20
+_PATTERNS = {1: ((0, 3, 2), (3, 1, 2)), 2: ((3, 1, 4), (0, 3, 4), (0, 4, 2)),
+             3: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))}
+# which edges are split (bits 1 2 4) -> how often to turn the face so that one of the patterns fits
+_TURNS = {1: 0, 2: 1, 4: 2, 3: 0, 6: 1, 5: 2, 7: 0}
+# edges between these corners and middles are whole sides, their first halves, their second ones; others are new
+_KNOWN = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 4), (2, 5), (1, 3), (2, 4), (0, 5))
+
+
+class Edges:
+    """Faces (F, 3) of a mesh of `count` vertices; the ends (E, 2) of its edges, the lesser first; the number of each
+    face's edges 01, 12, 20, `sides` (F, 3); all int32. At first edges are in the order of their ends."""
+
+    def __init__(self, faces: np.ndarray, count: int):
+        key = keys(faces, faces[:, [1, 2, 0]], count).reshape(-1)
+        order = np.argsort(key)
+        key = key[order]
+        fresh = np.append(True, key[1:] != key[:-1])
+        self.count, self.faces, self.sides = count, faces, np.empty(faces.shape, np.int32)
+        self.sides.reshape(-1)[order] = np.cumsum(fresh) - 1
+        self.ends = np.stack(np.divmod(key[fresh], count), axis=1).astype(np.int32)
+
+    def in_order(self, numbers: np.ndarray) -> np.ndarray:
+        """Numbers of edges, sorted by their ends."""
+        return numbers[np.argsort(keys(*self.ends[numbers].T, self.count))]
+
+    def of_pairs(self, pairs: np.ndarray) -> np.ndarray:
+        """Which of the `pairs` of vertices (N, 2), sorted, the lesser first, each edge joins: (E,), -1 = none."""
+        known, asked = keys(*pairs.T, self.count), keys(*self.ends.T, self.count)
+        at = np.minimum(np.searchsorted(known, asked), len(known) - 1)
+        return np.where(known[at] == asked, at, -1) if len(known) else np.full(len(asked), -1)
+
+    def longer(self, points: np.ndarray, longest: np.ndarray, among: np.ndarray | slice) -> np.ndarray:
+        """Numbers of the edges `among` these that are longer than `longest` (V,) at both ends, sorted by their ends."""
+        long = self.lengths(points, among) > longest[self.ends[among]].max(axis=1)
+        return self.in_order(np.arange(len(self.ends), dtype=np.int32)[among][long])
+
+    def lengths(self, points: np.ndarray, among: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Of the edges `among` these, float64 (N,), their vertices at `points` (V, 3)."""
+        a, b = self.ends[among].T
+        total = np.zeros(len(a))
+        for column in np.ascontiguousarray(points.T):
+            apart = column[a]
+            apart -= column[b]
+            apart *= apart
+            total += apart
+        return np.sqrt(total, out=total)
+
+    def split_at(self, chosen: np.ndarray) -> np.ndarray:
+        """Split the edges of these numbers, the first by the first new vertex; gives the numbers of edges that are new
+        or shorter."""
+        before, rank = len(self.ends), np.full(len(self.ends), -1, np.int32)
+        rank[chosen] = np.arange(len(chosen), dtype=np.int32)
+        self.split(rank, len(chosen))
+        return np.append(chosen, np.arange(before, len(self.ends), dtype=np.int32))
+
+    def split(self, rank: np.ndarray, number: int, values: np.ndarray | None = None) -> np.ndarray | None:
+        """Put `number` new vertices on the edges, by their `rank` (E,), -1 = none: faces that have some become two,
+        three or four and come last. With them go `values` on faces (F,) or their corners (F, 3, C), which are given
+        back."""
+        middle = np.where(rank < 0, -1, rank + self.count).astype(np.int32)
+        chosen = np.flatnonzero(middle >= 0)
+        upper = np.zeros(len(middle), np.int32)                    # the half of a split edge at its greater end
+        upper[chosen] = len(middle) + np.arange(len(chosen))
+        cut = [middle[column] >= 0 for column in self.sides.T]
+        code = cut[0] + 2 * cut[1].astype(np.uint8) + 4 * cut[2].astype(np.uint8)
+        whole = code == 0
+        faces, sides, ends = [self.faces[whole]], [self.sides[whole]], [_pair(self.ends[chosen, 1], middle[chosen])]
+        carried, total = [None if values is None else values[whole]], len(middle) + len(chosen)
+        for value, turns in _TURNS.items():
+            rows = np.flatnonzero(code == value)
+            if not len(rows):
+                continue
+            order = [(side + turns) % 3 for side in range(3)]
+            corner, side = (list(table[rows].T[order]) for table in (self.faces, self.sides))
+            low = [self.ends[side[k], 0] == corner[k] for k in range(3)]
+            first, second = ([np.where(low[k] == at_low, side[k], upper[side[k]]) for k in range(3)]
+                             for at_low in (True, False))
+            places, known = corner + [middle[part] for part in side], dict(zip(_KNOWN, side + first + second))
+            spots = None if values is None else values[rows]
+            if spots is not None and spots.ndim > 1:
+                spots = spots[:, order]
+                spots = np.concatenate([spots, (spots + spots[:, [1, 2, 0]]) / 2], axis=1)
+            for pattern in _PATTERNS[value.bit_count()]:
+                around = [tuple(sorted((pattern[k], pattern[k - 2]))) for k in range(3)]
+                for pair in (pair for pair in around if pair not in known):
+                    known[pair] = np.arange(total, total + len(rows))
+                    total += len(rows)
+                    ends.append(_pair(*(places[k] for k in pair)))
+                faces.append(_columns(places[k] for k in pattern))
+                sides.append(_columns(known[pair] for pair in around))
+                carried.append(spots if spots is None or spots.ndim == 1 else spots[:, pattern])
+        self.ends[chosen, 1] = middle[chosen]
+        self.ends, self.faces, self.sides = (np.concatenate(parts) for parts in ([self.ends, *ends], faces, sides))
+        self.count += number
+        return None if values is None else np.concatenate(carried)
+
+
+def keys(a: np.ndarray, b: np.ndarray, count: int) -> np.ndarray:
+    """One int64 for each pair of vertices below `count`, in the order of the lesser, then of the greater."""
+    key: np.ndarray = np.minimum(a, b).astype(np.int64)
+    key *= count
+    key += np.maximum(a, b)
+    return key
+
+
+def _pair(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return _columns((np.minimum(a, b), np.maximum(a, b)))
+
+
+def _columns(parts) -> np.ndarray:
+    return np.stack([part.astype(np.int32, copy=False) for part in parts], axis=1)
