@@ -23,19 +23,18 @@ def vertex_confidence(vertices: np.ndarray, results) -> np.ndarray:
     """Mean confidence (0 to 1) of the DepthResults that see each vertex, float64 of shape (V,); 0 where none does."""
     total, count = np.zeros(len(vertices)), np.zeros(len(vertices))
     for result in results:
-        index, place, _ = _seen(vertices, result.camera, result.depth)
-        total[index] += confidence_of(*(part[place] for part in (result.depth, result.deviation, result.parallax)))
+        index, pixel, _ = _seen(vertices, result.camera, result.depth)
+        total[index] += confidence_of(*(part.reshape(-1)[pixel] for part in (result.depth, result.deviation,
+                                                                             result.parallax)))
         count[index] += 1
     return total / np.maximum(count, 1)
 
 
 def _seen(vertices: np.ndarray, camera: Camera, depth: np.ndarray):
-    """Indices of the vertices that lie on the depth map; rows and columns there; the size of a pixel at each."""
+    """Indices of the vertices that lie on the depth map; their pixels, by rows; the size of a pixel at each."""
     uv, z = camera.project(vertices)
-    with np.errstate(invalid="ignore"):
-        inside = (z > 0) & (uv >= 0).all(axis=1) & (uv < (camera.width, camera.height)).all(axis=1)
-    index = np.flatnonzero(inside)
-    columns, rows = uv[index].astype(np.intp).T
-    size, found = z[index] / np.sqrt(camera.fx * camera.fy), depth[rows, columns]
-    near = (found > 0) & (np.abs(found - z[index]) < _ON_MAP * size)
-    return index[near], (rows[near], columns[near]), size[near]
+    index = np.flatnonzero(camera.holds(uv, z))
+    z, pixel = z[index], uv[index, 1].astype(np.intp) * camera.width + uv[index, 0].astype(np.intp)
+    size, found = z / np.sqrt(camera.fx * camera.fy), depth.reshape(-1)[pixel]
+    near = np.flatnonzero((found > 0) & (np.abs(found - z) < _ON_MAP * size))
+    return index[near], pixel[near], size[near]
