@@ -38,7 +38,8 @@ class Edges:
 
     def longer(self, points: np.ndarray, longest: np.ndarray, among: np.ndarray | slice) -> np.ndarray:
         """Numbers of the edges `among` these that are longer than `longest` (V,) at both ends, sorted by their ends."""
-        long = self.lengths(points, among) > longest[self.ends[among]].max(axis=1)
+        a, b = self.ends[among].T
+        long = self.lengths(points, among) > np.maximum(longest[a], longest[b])
         return self.in_order(np.arange(len(self.ends), dtype=np.int32)[among][long])
 
     def lengths(self, points: np.ndarray, among: np.ndarray | slice = slice(None)) -> np.ndarray:
@@ -68,8 +69,8 @@ class Edges:
         chosen = np.flatnonzero(middle >= 0)
         upper = np.zeros(len(middle), np.int32)                    # the half of a split edge at its greater end
         upper[chosen] = len(middle) + np.arange(len(chosen))
-        cut = [middle[column] >= 0 for column in self.sides.T]
-        code = cut[0] + 2 * cut[1].astype(np.uint8) + 4 * cut[2].astype(np.uint8)
+        is_cut = (rank >= 0).view(np.uint8)
+        code = is_cut[self.sides[:, 0]] | is_cut[self.sides[:, 1]] << 1 | is_cut[self.sides[:, 2]] << 2
         whole = code == 0
         faces, sides, ends = [self.faces[whole]], [self.sides[whole]], [_pair(self.ends[chosen, 1], middle[chosen])]
         carried, total = [None if values is None else values[whole]], len(middle) + len(chosen)

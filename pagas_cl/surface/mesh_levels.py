@@ -46,7 +46,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
             now.release()
             break
         lengths = mesh.edges.lengths(mesh.points)
-        long = np.flatnonzero(lengths > detail * mesh.unit[mesh.edges.ends].max(axis=1))
+        long = np.flatnonzero(lengths > detail * np.maximum(*mesh.unit[mesh.edges.ends.T]))
         off = off_middles(now, mesh.points, mesh.edges.ends[long], views, orientation, least_views)
         now.release()
         wanted, count = off > _OFF * flat, len(mesh.edges.faces)
@@ -92,7 +92,7 @@ class _Splitting:
                            most: int) -> int:
         """Split those of the edges `long` that are `wanted`, and with them the longest of each of their faces: no
         slivers. So many of those that lie `off` farthest as make at most `most` faces; how many."""
-        sides, count = self.edges.sides.T, len(self.edges.ends)
+        sides, count = np.ascontiguousarray(self.edges.sides.T), len(self.edges.ends)
         first = self.edges.in_order(long[wanted])
         by_edge = np.zeros(count, np.float32)
         by_edge[long] = off
@@ -103,15 +103,23 @@ class _Splitting:
         size[long] = lengths[long]
         longest = np.where(size[sides[1]] > size[sides[0]], sides[1], sides[0])
         longest = np.where(size[sides[2]] > size[longest], sides[2], longest)
+        faces_of, face = np.zeros((2, count), np.int32), np.arange(sides.shape[1], dtype=np.int32)
+        for side in sides:
+            faces_of[0, side] = face
+        for side in sides[::-1]:
+            faces_of[1, side[::-1]] = face[::-1]
         while True:
-            least = np.minimum(np.minimum(rank[sides[0]], rank[sides[1]]), rank[sides[2]])
+            ranks = [rank[side] for side in sides]
+            least = np.minimum(np.minimum(ranks[0], ranks[1]), ranks[2])
             more = np.flatnonzero(least < rank[longest])
             if not len(more):
                 break
-            np.minimum.at(rank, longest[more], least[more])
-        order, room = np.sort(rank[self.edges.sides].reshape(-1)), max(0, most - len(self.edges.faces))
-        done = len(first)
-        while (added := int(np.searchsorted(order, done))) > room:
+            while len(more):                                       # on edges of three faces, once more in all of them
+                np.minimum.at(rank, longest[more], rank[sides[:, more]].min(axis=0))
+                more = faces_of[:, longest[more]].reshape(-1)
+                more = more[rank[sides[:, more]].min(axis=0) < rank[longest[more]]]
+        done, room = len(first), max(0, most - len(self.edges.faces))
+        while (added := sum(np.count_nonzero(part < done) for part in ranks)) > room:
             done = int(0.95 * done * room / added)
         self._split(self.edges.in_order(np.flatnonzero(rank < done)))
         return done
@@ -132,7 +140,7 @@ class _Splitting:
             self.place = np.append(self.place, place[chosen])
             self.rounds.append(pairs)
         self.points = with_middles(self.points, pairs)
-        self.unit = np.append(self.unit, self.unit[pairs].min(axis=1))
+        self.unit = np.append(self.unit, np.minimum(*self.unit[pairs.T]))
         return self.edges.split_at(chosen)
 
 

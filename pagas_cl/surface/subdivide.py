@@ -86,7 +86,7 @@ def subdivide(vertices: np.ndarray, faces: np.ndarray, longest: np.ndarray, *,
         rounds.append(edges.ends[chosen])
         fresh = edges.split_at(chosen)
         vertices = with_middles(vertices, rounds[-1])
-        longest = np.concatenate([longest, longest[rounds[-1]].min(axis=1)])
+        longest = np.append(longest, np.minimum(*longest[rounds[-1].T]))
     raise InputError("subdividing did not end: the mesh has edges of very different lengths; remesh it first")
 
 
