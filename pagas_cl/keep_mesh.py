@@ -23,7 +23,7 @@ from pagas_cl.surface.agree import comparison_device
 from pagas_cl.surface.fuse import available_mb
 from pagas_cl.surface.mesh_evidence import Observed
 from pagas_cl.surface.mesh_levels import TRIANGLE_BYTES, fit_mesh
-from pagas_cl.surface.mesh_solve import differing, solve_mesh
+from pagas_cl.surface.mesh_solve import solve_mesh, unlike
 from pagas_cl.surface.on_vertices import footprints, vertex_confidence
 from pagas_cl.surface.subdivide import subdivide as split_edges
 from pagas_cl.surface.subdivide import undivided
@@ -105,7 +105,7 @@ def _finest(surface: Surface, views, depths, results) -> np.ndarray:
 
 def _with_solved(mesh, before: np.ndarray, solved, division, results):
     """`mesh`, split as `division` says, with its vertices where they were solved to be; told how many moved."""
-    moved = differing(solved.vertices, before)
+    moved = unlike(solved.vertices, before)
     log.info("mesh: %d of %d vertices moved; %d were held back, since a triangle would have turned over", moved.sum(),
              len(moved), solved.held)
     if not moved.any():

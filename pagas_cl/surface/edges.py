@@ -14,17 +14,34 @@ _KNOWN = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 4), (2, 5), (1, 3), (2, 4), (0, 5)
 
 
 class Edges:
-    """Faces (F, 3) of a mesh of `count` vertices; the ends (E, 2) of its edges, the lesser first; the number of each
-    face's edges 01, 12, 20, `sides` (F, 3); all int32. At first edges are in the order of their ends."""
+    """Faces of a mesh of `count` vertices, corners in rows 0 to 2 of `table` (6, F), the numbers of their edges 01, 12,
+    20 in rows 3 to 5; the ends (E, 2) of the edges, the lesser first; all int32. At first edges are in the order of
+    their ends."""
 
     def __init__(self, faces: np.ndarray, count: int):
-        key = keys(faces, faces[:, [1, 2, 0]], count).reshape(-1)
+        corners = np.ascontiguousarray(faces.T, np.int32)
+        key = keys(corners, corners[[1, 2, 0]], count).reshape(-1)
         order = np.argsort(key)
         key = key[order]
         fresh = np.append(True, key[1:] != key[:-1])
-        self.count, self.faces, self.sides = count, faces, np.empty(faces.shape, np.int32)
-        self.sides.reshape(-1)[order] = np.cumsum(fresh) - 1
+        sides = np.empty(len(key), np.int32)
+        sides[order] = np.cumsum(fresh, dtype=np.int32) - 1
+        self.count, self.table = count, np.concatenate([corners, sides.reshape(3, -1)])
         self.ends = np.stack(np.divmod(key[fresh], count), axis=1).astype(np.int32)
+
+    @property
+    def sides(self) -> np.ndarray:
+        """(3, F)"""
+        return self.table[3:]
+
+    @property
+    def faces(self) -> np.ndarray:
+        """(F, 3), a copy."""
+        return np.ascontiguousarray(self.table[:3].T)
+
+    def __len__(self) -> int:
+        """How many faces there are."""
+        return self.table.shape[1]
 
     def in_order(self, numbers: np.ndarray) -> np.ndarray:
         """Numbers of edges, sorted by their ends."""
@@ -66,23 +83,29 @@ class Edges:
         three or four and come last. With them go `values` on faces (F,) or their corners (F, 3, C), which are given
         back."""
         middle = np.where(rank < 0, -1, rank + self.count).astype(np.int32)
-        chosen = np.flatnonzero(middle >= 0)
+        chosen, is_cut = np.flatnonzero(rank >= 0), (rank >= 0).view(np.uint8)
         upper = np.zeros(len(middle), np.int32)                    # the half of a split edge at its greater end
-        upper[chosen] = len(middle) + np.arange(len(chosen))
-        is_cut = (rank >= 0).view(np.uint8)
-        code = is_cut[self.sides[:, 0]] | is_cut[self.sides[:, 1]] << 1 | is_cut[self.sides[:, 2]] << 2
+        upper[chosen] = np.arange(len(middle), len(middle) + len(chosen))
+        code = is_cut[self.sides[0]]
+        code |= is_cut[self.sides[1]] << 1
+        code |= is_cut[self.sides[2]] << 2
         whole = code == 0
-        faces, sides, ends = [self.faces[whole]], [self.sides[whole]], [_pair(self.ends[chosen, 1], middle[chosen])]
-        carried, total = [None if values is None else values[whole]], len(middle) + len(chosen)
+        ends, total = [_pair(self.ends[chosen, 1], middle[chosen])], len(middle) + len(chosen)
+        carried, at = [None if values is None else values[whole]], int(np.count_nonzero(whole))
+        table = np.empty((6, int(np.bincount(code, minlength=8) @ [1 + k.bit_count() for k in range(8)])), np.int32)
+        for row, old in zip(table, self.table):
+            np.compress(whole, old, out=row[:at])
         for value, turns in _TURNS.items():
             rows = np.flatnonzero(code == value)
             if not len(rows):
                 continue
             order = [(side + turns) % 3 for side in range(3)]
-            corner, side = (list(table[rows].T[order]) for table in (self.faces, self.sides))
-            low = [self.ends[side[k], 0] == corner[k] for k in range(3)]
-            first, second = ([np.where(low[k] == at_low, side[k], upper[side[k]]) for k in range(3)]
-                             for at_low in (True, False))
+            corner, side = ([self.table[first + k][rows] for k in order] for first in (0, 3))
+            first, second = [], []
+            for k in range(3):
+                low, other = self.ends[side[k], 0] == corner[k], upper[side[k]]
+                first.append(np.where(low, side[k], other))
+                second.append(np.where(low, other, side[k]))
             places, known = corner + [middle[part] for part in side], dict(zip(_KNOWN, side + first + second))
             spots = None if values is None else values[rows]
             if spots is not None and spots.ndim > 1:
@@ -91,15 +114,15 @@ class Edges:
             for pattern in _PATTERNS[value.bit_count()]:
                 around = [tuple(sorted((pattern[k], pattern[k - 2]))) for k in range(3)]
                 for pair in (pair for pair in around if pair not in known):
-                    known[pair] = np.arange(total, total + len(rows))
+                    known[pair] = np.arange(total, total + len(rows), dtype=np.int32)
                     total += len(rows)
                     ends.append(_pair(*(places[k] for k in pair)))
-                faces.append(_columns(places[k] for k in pattern))
-                sides.append(_columns(known[pair] for pair in around))
+                part = slice(at, at := at + len(rows))
+                for k in range(3):
+                    table[k, part], table[3 + k, part] = places[pattern[k]], known[around[k]]
                 carried.append(spots if spots is None or spots.ndim == 1 else spots[:, pattern])
         self.ends[chosen, 1] = middle[chosen]
-        self.ends, self.faces, self.sides = (np.concatenate(parts) for parts in ([self.ends, *ends], faces, sides))
-        self.count += number
+        self.ends, self.table, self.count = np.concatenate([self.ends, *ends]), table, self.count + number
         return None if values is None else np.concatenate(carried)
 
 
@@ -112,8 +135,4 @@ def keys(a: np.ndarray, b: np.ndarray, count: int) -> np.ndarray:
 
 
 def _pair(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return _columns((np.minimum(a, b), np.maximum(a, b)))
-
-
-def _columns(parts) -> np.ndarray:
-    return np.stack([part.astype(np.int32, copy=False) for part in parts], axis=1)
+    return np.stack([np.minimum(a, b), np.maximum(a, b)], axis=1)

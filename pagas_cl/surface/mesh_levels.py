@@ -49,13 +49,13 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
         long = np.flatnonzero(lengths > detail * np.maximum(*mesh.unit[mesh.edges.ends.T]))
         off = off_middles(now, mesh.points, mesh.edges.ends[long], views, orientation, least_views)
         now.release()
-        wanted, count = off > _OFF * flat, len(mesh.edges.faces)
+        wanted, count = off > _OFF * flat, len(mesh.edges)
         number, done = np.count_nonzero(wanted), mesh.split_longest_with(long, wanted, off, lengths, most)
         if done < number:
             log.warning("mesh: %d edges are not split though depth maps show detail there: %d triangles are all that "
                         "the memory is for", number - done, most)
         log.info("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
-                 number, len(long), _OFF * flat, count, len(mesh.edges.faces))
+                 number, len(long), _OFF * flat, count, len(mesh.edges))
     division = Subdivision(len(surface.vertices), surface.faces, mesh.own.faces, mesh.rounds)
     return division, solved.at(mesh.place), mesh.place
 
@@ -77,9 +77,10 @@ class _Splitting:
 
     def coarsening(self, edges: float, most: int) -> float:
         """By how much longer edges than `edges` footprints must be to leave half of `most` triangles to the detail."""
-        corners = self.points[self.edges.faces]
+        faces = self.edges.faces
+        corners = self.points[faces]
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-        needed = (area / (_FACE * (edges * self.unit[self.edges.faces].min(axis=1)) ** 2)).sum()
+        needed = (area / (_FACE * (edges * self.unit[faces].min(axis=1)) ** 2)).sum()
         return float(np.sqrt(max(1.0, needed / max(1, most // 2))))
 
     def split_longer(self, longest: float) -> None:
@@ -92,18 +93,18 @@ class _Splitting:
                            most: int) -> int:
         """Split those of the edges `long` that are `wanted`, and with them the longest of each of their faces: no
         slivers. So many of those that lie `off` farthest as make at most `most` faces; how many."""
-        sides, count = np.ascontiguousarray(self.edges.sides.T), len(self.edges.ends)
+        sides, count = self.edges.sides, len(self.edges.ends)
         first = self.edges.in_order(long[wanted])
         by_edge = np.zeros(count, np.float32)
         by_edge[long] = off
         first = first[np.argsort(-by_edge[first], kind="stable")]
-        rank = np.full(count, count, np.int32)                    # of the first edge that is split, and this one with it
+        rank = np.full(count, count, np.int32)       # of the first edge that is split, this one with it
         rank[first] = np.arange(len(first), dtype=np.int32)
         size = np.full(count, -1, np.float32)
         size[long] = lengths[long]
         longest = np.where(size[sides[1]] > size[sides[0]], sides[1], sides[0])
         longest = np.where(size[sides[2]] > size[longest], sides[2], longest)
-        faces_of, face = np.zeros((2, count), np.int32), np.arange(sides.shape[1], dtype=np.int32)
+        faces_of, face = np.zeros((2, count), np.int32), np.arange(len(self.edges), dtype=np.int32)
         for side in sides:
             faces_of[0, side] = face
         for side in sides[::-1]:
@@ -118,7 +119,7 @@ class _Splitting:
                 np.minimum.at(rank, longest[more], rank[sides[:, more]].min(axis=0))
                 more = faces_of[:, longest[more]].reshape(-1)
                 more = more[rank[sides[:, more]].min(axis=0) < rank[longest[more]]]
-        done, room = len(first), max(0, most - len(self.edges.faces))
+        done, room = len(first), max(0, most - len(self.edges))
         while (added := sum(np.count_nonzero(part < done) for part in ranks)) > room:
             done = int(0.95 * done * room / added)
         self._split(self.edges.in_order(np.flatnonzero(rank < done)))
