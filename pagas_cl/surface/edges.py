@@ -14,9 +14,9 @@ _KNOWN = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 4), (2, 5), (1, 3), (2, 4), (0, 5)
 
 
 class Edges:
-    """Faces of a mesh of `count` vertices, corners in rows 0 to 2 of `table` (6, F), the numbers of their edges 01, 12,
-    20 in rows 3 to 5; the ends (E, 2) of the edges, the lesser first; all int32. At first edges are in the order of
-    their ends."""
+    """Faces of a mesh of `count` vertices, corners in rows 0 to 2 of `table` (7, F), the numbers of their edges 01, 12,
+    20 in rows 3 to 5, that of the face it was made of in the last; the ends (E, 2) of the edges, the lesser first; all
+    int32. At first edges are in the order of their ends."""
 
     def __init__(self, faces: np.ndarray, count: int):
         corners = np.ascontiguousarray(faces.T, np.int32)
@@ -26,13 +26,14 @@ class Edges:
         fresh = np.append(True, key[1:] != key[:-1])
         sides = np.empty(len(key), np.int32)
         sides[order] = np.cumsum(fresh, dtype=np.int32) - 1
-        self.count, self.table = count, np.concatenate([corners, sides.reshape(3, -1)])
+        self.count = count
+        self.table = np.vstack([corners, sides.reshape(3, -1), np.arange(len(faces), dtype=np.int32)])
         self.ends = np.stack(np.divmod(key[fresh], count), axis=1).astype(np.int32)
 
     @property
     def sides(self) -> np.ndarray:
         """(3, F)"""
-        return self.table[3:]
+        return self.table[3:6]
 
     @property
     def faces(self) -> np.ndarray:
@@ -80,8 +81,7 @@ class Edges:
 
     def split(self, rank: np.ndarray, number: int, values: np.ndarray | None = None) -> np.ndarray | None:
         """Put `number` new vertices on the edges, by their `rank` (E,), -1 = none: faces that have some become two,
-        three or four and come last. With them go `values` on faces (F,) or their corners (F, 3, C), which are given
-        back."""
+        three or four and come last. With them go `values` on their corners (F, 3, C), which are given back."""
         middle = np.where(rank < 0, -1, rank + self.count).astype(np.int32)
         chosen, is_cut = np.flatnonzero(rank >= 0), (rank >= 0).view(np.uint8)
         upper = np.zeros(len(middle), np.int32)                    # the half of a split edge at its greater end
@@ -92,7 +92,7 @@ class Edges:
         whole = code == 0
         ends, total = [_pair(self.ends[chosen, 1], middle[chosen])], len(middle) + len(chosen)
         carried, at = [None if values is None else values[whole]], int(np.count_nonzero(whole))
-        table = np.empty((6, int(np.bincount(code, minlength=8) @ [1 + k.bit_count() for k in range(8)])), np.int32)
+        table = np.empty((7, int(np.bincount(code, minlength=8) @ [1 + k.bit_count() for k in range(8)])), np.int32)
         for row, old in zip(table, self.table):
             np.compress(whole, old, out=row[:at])
         for value, turns in _TURNS.items():
@@ -108,7 +108,7 @@ class Edges:
                 second.append(np.where(low, other, side[k]))
             places, known = corner + [middle[part] for part in side], dict(zip(_KNOWN, side + first + second))
             spots = None if values is None else values[rows]
-            if spots is not None and spots.ndim > 1:
+            if spots is not None:
                 spots = spots[:, order]
                 spots = np.concatenate([spots, (spots + spots[:, [1, 2, 0]]) / 2], axis=1)
             for pattern in _PATTERNS[value.bit_count()]:
@@ -120,7 +120,8 @@ class Edges:
                 part = slice(at, at := at + len(rows))
                 for k in range(3):
                     table[k, part], table[3 + k, part] = places[pattern[k]], known[around[k]]
-                carried.append(spots if spots is None or spots.ndim == 1 else spots[:, pattern])
+                table[6, part] = self.table[6][rows]
+                carried.append(None if spots is None else spots[:, pattern])
         self.ends[chosen, 1] = middle[chosen]
         self.ends, self.table, self.count = np.concatenate([self.ends, *ends]), table, self.count + number
         return None if values is None else np.concatenate(carried)

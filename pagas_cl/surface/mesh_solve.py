@@ -107,10 +107,19 @@ def around(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     others = np.empty((*faces.shape, 2), np.int32)
     for side in range(3):
         others[:, side, 0], others[:, side, 1] = faces[:, side - 2], faces[:, side - 1]
-    # a sort by corner and place costs a fifth of an argsort
-    order = np.sort((faces.reshape(-1).astype(np.int64) << 32) | np.arange(faces.size)) & 0xFFFFFFFF
-    first = np.concatenate([[0], np.cumsum(np.bincount(faces.reshape(-1), minlength=count))])
-    return first.astype(np.int32), others.view(np.int64).reshape(-1)[order].view(np.int32).reshape(-1, 2)
+    first, order = grouped(faces.reshape(-1), count)
+    return first, others.view(np.int64).reshape(-1)[order].view(np.int32).reshape(-1, 2)
+
+
+def grouped(numbers: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where each of `count` numbers begins in their order, int32 (count + 1,), and that order (N,) int32: what is equal
+    stays as it came. A fifth of the time of an argsort."""
+    key = numbers.astype(np.int64)
+    key <<= 32
+    key |= np.arange(len(numbers))
+    key.sort()
+    first = np.concatenate([[0], np.cumsum(np.bincount(numbers, minlength=count))])
+    return first.astype(np.int32), (key & 0xFFFFFFFF).astype(np.int32)
 
 
 def solve_welded(mesh: OnDevice, views: Sequence[Observed], *, least_views: int, rounds: int,

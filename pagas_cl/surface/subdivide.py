@@ -20,12 +20,13 @@ _MOST_VERTICES = 40_000_000  # 3 GB of positions and faces
 
 @dataclass(frozen=True, eq=False)
 class Subdivision:
-    """How a mesh of `count` vertices was subdivided: its faces (F, 3) before and (F', 3) after, int32, and for each
-    round the pairs (E, 2) of vertices between which new ones were put, in their order."""
+    """How a mesh of `count` vertices was subdivided: its faces (F, 3) before and (F', 3) after, and of which each was
+    made (F',), int32; for each round the pairs (E, 2) of vertices between which new ones were put, in their order."""
 
     count: int
     given: np.ndarray = field(repr=False)
     faces: np.ndarray = field(repr=False)
+    parents: np.ndarray = field(repr=False)
     rounds: list[np.ndarray] = field(repr=False)
 
     def vertices(self, values: np.ndarray) -> np.ndarray:
@@ -36,18 +37,19 @@ class Subdivision:
 
     def corners(self, values: np.ndarray) -> np.ndarray:
         """Values of shape (F, 3, C), one a corner, on the corners of the new faces."""
-        return self._carried(values.astype(np.float64)).astype(values.dtype)
+        edges, carried = Edges(self.given, self.count), values.astype(np.float64)
+        for pairs in self.rounds:
+            carried = edges.split(edges.of_pairs(pairs), len(pairs), carried)
+        return carried.astype(values.dtype)
 
     def on_faces(self, values: np.ndarray) -> np.ndarray:
         """Values of shape (F, ...) on the new faces: the parent's."""
-        return values[self._carried(np.arange(len(self.given)))]
+        return values[self.parents]
 
-    def _carried(self, values: np.ndarray) -> np.ndarray:
-        """The rounds once more, with `values` on faces (F,) or on their corners (F, 3, C)."""
-        edges = Edges(self.given, self.count)
-        for pairs in self.rounds:
-            values = edges.split(edges.of_pairs(pairs), len(pairs), values)
-        return values
+    @classmethod
+    def of(cls, count: int, given: np.ndarray, edges: Edges, rounds: list[np.ndarray]) -> Subdivision:
+        """By what became of the edges."""
+        return cls(count, given, edges.faces, edges.table[6], rounds)
 
 
 def with_middles(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
@@ -79,7 +81,7 @@ def subdivide(vertices: np.ndarray, faces: np.ndarray, longest: np.ndarray, *,
     for _ in range(_ROUNDS):
         chosen = edges.longer(vertices, longest, fresh)
         if not len(chosen):
-            return Subdivision(count, given, edges.faces, rounds)
+            return Subdivision.of(count, given, edges, rounds)
         if len(vertices) + len(chosen) > most:
             raise InputError(f"subdividing to the pixel footprint needs more than {most} vertices; use a coarser "
                              "target (--subdivide with more footprints), or none")
@@ -113,4 +115,4 @@ def undivided(division: Subdivision, vertices: np.ndarray, within: np.ndarray,
         kept = new[pairs[needed[start:start + len(pairs)]]]
         edges.split(edges.of_pairs(kept), len(kept))
         rounds.append(kept)
-    return Subdivision(division.count, division.given, edges.faces, rounds), np.flatnonzero(needed)
+    return Subdivision.of(division.count, division.given, edges, rounds), np.flatnonzero(needed)
