@@ -45,10 +45,12 @@ uint place_of(int3 cell, int level)
 
 __kernel void find_cells(__global const float *positions, __global const float *before,     // [V, 3]
                          __global const int *faces, int count, int mask, __global int *cell,
-                         __global uchar *wrong)                                             // [F] TURNED, FLAT or 0
+                         __global uchar *wrong,                                             // [F] TURNED, FLAT or 0
+                         __global int *levels)                     // bits: grids that hold any triangle
 {
     EACH(i, count)
     const Triangle t = triangle_at(positions, faces, i);
+    atomic_or(levels, 1 << (t.level - FINEST));
     cell[i] = (int)(place_of(convert_int3(floor(ldexp(0.5f * (t.low + t.high), -t.level))), t.level) & (uint)mask);
     const float3 ab = t.b - t.a, ac = t.c - t.a, bc = t.c - t.b, now = cross(ab, ac);
     const float3 start = vload3(t.corner.x, before);
@@ -74,59 +76,15 @@ bool either(const Triangle s, const Triangle t)
     return pierces(s.a, s.b, t.a, t.b, t.c) || pierces(s.b, s.c, t.a, t.b, t.c) || pierces(s.c, s.a, t.a, t.b, t.c);
 }
 
-float largest(float3 axis, const Triangle t, float3 from)
-{
-    return fmax(dot(axis, t.a - from), fmax(dot(axis, t.b - from), dot(axis, t.c - from)));
-}
-
-bool outside(float3 out, float3 n, float3 from, const Triangle t)
-{
-    return -largest(-out, t, from) >= -TOUCH * dot(out, out) / length(n);
-}
-
-// whether t lies beyond one of the sides of s, n the normal of s
-bool beyond(const Triangle s, float3 n, const Triangle t)
-{
-    return outside(cross(s.b - s.a, n), n, s.a, t) || outside(cross(s.c - s.b, n), n, s.b, t)
-           || outside(cross(s.a - s.c, n), n, s.c, t);
-}
-
-// whether both lie in one plane, and one over the other
-bool overlap(const Triangle s, const Triangle t)
-{
-    const float3 n = cross(s.b - s.a, s.c - s.a), m = cross(t.b - t.a, t.c - t.a);
-    const float least = TOUCH * dot(n, n) / length(s.b - s.a);
-    return dot(n, n) > 0.0f && dot(m, m) > 0.0f && largest(n, t, s.a) <= least && largest(-n, t, s.a) <= least
-           && !beyond(s, n, t) && !beyond(t, m, s);
-}
-
-Triangle turned_to(Triangle t, int corner)
-{
-    Triangle out = t;
-    if (t.corner.y == corner) {
-        out.a = t.b; out.b = t.c; out.c = t.a;
-    } else if (t.corner.z == corner) {
-        out.a = t.c; out.b = t.a; out.c = t.b;
-    }
-    return out;
-}
-
-// Triangles that share an edge do not cross; those that share a corner do where the side across it goes through.
+// Triangles that share a side do not cross; sides that end in a corner of the other triangle do not go through it.
 bool cross_each_other(const Triangle s, const Triangle t)
 {
-    const int3 x = s.corner.x == t.corner, y = s.corner.y == t.corner, z = s.corner.z == t.corner;
-    const bool has_x = any(x), has_y = any(y), has_z = any(z);
-    const int shared = (int)has_x + (int)has_y + (int)has_z;
-    if (shared == 0)
-        return either(s, t) || either(t, s) || overlap(s, t);
-    if (shared > 1)
-        return shared == 3;
-    const int corner = has_x ? s.corner.x : has_y ? s.corner.y : s.corner.z;
-    const Triangle first = turned_to(s, corner), second = turned_to(t, corner);
-    return pierces(first.b, first.c, t.a, t.b, t.c) || pierces(second.b, second.c, s.a, s.b, s.c);
+    const int shared = any(s.corner.x == t.corner) + any(s.corner.y == t.corner) + any(s.corner.z == t.corner);
+    return shared > 1 ? shared == 3 : either(s, t) || either(t, s);
 }
 
 __kernel void find_crossing(__global const float *positions, __global const int *faces, int count, int mask,
+                            __global const int *levels,
                             __global const int *first,             // where the triangles of each place begin in
                             __global const int *order,             // [F], by place
                             __global const int *part,              // [V] connected part of the mesh
@@ -136,6 +94,8 @@ __kernel void find_crossing(__global const float *positions, __global const int 
     const Triangle own = triangle_at(positions, faces, i);
     int crosses = 0;
     for (int level = own.level; level <= COARSEST; ++level) {
+        if (!(*levels >> (level - FINEST) & 1))
+            continue;
         const int3 low = convert_int3(floor(ldexp(own.low, -level) - 0.5f));
         const int3 high = convert_int3(floor(ldexp(own.high, -level) + 0.5f));
         for (int z = low.z; z <= high.z; ++z)

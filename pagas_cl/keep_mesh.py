@@ -116,7 +116,7 @@ def _with_solved(mesh, given: Surface, solved, division, results, device, tell):
              len(moved), solved.held)
     log.info("mesh: %s", told)
     if tell:
-        tell(str(told))
+        tell(f"mesh: {told}")
     if not moved.any():
         log.warning("no vertex moved: no two refined views agree on any of them (%d views were refined)",
                     sum(not result.reason for result in results))

@@ -3,7 +3,6 @@ moved, vertices go the way of their neighbours instead (method section 10.5)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,31 +17,15 @@ if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
 
 _ROUNDS = 8                # times that vertices of new faults go the way of their neighbours
+_RINGS = 4                 # around them that are looked at meanwhile
 TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another part of the mesh, its own
 
 
-@dataclass(frozen=True)
-class Faults:
-    """How many triangles of a mesh, given and made, cross others, turned over and have no area: what `str` says."""
-
-    given: tuple[int, int]         # triangles, and those that cross
-    made: tuple[int, int]
-    new: int                       # that cross their own part where none near did, or others where their part did not
-    turned: int
-    flat: tuple[int, int]          # given, made
-    mended: int                    # vertices that went with their neighbours for it
-
-    def __str__(self) -> str:
-        return (f"{self.made[1]} of {self.made[0]} triangles cross others ({self.given[1]} of {self.given[0]} given "
-                f"ones did), {self.new} of them where none did before; {self.turned} are turned over, {self.flat[1]} "
-                f"have no area ({self.flat[0]} before); {self.mended} vertices went with their neighbours for it")
-
-
 def without_new(device: Device, given: Surface, division: Subdivision | None,
-                vertices: np.ndarray) -> tuple[np.ndarray, Faults]:
+                vertices: np.ndarray) -> tuple[np.ndarray, str]:
     """Where the vertices (V', 3) of a mesh, split as `division` says, are to be so that it has no fault that `given`
     had not: those of such triangles go the way of their neighbours. Triangles that touch one with a fault in the given
-    mesh are let alone, and so are parts that stood in others."""
+    mesh are let alone, and so are parts that stood in others. And how many have faults, in words."""
     before, faces, parents = given.vertices, given.faces, slice(None)
     if division is not None:
         before, faces, parents = division.vertices(before), division.faces, division.parents
@@ -64,7 +47,7 @@ def without_new(device: Device, given: Surface, division: Subdivision | None,
 
     best, (found, new) = end, found_at(end)
     if new.any():
-        some = np.flatnonzero(_marked(faces, faces[new], 2 * _ROUNDS)[faces[:, 0]])
+        some = np.flatnonzero(_marked(faces, faces[new], _RINGS)[faces[:, 0]])
         now, wrong, least = end, new[some], len(some)
         for turn in range(_ROUNDS):
             now = _with_neighbours(start, now, faces[some], _marked(faces[some], faces[some][wrong], turn // 3))
@@ -74,8 +57,10 @@ def without_new(device: Device, given: Surface, division: Subdivision | None,
         again = found_at(best)
         best, (found, new) = (best, again) if again[1].sum() < new.sum() else (end, (found, new))
     mended, both = unlike(best, end), CROSSING | FOLDED
-    told = Faults((len(given.faces), _count(old, both)), (len(faces), _count(found, both)), _count(found[new], both),
-                  _count(found, TURNED), (_count(old, FLAT), _count(found, FLAT)), int(np.count_nonzero(mended)))
+    told = (f"{_count(found, both)} of {len(faces)} triangles cross others ({_count(old, both)} of {len(old)} given "
+            f"ones did), {_count(found[new], both)} of them where none did before; {_count(found, TURNED)} are turned over, "
+            f"{_count(found, FLAT)} have no area ({_count(old, FLAT)} before); {mended.sum()} vertices went with their "
+            "neighbours for it")
     return np.where(mended[place][:, None], best[place], vertices), told
 
 
@@ -120,7 +105,8 @@ def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndar
                  "before": upload(device, ((before - middle) / unit).astype(np.float32)),
                  "faces": upload(device, np.ascontiguousarray(faces, np.int32)),
                  "cell": device.memory.buffer(device.context, 4 * count, "cell"),
-                 "wrong": device.memory.buffer(device.context, count, "wrong")}
+                 "wrong": device.memory.buffer(device.context, count, "wrong"),
+                 "levels": upload(device, np.zeros(1, np.int32))}
         run_once(device.queue, [bind(program, "find_cells", (count,), None, known, count=count, mask=mask)])
         first, order = grouped(download(device, known["cell"], count, np.int32), mask + 1)
         known |= {"first": upload(device, first), "order": upload(device, order),

@@ -22,14 +22,10 @@ def faults(before, after, faces) -> np.ndarray:
 
 
 def cross_each_other(points, one, other) -> bool:
-    shared = set(one) & set(other)
+    shared, s, t = set(one) & set(other), points[one], points[other]
     if len(shared) > 1:
         return len(shared) == 3
-    s, t = points[one], points[other]
-    if shared:
-        away = [points[[k for k in face if k not in shared]] for face in (one, other)]
-        return pierces(*away[0], t) or pierces(*away[1], s)
-    return any(pierces(x[k], x[k - 1], y) for x, y in ((s, t), (t, s)) for k in range(3)) or overlap(s, t)
+    return any(pierces(x[k], x[k - 1], y) for x, y in ((s, t), (t, s)) for k in range(3))
 
 
 def pierces(p, q, triangle) -> bool:
@@ -41,12 +37,3 @@ def pierces(p, q, triangle) -> bool:
         return False
     u, v, w = (along @ np.cross(x - p, y - p) for x, y in ((c, b), (a, c), (b, a)))
     return bool((u >= 0 and v >= 0 and w >= 0) or (u <= 0 and v <= 0 and w <= 0))
-
-
-def overlap(s, t) -> bool:
-    n, m = (np.cross(x[1] - x[0], x[2] - x[0]) for x in (s, t))
-    if not (n.any() and m.any()) or np.abs((t - s[0]) @ n).max() > TOUCH * (n @ n) / np.linalg.norm(s[1] - s[0]):
-        return False
-    return not any(((other - own[k]) @ out).min() >= -TOUCH * (out @ out) / np.linalg.norm(normal)
-                   for own, other, normal in ((s, t, n), (t, s, m)) for k in range(3)
-                   for out in [np.cross(own[(k + 1) % 3] - own[k], normal)])
