@@ -58,9 +58,9 @@ def without_new(device: Device, given: Surface, division: Subdivision | None,
         best, (found, new) = (best, again) if again[1].sum() < new.sum() else (end, (found, new))
     mended, both = unlike(best, end), CROSSING | FOLDED
     told = (f"{_count(found, both)} of {len(faces)} triangles cross others ({_count(old, both)} of {len(old)} given "
-            f"ones did), {_count(found[new], both)} of them where none did before; {_count(found, TURNED)} are turned over, "
-            f"{_count(found, FLAT)} have no area ({_count(old, FLAT)} before); {mended.sum()} vertices went with their "
-            "neighbours for it")
+            f"ones did), {_count(found[new], both)} of them where none did before; {_count(found, TURNED)} are turned "
+            f"over, {_count(found, FLAT)} have no area ({_count(old, FLAT)} before); {mended.sum()} vertices went with "
+            "their neighbours for it")
     return np.where(mended[place][:, None], best[place], vertices), told
 
 
