@@ -70,11 +70,13 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     decision = decide_agreement(spread, config)
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
     report = {**own.report, "effects": [*effects, decision.as_dict()]}
-    averaged = comparison.average(spread, config.agreement.pixels, propose=steps is not None) if decision.on else None
+    spreads = [*own.report.get("differences", ()), spread]
+    averaged = comparison.average(spread, config.agreement.pixels, steps is not None,
+                                  spreads[0]) if decision.on else None
     if photos.on_host:          # where they would take the memory of all else
         photos.forget(map(owner, (own, *others)))
     if averaged is not None:
-        report["differences"] = [*own.report.get("differences", ()), spread]
+        report["differences"] = spreads
         if steps is not None:
             told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
             few = _few(steps, len(partners.contexts), report)
