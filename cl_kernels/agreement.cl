@@ -153,7 +153,9 @@ __kernel void average(int width, int height, float scale, float spread, float wi
     const bool own = status[i] == REFINED && s < INFINITY;
     const float w = own ? 1.0f / VARIANCE(s, u, LENIENCE * spread) : 0.0f, weight = others + w;
     const float told = (sums[3 * count + i] + w * VARIANCE(s, u, 0.0f)) / weight;
-    const float one = told + wider * scatter_around(sums, width, height, column, row);
+    const float apart = wider * scatter_around(sums, width, height, column, row);
+    const float most = wider > 0.0f ? fmax(apart, 2.0f * wider * SQUARE(spread * u)) : INFINITY;
+    const float one = fmin(told, most) + apart;
     const float alone = fmin(1.0f, TWICE * (sums[2 * count + i] + w * w) / (weight * weight));
     averaged[i] = depth[i] + total / weight / scale;
     surer[i] = sqrt(one * (IN_COMMON + (1.0f - IN_COMMON) * alone)) / scale;

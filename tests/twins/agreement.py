@@ -51,9 +51,10 @@ def average(depth, deviation, u, status, differences, spread, pixels, first_spre
     wider = (1 if first_spread is None else first_spread / spread) ** 2 / 2 / (1 - 1 / views) if views > 1 else 0
     own = (status == REFINED) & np.isfinite(deviation) & others
     with np.errstate(invalid="ignore", divide="ignore"):
-        scatter = summed_around(apart) / summed_around(weight)
+        apart = wider * summed_around(apart) / summed_around(weight)
         w = np.where(own, 1 / variance(deviation, u, LENIENCE * spread), 0)
-        one = (told + w * np.where(own, variance(deviation, u, 0), 0)) / (weight + w) + wider * scatter
+        told = (told + w * np.where(own, variance(deviation, u, 0), 0)) / (weight + w)
+        one = np.minimum(told, np.maximum(apart, 2 * wider * (spread * u) ** 2) if wider else np.inf) + apart
         alone = np.minimum(1, 2 * (squares + w**2) / (weight + w) ** 2)
         return (np.where(others, depth + total / (weight + w), depth),
                 np.where(others, np.sqrt(one * (IN_COMMON + (1 - IN_COMMON) * alone)), deviation),
