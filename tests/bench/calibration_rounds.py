@@ -3,7 +3,7 @@
     PYTHONPATH=tests python tests/bench/calibration_rounds.py [--kinds clean gain ...] [--width 160]
         [--pairs DATA/middlebury_stereo] [--scene DIR --mesh FILE --share 0.15] [--device NAME]
 
-Made scenes with mismatch (agreement.py) and Middlebury's pairs, both photos refined (middlebury.py), against their truth.
+Made scenes with mismatch (agreement.py) and Middlebury's pairs, both photos refined (middlebury.py), against truth.
 A real scene without truth is cut into two halves that have no photo in common; each is refined by itself, and each view
 compared with the three nearest of the other half: their difference over the root of the sum of both variances, at
 differences below 4 pixels of parallax. Of calibrated deviations 68% lie below 1 and 95% below 2.
@@ -86,7 +86,8 @@ def main():
     parser.add_argument("--device")
     given = parser.parse_args()
     device, config = open_device(given.device), BALANCED.with_settings(effects__cameras="off")
-    print("| scene | | within 1, 2 deviations | error, deviation (medians, px) | rank correlation |\n" + "|---" * 5 + "|")
+    print("| scene | | within 1, 2 deviations | error, deviation (medians, px) | rank correlation |", "|---" * 5 + "|",
+          sep="\n")
     stages = "by themselves", "after the rounds"
     for kind in given.kinds:
         made, views = scene_of(kind, given.width)
