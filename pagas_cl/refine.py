@@ -19,6 +19,7 @@ from pagas_cl.keep_mesh import DETAIL, FLAT, check_flat, check_subdivide, detail
 from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
+from pagas_cl.resemblance import views_to_ask
 from pagas_cl.result import DepthResult, OnDisk, joined
 from pagas_cl.rounds import later_rounds
 from pagas_cl.runtime.device import Device, open_device
@@ -249,8 +250,11 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
     if not partners.contexts:
         log.warning("view %s is kept as it came: %s", target.name, partners.reason)
         return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
-    return refine_depth(target, [views[k] for k in partners.contexts], depth, config=config, device=device,
-                        progress=progress, photos=photos, held_out=[views[k] for k in partners.held_out])
+    partners, decision = views_to_ask(views, partners, depth, config, device, photos)
+    result = refine_depth(target, [views[k] for k in partners.contexts], depth, config=config, device=device,
+                          progress=progress, photos=photos, held_out=[views[k] for k in partners.held_out])
+    result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
+    return result
 
 
 def initial_depths(surface: Surface, views: Sequence[View], progress: Progress | None = None,

@@ -79,7 +79,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
         report["differences"] = spreads
         if steps is not None:
             told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
-            few = _few(steps, len(partners.contexts), report)
+            few = _few(steps, len(report["contexts"]), report)
             stepped = _steps(views, partners, own, averaged["depth"], few, device, photos, told)
             # what no view has spoken for, or the photos speak against, is as it was
             refined = (comparison.read(averaged, "status")["status"] == REFINED) & (stepped.status == REFINED)
@@ -118,7 +118,8 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, resul
     from pagas_cl.splat.budget import fit_memory
 
     target, contexts, held_out = views[partners.target], *(
-        [views[k] for k in chosen] for chosen in (partners.contexts, partners.held_out))
+        [views[k] for k in chosen if views[k].name in result.report[role]]       # those that resemble it
+        for chosen, role in ((partners.contexts, "contexts"), (partners.held_out, "held_out")))
 
     def attempt(photos: PhotoStore) -> Any:
         normalized = NormalizedDepth(target, result.depth, device)
