@@ -20,7 +20,7 @@ from pagas_cl.splat.constants import MEAN, NUMBER
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
 
-_COARSE = 96         # pixels of the longer side: at this size the depth is right, and what differs is the photos
+_COARSE = 64         # pixels of the longer side: at this size the depth is right, and what differs is the photos
 _TILES = 6           # along each side of the target
 _LEAST = 50          # samples that tell anything of a view
 _NOISE = 0.02        # share of a patch that no photo explains
