@@ -100,8 +100,8 @@ def explained(costs: np.ndarray) -> np.ndarray:
 
 
 def parallax(depth, target, context, scene_scale) -> np.ndarray:
-    """Squared pixels that the points of a depth map (H, W), device units, move by in the context photo where depth grows
-    by its own size, from central differences."""
+    """Squared pixels that the points of a depth map (H, W), device units, move by in the context photo where depth
+    grows by its own size, from central differences."""
     rotation, tau = context.camera.relative_to(target.camera)
     at = []
     for grown in (1 + 1e-5, 1 - 1e-5):
