@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ from pagas_cl.progress import Progress, ViewProgress
 from pagas_cl.resemblance import views_to_ask
 from pagas_cl.result import DepthResult, OnDisk, joined
 from pagas_cl.rounds import later_rounds
-from pagas_cl.runtime.device import Device, open_device
+from pagas_cl.runtime.device import Device, Devices, open_device
 from pagas_cl.scene.check import check_seen
 from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.images import Loads
@@ -36,9 +36,6 @@ from pagas_cl.surface import blocks
 from pagas_cl.surface.agree import comparison_device, confirmed
 from pagas_cl.surface.fuse import weights_of
 from pagas_cl.surface.raster import each_depth
-
-# One device, by its name or open, or several, by a list of names or "all".
-Devices: TypeAlias = str | Device | list[str] | tuple[str, ...]
 
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
@@ -299,7 +296,6 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     agreed = confirmed(cameras, depths, config.fusion, device=device)
     files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
     elsewhere = executor if files and hasattr(executor, "map") else None      # not where it is an address
-    weights = weights_of(results, config.fusion.least_weight)
-    fused = blocks.fuse_within(used, agreed, config.fusion, memory_mb, weights=weights, progress=progress,
-                               executor=elsewhere, folder=folder)
+    fused = blocks.fuse_within(used, agreed, config.fusion, memory_mb, progress=progress, executor=elsewhere,
+                               folder=folder, weights=weights_of(results, config.fusion.least_weight))
     return polished(fused, results, config, device) if config.fusion.polish and device is not None else fused
