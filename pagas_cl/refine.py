@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,9 +19,10 @@ from pagas_cl.keep_mesh import DETAIL, FLAT, check_flat, check_subdivide, detail
 from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
+from pagas_cl.resemblance import views_to_ask
 from pagas_cl.result import DepthResult, OnDisk, joined
 from pagas_cl.rounds import later_rounds
-from pagas_cl.runtime.device import Device, open_device
+from pagas_cl.runtime.device import Device, Devices, open_device
 from pagas_cl.scene.check import check_seen
 from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth, depth_array, depth_maps
@@ -34,9 +35,6 @@ from pagas_cl.surface import blocks
 from pagas_cl.surface.agree import comparison_device, confirmed
 from pagas_cl.surface.fuse import weights_of
 from pagas_cl.surface.raster import each_depth
-
-# One device, by its name or open, or several, by a list of names or "all".
-Devices: TypeAlias = str | Device | list[str] | tuple[str, ...]
 
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
@@ -248,8 +246,11 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
     if not partners.contexts:
         log.warning("view %s is kept as it came: %s", target.name, partners.reason)
         return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
-    return refine_depth(target, [views[k] for k in partners.contexts], depth, config=config, device=device,
-                        progress=progress, photos=photos, held_out=[views[k] for k in partners.held_out])
+    partners, decision = views_to_ask(views, partners, depth, config, device, photos)
+    result = refine_depth(target, [views[k] for k in partners.contexts], depth, config=config, device=device,
+                          progress=progress, photos=photos, held_out=[views[k] for k in partners.held_out])
+    result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
+    return result
 
 
 def initial_depths(surface: Surface, views: Sequence[View], progress: Progress | None = None,
@@ -294,7 +295,6 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     agreed = confirmed(cameras, depths, config.fusion, device=device)
     files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
     elsewhere = executor if files and hasattr(executor, "map") else None      # not where it is an address
-    weights = weights_of(results, config.fusion.least_weight)
-    fused = blocks.fuse_within(used, agreed, config.fusion, memory_mb, weights=weights, progress=progress,
-                               executor=elsewhere, folder=folder)
+    fused = blocks.fuse_within(used, agreed, config.fusion, memory_mb, progress=progress, executor=elsewhere,
+                               folder=folder, weights=weights_of(results, config.fusion.least_weight))
     return polished(fused, results, config, device) if config.fusion.polish and device is not None else fused
