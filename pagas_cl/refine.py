@@ -95,7 +95,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     config = settings_of(preset, config)
     views = as_views(cams, images, masks)
     surface = to_surface(mesh)
-    views, config, _ = settle_cameras(views, surface, config, device, progress)
+    views, config, _ = settle_cameras(views, surface, config, device, progress, executor, folder)
     depths = initial_depths(surface, views, progress, device=device)
     results = refine_views(views, depths, config=config, device=device, progress=progress, executor=executor,
                            folder=folder)
@@ -201,7 +201,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     """
     config, depths = settings_of(preset, config), depth_maps(views, depths)
     asked = asked_views(views, depths, names)
-    views, config, cameras = settle_cameras(views, depths, config, device, progress)
+    views, config, cameras = settle_cameras(views, depths, config, device, progress, executor, folder)
     depths = depths if cameras is None else cameras.scaled(depths)
     if executor is not None or folder is not None or device == "all" or isinstance(device, (list, tuple)):
         from pagas_cl.jobs import refine_all

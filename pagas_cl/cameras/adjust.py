@@ -60,36 +60,30 @@ class Adjuster:
         self.normalizer = Normalizer(device)
         self.program = build(device, "adjust.cl", (*DEFINES, *(["INTRINSICS"] if intrinsics else [])))
 
-    def block(self, target: Frame, others: Sequence[Frame], prior: float, tolerance: float,
-              limit: float = 0.0) -> Block:
-        """The Block of a target. With `limit` its depths then make their own step, at most `limit` (of a depth of 1).
+    def block(self, target: Frame, others: Sequence[Frame], prior: float, tolerance: float, limit: float = 0.0,
+              sums: bool = True) -> Block | None:
+        """The Block of a target (None without `sums`). With `limit` its depths then make their own step, at most
+        `limit` (of a depth of 1).
 
         `prior`: as eliminate has it; infinite leaves depths as they are. `tolerance`: share of the depth by which an
         other view's own depth may differ where it sees the same point.
         """
         size, views = target.size, len(others)
         rows, steps = self._linearized(target, others, prior, tolerance)
-        chunks, entries = -(-size.pixels // CHUNK), views * (views + 1) // 2 * self.columns
-        partial, sums = (self._buffer(4 * self._row * entries * n, "partial") for n in (chunks, 2))
-        run_once(self.device.queue, [
-            bind(self.program, "sum_pairs", (entries, chunks), rows=rows, steps=steps, views=views, count=size.pixels,
-                 chunks=chunks, partial=partial),
-            bind(self.program, "sum_chunks", (entries * self._row,), partial=partial, entries=entries * self._row,
-                 chunks=chunks, sums=sums)])
+        chunks, entries = -(-size.pixels // CHUNK), views * (views + 1) // 2 * self.columns if sums else 0
+        partial, total = (self._buffer(max(4, 4 * self._row * entries * n), "partial") for n in (chunks, 2))
+        if sums:
+            run_once(self.device.queue, [
+                bind(self.program, "sum_pairs", (entries, chunks), rows=rows, steps=steps, views=views,
+                     count=size.pixels, chunks=chunks, partial=partial),
+                bind(self.program, "sum_chunks", (entries * self._row,), partial=partial, entries=entries * self._row,
+                     chunks=chunks, sums=total)])
         if limit > 0:
             self._move(target, steps, limit)
-        found = download(self.device, sums, (entries, self._row, 2)).astype(np.float64).sum(axis=-1)
-        for buffer in (rows, steps, partial, sums):
+        found = download(self.device, total, (entries, self._row, 2)).astype(np.float64).sum(axis=-1) if sums else None
+        for buffer in (rows, steps, partial, total):
             buffer.release()
-        return self._block(found, views)
-
-    def settle_depth(self, target: Frame, others: Sequence[Frame], prior: float, tolerance: float,
-                     limit: float) -> None:
-        """The step of the depths alone."""
-        rows, steps = self._linearized(target, others, prior, tolerance)
-        self._move(target, steps, limit)
-        rows.release()
-        steps.release()
+        return None if found is None else self._block(found, views)
 
     def costs(self, target: Frame, others: Sequence[Frame], tolerance: float) -> np.ndarray:
         """Robust cost of the residuals and number of pixels seen, summed over the target, float64 (K, 2)."""
@@ -105,6 +99,16 @@ class Adjuster:
             costs.release()
         cameras.release()
         return np.array(out).reshape(-1, 2)
+
+    def copied(self, frame: Frame) -> cl.Buffer:
+        """Its depths once more."""
+        out = self._buffer(4 * frame.size.pixels, "initial")
+        cl.enqueue_copy(self.device.queue, out, frame.depth)
+        return out
+
+    def read(self, frame: Frame, buffer: cl.Buffer) -> np.ndarray:
+        """A buffer of a frame, or like those that it has, (H, W)."""
+        return download(self.device, buffer, (frame.size.height, frame.size.width))
 
     def carry(self, coarse: Frame, coarse_initial: cl.Buffer, fine: Frame) -> None:
         """Multiply the depths of `fine` by what those of `coarse` were changed by."""

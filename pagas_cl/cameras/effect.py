@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,27 +27,34 @@ WORDS = "pixels that photos are off by across the direction of depth"
 
 
 def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, config: Config,
-                   device: Any = None,
-                   progress: Progress | None = None) -> tuple[list[View], Config, CameraRefinement | None]:
+                   device: Any = None, progress: Progress | None = None, executor: Executor | str | None = None,
+                   folder: str | Path | None = None) -> tuple[list[View], Config, CameraRefinement | None]:
     """Settle effects.cameras: the views with the cameras that follow, settings in which it is "set", and the refinement
-    (None where none was called for). `depths_or_mesh` as in refine_cameras, `device` as in refine_views."""
+    (None where none was called for). Arguments as in refine_cameras."""
+    from pagas_cl.runtime.device import one_of, open_device
+
     settled = replace(config, effects=replace(config.effects, cameras="set"))
     choice = config.effects.cameras
     if not _may(choice, len(views)):
         return list(views), settled, None
-    device, off = _device(device, choice), None
-    if device is None:
+    try:
+        here, off = open_device(one_of(device)), None
+    except DeviceError as error:
+        if choice == "on":
+            raise
+        log.warning("cameras stay as given, nothing is measured here: %s", error)
         return list(views), settled, None
     if choice == "auto":
         start = time.perf_counter()
-        decision, off = decide_cameras(views, depths_or_mesh, config, device)
+        decision, off = decide_cameras(views, depths_or_mesh, config, here)
         if progress:
             progress("measure the cameras", 1, 1)
         log.info("%s", decision)
         if not decision.on:
             return list(views), settled, None
         tell(progress, "expect", "refine the cameras", _TIMES * (time.perf_counter() - start), "cameras")
-    found = refine_cameras(views, depths_or_mesh, config=config, device=device, progress=progress, measured=off)
+    found = refine_cameras(views, depths_or_mesh, config=config, device=device, progress=progress, measured=off,
+                           executor=executor, folder=folder)
     log.info("%s", found)
     return with_cameras(views, found), settled, found
 
@@ -95,17 +104,3 @@ def _depth_maps(views: Sequence[View], given, device) -> list[np.ndarray | None]
 
     return list(each_depth(to_surface(given), [view.camera for view in views], device))
 
-
-def _device(given: Any, choice: str):
-    """The one device to work on, the first of several; None where there is none and nobody insists."""
-    from pagas_cl.runtime.device import open_device
-
-    if isinstance(given, (list, tuple)):
-        given = given[0] if given else None
-    try:
-        return open_device(None if given == "all" else given)
-    except DeviceError as error:
-        if choice == "on":
-            raise
-        log.warning("cameras stay as given, nothing is measured here: %s", error)
-        return None

@@ -121,7 +121,7 @@ def command(
         expected.rounds(page is not None)
         if output is not None and not keep_mesh:
             expected.fused(page is not None)
-        found, config = _settled_cameras(found, mesh, config, place["device"], progress, page)
+        found, config = _settled_cameras(found, mesh, config, place, folder, progress, page)
         if mesh is not None:
             depths = initial_depths(found, mesh, None, None, progress, None if keep_mesh else folder, names,
                                     place["device"])
@@ -159,13 +159,14 @@ def command(
             remove_run(folder)
 
 
-def _settled_cameras(found, mesh, config, device, progress, page):
+def _settled_cameras(found, mesh, config, place, folder, progress, page):
     """The scene with refined cameras, where its mesh calls for them; those of depth maps come with refine_views."""
     from pagas_cl.cameras.effect import settle_cameras
 
     if mesh is None or config.effects.cameras in ("off", "set"):
         return found, config
-    views, config, told = settle_cameras(found.views, to_surface(mesh), config, device, progress)
+    views, config, told = settle_cameras(found.views, to_surface(mesh), config, progress=progress, folder=folder,
+                                         **place)
     if told is not None and page is not None:
         page.note(str(told))
     return replace(found, views=views), config
