@@ -96,6 +96,8 @@ class Rounds:
             before, initial = now, first
             if self.progress:
                 self.progress("refine the cameras", stages.index(stage), len(stages))
+            for _ in range(SETTLE if stage.free else 0):
+                self._blocks(now, NEAR_ENOUGH if stage.share >= 0.5 else LOOSE, sums=False)
             for _ in range(stage.rounds):
                 before, step = self._round(before, state, stage)
                 if step < STILL:
