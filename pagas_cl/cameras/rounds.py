@@ -11,6 +11,7 @@ from pagas_cl.cameras.adjust import PRIOR, Block, Frame
 from pagas_cl.cameras.blocks import Wanted, blocks
 from pagas_cl.cameras.frames import Frames, release, through
 from pagas_cl.cameras.motion import moved, placed, twist_between
+from pagas_cl.cameras.onto import onto_mesh
 from pagas_cl.cameras.pairs import Pairs
 from pagas_cl.cameras.solve import Term, Unknowns, assemble, pixel_scales, solve
 from pagas_cl.cameras.turns import first_turns, turned
@@ -102,7 +103,9 @@ class Rounds:
                 before, step = self._round(before, state, stage)
                 if step < STILL:
                     break
-        if stages[-1].free:
+        if stages[-1].free and self.frames.moves:
+            self._onto_mesh(before, state)
+        elif stages[-1].free:
             self._rescale(before, initial, state)
         if self.progress:
             self.progress("refine the cameras", len(stages), len(stages))
@@ -195,6 +198,14 @@ class Rounds:
                 state.maps[k] = state.maps[k] * scale + [0.0, shift]
                 self.adjuster.rescale(frames[k], scale, shift)
 
+    def _onto_mesh(self, frames: Sequence[Frame], state: State) -> None:
+        """Let the surface that photos see lie where the mesh does."""
+        own = [frames[target] for target, _ in self._targets()]
+        cameras = [frame.camera for frame in own]
+        depths = [self.adjuster.read(frame, frame.depth) * self.scene_scale for frame in own]
+        spread = state.spread * frames[0].camera.width / state.cameras[0].width
+        state.cameras = list(map(onto_mesh(cameras, depths, self.frames.depths(cameras), spread), state.cameras))
+
     def _rescale(self, frames: Sequence[Frame], initial, state: State) -> None:
         """Let the surface be as large as it was given, as far as it tells that better than the cameras: these are off
         by `spread`, each depth map by what it was changed by on the whole. The scale of depth
@@ -217,7 +228,7 @@ class Rounds:
         focal = float(np.mean([camera.fx for camera in state.cameras]))
         error = state.spread * float(np.median(self.typical)) * self.scene_scale / focal      # of a centre's coordinate
         by_cameras = error**2 / size
-        if not self.frames.moves and (wanted - own) ** 2 > by_surface + 9 * by_cameras + STRANGE**2:
+        if (wanted - own) ** 2 > by_surface + 9 * by_cameras + STRANGE**2:
             state.maps *= np.exp(own - wanted)       # the maps have a scale of their own, not that of the cameras
             wanted = own
         scale = float(np.exp((wanted * by_cameras + own * by_surface) / (by_cameras + by_surface)))
