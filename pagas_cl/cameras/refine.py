@@ -18,7 +18,6 @@ from pagas_cl.cameras.frames import Frames, depths_of
 from pagas_cl.cameras.motion import pixel_motion, surface_points
 from pagas_cl.cameras.pairs import choose_pairs
 from pagas_cl.cameras.rounds import COARSE, FINE, MAPS, Rounds, Stage, State
-from pagas_cl.cameras.scales import first_scales
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError, log
 from pagas_cl.measurements import FAR_OFF, measure
@@ -30,6 +29,7 @@ from pagas_cl.scene.depth_source import rescaled
 from pagas_cl.scene.inputs import Depth
 from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View
+from pagas_cl.surface import depth_alignment as alignment
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
@@ -179,7 +179,9 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
                   _lenses(given, unknowns, lenses), _lens_numbers(unknowns), _map_numbers(unknowns))
     if state.map_numbers:
-        state.maps[:, 0] = first_scales(given, surfaces, pairs.used)
+        small = [alignment.reduced(camera, depth) for camera, depth in zip(given, surfaces)]
+        first_maps = alignment.solve(small, alignment.pairs_of(small))
+        state.maps[:, 0] = np.exp(first_maps[:, 0]) + first_maps[:, 1]        # in the middle of the depth
         rounds.run(MAPS, state)
     first, outliers = state.copy(), wrong_views(rounds, state, Stage(0.25, 0.7, 0))
     coarse = bool(measured > FAR or elsewhere > FAR_OFF or state.map_numbers or outliers)
