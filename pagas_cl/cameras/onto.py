@@ -23,8 +23,8 @@ def onto_mesh(cameras: Sequence[Camera], depths: Sequence[np.ndarray], drawn: Se
     """What moves each camera with the similarity that brings the surface of `depths` (H, W), scene units, nearest to
     the mesh, which is `drawn` through the same cameras.
 
-    Least squares of the ways from one to the other along the mesh's normals, footprints, of every view one mean; cameras
-    are off by `spread` pixels, so that they hold where they are what the mesh does not tell.
+    Least squares of the ways from one to the other along the mesh's normals, footprints, of every view one mean;
+    cameras are off by `spread` pixels, so that they hold where they are what the mesh does not tell.
     """
     middle = np.mean([camera.center for camera in cameras], axis=0)
     rows, sides, shares, held = [], [], [], []
