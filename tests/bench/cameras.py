@@ -151,7 +151,8 @@ def made_table(rows) -> str:
 
 def disagreement(cameras, *runs) -> list[tuple[float, float]]:
     """How far the refined depth maps of neighbours differ where a point was moved in all `runs` in both views: of each
-    run's (cameras, initial depth maps, refined ones) the median, pixels (15 degrees between views), and the share within half a pixel."""
+    run's (cameras, initial depth maps, refined ones) the median, pixels (15 degrees between views), and the share
+    within half a pixel."""
     told = [[] for _ in runs]
     axes = np.array([camera.direction for camera in cameras])
     for i in range(len(cameras)):

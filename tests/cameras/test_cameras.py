@@ -199,6 +199,22 @@ def test_a_mesh_stays_where_it_is(relief, off_by_one, device):
     assert found.accepted and relief.error(found.cameras) < 0.1
 
 
+def test_a_mesh_tells_where_the_world_is(relief):
+    """A similarity of cameras and depths, which no photo sees, is taken back; not where the cameras are sure."""
+    from pagas_cl.cameras.motion import exponential
+    from pagas_cl.cameras.onto import onto_mesh
+
+    turn, shift = exponential(np.array([2e-3, -1e-3, 1e-3, 0.4, -0.3, 1.5]))
+    cameras = [placed(c, c.world_to_camera[:3, :3] @ turn.T, 1.003 * (turn @ c.center) + shift) for c in relief.cameras]
+    depths = [1.003 * relief.scene.true_depth(camera) for camera in relief.cameras]
+    drawn = [relief.scene.true_depth(camera) for camera in cameras]
+    back = list(map(onto_mesh(cameras, depths, drawn, 10.0), cameras))
+    before, after = (rms_motion(relief.cameras, those, relief.depths) for those in (cameras, back))
+    assert before > 0.3 and after < 0.15 * before
+    sure = list(map(onto_mesh(cameras, depths, drawn, 1e-3), cameras))
+    assert rms_motion(cameras, sure, relief.depths) < 0.01
+
+
 def test_a_colmap_model_keeps_all_but_poses(relief, off_by_one, tmp_path, capsys):
     """The command, on a model with points, from depth maps; and a scene that has no such model."""
     pycolmap = pytest.importorskip("pycolmap")
