@@ -9,15 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from pagas_cl.cameras.frames import depths_of
 from pagas_cl.cameras.refine import OFF, CameraRefinement, photos_off, refine_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision
 from pagas_cl.errors import DeviceError, log
 from pagas_cl.progress import Progress, tell
-from pagas_cl.scene.inputs import Depth, depth_array
-from pagas_cl.scene.mesh import Mesh, to_surface
+from pagas_cl.scene.inputs import Depth
+from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View
 
 FEWEST = 4                # views: three to tell how far a camera is off, and one more to judge
@@ -66,7 +65,7 @@ def decide_cameras(views: Sequence[View], depths_or_mesh, config: Config,
     from pagas_cl.splat import PhotoStore
 
     device, choice = open_device(device), config.effects.cameras
-    depths = _depth_maps(views, depths_or_mesh, device)
+    depths = depths_of(depths_or_mesh, device)[0]([view.camera for view in views])
     off = photos_off(views, depths, config, device, PhotoStore(device))
     on = choice == "on" or (choice == "auto" and off[0] > OFF)
     return Decision("cameras", off[0], OFF, on, WORDS if choice == "auto" else f"asked for: {choice}"), off
@@ -93,14 +92,3 @@ def with_cameras(views: Sequence[View], found: CameraRefinement) -> list[View]:
     """The views with refined cameras; those that stay are the same objects."""
     return [view if camera is view.camera else replace(view, camera=camera)
             for view, camera in zip(views, found.cameras)]
-
-
-def _depth_maps(views: Sequence[View], given, device) -> list[np.ndarray | None]:
-    from pagas_cl.cameras.frames import is_mesh
-
-    if not is_mesh(given):
-        return [None if depth is None else depth_array(depth) for depth in given]
-    from pagas_cl.surface.raster import each_depth
-
-    return list(each_depth(to_surface(given), [view.camera for view in views], device))
-
