@@ -97,8 +97,8 @@ class Rounds:
             before, initial = now, first
             if self.progress:
                 self.progress("refine the cameras", stages.index(stage), len(stages))
-            for _ in range(SETTLE if stage.free else 0):
-                self._blocks(now, NEAR_ENOUGH if stage.share >= 0.5 else LOOSE, sums=False)
+            for _ in range(SETTLE if stage.free and stage.share >= FINE[0].share else 0):
+                self._blocks(now, NEAR_ENOUGH, sums=False)      # cameras are nearly right; else depths would hide it
             for _ in range(stage.rounds):
                 before, step = self._round(before, state, stage)
                 if step < STILL:
