@@ -174,7 +174,28 @@ def disagreement(cameras, *runs) -> list[tuple[float, float]]:
     return [(float(np.median(off)), float((off < 0.5).mean())) for off in map(np.concatenate, told)]
 
 
-def real(scene: Path, mesh, depth_dir, share: float, number: int, judges: int, config, device, tell) -> list[dict]:
+def draw_meshes(file: Path, config, *runs) -> None:
+    """Normals of the mesh that each of `runs` (views, refined depth maps) makes, side by side, seen by a view in the
+    middle."""
+    from PIL import Image
+
+    from pagas_cl.report.pictures import normal_colors
+    from pagas_cl.result import normals_of
+    from pagas_cl.surface.agree import confirmed
+    from pagas_cl.surface.fuse import fuse
+    from pagas_cl.surface.raster import each_depth
+
+    pictures = []
+    for views, depths in runs:
+        cameras = [view.camera for view in views]
+        mesh, camera = fuse(views, confirmed(cameras, depths, config.fusion), config.fusion), cameras[len(cameras) // 2]
+        normals = normals_of(next(each_depth(mesh, [camera], None)), camera)
+        pictures.append(np.asarray(normal_colors(normals, (normals**2).sum(axis=-1) > 0))[..., :3])
+    Image.fromarray(np.concatenate(pictures, axis=1)).save(file, quality=88)
+
+
+def real(scene: Path, mesh, depth_dir, share: float, number: int, judges: int, config, device, tell,
+         out: Path) -> list[dict]:
     """A row for each of `number` views and its `judges` nearest held-out photos. With a mesh depth maps are drawn anew
     through the refined cameras, as refine_mesh does it."""
     from real import _fitting, load
@@ -203,6 +224,8 @@ def real(scene: Path, mesh, depth_dir, share: float, number: int, judges: int, c
         tell({"neighbours differ by, share within half a pixel": disagreement(
             given, *((cameras, initial, [results[view.name].depth for view in own]) for cameras, initial, results in
                      ((given, maps, without), (found.cameras, drawn, with_them))))})
+        draw_meshes(out / "meshes.jpg", config, *((those, [results[view.name].depth for view in own]) for those, results
+                                                  in ((own, without), (moved, with_them))))
     rows = []
     for view, depth in zip(own, maps):
         if view.name not in names:
@@ -254,14 +277,15 @@ def main() -> int:
     def tell(row):
         sys.stderr.write(json.dumps(row) + "\n")
 
+    ask.out.mkdir(parents=True, exist_ok=True)
     if ask.real:
-        rows = real(ask.real, ask.mesh, ask.depth_dir, ask.share, ask.views, ask.judges, config, device, tell)
+        rows = real(ask.real, ask.mesh, ask.depth_dir, ask.share, ask.views, ask.judges, config, device, tell,
+                    ask.out)
         text = real_table(rows)
     else:
         rows = [row for name in ask.scenes for row in made(name, ask.width, round(ask.width * 290 / 388), ask.contexts,
                                                             config, device, tell, ask.levels)]
         text = made_table(rows)
-    ask.out.mkdir(parents=True, exist_ok=True)
     (ask.out / "figures.json").write_text(json.dumps(rows, indent=1))
     (ask.out / "table.md").write_text(text + "\n")
     sys.stdout.write(text + "\n")
