@@ -18,13 +18,14 @@ _USUAL = 0.5      # seconds that are seen before anything is known of the machin
 @dataclass
 class _Stage:
     """`seconds` expected of all of it (None: nothing is), of which this run does `share`; `spent` on it until `done`, 0
-    to 1 of that; `before` units were done by an earlier run."""
+    to 1 of that, and on the `first` piece of it; `before` units were done by an earlier run."""
 
     seconds: float | None = None
     kind: str = ""
     share: float = 1.0
     spent: float = 0.0
     done: float = 0.0
+    first: tuple[float, float] | None = None
     before: float = 0.0
     begun: bool = False
 
@@ -33,9 +34,13 @@ class _Stage:
         return (self.seconds or 0.0) * self.share
 
     def left(self, speed: float) -> float:
-        """Seconds, on a machine that takes `speed` times what was expected."""
+        """Seconds, on a machine that takes `speed` times what was expected; NaN where a first small piece, with which
+        kernels are built, is all that is known."""
         if self.seconds is None:
-            return self.spent * (1 - self.done) / self.done if self.done else 0.0
+            if not 0 < self.done < _FIRM or self.first is None:
+                return self.spent * (1 - self.done) / self.done if self.done else 0.0
+            spent, done = self.spent - self.first[0], self.done - self.first[1]
+            return spent * (1 - self.done) / done if done > 0 else float("nan")
         return (self.spent + _FIRM * self.expected * speed) / (self.done + _FIRM) * (1 - self.done)
 
 
@@ -68,10 +73,12 @@ class Outlook:
         (self._under if done == 0 and self._under else found).spent += now - self.now
         share = (done - found.before) / (total - found.before) if total > found.before else 1.0
         found.done, found.begun = max(found.done, share), True
+        if found.done > 0 and found.first is None:
+            found.first = found.spent, found.done
         self.now, self._under = now, found
 
     def left(self) -> float:
-        """Seconds that were left at the last call."""
+        """Seconds that were left at the last call; NaN where nobody can tell."""
         kinds = {stage.kind for stage in self._stages.values()}
         usual = max([1.0, *(self._speed(kind, 1.0) for kind in kinds)])    # what slows one down slows the others
         speed = {kind: self._speed(kind, usual) for kind in kinds}

@@ -37,6 +37,11 @@ def pytest_ignore_collect(collection_path, config):
     return True if any("mark.slow" in line for line in marks) else None
 
 
+def pytest_collection_modifyitems(items):
+    """Slow files first: short ones at the end keep all workers busy until it."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """Folder of the real scenes (too large to ship): beside the checkout."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from pagas_cl.outlook import Outlook
@@ -93,3 +95,14 @@ def test_nothing_is_known_of_a_stage_that_nobody_expected():
     clock.now += 5.0
     outlook("make", 1, 4)
     assert outlook.left() == pytest.approx(15.0)
+
+
+def test_kernels_that_are_built_in_the_first_step_do_not_count_for_all():
+    outlook, clock = Outlook(clock := Clock()), clock
+    outlook("refine", 0, 5)
+    clock.now += 8.0
+    outlook("refine", 0.005, 5)
+    assert math.isnan(outlook.left())
+    clock.now += 1.0
+    outlook("refine", 0.105, 5)
+    assert outlook.left() == pytest.approx(48.95)

@@ -187,8 +187,9 @@ class Bar(Outlook):
     def __call__(self, stage: str, done: float, total: int) -> None:
         super().__call__(stage, done, total)
         left, gone = self.left(), self.now - self.began
-        self._bars.update(self._task, description=plain(stage), completed=gone / (gone + left) if gone + left else 0.0,
-                          count=f"{int(done)}/{total}", left=f"{int(left) // 60}:{int(left) % 60:02}")
+        known = gone + left > 0      # not where it is NaN
+        self._bars.update(self._task, description=plain(stage), completed=gone / (gone + left) if known else 0.0,
+                          count=f"{int(done)}/{total}", left=f"{int(left) // 60}:{int(left) % 60:02}" if known else "?")
 
 
 class Lines(Outlook):
@@ -209,4 +210,5 @@ class Lines(Outlook):
             self._write(f"{stage}: {total} of {total} in {self.now - began:.0f} s\n")
         elif done and self.now - self._told >= _LINE_EVERY:
             self._told = self.now
-            self._write(f"{stage}: {int(done)} of {total}, about {self.left():.0f} s left\n")
+            left = self.left()
+            self._write(f"{stage}: {int(done)} of {total}" + (f", about {left:.0f} s left\n" if left == left else "\n"))

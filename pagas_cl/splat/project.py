@@ -1,4 +1,4 @@
-"""Launches of project.cl: what needs only where Gaussians land (method section 3)."""
+"""Launches of means.cl and project.cl: what needs only where Gaussians land (method section 3)."""
 
 import numpy as np
 
@@ -10,10 +10,10 @@ _INFINITY = np.uint32(0x7F800000)
 def before_steps(programs, buffers, target, contexts: int) -> list:
     """Once a level, under its initial depth: buffers.depth_per_parallax, and the unseen masks buffers.seen."""
     grid = target.size.grid
-    launches = [programs.bind("project.cl", "find_depth_per_parallax", grid, buffers, views=contexts)]
+    launches = [programs.bind("means.cl", "find_depth_per_parallax", grid, buffers, views=contexts)]
     for view, seen in enumerate(buffers.seen if programs.config.loss.unseen_mask else (), start=1):
         launches += [Fill(seen, np.uint32(0), seen.size),
-                     programs.bind("project.cl", "mark_seen", grid, buffers, view=view, seen=seen)]
+                     programs.bind("means.cl", "mark_seen", grid, buffers, view=view, seen=seen)]
     return launches
 
 

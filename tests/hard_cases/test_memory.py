@@ -33,7 +33,7 @@ CONFIGS = {
     "paper": PAPER.with_settings(pyramid__steps=(2, 2)),
     "exposure, pyramid": BALANCED.with_settings(pyramid__scales=(0.3, 0.5, 1.0), pyramid__steps=(2, 2, 2),
                                                 effects__exposure="on", loss__unseen_mask=True),
-    "alpha, wide, normals": PAPER.with_settings(pyramid__scales=(1.0,), pyramid__steps=(2,), splatting__radius=2.6,
+    "alpha, wide, normals": PAPER.with_settings(pyramid__scales=(1.0,), pyramid__steps=(2,), splatting__radius=3.0,
                                                 smoothness__kind="normal", smoothness__weight=0.01),
 }
 ARRAYS = "depth", "status", "deviation", "parallax"

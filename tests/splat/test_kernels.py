@@ -27,7 +27,7 @@ from pagas_cl.splat.tile import SCALAR, Tile
 
 pytestmark = pytest.mark.kernels
 
-PLAIN = BALANCED.with_settings(smoothness__kind="none", smoothness__weight=0.0, splatting__radius=1.0,
+PLAIN = BALANCED.with_settings(smoothness__kind="none", smoothness__weight=0.0,
                                solver__views_per_step=0, **SEES_LOSS)
 PAPER = PAPER.with_settings(**SEES_LOSS)
 CASES = {
@@ -45,12 +45,12 @@ CASES = {
     "L1 only": (PLAIN, dict(loss__ssim=0.0)),
     "SSIM only": (PLAIN, dict(loss__ssim=1.0)),
     "no weights": (PLAIN, dict(loss__gradient_weight=False, loss__coverage_weight=False)),
-    "target view": (PLAIN, dict(loss__target_view=True, splatting__radius=1.42)),
+    "target view": (PLAIN, dict(loss__target_view=True)),
     "alpha": (PAPER, {}),
     "alpha no low-pass": (PAPER, dict(splatting__low_pass=0.0)),
     "alpha normalised": (PAPER, dict(splatting__normalize=True)),
     "alpha narrow": (PAPER, dict(splatting__radius=0.5)),
-    "alpha grey": (PAPER, dict(loss__grey=True, splatting__radius=1.1)),
+    "alpha grey": (PAPER, dict(loss__grey=True)),
     "alpha relative": (PAPER, dict(splatting__depth_relative=0.01)),
     "alpha wide": (PAPER, dict(splatting__radius=3.0)),
     "alpha crowded": (PAPER, dict(splatting__radius=5.0, splatting__occlusion=False)),
