@@ -72,7 +72,8 @@ class Elsewhere:
         if self._failed:
             return blocks(adjuster, frames, wanted)
         by_target = {one.target: one for one in wanted}
-        files = {k: self._files(adjuster, frames[k], k) for one in wanted for k in (one.target, *one.others)}
+        needed = {k for one in wanted for k in (one.target, *one.others)}
+        files = {k: self._files(adjuster, frames[k], k) for k in sorted(needed)}
         shares = [[by_target[k] for k in group] for group in groups(list(by_target), frames, self.workers.count())]
         parts = [Part(tuple(share), {k: files[k] for one in share for k in (one.target, *one.others)},
                       adjuster.scene_scale, adjuster.intrinsics) for share in shares]
@@ -126,14 +127,14 @@ def blocks_by(executor, device, folder) -> Iterator[Callable[..., list[Block | N
                 blocks_by(executor, device, temporary) as made:
             yield made
         return
-    workers, scratch = Workers(executor, device), work_folder(Path(folder).resolve()) / "cameras"
+    workers, work = Workers(executor, device), work_folder(Path(folder).resolve())
     with one_run(folder):
-        try:
-            shutil.rmtree(scratch, ignore_errors=True)      # of a killed run
-            scratch.mkdir()
-            yield Elsewhere(workers, scratch)
+        for left in work.glob("cameras-*"):      # of killed runs
+            shutil.rmtree(left, ignore_errors=True)
+        try:      # workers know photos by their files' names, which therefore never come again
+            with tempfile.TemporaryDirectory(prefix="cameras-", dir=work) as scratch:
+                yield Elsewhere(workers, Path(scratch))
         finally:
             if workers.own:
                 workers.executor.shutdown(wait=True)
             close_worker_contexts()
-            shutil.rmtree(scratch, ignore_errors=True)
