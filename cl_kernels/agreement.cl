@@ -11,6 +11,8 @@
 #define MOST_UNSURE 0.5f                 // pixels of parallax: more than that a deviation does not count
 #define LENIENCE 2.0f                    // of `spread`: weights know no smaller deviation
 #define IN_COMMON 0.3f                   // share of their variance that views have in common and no average takes out
+#define TWICE 2.0f                       // of each pair of photos two views tell
+#define AROUND 2                         // half the width of the surroundings that a scatter is taken from
 
 // Variance that a depth counts with: its own deviation as far as it can be believed, and what maps differ by.
 #define VARIANCE(s, u, floor) (SQUARE(fmin(s, MOST_UNSURE * (u))) + SQUARE((floor) * (u)))
@@ -92,7 +94,7 @@ __kernel void count_differences(__global const float *depth, __global const floa
 __kernel void add_view(__global const float *depth, __global const float *depth_per_parallax,      // scene units
                        CAMERA_SPACE float *cameras, int view, float scale, __global const float *inverses,
                        __global const float *deviations, float spread, float pixels,
-                       __global float *sums)                       // [4, H, W] w change, w, w^2 and w times variances
+                       __global float *sums)        // [5, H, W] w change, w, w^2, w times variances, w times change^2
 {
     const Camera target = load_camera(cameras, 0);
     const int row = get_global_id(1), count = target.width * target.height;
@@ -110,22 +112,37 @@ __kernel void add_view(__global const float *depth, __global const float *depth_
         if (!ANY(known))
             continue;
         const columns_t w = select(ZERO, fading(off * off) / VARIANCE(unsure, u, LENIENCE * spread), known);
-        const columns_t wv = select(ZERO, w * VARIANCE(unsure, u, spread), known);
         add_columns(sums + i, select(ZERO, w * change, known), first);
         add_columns(sums + count + i, w, first);
-        add_columns(sums + 2 * count + i, w * wv, first);
-        add_columns(sums + 3 * count + i, wv, first);
+        add_columns(sums + 2 * count + i, w * w, first);
+        add_columns(sums + 3 * count + i, select(ZERO, w * VARIANCE(unsure, u, 0.0f), known), first);
+        add_columns(sums + 4 * count + i, select(ZERO, w * change * change, known), first);
     }
 }
 
+// Mean square of the changes around a pixel, weighted as they are.
+float scatter_around(__global const float *sums, int width, int height, int column, int row)
+{
+    const int count = width * height;
+    float squares = 0.0f, weight = 0.0f;
+    for (int y = max(row - AROUND, 0); y <= min(row + AROUND, height - 1); ++y)
+        for (int x = max(column - AROUND, 0); x <= min(column + AROUND, width - 1); ++x) {
+            weight += sums[count + y * width + x];
+            squares += sums[4 * count + y * width + x];
+        }
+    return squares / weight;
+}
+
 // status: of the depth as it is; one that was rejected has no weight of its own, and where the others are to `propose`
-// another one that is refined from then on.
-__kernel void average(int count, float scale, float spread, int propose, __global const float *sums,
-                      __global const float *depth, __global const float *depth_per_parallax,
-                      __global const float *deviation, __global const uchar *status,
+// another one that is refined from then on. wider: variance of a depth over the mean square of the changes around it.
+__kernel void average(int width, int height, float scale, float spread, float wider, int propose,
+                      __global const float *sums, __global const float *depth,
+                      __global const float *depth_per_parallax, __global const float *deviation,
+                      __global const uchar *status,
                       __global float *averaged, __global float *surer, __global uchar *found)
 {
-    EACH(i, count)
+    EACH_PIXEL(column, row, i, width, height)
+    const int count = width * height;
     const float total = sums[i], others = sums[count + i];
     averaged[i] = depth[i];
     surer[i] = deviation[i];
@@ -134,10 +151,13 @@ __kernel void average(int count, float scale, float spread, int propose, __globa
         return;
     const float u = depth_per_parallax[i] * scale, s = deviation[i] * scale;
     const bool own = status[i] == REFINED && s < INFINITY;
-    const float w = own ? 1.0f / VARIANCE(s, u, LENIENCE * spread) : 0.0f, v = VARIANCE(s, u, spread);
-    const float weight = others + w, mean = (sums[3 * count + i] + w * v) / weight;
-    const float alone = (sums[2 * count + i] + w * w * v) / (weight * weight);
+    const float w = own ? 1.0f / VARIANCE(s, u, LENIENCE * spread) : 0.0f, weight = others + w;
+    const float told = (sums[3 * count + i] + w * VARIANCE(s, u, 0.0f)) / weight;
+    const float apart = wider * scatter_around(sums, width, height, column, row);
+    const float most = wider > 0.0f ? fmax(apart, 2.0f * wider * SQUARE(spread * u)) : INFINITY;
+    const float one = fmin(told, most) + apart;
+    const float alone = fmin(1.0f, TWICE * (sums[2 * count + i] + w * w) / (weight * weight));
     averaged[i] = depth[i] + total / weight / scale;
-    surer[i] = sqrt(IN_COMMON * mean + (1.0f - IN_COMMON) * alone) / scale;
+    surer[i] = sqrt(one * (IN_COMMON + (1.0f - IN_COMMON) * alone)) / scale;
     found[i] = REFINED;
 }

@@ -13,6 +13,8 @@
 //   EPIPOLAR_OFFSET   pixels that the photo is off across the direction of depth, by the target's quadrant
 //   SPECULARITY       what the exposure fit leaves, averaged over neighbouring samples
 //   LIKE              0 where the photos show other things there, or show that the depth is wrong; else 1
+//   EXPLAINED         share of a patch's variance that the photo explains
+//   PARALLAX          squared pixels by which it moves where the depth grows by its own size
 #include "gaussian.clh"
 #include "lookup.clh"
 
@@ -23,6 +25,7 @@
 #define MOVES (SHIFTS + OFFSETS)
 #define UNDEFINED 2.0f
 #define TEXTURED 1.5f            // costs above this are of patches without texture: nothing is read from them
+#define SQUARE(x) ((x) * (x))
 #define WORSE 0.02f              // a depth that matches worse than another by more is not the right one
 #define OTHER 0.5f               // costs above this are of patches that show something else
 
@@ -52,6 +55,8 @@ __kernel void sample_view(__global const float *depth, __constant float *cameras
         return;
     const bool hidden = splat.z > as_float(z_first[(int)splat.y * context.width + (int)splat.x]) + threshold;
     row_of(values, view, HIDDEN, count)[k] = hidden ? 1.0f : 0.0f;
+    const float2 moved = d * dmean_ddepth(context, turned_ray(target, context, at.x, at.y)) / (splat.z * splat.z);
+    row_of(values, view, PARALLAX, count)[k] = dot(moved, moved);
     if (!hidden)
         row_of(values, view, SIZE, count)[k] = rsqrt(sqrt(splat.kxx * splat.kyy - splat.kxy * splat.kxy));
 }
@@ -151,6 +156,7 @@ __kernel void judge_view(__global const float *costs, __constant float *cameras,
         totals[j * count + k] = (view == 1 ? 0.0f : totals[j * count + k]) + add;
     }
     const float here = cost[SHIFTS / 2];
+    row_of(values, view, EXPLAINED, count)[k] = here < TEXTURED ? SQUARE(fmax(1.0f - here, 0.0f)) : NAN;
     row_of(values, view, LIKE, count)[k] = here < TEXTURED && (here > OTHER || here > least + WORSE) ? 0.0f : 1.0f;
     const int2 at = sample_place(k, stride, across, target);
     const int quadrant = (2 * at.x >= target.width) + 2 * (2 * at.y >= target.height);

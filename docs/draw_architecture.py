@@ -21,7 +21,8 @@ PICTURE = ROOT / "docs" / "architecture.svg"
 LEVELS = [
     [(360, "command line, filters", "__main__ commands filters", "typer, MeshLab scripts, Open3D"),
      (830, "studies", "tradeoffs costs bench demo selftest analysis expected", "error against time, self-test, demo")],
-    [(360, "refine", "refine rounds cameras keep_mesh acceptance effects measurements", "the method on one page"),
+    [(360, "refine", "refine rounds cameras keep_mesh acceptance effects resemblance measurements",
+      "the method on one page"),
      (830, "report, evaluate, synthetic", "report evaluate synthetic", "pictures, figures, test scenes")],
     [(200, "jobs", "jobs progress outlook", "many views, devices, resuming"),
      (1000, "result", "result", "DepthResult: what a view gives back")],

@@ -234,16 +234,17 @@ class Effects(Stage):
     noise: str = effect()
     pyramid: str = effect()
     mismatch: str = effect()
+    resemblance: str = effect()
     consistency: str = effect()
     agreement: str = effect()
     cameras: str = effect()
 
     @property
     def measured(self) -> bool:
-        """Whether a view is measured for them before it is refined: mismatch, consistency and agreement rest on refined
-        depth maps, the cameras are of a whole scene."""
+        """Whether a view is measured for them before it is refined: the others rest on refined depth maps, or come
+        before (which views, their cameras)."""
         return any(getattr(self, f.name) not in ("set", "off") for f in fields(self)
-                   if f.name not in ("mismatch", "consistency", "agreement", "cameras"))
+                   if f.name not in ("mismatch", "resemblance", "consistency", "agreement", "cameras"))
 
     @classmethod
     def every(cls, choice: str) -> Effects:

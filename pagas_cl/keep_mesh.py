@@ -3,9 +3,10 @@
 
 import glob
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,8 +23,9 @@ from pagas_cl.scene.view import View
 from pagas_cl.surface.agree import comparison_device
 from pagas_cl.surface.fuse import available_mb
 from pagas_cl.surface.mesh_evidence import Observed
+from pagas_cl.surface.mesh_faults import without_new
 from pagas_cl.surface.mesh_levels import TRIANGLE_BYTES, fit_mesh
-from pagas_cl.surface.mesh_solve import solve_mesh
+from pagas_cl.surface.mesh_solve import solve_mesh, unlike
 from pagas_cl.surface.on_vertices import footprints, vertex_confidence
 from pagas_cl.surface.subdivide import subdivide as split_edges
 from pagas_cl.surface.subdivide import undivided
@@ -49,34 +51,35 @@ def check_flat(flat) -> None:
 
 
 def displaced_mesh(mesh, views: list[View], depths, results, config: Config, subdivide: float | None = None,
-                   device=None):
+                   device=None, tell: Callable[[str], Any] | None = None):
     """A mesh of the kind of `mesh` with the same topology (or split edges) and everything that sits on it, its vertices
     where the refined depth maps say (surface.mesh_solve).
 
     `mesh` is anything that refine_mesh takes; a path comes back as an Open3D legacy mesh. `depths` and `results` are
     what refine_views took and gave. First, edges are split that are longer than `subdivide` pixel footprints (of the
-    finest view that sees them).
+    finest view that sees them). `tell(text)` is told what is wrong with triangles, before and after.
     """
     check_subdivide(subdivide)
     mesh = load_whole(mesh)
-    surface, division = to_surface(mesh), None
+    surface = given = to_surface(mesh)
+    division, device = None, solve_device(device)
     if subdivide is not None:
-        division = split_edges(surface.vertices, surface.faces, subdivide * _finest(surface, views, depths, results))
-        surface = Surface(division.vertices(surface.vertices), division.faces)
-    solved = solve_mesh(surface, Observations(_joined_results(views, results)), solve_device(device),
-                        least_views=_least_views(config))
-    return _with_solved(mesh, surface.vertices, solved, division, _joined_results(views, results))
+        division = split_edges(given.vertices, given.faces, subdivide * _finest(given, views, depths, results))
+        surface = Surface(division.vertices(given.vertices), division.faces)
+    used = _joined_results(views, results)
+    solved = solve_mesh(surface, Observations(used), device, least_views=_least_views(config))
+    return _with_solved(mesh, given, solved, division, used, device, tell)
 
 
 def detailed_mesh(mesh, views: list[View], depths, results, config: Config, detail: float = DETAIL, flat: float = FLAT,
-                  device=None, memory_mb: float | None = None):
+                  device=None, memory_mb: float | None = None, tell: Callable[[str], Any] | None = None):
     """displaced_mesh with as many triangles as the depth maps show detail (surface.mesh_levels): edges longer than
     `detail` footprints are split where depth maps lie off them; afterwards splits are undone where the surface is flat
     within `flat` footprints. In `memory_mb` of host memory; by default a quarter of what is free, at most 300 MB."""
     mesh, used = load_whole(mesh), _joined_results(views, results)
-    given = to_surface(mesh)
+    given, device = to_surface(mesh), solve_device(device)
     most = int((memory_mb or min(available_mb() / 4, _MEMORY)) * 1e6 / TRIANGLE_BYTES)
-    division, solved, place = fit_mesh(given, Observations(used), solve_device(device),
+    division, solved, place = fit_mesh(given, Observations(used), device,
                                        _finest(given, views, depths, results), flat=flat, detail=detail,
                                        least_views=_least_views(config), most=most)
     if flat > 0:
@@ -86,7 +89,7 @@ def detailed_mesh(mesh, views: list[View], depths, results, config: Config, deta
         solved = solved.at(keep)
         log.info("mesh: %d of %d triangles are needed to be true within %g footprints", len(division.faces), count,
                  flat)
-    return _with_solved(mesh, division.vertices(given.vertices), solved, division, used)
+    return _with_solved(mesh, given, solved, division, used, device, tell)
 
 
 def _joined_results(views, results) -> list:
@@ -103,17 +106,22 @@ def _finest(surface: Surface, views, depths, results) -> np.ndarray:
     return footprints(surface.vertices, [result.camera for _, result in pairs], [depths[place] for place, _ in pairs])
 
 
-def _with_solved(mesh, before: np.ndarray, solved, division, results):
-    """`mesh`, split as `division` says, with its vertices where they were solved to be; told how many moved."""
-    moved = (solved.vertices != before).any(axis=1)
+def _with_solved(mesh, given: Surface, solved, division, results, device, tell):
+    """`mesh`, split as `division` says, with its vertices where they were solved to be but for faults that it had not;
+    told how many moved."""
+    before = given.vertices if division is None else division.vertices(given.vertices)
+    vertices, told = without_new(device, given, division, solved.vertices)
+    moved = unlike(vertices, before)
     log.info("mesh: %d of %d vertices moved; %d were held back, since a triangle would have turned over", moved.sum(),
              len(moved), solved.held)
+    log.info("mesh: %s", told)
+    if tell:
+        tell(f"mesh: {told}")
     if not moved.any():
         log.warning("no vertex moved: no two refined views agree on any of them (%d views were refined)",
                     sum(not result.reason for result in results))
-    quality = np.where(moved, vertex_confidence(solved.vertices, results), 0)
-    return with_vertices(mesh, solved.vertices, division, quality,
-                         {"deviation": solved.deviation, "views": solved.seen})
+    quality = np.where(moved, vertex_confidence(vertices, results), 0)
+    return with_vertices(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
 
 
 def polished(surface: Surface, results, config: Config, device) -> Surface:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,25 +19,22 @@ from pagas_cl.keep_mesh import DETAIL, FLAT, check_flat, check_subdivide, detail
 from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
+from pagas_cl.resemblance import views_to_ask
 from pagas_cl.result import DepthResult, OnDisk, joined
 from pagas_cl.rounds import later_rounds
-from pagas_cl.runtime.device import Device, open_device
+from pagas_cl.runtime.device import Device, Devices, open_device
 from pagas_cl.scene.check import check_seen
 from pagas_cl.scene.choice import PartnerChooser, Partners
-from pagas_cl.scene.images import Loads
-from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth, depth_maps
+from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth, depth_array, depth_maps
 from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
 from pagas_cl.scene.reasons import warn_of_nothing
 from pagas_cl.scene.view import View
-from pagas_cl.splat import NormalizedDepth, PhotoStore, Refinement, refine_levels
+from pagas_cl.splat import NormalizedDepth, PhotoStore, Refinement, photos_here, refine_levels
 from pagas_cl.splat.budget import fit_memory
 from pagas_cl.surface import blocks
 from pagas_cl.surface.agree import comparison_device, confirmed
 from pagas_cl.surface.fuse import weights_of
 from pagas_cl.surface.raster import each_depth
-
-# One device, by its name or open, or several, by a list of names or "all".
-Devices: TypeAlias = str | Device | list[str] | tuple[str, ...]
 
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
@@ -92,13 +89,12 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         raise InputError(f"output is {output!r}, expected 'mesh', 'tsdf' or 'displace'")
     check_subdivide(subdivide)
     check_flat(flat)
-    config = settings_of(preset, config)
-    views = as_views(cams, images, masks)
-    surface = to_surface(mesh)
-    views, config, _ = settle_cameras(views, surface, config, device, progress, executor, folder)
+    config, views, surface = settings_of(preset, config), as_views(cams, images, masks), to_surface(mesh)
+    photos = photos_here(device, executor, folder)
+    views, config, _ = settle_cameras(views, surface, config, device, progress, photos, executor, folder)
     depths = initial_depths(surface, views, progress, device=device)
     results = refine_views(views, depths, config=config, device=device, progress=progress, executor=executor,
-                           folder=folder)
+                           folder=folder, photos=photos)
     if output == "displace":
         return displaced_mesh(mesh, views, depths, results, config, subdivide, device=device)
     if output == "mesh":
@@ -169,7 +165,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
                  config: Config | None = None, preset: str | None = None, device: Devices | None = None,
                  progress: Progress | None = None, on_view: Callable[[View, Depth, DepthResult], Any] | None = None,
                  executor: Executor | str | None = None, folder: str | Path | None = None,
-                 extras: bool = True) -> list[DepthResult]:
+                 extras: bool = True, photos: PhotoStore | None = None) -> list[DepthResult]:
     """Refine the depth maps of many views, each by itself; where cameras are off, these first (effects.cameras): each
     result has the camera that its depth map belongs to. Then, where the effect `agreement` is called for, in rounds in
     which depth maps of views that see the same surface are evidence for one another (method section 8.1).
@@ -190,6 +186,8 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
         their arrays from there when they are asked for.
     extras : bool
         With `folder`: whether it keeps status, deviation and parallax too, 9 bytes a pixel.
+    photos : PhotoStore, optional
+        Photos that are on the one device already; they are forgotten in the end.
 
     Returns
     -------
@@ -201,22 +199,21 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     """
     config, depths = settings_of(preset, config), depth_maps(views, depths)
     asked = asked_views(views, depths, names)
-    views, config, cameras = settle_cameras(views, depths, config, device, progress, executor, folder)
+    photos = photos or photos_here(device, executor, folder)
+    views, config, cameras = settle_cameras(views, depths, config, device, progress, photos, executor, folder)
     depths = depths if cameras is None else cameras.scaled(depths)
-    if executor is not None or folder is not None or device == "all" or isinstance(device, (list, tuple)):
+    if photos is None:
         from pagas_cl.jobs import refine_all
 
         return refine_all(refine_one, views, depths, asked, config, device=device, executor=executor, folder=folder,
                           extras=extras, progress=progress, on_view=on_view, later=later_rounds(config, len(asked)))
-    device, results, view_progress = open_device(device), [], ViewProgress(progress, len(asked))
-    arrays = {place: depth.load() if isinstance(depth, Loads) else depth
-              for place, depth in enumerate(depths) if depth is not None}
-    photos, chooser = PhotoStore(device), PartnerChooser([view.camera for view in views],
-                                                         [arrays.get(k) for k in range(len(views))], config.context)
+    opened, results, view_progress = photos.device, [], ViewProgress(progress, len(asked))
+    arrays: list[Any] = [None if depth is None else depth_array(depth) for depth in depths]
+    chooser = PartnerChooser([view.camera for view in views], arrays, config.context)
     later, partners = later_rounds(config, len(asked)), {index: chooser.choose(index) for index in asked}
     for done, index in enumerate(asked):
         view_progress.at(done)
-        results.append(refine_one(views, partners[index], arrays[index], config, device, photos,
+        results.append(refine_one(views, partners[index], arrays[index], config, opened, photos,
                                   progress=view_progress.inside(done)))
         if cameras is not None:
             results[-1].report["camera"] = {"moved": float(cameras.moved[index]), "accepted": cameras.accepted}
@@ -228,7 +225,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
         for done, index in enumerate(asked):
             view_progress.at(done)
             given = [before[k] for k in partners[index].refined(before)]
-            results[done] = later_round.work(views, partners[index], given, config, device, photos,
+            results[done] = later_round.work(views, partners[index], given, config, opened, photos,
                                              progress=view_progress.inside(done))
             if on_view and number == len(later):
                 on_view(views[index], arrays[index], results[done])
@@ -249,8 +246,11 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
     if not partners.contexts:
         log.warning("view %s is kept as it came: %s", target.name, partners.reason)
         return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
-    return refine_depth(target, [views[k] for k in partners.contexts], depth, config=config, device=device,
-                        progress=progress, photos=photos, held_out=[views[k] for k in partners.held_out])
+    partners, decision = views_to_ask(views, partners, depth, config, device, photos)
+    result = refine_depth(target, [views[k] for k in partners.contexts], depth, config=config, device=device,
+                          progress=progress, photos=photos, held_out=[views[k] for k in partners.held_out])
+    result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
+    return result
 
 
 def initial_depths(surface: Surface, views: Sequence[View], progress: Progress | None = None,
@@ -295,7 +295,6 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     agreed = confirmed(cameras, depths, config.fusion, device=device)
     files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
     elsewhere = executor if files and hasattr(executor, "map") else None      # not where it is an address
-    weights = weights_of(results, config.fusion.least_weight)
-    fused = blocks.fuse_within(used, agreed, config.fusion, memory_mb, weights=weights, progress=progress,
-                               executor=elsewhere, folder=folder)
+    fused = blocks.fuse_within(used, agreed, config.fusion, memory_mb, progress=progress, executor=elsewhere,
+                               folder=folder, weights=weights_of(results, config.fusion.least_weight))
     return polished(fused, results, config, device) if config.fusion.polish and device is not None else fused

@@ -70,14 +70,16 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     decision = decide_agreement(spread, config)
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
     report = {**own.report, "effects": [*effects, decision.as_dict()]}
-    averaged = comparison.average(spread, config.agreement.pixels, propose=steps is not None) if decision.on else None
+    spreads = [*own.report.get("differences", ()), spread]
+    averaged = comparison.average(spread, config.agreement.pixels, steps is not None,
+                                  spreads[0]) if decision.on else None
     if photos.on_host:          # where they would take the memory of all else
         photos.forget(map(owner, (own, *others)))
     if averaged is not None:
-        report["differences"] = [*own.report.get("differences", ()), spread]
+        report["differences"] = spreads
         if steps is not None:
             told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
-            few = _few(steps, len(partners.contexts), report)
+            few = _few(steps, len(report["contexts"]), report)
             stepped = _steps(views, partners, own, averaged["depth"], few, device, photos, told)
             # what no view has spoken for, or the photos speak against, is as it was
             refined = (comparison.read(averaged, "status")["status"] == REFINED) & (stepped.status == REFINED)
@@ -116,7 +118,8 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, resul
     from pagas_cl.splat.budget import fit_memory
 
     target, contexts, held_out = views[partners.target], *(
-        [views[k] for k in chosen] for chosen in (partners.contexts, partners.held_out))
+        [views[k] for k in chosen if views[k].name in result.report[role]]       # those that resemble it
+        for chosen, role in ((partners.contexts, "contexts"), (partners.held_out, "held_out")))
 
     def attempt(photos: PhotoStore) -> Any:
         normalized = NormalizedDepth(target, result.depth, device)

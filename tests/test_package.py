@@ -27,8 +27,9 @@ ALLOWED = {
     "cameras": {"scene", "runtime", "surface", "splat", "measurements", "effects", "progress", "jobs"},
     "effects": {"measurements", "runtime", "scene", "splat", "surface"}, "measurements": {"splat"},
     "rounds": {"scene", "runtime", "surface", "splat", "result", "effects", "progress"},
-    "refine": {"acceptance", "cameras", "jobs", "scene", "runtime", "surface", "splat", "result", "measurements",
-               "effects", "keep_mesh", "progress", "rounds"},
+    "resemblance": {"scene", "runtime", "splat", "effects"},
+    "refine": {"acceptance", "resemblance", "cameras", "jobs", "scene", "runtime", "surface", "splat", "result",
+               "measurements", "effects", "keep_mesh", "progress", "rounds"},
     "evaluate": {"scene"}, "synthetic": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
     "selftest": {"scene", "runtime", "splat", "reference", "refine", "cameras", "synthetic"},
 }

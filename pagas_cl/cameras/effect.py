@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pagas_cl.cameras.frames import depths_of
 from pagas_cl.cameras.refine import OFF, CameraRefinement, photos_off, refine_cameras
@@ -19,6 +19,9 @@ from pagas_cl.scene.inputs import Depth
 from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View
 
+if TYPE_CHECKING:
+    from pagas_cl.splat import PhotoStore
+
 FEWEST = 4                # views: three to tell how far a camera is off, and one more to judge
 MOST = 300                # views for which it is decided unasked: all depth maps are in memory at once
 _TIMES = 9                # as long as measuring them takes refining them
@@ -26,10 +29,12 @@ WORDS = "pixels that photos are off by across the direction of depth"
 
 
 def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, config: Config,
-                   device: Any = None, progress: Progress | None = None, executor: Executor | str | None = None,
+                   device: Any = None, progress: Progress | None = None, photos: PhotoStore | None = None,
+                   executor: Executor | str | None = None,
                    folder: str | Path | None = None) -> tuple[list[View], Config, CameraRefinement | None]:
     """Settle effects.cameras: the views with the cameras that follow, settings in which it is "set", and the refinement
-    (None where none was called for). Arguments as in refine_cameras."""
+    (None where none was called for). Arguments as in refine_cameras; `photos`, on the one device, serve whoever works
+    on the views after it."""
     from pagas_cl.runtime.device import one_of, open_device
 
     settled = replace(config, effects=replace(config.effects, cameras="set"))
@@ -45,7 +50,7 @@ def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
         return list(views), settled, None
     if choice == "auto":
         start = time.perf_counter()
-        decision, off = decide_cameras(views, depths_or_mesh, config, here)
+        decision, off = decide_cameras(views, depths_or_mesh, config, here, photos)
         if progress:
             progress("measure the cameras", 1, 1)
         log.info("%s", decision)
@@ -53,20 +58,23 @@ def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
             return list(views), settled, None
         tell(progress, "expect", "refine the cameras", _TIMES * (time.perf_counter() - start), "cameras")
     found = refine_cameras(views, depths_or_mesh, config=config, device=device, progress=progress, measured=off,
-                           executor=executor, folder=folder)
+                           photos=photos, executor=executor, folder=folder)
     log.info("%s", found)
-    return with_cameras(views, found), settled, found
+    moved = with_cameras(views, found)
+    if photos is not None:
+        photos.replace(views, moved)
+    return moved, settled, found
 
 
-def decide_cameras(views: Sequence[View], depths_or_mesh, config: Config,
-                   device) -> tuple[Decision, tuple[float, float]]:
+def decide_cameras(views: Sequence[View], depths_or_mesh, config: Config, device,
+                   photos: PhotoStore | None = None) -> tuple[Decision, tuple[float, float]]:
     """Whether a scene calls for it, and what photos_off measured."""
     from pagas_cl.runtime.device import open_device
     from pagas_cl.splat import PhotoStore
 
     device, choice = open_device(device), config.effects.cameras
     depths = depths_of(depths_or_mesh, device)[0]([view.camera for view in views])
-    off = photos_off(views, depths, config, device, PhotoStore(device))
+    off = photos_off(views, depths, config, device, photos or PhotoStore(device))
     on = choice == "on" or (choice == "auto" and off[0] > OFF)
     return Decision("cameras", off[0], OFF, on, WORDS if choice == "auto" else f"asked for: {choice}"), off
 

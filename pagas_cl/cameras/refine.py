@@ -95,8 +95,8 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
                    unknowns: Collection[str] = ("pose",), lenses: Sequence[int] | None = None,
                    gauge: Sequence[Camera] | None = None, measured: tuple[float, float] | None = None,
                    preset: str | None = None, config: Config | None = None, device: Any = None,
-                   progress: Progress | None = None, executor: Executor | str | None = None,
-                   folder: str | Path | None = None) -> CameraRefinement:
+                   progress: Progress | None = None, photos: PhotoStore | None = None,
+                   executor: Executor | str | None = None, folder: str | Path | None = None) -> CameraRefinement:
     """Refine the cameras of `views`, so that their photos agree through the surface.
 
     Parameters
@@ -132,7 +132,7 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     with (translate_cl_errors(here, "the refinement of the cameras"),
           blocks_by(executor, device, folder) as make_blocks):
         return _refine(list(views), depths_or_mesh, tuple(unknowns), lenses, gauge, measured, config, here, progress,
-                       make_blocks)
+                       photos, make_blocks)
 
 
 def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], config: Config, device: Device,
@@ -153,12 +153,12 @@ def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], confi
 
 
 def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, device, progress,
-            make_blocks) -> CameraRefinement:
+            photos, make_blocks) -> CameraRefinement:
     from pagas_cl.splat import PhotoStore
 
     start, (depths, moves) = time.perf_counter(), depths_of(depths_or_mesh, device)
     _check(views, depths_or_mesh, unknowns, moves, gauge)
-    given, photos = [view.camera for view in views], PhotoStore(device)
+    given, photos = [view.camera for view in views], photos or PhotoStore(device)
     surfaces = depths(given)
     nothing = np.full(len(views), np.nan)
     samples = [surface_points(camera, depth) for camera, depth in zip(given, surfaces)]

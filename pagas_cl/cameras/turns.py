@@ -67,7 +67,7 @@ def _way(camera: Camera, other: Camera, own: np.ndarray, others: np.ndarray, dep
     height, width = depth.shape
     points = (camera.rays() * depth[..., None]) @ camera.world_to_camera[:3, :3] + camera.center
     uv, z = other.project(points.reshape(-1, 3))
-    seen = (depth.ravel() > 0) & (z > 0) & ((uv >= 0) & (uv < [other.width, other.height])).all(axis=1)
+    seen = (depth.ravel() > 0) & other.holds(uv, z)
     column, row = np.floor(uv[seen]).astype(int).T
     there = np.full(depth.size, np.nan, np.float32)
     there[seen] = others[row, column]

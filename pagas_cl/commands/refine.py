@@ -146,7 +146,8 @@ def command(
                                    progress=progress, on_view=drawn)
         made = None
         if output is not None and keep_mesh:
-            made = displaced_mesh(mesh, found.views, depths, results, config, subdivide, device=place["device"])
+            made = displaced_mesh(mesh, found.views, depths, results, config, subdivide, place["device"],
+                                  page and page.note)
             write_whole(output, made)
         elif output is not None:
             made = fuse_results(found.views, results, config, progress, memory, page and page.note,

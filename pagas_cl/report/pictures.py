@@ -111,7 +111,7 @@ def parallax_change(target: Camera, contexts: list[Camera], before, after) -> np
     for camera in contexts:
         (old, z_old), (new, z_new) = (project_depth(target, camera, depth) for depth in (before, after))
         with np.errstate(invalid="ignore"):
-            seen = (z_old > 0) & (z_new > 0) & ((old >= 0) & (old < (camera.width, camera.height))).all(axis=-1)
+            seen = (z_new > 0) & camera.holds(old, z_old)
             total += np.where(seen, ((new - old) ** 2).sum(axis=-1), 0)
         count += seen
     known = (before > 0) & (after > 0) & (count > 0)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, NoDeviceError, log
 from pagas_cl.runtime import icd, listing
@@ -48,6 +48,10 @@ class Device:
     def has(self, extension: str) -> bool:
         """Whether the device reports the OpenCL `extension`."""
         return extension in self.info.extensions
+
+
+# One device, by its name or open, or several, by a list of names or "all".
+Devices: TypeAlias = str | Device | list[str] | tuple[str, ...]
 
 
 def open_device(name: str | Device | None = None, *, profiling: bool = False) -> Device:

@@ -125,11 +125,19 @@ class Camera:
 
     def project(self, points: npt.ArrayLike) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Project world `points` of shape (..., 3): pixel positions of shape (..., 2) and depth z of shape (...)."""
-        p = np.asarray(points, np.float64) @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
-        z = p[..., 2]
+        points = np.asarray(points, np.float64)     # a coordinate after the other: ten times as fast as point by point
+        x, y, z = self.world_to_camera[:3, :3] @ points.reshape(-1, 3).T + self.world_to_camera[:3, 3:]
         with np.errstate(divide="ignore", invalid="ignore"):
-            uv = p[..., :2] / z[..., None] * (self.fx, self.fy) + (self.cx, self.cy)
-        return uv, z
+            uv = np.stack([x / z * self.fx + self.cx, y / z * self.fy + self.cy], axis=-1)
+        return uv.reshape(*points.shape[:-1], 2), z.reshape(points.shape[:-1])
+
+    def holds(self, uv: npt.NDArray[Any], z: npt.NDArray[Any], margin: float = 0.0) -> npt.NDArray[np.bool_]:
+        """Which of the points that `project` put there lie before the camera and in its picture, so many pixels from
+        its border: bool (...)."""
+        u, v = uv[..., 0], uv[..., 1]
+        with np.errstate(invalid="ignore"):
+            inside = (z > 0) & (u >= margin) & (v >= margin) & (u < self.width - margin) & (v < self.height - margin)
+        return np.asarray(inside)
 
     def resized(self, width: int, height: int) -> "Camera":
         """The same camera for the image resampled to `width` x `height` (the image's corners stay in place)."""

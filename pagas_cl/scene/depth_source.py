@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.depthmap import clean_depth, read_values
 from pagas_cl.scene.digest import digest_file, digest_of
 from pagas_cl.scene.files import translated
@@ -71,6 +71,15 @@ class DepthSource:
         placement = self.placement or stretched(self.size, (depth.shape[1], depth.shape[0]))
         return placement.photo_depth(depth, *self.size)
 
+    def low(self) -> float:
+        """Share of the map, where the photo lies in it, that is left out for its confidence."""
+        sure = np.zeros((0, 0)) if self.confidence is None else flat(self.confidence, grey=True)
+        if self.placement is not None:
+            sides = zip(self.placement.offset, self.placement.scale, self.size)
+            across, down = (slice(max(0, round(start)), max(0, round(start + scale * n))) for start, scale, n in sides)
+            sure = sure[down, across]
+        return float(np.mean(~(sure >= self.least))) if sure.size else 0.0
+
 
 @dataclass(frozen=True)
 class Adjusted:
@@ -130,3 +139,11 @@ def least_confidence(maps: Sequence[Path | Stored], where: str) -> float:
         raise InputError(f"{where}: no confidence is a finite number; export without it")
     low = 1.0 if values.min() >= 1 else 0.0
     return float(low + LEFT_OUT * (np.median(values) - low))
+
+
+def tell_left_out(depths: Sequence[DepthSource | None], where: str) -> None:
+    """Log the threshold of confidence and what it costs."""
+    asked = [depth for depth in depths if depth is not None and depth.confidence is not None]
+    if asked:
+        log.info("%s: depths of confidence below %.3g are left out, %.0f %%", where, asked[0].least,
+                 100 * np.mean([depth.low() for depth in asked[:_ASKED]]))

@@ -110,8 +110,8 @@ def _checked(vertices: Any, faces: Any) -> tuple[np.ndarray, np.ndarray]:
     if len(vertices) == 0 or len(faces) == 0:
         cloud = "; a point cloud has to be made a mesh first (Poisson reconstruction, say)" if len(vertices) else ""
         raise InputError(f"the mesh is empty: {len(vertices)} vertices and {len(faces)} faces{cloud}")
-    bad = ~np.isfinite(vertices).all(axis=1)
-    if bad.any():
+    if not np.isfinite(vertices).all():
+        bad = ~np.isfinite(vertices).all(axis=1)
         raise InputError(f"mesh vertex {int(np.argmax(bad))} is not finite ({int(bad.sum())} of {len(vertices)} are "
                          "not): remove them first")
     low, high = int(faces.min()), int(faces.max())

@@ -78,10 +78,7 @@ def sample_surface(surface: Surface, count: int = 20000, few: int = 1500) -> Sam
 def inside(camera: Camera, points: np.ndarray, margin: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Which points (N, 3) lie in front of the camera, and which inside its image too: two bool arrays (N,)."""
     uv, z = camera.project(points)
-    front = z > 0
-    with np.errstate(invalid="ignore"):
-        within = (uv >= margin).all(axis=-1) & (uv < np.array([camera.width, camera.height]) - margin).all(axis=-1)
-    return front, front & within
+    return z > 0, camera.holds(uv, z, margin)
 
 
 def shares(cameras: Sequence[Camera], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ _MOVES = SHIFTS + OFFSETS
 # Rows of a context view: (name, lowest, highest, quantile's share).
 _ROWS = [("hidden", 0, 1, 0.5), ("size", 0, 8, 0.5), *[(f"change {c}", -1, 1, 0.5) for c in "rgb"],
          *[(f"epipolar_offset {k}", -2.5, 2.5, 0.5) for k in range(4)], ("specularity", 0, 1, 0.95),
-         ("like", 0, 1, 0.5)]
+         ("like", 0, 1, 0.5), ("parallax", 0, 1, 0.5), ("explained", 0, 1, 0.5)]
 # The first row of each name, as measure.cl has it in capitals.
 _ROW_NUMBERS = define(**{name.split()[0].upper(): k for k, (name, *_) in reversed(list(enumerate(_ROWS)))},
                       ROWS=len(_ROWS))
@@ -106,6 +106,7 @@ class ProbeResult:
     textureless: float
     stride: int                             # pixels of the target between samples
     local_specularity: np.ndarray           # float32 (down, across): mean over the context views, NaN = unknown
+    explained: np.ndarray                   # float32 (contexts, down, across): of a patch by each photo, NaN = unknown
 
 
 @dataclass(eq=False)
@@ -160,10 +161,14 @@ class Probe:
         views, samples = self.view_samples.read().reshape(-1, len(_ROWS), 4), self.samples.read()
         specularity = np.empty((self.grid.down, self.grid.across), np.float32)
         cl.enqueue_copy(self.device.queue, specularity, self.samples.values, src_offset=8 * self.grid.count)
+        explained, row = np.empty((len(self.views), *specularity.shape), np.float32), len(_ROWS) - 1
+        for k, rows in enumerate(explained):        # the next download waits for these
+            cl.enqueue_copy(self.device.queue, rows, self.view_samples.values, is_blocking=False,
+                            src_offset=4 * self.grid.count * (k * len(_ROWS) + row))
         table = download(self.device, self.buffers.exposure, (1 + len(self.views), 2, 3))
         return ProbeResult({name: views[:, row] for row, (name, *_) in enumerate(_ROWS)}, samples[0], samples[1],
                            table[1:].transpose(0, 2, 1).astype(np.float64), *image_noise.read(), self.grid.stride,
-                           specularity)
+                           specularity, explained)
 
     def sample(self, view) -> list:
         """Samples of the context view, by the nearest surfaces that buffers.z_first holds for it."""

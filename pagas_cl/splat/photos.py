@@ -1,14 +1,17 @@
 """Photos on the device: all of them, each uploaded once, or one at a time."""
 
 from collections.abc import Callable, Hashable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
 
+from pagas_cl.runtime.device import open_device
 from pagas_cl.splat.buffers import Size
 
 PHOTO_MARGIN = 16         # pixels behind a photo that may be read
+_READERS, _READ = 4, 1 << 24      # photos read at a time, and most pixels of them
 _ON_A_CPU = 256 << 20     # bytes kept of what other views may want, where the device's memory is the host's
 
 
@@ -24,11 +27,11 @@ class PhotoStore:
         self.limit = limit_bytes or min(device.memory.limit // 4, _ON_A_CPU if self.on_host else device.memory.limit)
         self._held: dict[Hashable, tuple] = {}        # by owner: what is on the device, bytes
 
-    def photo(self, view) -> cl.Buffer:
-        """Buffer of (height, width) uchar4 of `view`, a pagas_cl.scene.view.View."""
+    def photo(self, view, pixels: np.ndarray | None = None) -> cl.Buffer:
+        """Buffer of (height, width) uchar4 of `view`, a pagas_cl.scene.view.View; `pixels` where it has been read."""
         def send() -> cl.Buffer:
-            pixels, buffer = rgba(view.load_image(), view.load_mask()), photo_buffer(self.device, size)
-            cl.enqueue_copy(self.device.queue, buffer, pixels)
+            buffer = photo_buffer(self.device, size)
+            cl.enqueue_copy(self.device.queue, buffer, _read(view) if pixels is None else pixels)
             _forget_on_host(view)
             return buffer
 
@@ -44,6 +47,12 @@ class PhotoStore:
         self._held[owner] = found            # last in the order of use
         return found[0]
 
+    def replace(self, views, others) -> None:
+        """What is held for each of `views` serves the one of `others` in its place."""
+        for view, other in zip(views, others):
+            if view in self._held:
+                self._held[other] = self._held.pop(view)
+
     def has(self, view) -> bool:
         """Whether its photo is on the device."""
         return view in self._held
@@ -54,7 +63,14 @@ class PhotoStore:
             self._held.pop(owner, None)
 
     def level(self, views, sizes: list[Size], resampler):
-        """Photos of `views` at `sizes`, all on the device; none on the host (see StreamedPhotos)."""
+        """Photos of `views` at `sizes`, all on the device; none on the host (see StreamedPhotos). Several are read at a
+        time where the device leaves the host idle."""
+        new = [] if self.on_host else [view for view in dict.fromkeys(views) if not self.has(view)]
+        some = max(1, min(_READERS, _READ // max((_full_size(view).pixels for view in new), default=1)))
+        with ThreadPoolExecutor(some) as readers:
+            for k in range(0, len(new), some):
+                for view, pixels in zip(new[k:k + some], readers.map(_read, new[k:k + some])):
+                    self.photo(view, pixels)
         return [_resized(self.device, resampler, self.photo(view), _full_size(view), size)
                 for view, size in zip(views, sizes)], ()
 
@@ -75,6 +91,13 @@ class PhotoStore:
     def _make_room(self, nbytes: int):
         while self._held and sum(size for _, size in self._held.values()) + nbytes > self.limit:
             self._held.pop(next(iter(self._held)))
+
+
+def photos_here(device, executor, folder) -> PhotoStore | None:
+    """Room for photos on the one device on which this process refines views; None where views are refined elsewhere
+    (arguments as of refine_views)."""
+    elsewhere = executor is not None or folder is not None or device == "all" or isinstance(device, (list, tuple))
+    return None if elsewhere else PhotoStore(open_device(device))
 
 
 class StreamedPhotos:
@@ -112,9 +135,13 @@ class StreamedPhotos:
 
     def _full(self, view) -> np.ndarray:
         if id(view) not in self._pixels:
-            self._pixels[id(view)] = view, rgba(view.load_image(), view.load_mask())
+            self._pixels[id(view)] = view, _read(view)
             _forget_on_host(view)
         return self._pixels[id(view)][1]
+
+
+def _read(view) -> np.ndarray:
+    return rgba(view.load_image(), view.load_mask())
 
 
 def _forget_on_host(view) -> None:

@@ -84,11 +84,11 @@ def full_level(target, contexts, depth: np.ndarray, config: Config, device, phot
 
 
 def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
-               normalized: NormalizedDepth | None = None):
-    """What the context views show under the initial depth: a measure.ProbeResult."""
+               normalized: NormalizedDepth | None = None, scale: float = 1.0):
+    """What the context views show under the initial depth, at `scale` of their size: a measure.ProbeResult."""
     run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), normalized=normalized)
-    given = run.at(1.0)
-    probe = Probe(device, config, given, lambda out: run.write_initial(out, run.full))
+    given = run.at(scale)
+    probe = Probe(device, config, given, lambda out: run.write_initial(out, given.sizes[0]))
     found = probe.read()
     probe.release()
     return found

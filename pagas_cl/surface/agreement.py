@@ -78,17 +78,20 @@ class Agreement:
             return float("nan")
         return float((np.searchsorted(found, found[-1] / 2) + 0.5) / _PER_PIXEL / _NORMAL / np.sqrt(2))
 
-    def average(self, spread: float, pixels: float, propose: bool = True) -> dict[str, Any]:
+    def average(self, spread: float, pixels: float, propose: bool = True,
+                first_spread: float | None = None) -> dict[str, Any]:
         """What follows for `own`, depth, deviation and status by name, on the device: each depth averaged with what the
         others say of it within `pixels` of parallax. `propose`: in place of rejected depths too, which have no weight
-        of their own and are REFINED from then on."""
-        count = self.own.depth.size
-        sums, depth, deviation, status = self._zeros(16 * count), *(self._buffer(size * count) for size in (4, 4, 1))
+        of their own and are REFINED from then on. `first_spread`: before anything was averaged, where it was."""
+        (height, width), views = self.own.depth.shape, len(self.others)
+        count, grown = width * height, 1.0 if first_spread is None else first_spread / spread
+        wider = grown**2 / 2 * views / (views - 1) if views > 1 else 0.0    # two that share their photos tell nothing
+        sums, depth, deviation, status = self._zeros(20 * count), *(self._buffer(size * count) for size in (4, 4, 1))
         for given in self._each():
             self._run("add_view", self._rows(), spread=spread, pixels=pixels, sums=sums, **given)
-        self._run("average", (count,), count=count, scale=self._scale, spread=spread, propose=int(propose), sums=sums,
-                  depth=self._depth, depth_per_parallax=self._parallax, deviation=self._deviation, status=self._status,
-                  averaged=depth, surer=deviation, found=status)
+        self._run("average", (width, height), width=width, height=height, scale=self._scale, spread=spread, wider=wider,
+                  propose=int(propose), sums=sums, depth=self._depth, depth_per_parallax=self._parallax,
+                  deviation=self._deviation, status=self._status, averaged=depth, surer=deviation, found=status)
         return {"depth": depth, "deviation": deviation, "status": status}
 
     def read(self, averaged: dict[str, Any], *names: str) -> dict[str, np.ndarray]:
@@ -118,7 +121,7 @@ class Agreement:
     def _run(self, kernel: str, size: tuple[int, ...], **arguments: Any) -> None:
         from pagas_cl.runtime.program import bind, run_once
 
-        group = (1, 1) if len(size) == 2 and self._columns > 1 else None
+        group = (1, 1) if size[0] == 1 and self._columns > 1 else None
         run_once(self.device.queue, [bind(self._program, kernel, size, group, **arguments)])
 
     def _zeros(self, nbytes: int) -> Any:

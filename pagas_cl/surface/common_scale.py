@@ -2,7 +2,8 @@
 
 Patches of a view are carried to its neighbours by their depths times s and correlated there; s is swept around 1, first
 on small photos and widely, then on larger ones around the best. Where depths differ enough for a shift to show, they
-are stretched about their median likewise, which is another factor and a shift.
+are stretched about their median likewise, which is another factor and a shift. Both are made exact by where each patch
+by itself agrees best.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ _BENDABLE = 0.3         # largest stretch of depths about their middle
 CLEAR = 0.02            # by so much patches must correlate better than under the depths as given
 _MOST = 241             # values of s in a sweep
 _ACROSS, _SOME = 10.0, 0.3      # pixels of the small photos searched to each side; least correlation at the best
-_EACH = 6.0             # and in both directions for the s of a pair
+_EACH = 6.0             # and in both directions for the s of a patch
+_MATCHED, _SURE = 0.7, 4.0      # correlation of a patch that is believed to be found; standard errors of a stretch
 _GAIN = 0.04            # of correlation, without which photos are not said to be off
 AGREE = 0.5             # mean correlation from which on photos are said to agree over the depth
 UNITS = (1e3, 1e-3, 1e2, 1e-2, 1e1, 1e-1, 1e4, 1e-4, 5e3)      # numbers for one scene unit that are tried
@@ -64,21 +66,56 @@ def find_common_scale(views: Sequence[View], cameras: Sequence[Camera], depths: 
     pairs = _pairs(cameras, depths)
     if not pairs:
         return CommonScale(1.0, 0.0, float("nan"), float("nan"))
-    best, span, bent = 0.0, RANGE, 0.0
+    best, bent, span = 0.0, 0.0, RANGE
     sweeps = [_Sweep(views, depths, pairs, side) for side in _SIDES]
     for sweep in sweeps:
         best = sweep.best(best, span, sweep.parallax, partial(sweep.score, bent=bent))
-        span, range_ = _FINER * _STEP * sweep.parallax, sweep.range
-        if sweep.parallax / range_ < _BENDABLE:      # else depths that bend look as they did
-            trial = sweep.best(bent, _BENDABLE, sweep.parallax / range_, partial(sweep.score, best))
-            bent = trial if sweep.score(best, trial) > sweep.score(best, 0.0) + CLEAR else 0.0
-            best = sweep.best(best, span, sweep.parallax, partial(sweep.score, bent=bent))
-    given = sweeps[-1].score(0.0, 0.0)
-    if not sweeps[-1].score(best, bent) > given + (CLEAR if known else 0.0) or abs(best) > 0.98 * RANGE:
+        best, bent = _by_patches(sweep, best, bent)
+        span = _FINER * _STEP * sweep.parallax
+    given, found = sweep.score(0.0, 0.0), sweep.score(best, bent)
+    if not found > given + (CLEAR if known else 0.0) or abs(best) > 0.98 * RANGE or abs(bent) > _BENDABLE:
         return CommonScale(1.0, 0.0, given, given)
-    best = sweeps[0].mean_of_pairs(best, bent)
     factor = float(np.exp(best))
-    return CommonScale(factor * (1 + bent), -factor * bent * sweeps[-1].middle, sweeps[-1].score(best, bent), given)
+    return CommonScale(factor * (1 + bent), -factor * bent * sweep.middle, found, given)
+
+
+def _by_patches(sweep: _Sweep, start: float, bent: float) -> tuple[float, float]:
+    """The log factor `start` and `bent` made exact by where each patch by itself agrees best; a stretch within its
+    error stays. The mean of all patches hardly shows a stretch: in most of them it is small."""
+    tried = start + sweep.parallax * np.arange(-_EACH, _EACH + 0.25, _STEP)
+    moves, told = np.arange(-_EACH, _EACH + 0.5), []
+    for i, j in sweep.pairs:
+        across = sweep.scores_across(i, j, moves, start, bent)
+        if np.isfinite(across).all():
+            rows = [sweep.across(i, j, moves[[across.argmax()]], value, bent) for value in tried]
+            scores, pixels = np.concatenate([row for row, _ in rows]).T, rows[len(rows) // 2][1]
+            top = np.where(np.isfinite(scores).all(axis=1)[:, None], scores, 0.0)
+            good = (top.max(axis=1) > _MATCHED) & (top.argmax(axis=1) % (len(tried) - 1) > 0)
+            best = np.array([_peak(tried, row) for row in scores[good]]) - start
+            middle = sweep.middle / sweep.depth(sweep.patches[i], 0.0, bent)[good].mean(axis=1)
+            told += [(np.stack([np.ones(len(best)), 1 - middle], -1), best, pixels[good])] * (len(best) >= _LEAST)
+    for unknowns in (2, 1) if told else ():
+        each = [_fitted(rows[:, :unknowns], best, pixels) for rows, best, pixels in told]
+        values, errors = np.array(each).swapaxes(0, 1)
+        weights = np.array([[np.median(pixels) ** 2] for *_, pixels in told])   # cameras that are off move whole pairs
+        weights /= weights.sum()
+        mean = (weights * values).sum(axis=0)
+        error = np.sqrt((weights**2 * np.maximum(errors**2, (values - mean) ** 2)).sum(axis=0))
+        if unknowns == 1 or abs(mean[1]) > _SURE * error[1]:
+            return start + float(mean[0]), bent + float(mean[1]) * (1 + bent) if unknowns == 2 else bent
+    return start, bent
+
+
+def _fitted(rows: np.ndarray, y: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """x of y = rows x, and its standard errors; y times `pixels` has errors alike, some of them large."""
+    rows, y, weights = rows * pixels[:, None], y * pixels, np.ones(len(y))
+    for _ in range(20):
+        weighted = rows * weights[:, None]
+        inverse = np.linalg.inv(weighted.T @ rows + 1e-9 * np.eye(rows.shape[1]))
+        x = inverse @ weighted.T @ y
+        left = y - rows @ x
+        weights = 1 / (1 + (left / max(3 * float(np.median(np.abs(left))), 0.1)) ** 2) ** 2
+    return x, np.sqrt(((inverse @ (weighted * left[:, None]).T) ** 2).sum(axis=1)) + 1e-12
 
 
 def _peak(x: np.ndarray, y: np.ndarray) -> float:
@@ -140,7 +177,7 @@ def cameras_off(views: Sequence[View], cameras: Sequence[Camera], depths: Sequen
     sweep = _Sweep(views, depths, pairs, _SIDES[0])
     tried, found, gains = np.arange(-_ACROSS, _ACROSS + 0.25, 0.5), [], []
     for pair in pairs:
-        scores, _ = sweep.scores_across(*pair, tried)
+        scores = sweep.scores_across(*pair, tried)
         if np.isfinite(scores).all() and scores.max() > _SOME:
             found.append(_peak(tried, scores) * views[pair[0]].camera.width / sweep.cameras[pair[0]].width)
             gains.append(scores.max() - scores[len(tried) // 2])
@@ -168,8 +205,6 @@ class _Sweep:
                 self.patches[k] = _patches(self.cameras[k], self.greys[k], resized(depth, *size))
         every = np.concatenate([patches.depth.ravel() for patches in self.patches.values()])
         self.middle = float(np.median(every)) if len(every) else 1.0
-        self.range = float(np.median(np.abs(every / self.middle - 1))) if len(every) else 0.0
-        self.range = max(self.range, 1e-9)
         self.parallax = self._parallax()
 
     def best(self, start: float, span: float, parallax: float, score: Callable[[float], float]) -> float:
@@ -178,19 +213,6 @@ class _Sweep:
         tried = np.union1d(np.arange(start - span, start + span + step / 2, step), [start])
         scores = np.array([score(float(value)) for value in tried])
         return _peak(tried, scores) if np.isfinite(scores).any() else start
-
-    def mean_of_pairs(self, start: float, bent: float) -> float:
-        """Mean over the pairs of the value near `start` under which each agrees best, with its photos moved across the
-        direction of depth as suits it; weighed by how well they agree, and how far depth moves them."""
-        tried = start + self.parallax * np.arange(-_EACH, _EACH + 0.25, 0.5)
-        moves, total, weight = np.arange(-_EACH, _EACH + 0.5), 0.0, 0.0
-        for pair in self.pairs:
-            found = [self.scores_across(*pair, moves, value, bent) for value in tried]
-            scores, slope = np.array([scores.max() for scores, _ in found]), found[len(found) // 2][1]
-            if np.isfinite(scores).all() and scores.max() > _SOME:
-                own = (scores.max() * slope) ** 2
-                total, weight = total + own * _peak(tried, scores), weight + own
-        return total / weight if weight else start
 
     def _parallax(self) -> float:
         """Relative change of depth that moves a patch by a pixel, median over the pairs."""
@@ -204,13 +226,13 @@ class _Sweep:
     def _place(self, i: int, j: int, log_scale: float, bent: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         patches, camera = self.patches[i], self.cameras[j]
         rotation, tau = camera.relative_to(patches.camera)
-        x, y, z = np.moveaxis(patches.rays * self._depth(patches, log_scale, bent)[..., None] @ rotation.T + tau, -1, 0)
+        x, y, z = np.moveaxis(patches.rays * self.depth(patches, log_scale, bent)[..., None] @ rotation.T + tau, -1, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
             good = ((z > 0) & (u > 1) & (v > 1) & (u < camera.width - 1) & (v < camera.height - 1)).all(axis=1)
         return u, v, good
 
-    def _depth(self, patches: _Patches, log_scale: float, bent: float) -> np.ndarray:
+    def depth(self, patches: _Patches, log_scale: float, bent: float) -> np.ndarray:
         """Depths times the factor, their distance from the middle stretched by 1 + `bent`."""
         moved: np.ndarray = np.exp(log_scale) * (patches.depth + bent * (patches.depth - self.middle))
         return moved
@@ -221,26 +243,34 @@ class _Sweep:
         for i, j in self.pairs:
             u, v, good = self._place(i, j, log_scale, bent)
             if good.any():
-                other = _unit(bilinear(self.greys[j], u[good], v[good]))[0]
-                values = np.maximum((other * self.patches[i].grey[good]).sum(axis=1), 0)
+                values = self._correlations(i, j, u, v, good)
                 total, count = total + float(values.sum()), count + len(values)
         return total / count if count >= _LEAST else float("nan")
 
-    def scores_across(self, i: int, j: int, moves: np.ndarray, log_scale: float = 0.0,
-                      bent: float = 0.0) -> tuple[np.ndarray, float]:
-        """Mean correlation of the pair's patches where those of j are moved by each of `moves` pixels across the
-        direction of depth; and pixels by which they move along it for a unit of log s."""
+    def _correlations(self, i: int, j: int, u: np.ndarray, v: np.ndarray, good: np.ndarray) -> np.ndarray:
+        """Correlation, at least 0, of the `good` patches of view i with what view j shows at u, v."""
+        other = _unit(bilinear(self.greys[j], u[good], v[good]))[0]
+        return np.maximum((other * self.patches[i].grey[good]).sum(axis=1), 0)
+
+    def across(self, i: int, j: int, moves: np.ndarray, log_scale: float = 0.0,
+               bent: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Correlations of the pair's patches (moves, patches; NaN for those that leave the photo) where those of j are
+        moved by each of `moves` pixels across the direction of depth; and pixels by which each moves along it for a
+        unit of log s."""
         (u, v, good), (u2, v2, _) = (self._place(i, j, value, bent) for value in (log_scale, log_scale + 1e-3))
-        if good.sum() < _LEAST:
-            return np.full(len(moves), np.nan), 0.0
-        along = np.stack([(u2 - u)[good].mean(axis=1), (v2 - v)[good].mean(axis=1)])
+        along = np.stack([(u2 - u).mean(axis=1), (v2 - v).mean(axis=1)])
         lengths = np.hypot(*along)
         along /= np.maximum(lengths, 1e-12)
-        found = []
-        for move in moves:
-            moved = bilinear(self.greys[j], u[good] - move * along[1][:, None], v[good] + move * along[0][:, None])
-            found.append(np.maximum((_unit(moved)[0] * self.patches[i].grey[good]).sum(axis=1), 0).mean())
-        return np.array(found), float(np.median(lengths)) * 1e3
+        found = np.full((len(moves), len(good)), np.nan)
+        for row, move in zip(found, moves):
+            row[good] = self._correlations(i, j, u - move * along[1][:, None], v + move * along[0][:, None], good)
+        return found, lengths * 1e3
+
+    def scores_across(self, i: int, j: int, moves: np.ndarray, log_scale: float = 0.0, bent: float = 0.0) -> np.ndarray:
+        """Means over the patches of what `across` gives; NaN where too few are told."""
+        found, _ = self.across(i, j, moves, log_scale, bent)
+        good = np.isfinite(found).all(axis=0)
+        return np.array([row[good].mean() for row in found]) if good.sum() >= _LEAST else np.full(len(moves), np.nan)
 
 
 def _patches(camera: Camera, grey: np.ndarray, depth: np.ndarray) -> _Patches:

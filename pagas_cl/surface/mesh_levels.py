@@ -9,9 +9,10 @@ import numpy as np
 
 from pagas_cl.errors import log
 from pagas_cl.scene.mesh import Surface
+from pagas_cl.surface.edges import Edges
 from pagas_cl.surface.mesh_evidence import Observed, Words, sent
 from pagas_cl.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded, welded, with_area
-from pagas_cl.surface.subdivide import Subdivision, long_edges, split, spread, with_middles
+from pagas_cl.surface.subdivide import Subdivision, spread, with_middles
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
@@ -32,12 +33,10 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     its vertices are, and which of them are at one place (V',).
     """
     mesh, views = _Splitting(surface, unit), sent(views, device)
-    coarse = max(COARSE, detail) * mesh.coarsening(max(COARSE, detail), most)
-    while len(mesh.all_longer(coarse)):
-        pass
+    mesh.split_longer(max(COARSE, detail) * mesh.coarsening(max(COARSE, detail), most))
     orientation = None
     for level in range(_LEVELS + 1):
-        now = OnDevice(device, mesh.welded())
+        now = OnDevice(device, Surface(mesh.points, with_area(mesh.edges.faces)))
         if orientation is None:
             orientation = orientation_of(now.surface, now.drawing, views)
         solved = solve_welded(now, views, least_views=least_views, orientation=orientation,
@@ -46,83 +45,104 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
         if level == _LEVELS:
             now.release()
             break
-        pairs, of_face = long_edges(mesh.points, mesh.place[mesh.faces], detail * mesh.unit)
-        off = off_middles(now, mesh.points, pairs, views, orientation, least_views)
+        lengths = mesh.edges.lengths(mesh.points)
+        long = np.flatnonzero(lengths > detail * np.maximum(*mesh.unit[mesh.edges.ends.T]))
+        off = off_middles(now, mesh.points, mesh.edges.ends[long], views, orientation, least_views)
         now.release()
-        wanted, count = np.flatnonzero(off > _OFF * flat), len(mesh.faces)
-        done = mesh.split_longest_with(wanted[np.argsort(-off[wanted], kind="stable")], pairs, of_face, most)
-        if done < len(wanted):
+        wanted, count = off > _OFF * flat, len(mesh.edges)
+        number, done = np.count_nonzero(wanted), mesh.split_longest_with(long, wanted, off, lengths, most)
+        if done < number:
             log.warning("mesh: %d edges are not split though depth maps show detail there: %d triangles are all that "
-                        "the memory is for", len(wanted) - done, most)
+                        "the memory is for", number - done, most)
         log.info("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
-                 len(wanted), len(pairs), _OFF * flat, count, len(mesh.faces))
-    division = Subdivision(len(surface.vertices), surface.faces, mesh.faces, mesh.rounds)
+                 number, len(long), _OFF * flat, count, len(mesh.edges))
+    division = Subdivision.of(len(surface.vertices), surface.faces, mesh.own, mesh.rounds)
     return division, solved.at(mesh.place), mesh.place
 
 
 class _Splitting:
-    """A mesh while it is split: `points` (W, 3) are its places, `place` (V,) that of each vertex, `faces` name
-    vertices."""
+    """A mesh while it is split: `points` (W, 3) are its places, `place` (V,) that of each vertex; `edges` are between
+    places, `own` between vertices, the same ones where no two vertices are at one place."""
 
     def __init__(self, surface: Surface, unit: np.ndarray):
         self.points, self.place = welded(surface.vertices)
         self.unit = np.full(len(self.points), np.inf)
         np.minimum.at(self.unit, self.place, unit)
-        self.faces: np.ndarray = surface.faces
-        self.unit = spread(self.unit, self.place[self.faces])
+        faces = self.place[surface.faces]
+        self.unit = spread(self.unit, faces)
+        self.own = self.edges = Edges(surface.faces, len(surface.vertices))
+        if len(self.points) < len(self.place):
+            self.edges = Edges(faces, len(self.points))
         self.rounds: list[np.ndarray] = []
-
-    def welded(self) -> Surface:
-        return Surface(self.points, with_area(self.place[self.faces]))
 
     def coarsening(self, edges: float, most: int) -> float:
         """By how much longer edges than `edges` footprints must be to leave half of `most` triangles to the detail."""
-        corners = self.points[self.place[self.faces]]
+        faces = self.edges.faces
+        corners = self.points[faces]
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-        needed = (area / (_FACE * (edges * self.unit[self.place[self.faces]].min(axis=1)) ** 2)).sum()
+        needed = (area / (_FACE * (edges * self.unit[faces].min(axis=1)) ** 2)).sum()
         return float(np.sqrt(max(1.0, needed / max(1, most // 2))))
 
-    def all_longer(self, edges: float) -> np.ndarray:
-        """Split all edges longer than `edges` footprints, and give them."""
-        pairs, of_face = long_edges(self.points, self.place[self.faces], edges * self.unit)
-        self._split(pairs, of_face)
-        return pairs
+    def split_longer(self, longest: float) -> None:
+        """Split edges until none is longer than `longest` footprints."""
+        fresh: np.ndarray | slice = slice(None)
+        while len(chosen := self.edges.longer(self.points, longest * self.unit, fresh)):
+            fresh = self._split(chosen)
 
-    def split_longest_with(self, wanted: np.ndarray, pairs: np.ndarray, of_face: np.ndarray, most: int) -> int:
-        """Split the edges `wanted` of `pairs`, and with them the longest edge of each of their faces: no slivers. So
-        many of the first ones as make at most `most` faces; how many."""
-        length = np.linalg.norm(self.points[pairs[:, 0]] - self.points[pairs[:, 1]], axis=1)
-        sides = np.append(length, -1.0).astype(np.float32)[of_face]
-        longest = np.take_along_axis(of_face, sides.argmax(axis=1)[:, None], axis=1)[:, 0]
+    def split_longest_with(self, long: np.ndarray, wanted: np.ndarray, off: np.ndarray, lengths: np.ndarray,
+                           most: int) -> int:
+        """Split those of the edges `long` that are `wanted`, and with them the longest of each of their faces: no
+        slivers. So many of those that lie `off` farthest as make at most `most` faces; how many."""
+        sides, count = self.edges.sides, len(self.edges.ends)
+        first = self.edges.in_order(long[wanted])
+        by_edge = np.zeros(count, np.float32)
+        by_edge[long] = off
+        first = first[np.argsort(-by_edge[first], kind="stable")]
+        rank = np.full(count, count, np.int32)       # of the first edge that is split, this one with it
+        rank[first] = np.arange(len(first), dtype=np.int32)
+        size = np.full(count, -1, np.float32)
+        size[long] = lengths[long]
+        longest = np.where(size[sides[1]] > size[sides[0]], sides[1], sides[0])
+        longest = np.where(size[sides[2]] > size[longest], sides[2], longest)
+        faces_of, face = np.zeros((2, count), np.int32), np.arange(len(self.edges), dtype=np.int32)
+        for side in sides:
+            faces_of[0, side] = face
+        for side in sides[::-1]:
+            faces_of[1, side[::-1]] = face[::-1]
         while True:
-            chosen = np.zeros(len(pairs) + 1, bool)            # the last: of sides that are none of them
-            chosen[wanted] = True
-            more = longest[chosen[of_face].any(axis=1)]
-            while not chosen[more].all():
-                chosen[more] = True
-                more = longest[chosen[of_face].any(axis=1)]
-            added, room = np.count_nonzero(chosen[of_face]), max(0, most - len(self.faces))
-            if added <= room:
+            ranks = [rank[side] for side in sides]
+            least = np.minimum(np.minimum(ranks[0], ranks[1]), ranks[2])
+            more = np.flatnonzero(least < rank[longest])
+            if not len(more):
                 break
-            wanted = wanted[:int(0.95 * len(wanted) * room / added)]
-        number = np.where(chosen, np.cumsum(chosen) - 1, -1)
-        self._split(pairs[chosen[:-1]], number[of_face])
-        return len(wanted)
+            while len(more):                                       # on edges of three faces, once more in all of them
+                np.minimum.at(rank, longest[more], rank[sides[:, more]].min(axis=0))
+                more = faces_of[:, longest[more]].reshape(-1)
+                more = more[rank[sides[:, more]].min(axis=0) < rank[longest[more]]]
+        done, room = len(first), max(0, most - len(self.edges))
+        while (added := sum(np.count_nonzero(part < done) for part in ranks)) > room:
+            done = int(0.95 * done * room / added)
+        self._split(self.edges.in_order(np.flatnonzero(rank < done)))
+        return done
 
-    def _split(self, pairs: np.ndarray, of_face: np.ndarray) -> None:
-        count, here = len(self.place), of_face >= 0
-        if not len(pairs):
-            return
-        a, b = self.faces[here].astype(np.int64), self.faces[:, [1, 2, 0]][here]
-        found, first, number = np.unique(np.minimum(a, b) * count + np.maximum(a, b), return_index=True,
-                                         return_inverse=True)
-        middles = np.full(of_face.shape, -1, np.int32)
-        middles[here] = count + number.reshape(-1)
-        self.place = np.concatenate([self.place, (len(self.points) + of_face[here][first]).astype(np.int32)])
-        self.rounds.append(np.stack(np.divmod(found, count), axis=1).astype(np.int32))
-        self.faces, _ = split(self.faces, middles)
+    def _split(self, chosen: np.ndarray) -> np.ndarray:
+        """Split the edges of these numbers, sorted by their ends; as Edges.split_at."""
+        pairs, own = self.edges.ends[chosen], chosen
+        place = np.full(len(self.edges.ends), -1, np.int32)
+        place[chosen] = len(self.points) + np.arange(len(chosen), dtype=np.int32)
+        if self.own is not self.edges:
+            place_of = np.empty(len(self.own.ends), np.int32)
+            place_of[self.own.sides] = place[self.edges.sides]
+            own = self.own.in_order(np.flatnonzero(place_of >= 0))
+            self.place = np.append(self.place, place_of[own])
+            self.rounds.append(self.own.ends[own])
+            self.own.split_at(own)
+        else:
+            self.place = np.append(self.place, place[chosen])
+            self.rounds.append(pairs)
         self.points = with_middles(self.points, pairs)
-        self.unit = np.concatenate([self.unit, self.unit[pairs].min(axis=1)])
+        self.unit = np.append(self.unit, np.minimum(*self.unit[pairs.T]))
+        return self.edges.split_at(chosen)
 
 
 def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: Sequence[Observed], orientation: float,

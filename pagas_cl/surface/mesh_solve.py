@@ -58,15 +58,27 @@ def solve_mesh(surface: Surface, views: Sequence[Observed], device: Device, *, l
 
 def welded(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Places of vertices, each once (W, 3), and which of them each vertex has, int32 (V,)."""
+    alone = vertices, np.arange(len(vertices), dtype=np.int32)
+    mixed = np.sort((vertices + 0.0).view(np.uint64) @ np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 1], np.uint64))
+    if (mixed[1:] != mixed[:-1]).all():     # no need to sort by place, which takes twenty times as long
+        return alone
     points, place = np.unique(vertices, axis=0, return_inverse=True)
     if len(points) == len(vertices):
-        return vertices, np.arange(len(vertices), dtype=np.int32)
+        return alone
     return points, place.reshape(-1).astype(np.int32)
+
+
+def unlike(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Which vertices (V, 3) are not where they were: bool (V,)."""
+    x, y, z = (before != after).T       # any(axis=1) takes six times as long
+    return x | y | z
 
 
 def with_area(faces: np.ndarray) -> np.ndarray:
     """The faces whose three corners are at three places."""
-    return faces[(faces != faces[:, [1, 2, 0]]).all(axis=1)]
+    a, b, c = faces.T
+    there = (a != b) & (b != c) & (c != a)
+    return faces if there.all() else faces[there]
 
 
 class OnDevice:
@@ -92,11 +104,22 @@ class OnDevice:
 
 def around(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Where each vertex' corners begin, int32 (V + 1,), and of each the two other corners of its triangle, (3 F, 2)."""
-    corner = faces.reshape(-1)
-    order = np.sort(corner.astype(np.int64) * len(corner) + np.arange(len(corner))) % max(1, len(corner))
-    others = np.stack([faces[:, [1, 2, 0]].reshape(-1), faces[:, [2, 0, 1]].reshape(-1)], axis=1)
-    first = np.concatenate([[0], np.cumsum(np.bincount(corner, minlength=count))])
-    return first.astype(np.int32), np.ascontiguousarray(others[order], np.int32)
+    others = np.empty((*faces.shape, 2), np.int32)
+    for side in range(3):
+        others[:, side, 0], others[:, side, 1] = faces[:, side - 2], faces[:, side - 1]
+    first, order = grouped(faces.reshape(-1), count)
+    return first, others.view(np.int64).reshape(-1)[order].view(np.int32).reshape(-1, 2)
+
+
+def grouped(numbers: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where each of `count` numbers begins in their order, int32 (count + 1,), and that order (N,) int32: what is equal
+    stays as it came. A fifth of the time of an argsort."""
+    key = numbers.astype(np.int64)
+    key <<= 32
+    key |= np.arange(len(numbers))
+    key.sort()
+    first = np.concatenate([[0], np.cumsum(np.bincount(numbers, minlength=count))])
+    return first.astype(np.int32), (key & 0xFFFFFFFF).astype(np.int32)
 
 
 def solve_welded(mesh: OnDevice, views: Sequence[Observed], *, least_views: int, rounds: int,
@@ -145,7 +168,7 @@ def _solve(mesh: OnDevice, views: Sequence[Observed], least_views: int, rounds: 
         words.release()
         own["positions"], own["moved"] = own["moved"], own["positions"]
         place = download(device, own["positions"], (count, 3))
-        moved = (place != start).any(axis=1)
+        moved = unlike(place, start)
         way = (place - start).astype(np.float64) * drawing.unit
         vertices = np.where(moved[:, None], surface.vertices + way, surface.vertices)
         log.info("mesh: round %d, %.0f %% of %d vertices have evidence, moved by %.3g footprints (root mean square)",
@@ -237,8 +260,7 @@ def orientation_of(surface: Surface, drawing: Any, views: Sequence[Observed]) ->
     for place in range(0, len(views), max(1, len(views) // _ASKED)):
         camera = views[place].camera
         uv, z = camera.project(middle)
-        with np.errstate(invalid="ignore"):
-            inside = np.flatnonzero((z > 0) & (uv >= 0).all(axis=1) & (uv < (camera.width, camera.height)).all(axis=1))
+        inside = np.flatnonzero(camera.holds(uv, z))
         column, row = uv[inside].astype(int).T
         near = np.abs(drawing.depth(camera)[row, column] - z[inside]) < z[inside] / camera.fx
         toward = ((camera.center - middle[inside[near]]) * across[inside[near]]).sum(axis=1)

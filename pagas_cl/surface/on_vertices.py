@@ -7,6 +7,7 @@ import numpy as np
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import confidence_of
 
+_PART = 1 << 14   # vertices at a time: what is made of them stays in the cache
 _ON_MAP = 30.0   # footprints between a vertex and a depth map that it is said to lie on
 
 
@@ -14,8 +15,8 @@ def footprints(vertices: np.ndarray, cameras: list[Camera], depths: list[np.ndar
     """Size of a pixel at each vertex in the view that sees it finest, scene units; infinite where no view does."""
     finest = np.full(len(vertices), np.inf)
     for camera, depth in zip(cameras, depths):
-        index, _, size = _seen(vertices, camera, depth)
-        finest[index] = np.minimum(finest[index], size)
+        for index, _, size in _seen(vertices, camera, depth):
+            finest[index] = np.minimum(finest[index], size)
     return finest
 
 
@@ -23,19 +24,19 @@ def vertex_confidence(vertices: np.ndarray, results) -> np.ndarray:
     """Mean confidence (0 to 1) of the DepthResults that see each vertex, float64 of shape (V,); 0 where none does."""
     total, count = np.zeros(len(vertices)), np.zeros(len(vertices))
     for result in results:
-        index, place, _ = _seen(vertices, result.camera, result.depth)
-        total[index] += confidence_of(*(part[place] for part in (result.depth, result.deviation, result.parallax)))
-        count[index] += 1
+        maps = [part.reshape(-1) for part in (result.depth, result.deviation, result.parallax)]
+        for index, pixel, _ in _seen(vertices, result.camera, result.depth):
+            total[index] += confidence_of(*(part[pixel] for part in maps))
+            count[index] += 1
     return total / np.maximum(count, 1)
 
 
 def _seen(vertices: np.ndarray, camera: Camera, depth: np.ndarray):
-    """Indices of the vertices that lie on the depth map; rows and columns there; the size of a pixel at each."""
-    uv, z = camera.project(vertices)
-    with np.errstate(invalid="ignore"):
-        inside = (z > 0) & (uv >= 0).all(axis=1) & (uv < (camera.width, camera.height)).all(axis=1)
-    index = np.flatnonzero(inside)
-    columns, rows = uv[index].astype(np.intp).T
-    size, found = z[index] / np.sqrt(camera.fx * camera.fy), depth[rows, columns]
-    near = (found > 0) & (np.abs(found - z[index]) < _ON_MAP * size)
-    return index[near], (rows[near], columns[near]), size[near]
+    """By parts: indices of the vertices on the depth map; their pixels, by rows; the size of a pixel at each."""
+    for start in range(0, len(vertices), _PART):
+        uv, z = camera.project(vertices[start:start + _PART])
+        index = np.flatnonzero(camera.holds(uv, z))
+        z, pixel = z[index], uv[index, 1].astype(np.intp) * camera.width + uv[index, 0].astype(np.intp)
+        size, found = z / np.sqrt(camera.fx * camera.fy), depth.reshape(-1)[pixel]
+        near = np.flatnonzero((found > 0) & (np.abs(found - z) < _ON_MAP * size))
+        yield start + index[near], pixel[near], size[near]

@@ -41,8 +41,8 @@ def frame_of(surface: Surface) -> tuple[np.ndarray, float]:
     """Middle (3,) and size of what the faces of a mesh span, scene units: the frame that it is handled in."""
     used = np.zeros(len(surface.vertices), bool)
     used[surface.faces] = True
-    used = surface.vertices[used]
-    low, high = used.min(axis=0), used.max(axis=0)
+    columns = (surface.vertices if used.all() else surface.vertices[used]).T
+    low, high = (np.array([find(column) for column in columns]) for find in (np.min, np.max))
     return (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pagas_cl.errors import InputError
+from pagas_cl.surface.edges import Edges
 
 _ROUNDS = 24
 _MOST_VERTICES = 40_000_000  # 3 GB of positions and faces
@@ -19,12 +20,13 @@ _MOST_VERTICES = 40_000_000  # 3 GB of positions and faces
 
 @dataclass(frozen=True, eq=False)
 class Subdivision:
-    """How a mesh of `count` vertices was subdivided: its faces (F, 3) before and (F', 3) after, int32, and for each
-    round the pairs (E, 2) of vertices between which new ones were put, in their order."""
+    """How a mesh of `count` vertices was subdivided: its faces (F, 3) before and (F', 3) after, and of which each was
+    made (F',), int32; for each round the pairs (E, 2) of vertices between which new ones were put, in their order."""
 
     count: int
     given: np.ndarray = field(repr=False)
     faces: np.ndarray = field(repr=False)
+    parents: np.ndarray = field(repr=False)
     rounds: list[np.ndarray] = field(repr=False)
 
     def vertices(self, values: np.ndarray) -> np.ndarray:
@@ -35,19 +37,19 @@ class Subdivision:
 
     def corners(self, values: np.ndarray) -> np.ndarray:
         """Values of shape (F, 3, C), one a corner, on the corners of the new faces."""
-        return self._carried(values.astype(np.float64)).astype(values.dtype)
+        edges, carried = Edges(self.given, self.count), values.astype(np.float64)
+        for pairs in self.rounds:
+            carried = edges.split(edges.of_pairs(pairs), len(pairs), carried)
+        return carried.astype(values.dtype)
 
     def on_faces(self, values: np.ndarray) -> np.ndarray:
         """Values of shape (F, ...) on the new faces: the parent's."""
-        return values[self._carried(np.arange(len(self.given)))]
+        return values[self.parents]
 
-    def _carried(self, values: np.ndarray) -> np.ndarray:
-        """The rounds once more, with `values` on faces (F,) or on their corners (F, 3, C)."""
-        faces, start, count = self.given, self.count, self.count + sum(map(len, self.rounds))
-        for pairs in self.rounds:
-            faces, values = split(faces, numbers_of(faces, pairs, start + np.arange(len(pairs)), count), values)
-            start += len(pairs)
-        return values
+    @classmethod
+    def of(cls, count: int, given: np.ndarray, edges: Edges, rounds: list[np.ndarray]) -> Subdivision:
+        """By what became of the edges."""
+        return cls(count, given, edges.faces, edges.table[6], rounds)
 
 
 def with_middles(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
@@ -56,19 +58,6 @@ def with_middles(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     a, b = values[pairs[:, 0]], values[pairs[:, 1]]
     middle = a + (b - a) / 2 if values.dtype.kind == "f" else a
     return np.concatenate([values, middle.astype(values.dtype)])
-
-
-def long_edges(vertices: np.ndarray, faces: np.ndarray, longest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges longer than `longest` (V,) at both ends: ends (E, 2) int64, the lesser first, and of each face's sides 01,
-    12, 20 the number of its edge, (F, 3), -1 where it is no longer than that."""
-    key = np.full(faces.shape, -1, np.int64)
-    for side in range(3):
-        a, b = faces[:, side], faces[:, (side + 1) % 3]
-        long = np.flatnonzero(np.linalg.norm(vertices[a] - vertices[b], axis=1) > np.maximum(longest[a], longest[b]))
-        key[long, side] = _keys(a[long], b[long], len(vertices))
-    found, number = np.unique(key, return_inverse=True)
-    less = int(len(found) and found[0] < 0)
-    return np.stack(np.divmod(found[less:], len(vertices)), axis=1), number.reshape(-1, 3) - less
 
 
 def spread(longest: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -88,18 +77,18 @@ def subdivide(vertices: np.ndarray, faces: np.ndarray, longest: np.ndarray, *,
     """
     vertices, longest = np.asarray(vertices, np.float64), np.asarray(longest, np.float64)
     given, rounds, count = np.asarray(faces, np.int32), [], len(vertices)
-    faces, longest = given, spread(longest, given)
+    edges, longest, fresh = Edges(given, count), spread(longest, given), slice(None)
     for _ in range(_ROUNDS):
-        pairs, of_face = long_edges(vertices, faces, longest)
-        if not len(pairs):
-            return Subdivision(count, given, faces, rounds)
-        if len(vertices) + len(pairs) > most:
+        chosen = edges.longer(vertices, longest, fresh)
+        if not len(chosen):
+            return Subdivision.of(count, given, edges, rounds)
+        if len(vertices) + len(chosen) > most:
             raise InputError(f"subdividing to the pixel footprint needs more than {most} vertices; use a coarser "
                              "target (--subdivide with more footprints), or none")
-        faces, _ = split(faces, np.where(of_face < 0, -1, of_face + len(vertices)))
-        rounds.append(pairs.astype(np.int32))
-        vertices = with_middles(vertices, pairs)
-        longest = np.concatenate([longest, np.minimum(longest[pairs[:, 0]], longest[pairs[:, 1]])])
+        rounds.append(edges.ends[chosen])
+        fresh = edges.split_at(chosen)
+        vertices = with_middles(vertices, rounds[-1])
+        longest = np.append(longest, np.minimum(*longest[rounds[-1].T]))
     raise InputError("subdividing did not end: the mesh has edges of very different lengths; remesh it first")
 
 
@@ -121,56 +110,9 @@ def undivided(division: Subdivision, vertices: np.ndarray, within: np.ndarray,
         if place is not None:
             needed[middle] = np.isin(place[middle], place[middle][needed[middle]])
         needed[pairs[needed[middle]]] = True
-    new, faces, rounds = np.cumsum(needed) - 1, division.given, []
+    new, edges, rounds = (np.cumsum(needed) - 1).astype(np.int32), Edges(division.given, division.count), []
     for pairs, start in zip(division.rounds, starts):
-        kept = needed[start:start + len(pairs)]
-        faces, _ = split(faces, numbers_of(faces, pairs[kept], start + np.flatnonzero(kept), count))
-        rounds.append(new[pairs[kept]].astype(np.int32))
-    coarser = Subdivision(division.count, division.given, new[faces].astype(np.int32), rounds)
-    return coarser, np.flatnonzero(needed)
-
-
-def numbers_of(faces: np.ndarray, pairs: np.ndarray, numbers: np.ndarray, count: int) -> np.ndarray:
-    """Of each face's sides 01, 12, 20 the number (F, 3) of that of the `pairs` (E, 2) of `count` vertices that it is,
-    -1 where it is none."""
-    known = _keys(pairs[:, 0], pairs[:, 1], count)
-    order = np.argsort(known)
-    known, found = known[order], np.full(faces.shape, -1, np.int64)
-    for side in range(3 if len(known) else 0):
-        asked = _keys(faces[:, side], faces[:, (side + 1) % 3], count)
-        at = np.minimum(np.searchsorted(known, asked), len(known) - 1)
-        found[:, side] = np.where(known[at] == asked, numbers[order[at]], -1)
-    return found
-
-
-def _keys(a: np.ndarray, b: np.ndarray, count: int) -> np.ndarray:
-    keys: np.ndarray = np.minimum(a, b).astype(np.int64) * count + np.maximum(a, b)
-    return keys
-
-
-# corners of the new triangles where edges 01; 01 and 12; all three are split: 0 1 2 corners, 3 4 5 middles of 01 12 20
-_PATTERNS = {1: ((0, 3, 2), (3, 1, 2)), 2: ((3, 1, 4), (0, 3, 4), (0, 4, 2)),
-             3: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))}
-# which edges are split (bits 1 2 4) -> how often to turn the face so that one of the patterns fits
-_TURNS = {1: 0, 2: 1, 4: 2, 3: 0, 6: 1, 5: 2, 7: 0}
-
-
-def split(faces: np.ndarray, middles: np.ndarray, values: np.ndarray | None = None):
-    """Replace the faces (F, 3) that have middles (F, 3; -1 where an edge stays) by two, three or four. With them go
-    `values` on faces (F,) or their corners (F, 3, C)."""
-    code = (middles >= 0) @ np.array([1, 2, 4])
-    parts, carried = [faces[code == 0]], [None if values is None else values[code == 0]]
-    for value, turns in _TURNS.items():
-        chosen = np.flatnonzero(code == value)
-        if not len(chosen):
-            continue
-        order = (np.arange(3) + turns) % 3
-        six = np.concatenate([faces[chosen][:, order], middles[chosen][:, order].astype(faces.dtype)], axis=1)
-        spots = None if values is None else values[chosen]
-        if spots is not None and spots.ndim > 1:
-            spots = spots[:, order]
-            spots = np.concatenate([spots, (spots + spots[:, [1, 2, 0]]) / 2], axis=1)
-        for pattern in _PATTERNS[bin(value).count("1")]:
-            parts.append(six[:, pattern])
-            carried.append(spots if spots is None or spots.ndim == 1 else spots[:, pattern])
-    return np.concatenate(parts), None if values is None else np.concatenate(carried)
+        kept = new[pairs[needed[start:start + len(pairs)]]]
+        edges.split(edges.of_pairs(kept), len(kept))
+        rounds.append(kept)
+    return Subdivision.of(division.count, division.given, edges, rounds), np.flatnonzero(needed)

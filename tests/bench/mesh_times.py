@@ -105,6 +105,7 @@ def run(cameras, folder: Path, ask, watch: Watch) -> None:
     from pagas_cl.presets import settings_of
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.inputs import as_views
+    from pagas_cl.splat import PhotoStore
 
     log.setLevel("INFO")
     device, config = open_device(ask.device), settings_of(ask.preset, None)
@@ -113,7 +114,8 @@ def run(cameras, folder: Path, ask, watch: Watch) -> None:
     watch.tell(f"open {device.info.title}")
     start = watch.last
     if not ask.given:
-        views, config, _ = refine.settle_cameras(views, surface, config, device, None)
+        photos = PhotoStore(device)
+        views, config, _ = refine.settle_cameras(views, surface, config, device, None, photos)
     watch.tell("are cameras off?")
     depths = refine.initial_depths(surface, views, device=device)
     watch.tell("draw the given mesh")
@@ -121,7 +123,7 @@ def run(cameras, folder: Path, ask, watch: Watch) -> None:
         results = list(given_results(views, refine.initial_depths(load_mesh(folder / "true.npz"), views, device=device),
                                      0.1 * float(np.median(depths[0])) / cameras[0].fx))
     else:
-        results = refine.refine_views(views, depths, config=config, device=device)
+        results = refine.refine_views(views, depths, config=config, device=device, photos=photos)
     watch.tell("refine the views")
     if ask.output == "mesh":
         made = keep_mesh.detailed_mesh(surface, views, depths, results, config, device=device)

@@ -277,3 +277,4 @@ def test_what_is_missing_is_made_and_what_is_there_is_kept(scene, tmp_path, caps
         assert command_line.run([*command, *given]) == 0
         assert not said(out, "began") and bytes_of(out) == before and Path(given[1]).exists()
     assert len(list((tmp_path / "page").glob("*_confidence.png"))) == 8
+    assert "triangles cross others" in (tmp_path / "more" / "report.json").read_text()

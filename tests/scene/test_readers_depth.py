@@ -2,6 +2,7 @@
 
 import json
 import logging
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -106,13 +107,28 @@ def test_intrinsics_that_a_crop_method_left_small_are_refused(frames, tmp_path):
 def test_low_confidence_is_left_out_and_told(frames, tmp_path, caplog):
     low = [replace(f, confidence=np.where(np.arange(168) < 42, 1, 3 + np.zeros((126, 168))).astype(np.float32))
            for f in frames]
-    for name in ("da3", "polycam", "record3d"):
+    for name, told in {"da3": "1.5", "da3-npy": "1.5", "vggt": "1.5", "mapanything": "1.5", "polycam": "254",
+                       "record3d": "2"}.items():
         EXPORTS[name](tmp_path / name, low)
+        caplog.clear()
         with caplog.at_level(logging.INFO, "pagas_cl"):
             scene = read_scene(tmp_path / name)
         assert (scene.depths[0].load()[:, :36] == 0).all() and (scene.depths[0].load()[:, 48:] > 0).all(), name
-    assert "confidence below 1.5 are left out" in caplog.text
+        assert re.search(rf"confidence below {told} are left out, 2[3-7] %", caplog.text), name
     assert (read_scene(tmp_path / "da3", confidence=0.5).depths[0].load() > 0).all()
+
+
+def test_what_mapanything_masks_is_left_out(frames, tmp_path):
+    holed = [replace(f, depth=np.where(np.arange(168) < 42, 0, f.depth).astype(np.float32)) for f in frames]
+    EXPORTS["mapanything"](tmp_path, holed)
+    for path in (tmp_path / "predictions").iterdir():       # the network gives depth there, too
+        arrays = dict(np.load(path))
+        np.savez(path, **{**arrays, "depth_z": np.maximum(arrays["depth_z"], 1)})
+    found = read_scene(tmp_path).depths[0].load()
+    assert (found[:, :36] == 0).all() and (found[:, 48:] > 0).all()
+    np.savez(path, **{**arrays, "mask": arrays["mask"][:, 1:]})
+    with pytest.raises(InputError, match="mask.* has shape .*expected one"):
+        read_scene(tmp_path).depths[-1].load()
 
 
 def test_frames_without_a_pose_are_left_out(frames, tmp_path, caplog):

@@ -123,7 +123,10 @@ def test_samples_of_a_view_equal_the_twin(device, scene, probe, number):
     assert (np.isnan(got["size"]) == np.isnan(large))[same].all()
     known = same & np.isfinite(large)
     assert np.abs(got["size"] / np.where(known, large, 1) - 1)[known].max() < 1e-4
-    assert all(np.isnan(got[name]).all() for name in got if name not in ("hidden", "size"))
+    moved = twin.parallax(initial, scene.target, context, scene.scene_scale)
+    known = np.isfinite(got["parallax"])
+    assert (known == np.isfinite(got["hidden"])).all() and np.allclose(got["parallax"][known], moved[known], rtol=1e-3)
+    assert all(np.isnan(got[name]).all() for name in got if name not in ("hidden", "size", "parallax"))
 
 
 def test_judgement_of_samples_equals_the_twin(device, scene, probe):
@@ -144,6 +147,7 @@ def test_judgement_of_samples_equals_the_twin(device, scene, probe):
     for view in (1, 2):
         got, want = rows_of(device, probe, view), twin.like(costs[view - 1].astype(np.float64))
         assert 0.1 < want.mean() < 0.9 and (got["like"] == want).mean() > 0.999
+        assert np.allclose(got["explained"], twin.explained(costs[view - 1]), atol=1e-6, equal_nan=True)
         epipolar_offset = twin.least_at(costs[view - 1][[7, 8, 3, 9, 10]])
         below, right = (np.arange(n) * 2 >= n for n in shape)
         for k in range(4):                                 # by quadrant of the target

@@ -68,12 +68,14 @@ def test_the_device_equals_the_twin(planes, device):
     apart = np.concatenate([(np.abs(change) / u)[trusted(own) > 0] for change, _ in told])
     spread = comparison.spread()
     assert spread == pytest.approx(np.median(apart[apart < 4]) / 0.6745 / 2**0.5, abs=1e-3) and 0.2 < spread < 0.4
-    got, want = averaged(comparison, spread, 2.0), twin.average(d, own.deviation, u, own.status, told, spread, 2.0)
+    got = averaged(comparison, spread, 2.0, True, 0.4)
+    want = twin.average(d, own.deviation, u, own.status, told, spread, 2.0, 0.4)
     near = np.abs(got.depth - want[0]) < 1e-5          # what an edge of a cell decides may fall otherwise
     assert near.mean() > 0.999 and (got.status == want[2]).mean() > 0.999
-    known = near & np.isfinite(want[1])
+    known = (twin.summed_around(~near) == 0) & np.isfinite(want[1])     # which goes into the deviations around
+    assert known.mean() > 0.95
     assert np.allclose(got.deviation[known], want[1][known], rtol=1e-3) and (want[0] != d).mean() > 0.5
-    again = averaged(Agreement(own, others, device), spread, 2.0)
+    again = averaged(Agreement(own, others, device), spread, 2.0, True, 0.4)
     assert again.depth.tobytes() == got.depth.tobytes() and again.deviation.tobytes() == got.deviation.tobytes()
 
 

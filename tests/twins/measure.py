@@ -93,6 +93,23 @@ def like(costs: np.ndarray) -> np.ndarray:
     return np.where((here < TEXTURED) & other, 0.0, 1.0)
 
 
+def explained(costs: np.ndarray) -> np.ndarray:
+    """Share of the variance of each sample's patch that the photo explains, NaN where it has no texture."""
+    here = costs[len(SHIFTS) // 2]
+    return np.where(here < TEXTURED, np.maximum(1 - here, 0) ** 2, np.nan)
+
+
+def parallax(depth, target, context, scene_scale) -> np.ndarray:
+    """Squared pixels that the points of a depth map (H, W), device units, move by in the context photo where depth
+    grows by its own size, from central differences."""
+    rotation, tau = context.camera.relative_to(target.camera)
+    at = []
+    for grown in (1 + 1e-5, 1 - 1e-5):
+        point = (grown * depth)[..., None] * (target.camera.rays() @ rotation.T) + tau / scene_scale
+        at.append(point[..., :2] / point[..., 2:] * (context.camera.fx, context.camera.fy))
+    return (((at[0] - at[1]) / 2e-5) ** 2).sum(axis=-1)
+
+
 def judged(depth, totals, specularity):
     """What all views say of each sample, three arrays of shape (H, W), NaN where nothing is known.
 

@@ -1,22 +1,46 @@
 """MapAnything's predictions as people keep them: an .npz a view, with the arrays of its Python output.
 
-Convention: `depth_z` (1, h, w, 1) z-depth, `conf`, `mask`, `camera_poses` (1, 4, 4) camera-to-world, OpenCV,
-`intrinsics` for the network's image, `img_no_norm` that image. A file belongs to the photo of its name. Its COLMAP
-export, whose photos are the network's small ones, is read as COLMAP (with `photos=` for the originals).
+Convention: `depth_z` (1, h, w, 1) z-depth, `conf`, `mask` (depths outside it are left out), `camera_poses` (1, 4, 4)
+camera-to-world, OpenCV, `intrinsics` for the network's image, `img_no_norm` that image. A file belongs to the photo of
+its name. Its COLMAP export, whose photos are the network's small ones, is read as COLMAP (with `photos=` for the
+originals).
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.arrays import ArrayRef
+from pagas_cl.scene.depth_source import flat
+from pagas_cl.scene.digest import digest_of
 from pagas_cl.scene.readers import photos as photo_files
 from pagas_cl.scene.readers import predictions
 from pagas_cl.scene.view import Scene
 
 PLACES = ("predictions", "mapanything", ".")
 _NEEDED = {"depth_z", "camera_poses", "intrinsics"}
+
+
+@dataclass(frozen=True)
+class Masked:
+    """Confidence, NaN outside the network's mask (of what it takes for no surface, and of edges)."""
+
+    confidence: ArrayRef
+    mask: ArrayRef
+
+    @property
+    def digest(self) -> str:
+        """Of both."""
+        return digest_of([f"{self.confidence.digest} {self.mask.digest}".encode()])
+
+    def load(self) -> np.ndarray:
+        """(h, w) float; InputError where the file is damaged."""
+        mask, sure = flat(self.mask), flat(self.confidence)
+        if mask.shape != sure.shape:
+            raise InputError(f"{self.mask} has shape {mask.shape} and {self.confidence} has {sure.shape}, expected one")
+        return np.where(mask > 0, sure, np.nan)
 
 
 def _files(folder: Path) -> list[Path]:
@@ -50,7 +74,8 @@ def _row(path: Path) -> predictions.Row:
     if absent:
         raise InputError(f"{path} has no {min(absent)!r}, expected {', '.join(sorted(_NEEDED))}")
     pose, K = (_square(found[name], side) for name, side in (("camera_poses", 4), ("intrinsics", 3)))
-    return predictions.Row(found["depth_z"], pose, K, found.get("conf", found.get("mask")),
+    sure, mask = found.get("conf"), found.get("mask")
+    return predictions.Row(found["depth_z"], pose, K, Masked(sure, mask) if sure and mask else sure or mask,
                            predictions.first(found, ("img_no_norm", "image")))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.arrays import ArrayRef, PhotoInArray, members
-from pagas_cl.scene.depth_source import DepthSource, Stored, least_confidence
+from pagas_cl.scene.depth_source import DepthSource, Stored, least_confidence, tell_left_out
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.patches import evenly
 from pagas_cl.scene.placement import Placement, find_placement
@@ -31,7 +31,7 @@ class Row:
     depth: ArrayRef
     pose: np.ndarray
     K: np.ndarray
-    confidence: ArrayRef | None = None
+    confidence: Stored | None = None
     photo: ArrayRef | None = None
 
 
@@ -110,7 +110,7 @@ def scene_of(rows: Sequence[Row], originals: Sequence[Path] | None, names: Seque
         views.append(View(placement.photo_camera(camera, width, height), photo, None, name))
         depths.append(DepthSource(row.depth, (width, height), placement=placement, confidence=row.confidence,
                                   least=least))
-    _tell(depths, confidences, least, originals is None, source)
+    _tell(depths, originals is None, source)
     return Scene(views, source, depths=tuple(depths), depth_unit="as the cameras' positions")
 
 
@@ -133,7 +133,7 @@ def _size(depth: Path | Stored) -> tuple[int, int]:
     return untrusted.size(shape[1], shape[0], str(depth))
 
 
-def _tell(depths: list[DepthSource], confidences: list[ArrayRef], least: float, own: bool, source: str) -> None:
+def _tell(depths: list[DepthSource], own: bool, source: str) -> None:
     kinds = sorted({depth.placement.kind for depth in depths if depth.placement is not None})
     if own:
         log.info("%s: no photos beside it, the network's own are refined (%d x %d); --photos names the folder of the "
@@ -141,9 +141,7 @@ def _tell(depths: list[DepthSource], confidences: list[ArrayRef], least: float, 
     else:
         log.info("%s: cameras and depth belong to images of %d x %d (%s); they are scaled to the photos, %d x %d",
                  source, *_size(depths[0].file), " and ".join(kinds), *depths[0].size)
-    if confidences:
-        share = np.mean([np.mean(ref.load() < least) for ref in confidences[:8]])
-        log.info("%s: depths of confidence below %.3g are left out, %.0f %%", source, least, 100 * share)
+    tell_left_out(depths, source)
 
 
 def find_photos(folder: Path, named: Path | None, count: int, source: str) -> list[Path] | None:

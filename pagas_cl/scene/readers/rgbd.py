@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.depth_source import DepthSource, Stored, least_confidence
+from pagas_cl.scene.depth_source import DepthSource, Stored, least_confidence, tell_left_out
 from pagas_cl.scene.placement import Placement
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
@@ -56,6 +56,7 @@ def scene_of(folder: Path, frames: Sequence[Frame], depth: Depth, source: str) -
         views.append(photos.view_of(folder, camera, frame.photo))
         depths.append(None if frame.depth is None else DepthSource(
             frame.depth, (width, height), depth.scale, frame.placement, frame.confidence, least, depth.invalid))
+    tell_left_out(depths, source)
     return Scene(views, source, depths=tuple(depths) if any(depths) else None, depth_unit=depth.unit)
 
 

@@ -1,0 +1,118 @@
+"""Triangles that cross others, turned over or have no area, found on a device; where a mesh had none before it was
+moved, vertices go the way of their neighbours instead (method section 10.5)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.surface.mesh_solve import grouped, unlike, welded
+from pagas_cl.surface.pieces import pieces
+from pagas_cl.surface.raster import frame_of
+from pagas_cl.surface.subdivide import Subdivision
+
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
+
+_ROUNDS = 8                # times that vertices of new faults go the way of their neighbours
+_RINGS = 4                 # around them that are looked at meanwhile
+TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another part of the mesh, its own
+
+
+def without_new(device: Device, given: Surface, division: Subdivision | None,
+                vertices: np.ndarray) -> tuple[np.ndarray, str]:
+    """Where the vertices (V', 3) of a mesh, split as `division` says, are to be so that it has no fault that `given`
+    had not: those of such triangles go the way of their neighbours. Triangles that touch one with a fault in the given
+    mesh are let alone, and so are parts that stood in others. And how many have faults, in words."""
+    before, faces, parents = given.vertices, given.faces, slice(None)
+    if division is not None:
+        before, faces, parents = division.vertices(before), division.faces, division.parents
+    points, place = welded(before)
+    one = np.empty(len(points), np.int64)                  # a vertex at each place: those at one place stay together
+    one[place] = np.arange(len(place))
+    own = pieces(place[given.faces], len(points))[place[:len(given.vertices)]].astype(np.int32)
+    start, end, faces = before[one], vertices[one], place[faces]
+    part = (own if division is None else division.vertices(own))[one]
+    old = faults(device, start, start, place[given.faces], part)
+    near = _marked(given.faces, given.faces[old & ~CROSSING > 0], 0)[given.faces].any(axis=1)[parents]
+    stands_in = np.zeros(len(points), bool)
+    stands_in[own[given.faces[old & CROSSING > 0, 0]]] = True
+    stands_in = stands_in[part[faces[:, 0]]]
+
+    def found_at(now: np.ndarray, some: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+        found = faults(device, start, now, faces[some], part)
+        return found, (found & ~CROSSING > 0) & ~near[some] | (found & CROSSING > 0) & ~stands_in[some]
+
+    best, (found, new) = end, found_at(end)
+    if new.any():
+        some = np.flatnonzero(_marked(faces, faces[new], _RINGS)[faces[:, 0]])
+        now, wrong, least = end, new[some], len(some)
+        for turn in range(_ROUNDS):
+            now = _with_neighbours(start, now, faces[some], _marked(faces[some], faces[some][wrong], turn // 3))
+            wrong = found_at(now, some)[1]
+            if np.count_nonzero(wrong) < least:
+                best, least = now, np.count_nonzero(wrong)
+        again = found_at(best)
+        best, (found, new) = (best, again) if again[1].sum() < new.sum() else (end, (found, new))
+    mended, both = unlike(best, end), CROSSING | FOLDED
+    told = (f"{_count(found, both)} of {len(faces)} triangles cross others ({_count(old, both)} of {len(old)} given "
+            f"ones did), {_count(found[new], both)} of them where none did before; {_count(found, TURNED)} are turned "
+            f"over, {_count(found, FLAT)} have no area ({_count(old, FLAT)} before); {mended.sum()} vertices went with "
+            "their neighbours for it")
+    return np.where(mended[place][:, None], best[place], vertices), told
+
+
+def _marked(faces: np.ndarray, wrong: np.ndarray, rings: int) -> np.ndarray:
+    """Which vertices are corners of the `wrong` faces, or lie so many rings around them: bool, up to the last one."""
+    marked = np.zeros(int(faces.max()) + 1, bool)
+    for _ in range(rings + 1):
+        marked[wrong] = True
+        wrong = faces[marked[faces[:, 0]] | marked[faces[:, 1]] | marked[faces[:, 2]]]
+    return marked
+
+
+def _with_neighbours(start: np.ndarray, now: np.ndarray, faces: np.ndarray, marked: np.ndarray) -> np.ndarray:
+    """Places `now`, the ways from `start` of `marked` vertices the means of their neighbours'."""
+    near = faces[marked[faces[:, 0]] | marked[faces[:, 1]] | marked[faces[:, 2]]]
+    way, total, number = now - start, np.zeros(now.shape), np.zeros(len(now))
+    for side in range(3):
+        np.add.at(total, near[:, side], way[near[:, side - 1]] + way[near[:, side - 2]])
+        np.add.at(number, near[:, side], 2)
+    moved, here = now.copy(), np.flatnonzero(marked)
+    moved[here] = start[here] + total[here] / np.maximum(number[here], 1)[:, None]
+    return moved
+
+
+def _count(found: np.ndarray, fault: int) -> int:
+    return int(np.count_nonzero(found & fault))
+
+
+def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """What is wrong with each of the `faces` (F, 3) of a mesh whose vertices (V, 3), one at a place, went from `before`
+    to `after`: int32 (F,), the sum of TURNED, FLAT, CROSSING and FOLDED. `part` (V,) int32: which connected part of the
+    mesh they belong to."""
+    from pagas_cl.runtime.device import translate_cl_errors
+    from pagas_cl.runtime.memory import download, upload
+    from pagas_cl.runtime.program import bind, build, run_once
+
+    count, mask = len(faces), (1 << max(10, len(faces).bit_length())) - 1
+    middle, unit = frame_of(Surface(after, faces))
+    with translate_cl_errors(device, "looking for triangles that cross"):
+        program = build(device, "mesh_faults.cl")
+        known = {"positions": upload(device, ((after - middle) / unit).astype(np.float32)),
+                 "before": upload(device, ((before - middle) / unit).astype(np.float32)),
+                 "faces": upload(device, np.ascontiguousarray(faces, np.int32)),
+                 "cell": device.memory.buffer(device.context, 4 * count, "cell"),
+                 "wrong": device.memory.buffer(device.context, count, "wrong"),
+                 "levels": upload(device, np.zeros(1, np.int32))}
+        run_once(device.queue, [bind(program, "find_cells", (count,), None, known, count=count, mask=mask)])
+        first, order = grouped(download(device, known["cell"], count, np.int32), mask + 1)
+        known |= {"first": upload(device, first), "order": upload(device, order),
+                  "part": upload(device, part), "crossing": upload(device, np.zeros(count, np.int32))}
+        run_once(device.queue, [bind(program, "find_crossing", (count,), None, known, count=count, mask=mask)])
+        wrong = download(device, known["crossing"], count, np.int32) | download(device, known["wrong"], count, np.uint8)
+        for buffer in known.values():
+            buffer.release()
+    return wrong

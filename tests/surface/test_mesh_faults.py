@@ -1,0 +1,89 @@
+"""Triangles that cross, turned over or have no area: found as the twin finds them, and mended where they are new."""
+
+import re
+
+import numpy as np
+import pytest
+from twins import mesh_faults as twin
+
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.surface.mesh_faults import CROSSING, FLAT, FOLDED, TURNED, faults, without_new
+from pagas_cl.surface.subdivide import subdivide
+
+pytestmark = pytest.mark.kernels
+
+
+def soup(count, spread):
+    """Triangles of all sizes, some of which share corners or sides."""
+    rng = np.random.default_rng(3)
+    middle, size = rng.uniform(size=(count, 1, 3)), 10 ** rng.uniform(-spread, -0.5, (count, 1, 1))
+    points = (middle + size * rng.normal(size=(count, 3, 3))).reshape(-1, 3)
+    faces = np.arange(3 * count).reshape(-1, 3)
+    faces[1::4, 0], faces[2::4, :2] = faces[::4, 0], faces[::4, 1:]
+    return points, faces.astype(np.int32)
+
+
+def sheet():
+    """Squares of two triangles in a plane, 13 by 13 vertices."""
+    x, y = (part.ravel() for part in np.meshgrid(np.arange(13.0), np.arange(13.0)))
+    grid = np.arange(13 * 13, dtype=np.int32).reshape(13, 13)
+    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]))
+    return np.stack([x, y, 0 * x], axis=1), np.concatenate([np.stack([a, b, c], 1), np.stack([b, d, c], 1)])
+
+
+@pytest.mark.parametrize("spread", [0.6, 2.5])
+def test_faults_are_those_of_the_twin(device, spread):
+    points, faces = soup(120, spread)
+    points[faces[5, 2]] = points[faces[5, 0]]                            # no area
+    before = points.copy()
+    before[faces[9, 2]] = 2 * before[faces[9, 0]] - before[faces[9, 2]]      # two corners pass each other
+    part = np.arange(len(points), dtype=np.int32)
+    found, expected = faults(device, before, points, faces, part), twin.faults(before, points, faces)
+    assert np.array_equal(found, faults(device, before, points, faces, part))
+    found = (found > FLAT) * CROSSING | found & (TURNED | FLAT)
+    assert np.array_equal(found, expected)
+    assert found[5] & FLAT and found[9] & TURNED
+    assert 20 < np.count_nonzero(expected & CROSSING) < len(faces)
+
+
+def test_crossing_is_what_meshlab_says(device):
+    pymeshlab = pytest.importorskip("pymeshlab")
+    points, faces = soup(400, 1.5)
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(points, faces))
+    meshes.compute_selection_by_self_intersections_per_face()
+    theirs = meshes.current_mesh().face_selection_array()
+    ours = faults(device, points, points, faces, np.zeros(len(points), np.int32)) & FOLDED > 0
+    assert theirs.sum() > 100 and (ours != theirs).sum() <= 0.01 * theirs.sum()      # ours leaves out what only touches
+
+
+def test_new_faults_are_mended_and_told(device):
+    """A vertex that went through its neighbours goes with them; what is far from it stays bit for bit, and a wall that
+    stood in the sheet may."""
+    points, faces = sheet()
+    wall = np.array([[2.5, 0.2, -1], [2.5, 11.8, -1], [2.5, 6, 1.0]])
+    given = Surface(np.concatenate([points, wall]), np.append(faces, [len(points) + np.arange(3)], axis=0))
+    division = subdivide(given.vertices, given.faces, np.full(len(given.vertices), 1.2))
+    split = division.vertices(given.vertices)
+    lifted = split + [0, 0, 0.3]
+    lifted[8 * 13 + 8] += [0.5, 1.7, 0.4]
+    vertices, told = without_new(device, given, division, lifted)
+    moved = (vertices != lifted).any(axis=1)
+    assert 0 < np.count_nonzero(moved) < 30 and moved[8 * 13 + 8]
+    assert np.abs(vertices - split - [0, 0, 0.3])[moved].max() < 1
+    made, given_ones = map(int, re.match(r"(\d+) of \d+ triangles cross others \((\d+) of 289", told).groups())
+    assert made >= 10 and given_ones > 10
+    assert f"0 of them where none did before; 0 are turned over, 0 have no area (0 before); {moved.sum()} " in told
+    same, told = without_new(device, given, division, split)
+    assert np.array_equal(same, split) and "0 vertices went" in told
+
+
+def test_vertices_at_one_place_stay_together(device):
+    points, faces = sheet()
+    halves = np.array_split(faces, 2)
+    given = Surface(np.concatenate([points, points]), np.concatenate([halves[0], halves[1] + len(points)]))
+    moved = given.vertices.copy()
+    moved[[6 * 13 + 6, len(points) + 6 * 13 + 6]] += [1.6, 0, 0]
+    vertices, told = without_new(device, given, None, moved)
+    assert "; 0 are turned over" in told and (vertices != moved).any()
+    assert np.array_equal(vertices[:len(points)], vertices[len(points):])
