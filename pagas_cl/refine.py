@@ -91,7 +91,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     check_flat(flat)
     config, views, surface = settings_of(preset, config), as_views(cams, images, masks), to_surface(mesh)
     photos = photos_here(device, executor, folder)
-    views, config, _ = settle_cameras(views, surface, config, device, progress, photos)
+    views, config, _ = settle_cameras(views, surface, config, device, progress, photos, executor, folder)
     depths = initial_depths(surface, views, progress, device=device)
     results = refine_views(views, depths, config=config, device=device, progress=progress, executor=executor,
                            folder=folder, photos=photos)
@@ -200,7 +200,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     config, depths = settings_of(preset, config), depth_maps(views, depths)
     asked = asked_views(views, depths, names)
     photos = photos or photos_here(device, executor, folder)
-    views, config, cameras = settle_cameras(views, depths, config, device, progress, photos)
+    views, config, cameras = settle_cameras(views, depths, config, device, progress, photos, executor, folder)
     depths = depths if cameras is None else cameras.scaled(depths)
     if photos is None:
         from pagas_cl.jobs import refine_all

@@ -24,7 +24,7 @@ ALLOWED = {
     "surface": {"scene", "runtime", "reference"}, "splat": {"scene", "runtime"}, "result": {"scene"},
     "jobs": {"scene", "runtime", "splat", "result", "progress"},
     "acceptance": {"result"},
-    "cameras": {"scene", "runtime", "surface", "splat", "measurements", "effects", "progress"},
+    "cameras": {"scene", "runtime", "surface", "splat", "measurements", "effects", "progress", "jobs"},
     "effects": {"measurements", "runtime", "scene", "splat", "surface"}, "measurements": {"splat"},
     "rounds": {"scene", "runtime", "surface", "splat", "result", "effects", "progress"},
     "resemblance": {"scene", "runtime", "splat", "effects"},

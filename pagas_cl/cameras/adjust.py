@@ -60,43 +60,46 @@ class Adjuster:
         self.normalizer = Normalizer(device)
         self.program = build(device, "adjust.cl", (*DEFINES, *(["INTRINSICS"] if intrinsics else [])))
 
-    def block(self, target: Frame, others: Sequence[Frame], prior: float, tolerance: float,
-              limit: float = 0.0) -> Block:
-        """The Block of a target. With `limit` its depths then make their own step, at most `limit` (of a depth of 1).
+    def block(self, target: Frame, others: Sequence[Frame], prior: float, tolerance: float, limit: float = 0.0,
+              sums: bool = True) -> Block | None:
+        """The Block of a target (None without `sums`). With `limit` its depths then make their own step, at most
+        `limit` (of a depth of 1).
 
         `prior`: as eliminate has it; infinite leaves depths as they are. `tolerance`: share of the depth by which an
         other view's own depth may differ where it sees the same point.
         """
         size, views = target.size, len(others)
-        rows, steps = self._linearized(target, others, prior, tolerance)
-        chunks, entries = -(-size.pixels // CHUNK), views * (views + 1) // 2 * self.columns
-        partial, sums = (self._buffer(4 * self._row * entries * n, "partial") for n in (chunks, 2))
+        rows = self.buffer(4 * self._row * views * size.pixels, "rows")
+        steps, cameras = self.buffer(8 * size.pixels, "steps"), self._table(target, others)
+        given = {"normal": target.normal, "depth": target.depth, "cameras": cameras, "rows": rows, **size.extent}
         run_once(self.device.queue, [
-            bind(self.program, "sum_pairs", (entries, chunks), rows=rows, steps=steps, views=views, count=size.pixels,
-                 chunks=chunks, partial=partial),
-            bind(self.program, "sum_chunks", (entries * self._row,), partial=partial, entries=entries * self._row,
-                 chunks=chunks, sums=sums)])
+            *(bind(self.program, "linearize", size.grid, view=view, other_normal=other.normal,
+                   other_depth=other.depth, tolerance=tolerance, **given) for view, other in enumerate(others, 1)),
+            bind(self.program, "eliminate", size.grid, rows=rows, depth=target.depth, views=views, prior=prior,
+                 steps=steps, **size.extent)])
+        chunks, entries = -(-size.pixels // CHUNK), views * (views + 1) // 2 * self.columns if sums else 0
+        partial, total = (self.buffer(max(4, 4 * self._row * entries * n), "partial") for n in (chunks, 2))
+        if sums:
+            run_once(self.device.queue, [
+                bind(self.program, "sum_pairs", (entries, chunks), rows=rows, steps=steps, views=views,
+                     count=size.pixels, chunks=chunks, partial=partial),
+                bind(self.program, "sum_chunks", (entries * self._row,), partial=partial, entries=entries * self._row,
+                     chunks=chunks, sums=total)])
         if limit > 0:
-            self._move(target, steps, limit)
-        found = download(self.device, sums, (entries, self._row, 2)).astype(np.float64).sum(axis=-1)
-        for buffer in (rows, steps, partial, sums):
+            self.normalizer.smooth(steps, size, SMOOTHED)
+            run_once(self.device.queue, [bind(self.program, "move_depth", size.grid, steps=steps, limit=limit,
+                                              depth=target.depth, **size.extent)])
+        found = download(self.device, total, (entries, self._row, 2)).astype(np.float64).sum(axis=-1) if sums else None
+        for buffer in (rows, steps, cameras, partial, total):
             buffer.release()
-        return self._block(found, views)
-
-    def settle_depth(self, target: Frame, others: Sequence[Frame], prior: float, tolerance: float,
-                     limit: float) -> None:
-        """The step of the depths alone."""
-        rows, steps = self._linearized(target, others, prior, tolerance)
-        self._move(target, steps, limit)
-        rows.release()
-        steps.release()
+        return None if found is None else self._block(found, views)
 
     def costs(self, target: Frame, others: Sequence[Frame], tolerance: float) -> np.ndarray:
         """Robust cost of the residuals and number of pixels seen, summed over the target, float64 (K, 2)."""
         size, cameras = target.size, self._table(target, others)
         chunks, out = -(-size.pixels // COST_CHUNK), []
         for view, other in enumerate(others, 1):
-            costs = self._buffer(8 * chunks, "costs")
+            costs = self.buffer(8 * chunks, "costs")
             run_once(self.device.queue, [bind(
                 self.program, "pair_cost", (chunks,), normal=target.normal, depth=target.depth, cameras=cameras,
                 view=view, other_normal=other.normal, other_depth=other.depth, tolerance=tolerance, width=size.width,
@@ -106,41 +109,31 @@ class Adjuster:
         cameras.release()
         return np.array(out).reshape(-1, 2)
 
+    def copied(self, frame: Frame) -> cl.Buffer:
+        """Its depths once more."""
+        out = self.buffer(4 * frame.size.pixels, "initial")
+        cl.enqueue_copy(self.device.queue, out, frame.depth)
+        return out
+
+    def read(self, frame: Frame, buffer: cl.Buffer) -> np.ndarray:
+        """A buffer of a frame, or like those that it has, (H, W)."""
+        return download(self.device, buffer, (frame.size.height, frame.size.width))
+
     def carry(self, coarse: Frame, coarse_initial: cl.Buffer, fine: Frame) -> None:
         """Multiply the depths of `fine` by what those of `coarse` were changed by."""
         run_once(self.device.queue, [bind(
             self.program, "carry_depth", fine.size.grid, coarse=coarse.depth, coarse_initial=coarse_initial,
             source_width=coarse.size.width, source_height=coarse.size.height, depth=fine.depth, **fine.size.extent)])
 
-    def _linearized(self, target: Frame, others: Sequence[Frame], prior: float,
-                    tolerance: float) -> tuple[cl.Buffer, cl.Buffer]:
-        """Rows of all context views, and the step of each depth."""
-        size, views = target.size, len(others)
-        rows = self._buffer(4 * self._row * views * size.pixels, "rows")
-        steps, cameras = self._buffer(8 * size.pixels, "steps"), self._table(target, others)
-        given = {"normal": target.normal, "depth": target.depth, "cameras": cameras, "rows": rows, **size.extent}
-        run_once(self.device.queue, [
-            *(bind(self.program, "linearize", size.grid, view=view, other_normal=other.normal,
-                   other_depth=other.depth, tolerance=tolerance, **given) for view, other in enumerate(others, 1)),
-            bind(self.program, "eliminate", size.grid, rows=rows, depth=target.depth, views=views, prior=prior,
-                 steps=steps, **size.extent)])
-        cameras.release()
-        return rows, steps
-
     def rescale(self, frame: Frame, scale: float, shift: float) -> None:
         """Depths times `scale` plus `shift` (units)."""
         run_once(self.device.queue, [bind(self.program, "rescale_depth", frame.size.grid, scale=scale, shift=shift,
                                           depth=frame.depth, **frame.size.extent)])
 
-    def _move(self, target: Frame, steps: cl.Buffer, limit: float) -> None:
-        self.normalizer.smooth(steps, target.size, SMOOTHED)
-        run_once(self.device.queue, [bind(self.program, "move_depth", target.size.grid, steps=steps, limit=limit,
-                                          depth=target.depth, **target.size.extent)])
-
     def _table(self, target: Frame, others: Sequence[Frame]) -> cl.Buffer:
         return upload(self.device, camera_table(target.camera, [other.camera for other in others], self.scene_scale))
 
-    def _buffer(self, nbytes: int, role: str) -> cl.Buffer:
+    def buffer(self, nbytes: int, role: str) -> cl.Buffer:
         return self.device.memory.buffer(self.device.context, nbytes, role)
 
     def _block(self, found: np.ndarray, views: int) -> Block:

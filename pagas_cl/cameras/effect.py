@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from pagas_cl.cameras.frames import depths_of
 from pagas_cl.cameras.refine import OFF, CameraRefinement, photos_off, refine_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision
 from pagas_cl.errors import DeviceError, log
 from pagas_cl.progress import Progress, tell
-from pagas_cl.scene.inputs import Depth, depth_array
-from pagas_cl.scene.mesh import Mesh, to_surface
+from pagas_cl.scene.inputs import Depth
+from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:
@@ -28,22 +29,28 @@ WORDS = "pixels that photos are off by across the direction of depth"
 
 
 def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, config: Config,
-                   device: Any = None,
-                   progress: Progress | None = None,
-                   photos: PhotoStore | None = None) -> tuple[list[View], Config, CameraRefinement | None]:
+                   device: Any = None, progress: Progress | None = None, photos: PhotoStore | None = None,
+                   executor: Executor | str | None = None,
+                   folder: str | Path | None = None) -> tuple[list[View], Config, CameraRefinement | None]:
     """Settle effects.cameras: the views with the cameras that follow, settings in which it is "set", and the refinement
-    (None where none was called for). `depths_or_mesh` as in refine_cameras, `device` as in refine_views; `photos`, on
-    the one device, serve whoever works on the views after it."""
+    (None where none was called for). Arguments as in refine_cameras; `photos`, on the one device, serve whoever works
+    on the views after it."""
+    from pagas_cl.runtime.device import one_of, open_device
+
     settled = replace(config, effects=replace(config.effects, cameras="set"))
     choice = config.effects.cameras
     if not _may(choice, len(views)):
         return list(views), settled, None
-    device, off = _device(device, choice), None
-    if device is None:
+    try:
+        here, off = open_device(one_of(device)), None
+    except DeviceError as error:
+        if choice == "on":
+            raise
+        log.warning("cameras stay as given, nothing is measured here: %s", error)
         return list(views), settled, None
     if choice == "auto":
         start = time.perf_counter()
-        decision, off = decide_cameras(views, depths_or_mesh, config, device, photos)
+        decision, off = decide_cameras(views, depths_or_mesh, config, here, photos)
         if progress:
             progress("measure the cameras", 1, 1)
         log.info("%s", decision)
@@ -51,7 +58,7 @@ def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
             return list(views), settled, None
         tell(progress, "expect", "refine the cameras", _TIMES * (time.perf_counter() - start), "cameras")
     found = refine_cameras(views, depths_or_mesh, config=config, device=device, progress=progress, measured=off,
-                           photos=photos)
+                           photos=photos, executor=executor, folder=folder)
     log.info("%s", found)
     moved = with_cameras(views, found)
     if photos is not None:
@@ -66,7 +73,7 @@ def decide_cameras(views: Sequence[View], depths_or_mesh, config: Config, device
     from pagas_cl.splat import PhotoStore
 
     device, choice = open_device(device), config.effects.cameras
-    depths = _depth_maps(views, depths_or_mesh, device)
+    depths = depths_of(depths_or_mesh, device)[0]([view.camera for view in views])
     off = photos_off(views, depths, config, device, photos or PhotoStore(device))
     on = choice == "on" or (choice == "auto" and off[0] > OFF)
     return Decision("cameras", off[0], OFF, on, WORDS if choice == "auto" else f"asked for: {choice}"), off
@@ -93,28 +100,3 @@ def with_cameras(views: Sequence[View], found: CameraRefinement) -> list[View]:
     """The views with refined cameras; those that stay are the same objects."""
     return [view if camera is view.camera else replace(view, camera=camera)
             for view, camera in zip(views, found.cameras)]
-
-
-def _depth_maps(views: Sequence[View], given, device) -> list[np.ndarray | None]:
-    from pagas_cl.cameras.frames import is_mesh
-
-    if not is_mesh(given):
-        return [None if depth is None else depth_array(depth) for depth in given]
-    from pagas_cl.surface.raster import each_depth
-
-    return list(each_depth(to_surface(given), [view.camera for view in views], device))
-
-
-def _device(given: Any, choice: str):
-    """The one device to work on, the first of several; None where there is none and nobody insists."""
-    from pagas_cl.runtime.device import open_device
-
-    if isinstance(given, (list, tuple)):
-        given = given[0] if given else None
-    try:
-        return open_device(None if given == "all" else given)
-    except DeviceError as error:
-        if choice == "on":
-            raise
-        log.warning("cameras stay as given, nothing is measured here: %s", error)
-        return None

@@ -10,7 +10,7 @@ import pyopencl as cl
 
 from pagas_cl.cameras.adjust import Adjuster, Frame
 from pagas_cl.config import Config
-from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.memory import upload
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.mesh import Surface, to_surface
@@ -69,9 +69,9 @@ class Frames:
         for k, (view, camera, size, depth) in enumerate(zip(self.views, small, sizes, depths)):
             full, photo = Size(view.camera.width, view.camera.height), self.photos.photo(view)
             if full != size:
-                photo, source = self._buffer(4 * size.pixels, "small"), photo
+                photo, source = self.adjuster.buffer(4 * size.pixels, "small"), photo
                 self._resampler.shrink_photo(source, full, photo, size)
-            normal, own = (self._buffer(4 * size.pixels, role) for role in ("normal", "depth"))
+            normal, own = (self.adjuster.buffer(4 * size.pixels, role) for role in ("normal", "depth"))
             self.adjuster.normalizer.photo(photo, size, sigma, normal)
             scaled = np.ascontiguousarray(depth / np.float32(self.adjuster.scene_scale), np.float32)
             scaled[~(np.isfinite(scaled) & (scaled > 0))] = 0
@@ -88,21 +88,6 @@ class Frames:
         if not self.moves:
             for frame, initial, to in zip(coarse, coarse_initial, fine):
                 self.adjuster.carry(frame, initial, to)
-
-    def copies(self, frames: Sequence[Frame]) -> list[cl.Buffer]:
-        """Of the depths."""
-        out = []
-        for frame in frames:
-            out.append(self._buffer(4 * frame.size.pixels, "initial"))
-            cl.enqueue_copy(self.device.queue, out[-1], frame.depth)
-        return out
-
-    def read(self, frame: Frame, buffer: cl.Buffer) -> np.ndarray:
-        """A buffer of a frame, or like those that it has, (H, W)."""
-        return download(self.device, buffer, (frame.size.height, frame.size.width))
-
-    def _buffer(self, nbytes: int, role: str) -> cl.Buffer:
-        return self.device.memory.buffer(self.device.context, nbytes, role)
 
 
 def release(frames: Sequence[Frame]) -> None:

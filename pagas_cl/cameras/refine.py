@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pagas_cl.cameras.accept import bent, beyond, lost, no_gain, wrong_views
 from pagas_cl.cameras.adjust import Adjuster
+from pagas_cl.cameras.blocks import blocks_by
 from pagas_cl.cameras.frames import Frames, depths_of
 from pagas_cl.cameras.motion import pixel_motion, surface_points
 from pagas_cl.cameras.pairs import choose_pairs
 from pagas_cl.cameras.rounds import COARSE, FINE, MAPS, Rounds, Stage, State
-from pagas_cl.cameras.scales import first_scales
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError, log
 from pagas_cl.measurements import FAR_OFF, measure
@@ -27,6 +29,7 @@ from pagas_cl.scene.depth_source import rescaled
 from pagas_cl.scene.inputs import Depth
 from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View
+from pagas_cl.surface import depth_alignment as alignment
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
@@ -91,8 +94,9 @@ class CameraRefinement:
 def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, *,
                    unknowns: Collection[str] = ("pose",), lenses: Sequence[int] | None = None,
                    gauge: Sequence[Camera] | None = None, measured: tuple[float, float] | None = None,
-                   preset: str | None = None, config: Config | None = None, device: str | Device | None = None,
-                   progress: Progress | None = None, photos: PhotoStore | None = None) -> CameraRefinement:
+                   preset: str | None = None, config: Config | None = None, device: Any = None,
+                   progress: Progress | None = None, photos: PhotoStore | None = None,
+                   executor: Executor | str | None = None, folder: str | Path | None = None) -> CameraRefinement:
     """Refine the cameras of `views`, so that their photos agree through the surface.
 
     Parameters
@@ -110,6 +114,8 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     measured : (float, float), optional
         Pixels that photos are off by across the direction of depth, and the share of samples that match elsewhere;
         measured by default.
+    device, executor, folder
+        As in refine_views: blocks of views are added up elsewhere, the rest is done here. The same bytes.
 
     Returns
     -------
@@ -120,12 +126,13 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     ------
     InputError, DeviceError
     """
-    from pagas_cl.runtime.device import open_device, translate_cl_errors
+    from pagas_cl.runtime.device import one_of, open_device, translate_cl_errors
 
-    device, config = open_device(device), settings_of(preset, config)
-    with translate_cl_errors(device, "the refinement of the cameras"):
-        return _refine(list(views), depths_or_mesh, tuple(unknowns), lenses, gauge, measured, config, device, progress,
-                       photos)
+    here, config = open_device(one_of(device)), settings_of(preset, config)
+    with (translate_cl_errors(here, "the refinement of the cameras"),
+          blocks_by(executor, device, folder) as make_blocks):
+        return _refine(list(views), depths_or_mesh, tuple(unknowns), lenses, gauge, measured, config, here, progress,
+                       photos, make_blocks)
 
 
 def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], config: Config, device: Device,
@@ -146,7 +153,7 @@ def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], confi
 
 
 def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, device, progress,
-            photos) -> CameraRefinement:
+            photos, make_blocks) -> CameraRefinement:
     from pagas_cl.splat import PhotoStore
 
     start, (depths, moves) = time.perf_counter(), depths_of(depths_or_mesh, device)
@@ -168,17 +175,19 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     adjuster = Adjuster(device, scene_scale, intrinsics=unknowns != ("pose",))
     frames = Frames(adjuster, views, depths, moves, photos)
     finest = min(1.0, float(np.sqrt(_FINEST / np.median([c.width * c.height for c in given]))))
-    rounds = Rounds(frames, pairs, finest, typical, progress)
+    rounds = Rounds(frames, pairs, finest, typical, progress, make_blocks)
     state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
                   _lenses(given, unknowns, lenses), _lens_numbers(unknowns), _map_numbers(unknowns))
     if state.map_numbers:
-        state.maps[:, 0] = first_scales(given, surfaces, pairs.used)
+        small = [alignment.reduced(camera, depth) for camera, depth in zip(given, surfaces)]
+        first_maps = alignment.solve(small, alignment.pairs_of(small))
+        state.maps[:, 0] = np.exp(first_maps[:, 0]) + first_maps[:, 1]        # in the middle of the depth
         rounds.run(MAPS, state)
     first, outliers = state.copy(), wrong_views(rounds, state, Stage(0.25, 0.7, 0))
     coarse = bool(measured > FAR or elsewhere > FAR_OFF or state.map_numbers or outliers)
     wrong, beside = _run(rounds, COARSE if coarse else FINE, state, given), 0.0
     if lost(rounds, state) or wrong - outliers:        # farther off than coarse photos reach
-        again = Rounds(frames, pairs, finest, typical, progress)
+        again = Rounds(frames, pairs, finest, typical, progress, make_blocks)
         first.cameras, beside = again.turned(first.cameras, first.maps, Stage(0.25, 0.7, 0))
         others = _run(again, COARSE, first, given)
         if (lost(again, first), len(others)) < (lost(rounds, state), len(wrong)):

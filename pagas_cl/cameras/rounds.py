@@ -8,8 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pagas_cl.cameras.adjust import PRIOR, Block, Frame
+from pagas_cl.cameras.blocks import Wanted, blocks
 from pagas_cl.cameras.frames import Frames, release, through
 from pagas_cl.cameras.motion import moved, placed, twist_between
+from pagas_cl.cameras.onto import onto_mesh
 from pagas_cl.cameras.pairs import Pairs
 from pagas_cl.cameras.solve import Term, Unknowns, assemble, pixel_scales, solve
 from pagas_cl.cameras.turns import first_turns, turned
@@ -70,11 +72,12 @@ def aside(frame: Frame, x: float, y: float) -> Frame:
 
 class Rounds:
     """Runs stages over `pairs`. `finest`: share of the photos' size at which the last one works; `typical`: depths of
-    the views, units."""
+    the views, units; `make_blocks`: blocks.blocks, or what does the same elsewhere."""
 
     def __init__(self, frames: Frames, pairs: Pairs, finest: float, typical: Sequence[float],
-                 progress: Progress | None = None):
+                 progress: Progress | None = None, make_blocks=blocks):
         self.frames, self.pairs, self.finest, self.typical, self.progress = frames, pairs, finest, typical, progress
+        self.make_blocks = make_blocks
         self.adjuster = frames.adjuster
         self.scene_scale = self.adjuster.scene_scale
 
@@ -85,7 +88,7 @@ class Rounds:
         initial = []
         for stage in stages:
             now = self.frames.at(state.cameras, self.finest * stage.share, stage.sigma, state.maps)
-            first = self.frames.copies(now)
+            first = [self.adjuster.copied(frame) for frame in now]
             if before and stage.free:
                 self.frames.carried(before, initial, now)
             release(before)
@@ -94,11 +97,15 @@ class Rounds:
             before, initial = now, first
             if self.progress:
                 self.progress("refine the cameras", stages.index(stage), len(stages))
+            for _ in range(SETTLE if stage.free and stage.share >= FINE[0].share else 0):
+                self._blocks(now, NEAR_ENOUGH, sums=False)      # cameras are nearly right; else depths would hide it
             for _ in range(stage.rounds):
                 before, step = self._round(before, state, stage)
                 if step < STILL:
                     break
-        if stages[-1].free:
+        if stages[-1].free and self.frames.moves:
+            self._onto_mesh(before, state)
+        elif stages[-1].free:
             self._rescale(before, initial, state)
         if self.progress:
             self.progress("refine the cameras", len(stages), len(stages))
@@ -111,8 +118,8 @@ class Rounds:
         tolerance = NEAR_ENOUGH if stage.share >= 0.5 else LOOSE
         if not stage.free:
             tolerance = ANY
-        terms = [Term(t, others, self._block(frames, t, others, tolerance, stage.free))
-                 for t, others in enumerate(self.pairs.used) if others]
+        terms = [Term(t, others, block) for (t, others), block in
+                 zip(self._targets(), self._blocks(frames, tolerance, stage.free))]
         used = sum(float(term.block.used.sum()) for term in terms)
         squares = sum(float(term.block.squares.sum()) for term in terms)
         if not used:
@@ -132,11 +139,17 @@ class Rounds:
         self._apply(frames, state, unknowns, steps / unknowns.scales, share)
         return through(frames, state.cameras), largest
 
-    def _block(self, frames: Sequence[Frame], target: int, others: Sequence[int], tolerance: float,
-               free: bool) -> Block:
-        slope = self._slope(frames, target, others)
-        return self.adjuster.block(frames[target], [frames[k] for k in others], PRIOR * slope**2 if free else np.inf,
-                                   tolerance, STEP / slope if free else 0.0)
+    def _targets(self) -> list[tuple[int, tuple[int, ...]]]:
+        """Places of views that have context views, and those of these."""
+        return [(target, others) for target, others in enumerate(self.pairs.used) if others]
+
+    def _blocks(self, frames: Sequence[Frame], tolerance: float, free: bool = True, sums: bool = True) -> list[Block]:
+        wanted = []
+        for target, others in self._targets():
+            slope = self._slope(frames, target, others)
+            wanted.append(Wanted(target, others, PRIOR * slope**2 if free else np.inf, tolerance,
+                                 STEP / slope if free else 0.0, sums))
+        return self.make_blocks(self.adjuster, frames, wanted)
 
     def _slope(self, frames: Sequence[Frame], target: int, others: Sequence[int]) -> float:
         """Pixels of parallax a unit of depth, at a depth of 1: root mean square over the context views."""
@@ -185,13 +198,21 @@ class Rounds:
                 state.maps[k] = state.maps[k] * scale + [0.0, shift]
                 self.adjuster.rescale(frames[k], scale, shift)
 
+    def _onto_mesh(self, frames: Sequence[Frame], state: State) -> None:
+        """Let the surface that photos see lie where the mesh does."""
+        own = [frames[target] for target, _ in self._targets()]
+        cameras = [frame.camera for frame in own]
+        depths = [self.adjuster.read(frame, frame.depth) * self.scene_scale for frame in own]
+        spread = state.spread * frames[0].camera.width / state.cameras[0].width
+        state.cameras = list(map(onto_mesh(cameras, depths, self.frames.depths(cameras), spread), state.cameras))
+
     def _rescale(self, frames: Sequence[Frame], initial, state: State) -> None:
         """Let the surface be as large as it was given, as far as it tells that better than the cameras: these are off
         by `spread`, each depth map by what it was changed by on the whole. The scale of depth
         maps that is not the cameras' at all is put into `state.maps` instead."""
         ratios, sizes = [], []
         for frame, buffer in zip(frames, initial):
-            now, then = self.frames.read(frame, frame.depth), self.frames.read(frame, buffer)
+            now, then = self.adjuster.read(frame, frame.depth), self.adjuster.read(frame, buffer)
             valid = (now > 0) & (then > 0)
             if valid.any():
                 ratios.append(float(np.log(then[valid].astype(np.float64) / now[valid]).mean()))
@@ -207,7 +228,7 @@ class Rounds:
         focal = float(np.mean([camera.fx for camera in state.cameras]))
         error = state.spread * float(np.median(self.typical)) * self.scene_scale / focal      # of a centre's coordinate
         by_cameras = error**2 / size
-        if not self.frames.moves and (wanted - own) ** 2 > by_surface + 9 * by_cameras + STRANGE**2:
+        if (wanted - own) ** 2 > by_surface + 9 * by_cameras + STRANGE**2:
             state.maps *= np.exp(own - wanted)       # the maps have a scale of their own, not that of the cameras
             wanted = own
         scale = float(np.exp((wanted * by_cameras + own * by_surface) / (by_cameras + by_surface)))
@@ -221,11 +242,7 @@ class Rounds:
         NaN where nothing is seen. The depths first follow the pairs that are used."""
         frames = self.frames.at(cameras, self.finest * stage.share, stage.sigma, maps)
         for _ in range(SETTLE):
-            for target, others in enumerate(self.pairs.used):
-                if others:
-                    slope = self._slope(frames, target, others)
-                    self.adjuster.settle_depth(frames[target], [frames[k] for k in others], PRIOR * slope**2,
-                                               NEAR_ENOUGH, STEP / slope)
+            self._blocks(frames, NEAR_ENOUGH, sums=False)
         out = []
         for pair in pairs:
             rows = sum(self.adjuster.costs(frames[one], [aside(frames[two], *way) for way in WAYS], LOOSE)
@@ -238,8 +255,8 @@ class Rounds:
     def turned(self, cameras: Sequence[Camera], maps: np.ndarray, stage: Stage) -> tuple[list[Camera], float]:
         """The cameras after first_turns, and by how many pixels (of full size) whole photos lie beside one another."""
         frames = self.frames.at(cameras, self.finest * stage.share, stage.sigma, maps)
-        normals = [self.frames.read(frame, frame.normal) for frame in frames]
-        depths = [self.frames.read(frame, frame.depth) * self.scene_scale for frame in frames]
+        normals = [self.adjuster.read(frame, frame.normal) for frame in frames]
+        depths = [self.adjuster.read(frame, frame.depth) * self.scene_scale for frame in frames]
         release(frames)
         pairs = sorted({(min(one, k), max(one, k)) for one, others in enumerate(self.pairs.used) for k in others})
         turns, way = first_turns([frame.camera for frame in frames], normals, depths, pairs)
@@ -250,9 +267,7 @@ class Rounds:
         """Of each view: the median over its pairs of the mean robust cost, as they are; NaN without any. (N,)"""
         frames = self.frames.at(cameras, self.finest * stage.share, stage.sigma, maps)
         told: list[list[float]] = [[] for _ in frames]
-        for target, others in enumerate(self.pairs.used):
-            if not others:
-                continue
+        for target, others in self._targets():
             for other, (cost, seen) in zip(others, self.adjuster.costs(frames[target], [frames[k] for k in others],
                                                                        4 * LOOSE)):
                 if seen:

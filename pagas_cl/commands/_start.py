@@ -7,8 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from pagas_cl.errors import InputError, InterruptedRunError, log
+from pagas_cl.jobs.executors import check_address
 from pagas_cl.jobs.finished import begun_in, records_in, work_folder
 from pagas_cl.jobs.store import Store
+from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.depthmap import find_depths
 from pagas_cl.scene.files import read_bytes
@@ -25,6 +27,17 @@ def check_source(mesh, other, what: str, outside: bool, option: str = "--depth-d
         raise InputError(f"expected either --mesh or {option} ({what}), got {'neither' if mesh is None else 'both'}")
     if mesh is not None:
         check_parts(mesh, outside=outside)
+
+
+def place_of(device, devices, scheduler) -> dict:
+    """Where the work is done, as refine_views takes it."""
+    if device is not None and devices is not None:
+        raise InputError("got both --device and --devices, expected one of them")
+    several = "all" if devices == "all" else devices.split(",") if devices else None
+    if scheduler is not None:
+        check_address(scheduler)
+        return {"executor": scheduler, "device": several or device}
+    return {"device": several or open_device(device)}
 
 
 def check_writable(option: str, folder: Path | None) -> None:

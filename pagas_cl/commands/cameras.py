@@ -8,7 +8,7 @@ import typer
 
 from pagas_cl.cameras.model import REPORT, check_place, write_model
 from pagas_cl.commands._console import shown_progress
-from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene
+from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene, place_of
 from pagas_cl.errors import log, plain
 from pagas_cl.jobs.finished import one_run
 from pagas_cl.scene.files import write_text
@@ -25,6 +25,8 @@ def command(
     unknowns: list[str] = typer.Option([], "--unknowns", metavar="NAME",
                                        help="pose (default), focal, principal_point, depth_scale, depth_shift."),
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
+    devices: str = typer.Option(None, "--devices", metavar="all|NAME,...", help="A process on each of these devices."),
+    scheduler: str = typer.Option(None, "--scheduler", metavar="tcp://HOST:PORT", help="A Dask cluster you trust."),
     format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
     depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
@@ -42,15 +44,16 @@ def command(
         view.check_files()
     check_writable("--output", output)
     check_place(output, found.views)
+    place = place_of(device, devices, scheduler)
     with shown_progress(quiet) as progress, one_run(output):
         surface = (to_surface(mesh) if mesh is not None
                    else initial_depths(found, mesh, depth_dir, depth_scale, progress))
-        told = refine_cameras(found.views, surface, unknowns=tuple(unknowns) or ("pose",), device=device,
-                              progress=progress)
+        told = refine_cameras(found.views, surface, unknowns=tuple(unknowns) or ("pose",), folder=output,
+                              progress=progress, **place)
         write_text(output / REPORT, json.dumps(told.as_dict(), indent=1) + "\n")
-        place = write_model(scene, found.views, told.cameras, output)
+        model = write_model(scene, found.views, told.cameras, output)
     sys.stdout.write(table(told, [view.name for view in found.views]))
-    log.info("cameras: %s", place)
+    log.info("cameras: %s", model)
 
 
 def table(told, names) -> str:

@@ -14,15 +14,21 @@ from pagas_cl.commands._console import noted, nothing_refined, shown_progress
 from pagas_cl.commands._given import look, together
 from pagas_cl.commands._memory import tell_memory
 from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
-from pagas_cl.commands._start import check_report, check_source, check_writable, initial_depths, loaded, resumable
+from pagas_cl.commands._start import (
+    check_report,
+    check_source,
+    check_writable,
+    initial_depths,
+    loaded,
+    place_of,
+    resumable,
+)
 from pagas_cl.errors import InputError, PagasError, log, need
 from pagas_cl.expected import Expected
-from pagas_cl.jobs.executors import check_address
 from pagas_cl.jobs.finished import one_run, remove_run
 from pagas_cl.keep_mesh import check_kept, check_subdivide, displaced_mesh, write_whole
 from pagas_cl.report import Report, picture_files
 from pagas_cl.result import joined
-from pagas_cl.runtime.device import open_device
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.mesh import to_surface
 from pagas_cl.scene.mesh_file import check_mesh_path, write_mesh
@@ -106,7 +112,7 @@ def command(
     # finished views are kept with the depth maps, or beside the mesh until it is written; all that can be asked of
     # them later is kept, so that nothing is refined again for it
     folder = output.parent / f".{output.name}.views" if save_depth is None and output is not None else save_depth
-    place = _place(device, devices, scheduler)
+    place = place_of(device, devices, scheduler)
     config_words = ", ".join([preset, *settings])
     with (resumable(folder, len(names or found.views)), shown_progress(quiet) as progress,
           one_run(folder) if folder else nullcontext(), one_run(report) if report else nullcontext(),
@@ -121,7 +127,7 @@ def command(
         expected.rounds(page is not None)
         if output is not None and not keep_mesh:
             expected.fused(page is not None)
-        found, config = _settled_cameras(found, mesh, config, place["device"], progress, page)
+        found, config = _settled_cameras(found, mesh, config, place, folder, progress, page)
         if mesh is not None:
             depths = initial_depths(found, mesh, None, None, progress, None if keep_mesh else folder, names,
                                     place["device"])
@@ -160,13 +166,14 @@ def command(
             remove_run(folder)
 
 
-def _settled_cameras(found, mesh, config, device, progress, page):
+def _settled_cameras(found, mesh, config, place, folder, progress, page):
     """The scene with refined cameras, where its mesh calls for them; those of depth maps come with refine_views."""
     from pagas_cl.cameras.effect import settle_cameras
 
     if mesh is None or config.effects.cameras in ("off", "set"):
         return found, config
-    views, config, told = settle_cameras(found.views, to_surface(mesh), config, device, progress)
+    views, config, told = settle_cameras(found.views, to_surface(mesh), config, progress=progress, folder=folder,
+                                         **place)
     if told is not None and page is not None:
         page.note(str(told))
     return replace(found, views=views), config
@@ -179,17 +186,6 @@ def _save_cameras(folder: Path, views, results) -> None:
     if any(result.camera is not views[place].camera for place, result in pairs):
         log.info("refined cameras: %s", camera_file.write(
             folder, [replace(views[place], camera=result.camera, mask=None) for place, result in pairs]))
-
-
-def _place(device, devices, scheduler) -> dict:
-    """Where the work is done, as refine_views takes it."""
-    if device is not None and devices is not None:
-        raise InputError("got both --device and --devices, expected one of them")
-    several = "all" if devices == "all" else devices.split(",") if devices else None
-    if scheduler is not None:
-        check_address(scheduler)
-        return {"executor": scheduler, "device": several or device}
-    return {"device": several or open_device(device)}
 
 
 def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh: bool, subdivide,

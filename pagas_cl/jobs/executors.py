@@ -11,13 +11,18 @@ from pagas_cl.jobs.worker import follow_parent
 PATIENCE = 20  # seconds to wait for a scheduler's answer
 
 
+def elsewhere(executor, device) -> bool:
+    """Whether these arguments of refine_views ask for other processes than this one."""
+    return executor is not None or device == "all" or isinstance(device, (list, tuple))
+
+
 class Workers:
     """An executor and the device that its tasks are to take; arguments as in whole.refine_all. `device` is what the
     workers are told: this process opens its device here, others choose from what is named. `own`: the executor is ours
     to close; `local`: tasks run in this process, one after another."""
 
     def __init__(self, executor, device):
-        self._pooled = executor is None and (device == "all" or isinstance(device, (list, tuple)))
+        self._pooled = executor is None and elsewhere(executor, device)
         self.own, self.local = executor is None or isinstance(executor, str), executor is None and not self._pooled
         self.device = tuple(device) if isinstance(device, list) else device
         if self.local:

@@ -118,6 +118,28 @@ def _follow_parent(_: int) -> None:
         Thread(target=lambda: (wait([parent.sentinel]), os._exit(1)), daemon=True).start()
 
 
+def _begin(code: str) -> None:
+    follow_parent()
+    if code != code_version():
+        raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "
+                          "planned the run: install the same version everywhere")
+
+
+def run_part(work: Callable, part, device, code: str):
+    """`work(part, context)` with this process's device, which is opened anew where that has failed."""
+    from pagas_cl.runtime.device import translate_cl_errors
+
+    _begin(code)
+    with _one_at_a_time:
+        context = _worker_context(device)
+        try:
+            with translate_cl_errors(context.device, "a part of the work"):
+                return work(part, context)
+        except Exception:
+            _worker_contexts.pop(device, None)
+            raise
+
+
 def run_batch(batch: Batch, inside=None) -> list[Record]:
     """Refine the views of `batch` that are not finished; one record each, which also tells of the view's error.
 
@@ -125,10 +147,7 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
     `inside(k)` is the progress of view `k`, where somebody in this process wants to know. OutputError (nothing can be
     written) and DeviceError (no device to work with) are raised: they are not the view's fault.
     """
-    follow_parent()
-    if batch.code != code_version():
-        raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "
-                          "planned the run: install the same version everywhere")
+    _begin(batch.code)
     with _one_at_a_time, ThreadPoolExecutor(_READERS) as readers, ThreadPoolExecutor(1) as writer:
         context = _worker_context(batch.device)
         views, photos, ended, ahead = context.views(batch), context.photos if batch.photos else None, [], {}

@@ -132,6 +132,13 @@ def working(device: Device) -> Device:
                           f"{ENVIRONMENT}") from error
 
 
+def one_of(devices: Any) -> Any:
+    """The device to work on in this process, by name or open, of what refine_views takes: the first of several."""
+    if isinstance(devices, (list, tuple)):
+        devices = devices[0] if devices else None
+    return None if isinstance(devices, str) and devices == "all" else devices
+
+
 def opened(info: DeviceInfo, cl_device: Any, lanes: int, profiling: bool = False) -> Device:
     """Open one device of `find_devices` with the `lanes` that it is known to work with; a pyopencl error where it
     cannot be opened."""

@@ -110,12 +110,10 @@ def confirmed(cameras: list[Camera], depths: Sequence[np.ndarray | Path | None],
 def comparison_device(name: Any) -> Any:
     """The device to compare depth maps on: that which `name` means (refine_mesh's `device`), the first of several; None
     where there is none."""
-    from pagas_cl.runtime.device import open_device
+    from pagas_cl.runtime.device import one_of, open_device
 
-    if isinstance(name, (list, tuple)):
-        name = name[0] if name else None
     try:
-        return open_device(None if isinstance(name, str) and name == "all" else name)
+        return open_device(one_of(name))
     except DeviceError:
         return None
 

@@ -149,28 +149,89 @@ def made_table(rows) -> str:
     return "\n".join(lines)
 
 
-def real(scene: Path, mesh, depth_dir, share: float, number: int, config, device, tell) -> list[dict]:
-    """A row for each of `number` views."""
-    from real import load
+def disagreement(cameras, *runs) -> list[tuple[float, float]]:
+    """How far the refined depth maps of neighbours differ where a point was moved in all `runs` in both views: of each
+    run's (cameras, initial depth maps, refined ones) the median, pixels (15 degrees between views), and the share
+    within half a pixel."""
+    told = [[] for _ in runs]
+    axes = np.array([camera.direction for camera in cameras])
+    for i in range(len(cameras)):
+        changed = [np.logical_and.reduce([(maps[k] != given[k]) & (maps[k] > 0) for _, given, maps in runs])
+                   for k in range(len(cameras))]
+        rows, columns = np.random.default_rng(0).permutation(np.argwhere(changed[i]))[:4000].T
+        for j in np.argsort(-axes @ axes[i], kind="stable")[1:4]:
+            found = []
+            for own, _, maps in runs:
+                points = own[i].rays_at(rows, columns) * maps[i][rows, columns, None].astype(float)
+                uv, z = own[j].project(points @ own[i].world_to_camera[:3, :3] + own[i].center)
+                x, y = np.clip(np.floor(uv), 0, [own[j].width - 1, own[j].height - 1]).astype(int).T
+                inside = (z > 0) & (uv > 0).all(axis=1) & (uv < [own[j].width, own[j].height]).all(axis=1)
+                off = np.abs(maps[j][y, x] - z) / z * own[j].fx * np.tan(np.radians(15))
+                found.append(np.where(inside & changed[j][y, x] & (off < 5), off, np.nan))
+            both = np.isfinite(found).all(axis=0)
+            for run, off in zip(told, found):
+                run.append(off[both])
+    return [(float(np.median(off)), float((off < 0.5).mean())) for off in map(np.concatenate, told)]
+
+
+def draw_meshes(file: Path, config, *runs) -> None:
+    """Normals of the mesh that each of `runs` (views, refined depth maps) makes, side by side, seen by a view in the
+    middle."""
+    from PIL import Image
+
+    from pagas_cl.report.pictures import normal_colors
+    from pagas_cl.result import normals_of
+    from pagas_cl.surface.agree import confirmed
+    from pagas_cl.surface.fuse import fuse
+    from pagas_cl.surface.raster import each_depth
+
+    pictures = []
+    for views, depths in runs:
+        cameras = [view.camera for view in views]
+        mesh, camera = fuse(views, confirmed(cameras, depths, config.fusion), config.fusion), cameras[len(cameras) // 2]
+        normals = normals_of(next(each_depth(mesh, [camera], None)), camera)
+        pictures.append(np.asarray(normal_colors(normals, (normals**2).sum(axis=-1) > 0))[..., :3])
+    Image.fromarray(np.concatenate(pictures, axis=1)).save(file, quality=88)
+
+
+def real(scene: Path, mesh, depth_dir, share: float, number: int, judges: int, config, device, tell,
+         out: Path) -> list[dict]:
+    """A row for each of `number` views and its `judges` nearest held-out photos. With a mesh depth maps are drawn anew
+    through the refined cameras, as refine_mesh does it."""
+    from real import _fitting, load
 
     from pagas_cl.cameras.judge import fitted_pose
     from pagas_cl.cameras.refine import refine_cameras
     from pagas_cl.evaluate import compare_predictions
+    from pagas_cl.refine import initial_depths
+    from pagas_cl.scene.mesh import to_surface
 
     views, depths = load(scene, mesh, depth_dir, share)
     held = list(range(2, len(views), 4))
     kept = [k for k in range(len(views)) if k not in held]
     own, maps = [views[k] for k in kept], [depths[k] for k in kept]
-    found = refine_cameras(own, maps, config=config, device=device)
+    surface, drawn = maps if mesh is None else to_surface(mesh), maps
+    found = refine_cameras(own, surface, config=config, device=device)
     tell({key: value for key, value in found.as_dict().items() if key != "rounds"})
     moved = [replace(view, camera=camera) for view, camera in zip(own, found.cameras)]
+    if mesh is not None and found.accepted:
+        drawn = [_fitting(depth, view.camera) for depth, view in zip(initial_depths(surface, moved), moved)]
     names = [own[k].name for k in np.unique(np.linspace(0, len(own) - 1, number).astype(int))]
-    without, with_them = (refined(those, maps, config, device, names) for those in (own, moved))
+    without, with_them = (refined(those, depths, config, device, names) for those, depths in
+                          ((own, maps), (moved, drawn)))
+    if len(names) == len(own):
+        given = [view.camera for view in own]
+        tell({"neighbours differ by, share within half a pixel": disagreement(
+            given, *((cameras, initial, [results[view.name].depth for view in own]) for cameras, initial, results in
+                     ((given, maps, without), (found.cameras, drawn, with_them))))})
+        draw_meshes(out / "meshes.jpg", config, *((those, [results[view.name].depth for view in own]) for those, results
+                                                  in ((own, without), (moved, with_them))))
     rows = []
     for view, depth in zip(own, maps):
         if view.name not in names:
             continue
-        for k in held:
+        axes = np.array([views[k].camera.direction for k in held])
+        for k in np.array(held)[np.argsort(-axes @ view.camera.direction, kind="stable")[:judges]]:
             candidates = [depth, without[view.name].depth, with_them[view.name].depth]
             fitted = [fitted_pose(views[k], view, one, depths[k], device) for one in candidates]
             told = compare_predictions(view, candidates, fitted, depths[k])
@@ -199,29 +260,32 @@ def main() -> int:
     parse.add_argument("--depth-dir", type=Path)
     parse.add_argument("--share", type=float, default=1.0, help="of the photos' size")
     parse.add_argument("--views", type=int, default=4, help="real views that are refined")
+    parse.add_argument("--judges", type=int, default=4, help="held-out photos of a real view, the nearest")
     parse.add_argument("--scenes", nargs="*", default=list(SCENES))
     parse.add_argument("--width", type=int, default=388)
     parse.add_argument("--contexts", type=int, default=6)
     parse.add_argument("--levels", type=float, nargs="*", default=LEVELS)
     parse.add_argument("--preset", default="balanced")
+    parse.add_argument("--set", nargs="*", default=[], metavar="STAGE.FIELD=VALUE")
     parse.add_argument("--device")
     ask = parse.parse_args()
-    from pagas_cl.presets import preset
+    from pagas_cl.commands._settings import build_config
     from pagas_cl.runtime.device import open_device
 
-    config, device = preset(ask.preset), open_device(ask.device)
+    config, device = build_config(ask.preset, ask.set), open_device(ask.device)
 
     def tell(row):
         sys.stderr.write(json.dumps(row) + "\n")
 
+    ask.out.mkdir(parents=True, exist_ok=True)
     if ask.real:
-        rows = real(ask.real, ask.mesh, ask.depth_dir, ask.share, ask.views, config, device, tell)
+        rows = real(ask.real, ask.mesh, ask.depth_dir, ask.share, ask.views, ask.judges, config, device, tell,
+                    ask.out)
         text = real_table(rows)
     else:
         rows = [row for name in ask.scenes for row in made(name, ask.width, round(ask.width * 290 / 388), ask.contexts,
                                                             config, device, tell, ask.levels)]
         text = made_table(rows)
-    ask.out.mkdir(parents=True, exist_ok=True)
     (ask.out / "figures.json").write_text(json.dumps(rows, indent=1))
     (ask.out / "table.md").write_text(text + "\n")
     sys.stdout.write(text + "\n")

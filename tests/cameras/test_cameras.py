@@ -8,10 +8,10 @@ from support.camera_noise import after_similarity, noisy, rms_motion
 
 import pagas_cl
 from pagas_cl.cameras.effect import settle_cameras
-from pagas_cl.cameras.motion import moved, pixel_motion, placed, twist_between
+from pagas_cl.cameras.motion import exponential, moved, pixel_motion, placed, twist_between
+from pagas_cl.cameras.onto import onto_mesh
 from pagas_cl.cameras.pairs import choose_pairs
 from pagas_cl.cameras.refine import refine_cameras
-from pagas_cl.cameras.solve import DENSE, Term, Unknowns, assemble, pixel_scales, solve
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError
 from pagas_cl.scene.view import View
@@ -199,6 +199,19 @@ def test_a_mesh_stays_where_it_is(relief, off_by_one, device):
     assert found.accepted and relief.error(found.cameras) < 0.1
 
 
+def test_a_mesh_tells_where_the_world_is(relief):
+    """A similarity of cameras and depths, which no photo sees, is taken back; not where the cameras are sure."""
+    turn, shift = exponential(np.array([2e-3, -1e-3, 1e-3, 0.4, -0.3, 1.5]))
+    cameras = [placed(c, c.world_to_camera[:3, :3] @ turn.T, 1.003 * (turn @ c.center) + shift) for c in relief.cameras]
+    depths = [1.003 * relief.scene.true_depth(camera) for camera in relief.cameras]
+    drawn = [relief.scene.true_depth(camera) for camera in cameras]
+    back = list(map(onto_mesh(cameras, depths, drawn, 10.0), cameras))
+    before, after = (rms_motion(relief.cameras, those, relief.depths) for those in (cameras, back))
+    assert before > 0.3 and after < 0.15 * before
+    sure = list(map(onto_mesh(cameras, depths, drawn, 1e-3), cameras))
+    assert rms_motion(cameras, sure, relief.depths) < 0.01
+
+
 def test_a_colmap_model_keeps_all_but_poses(relief, off_by_one, tmp_path, capsys):
     """The command, on a model with points, from depth maps; and a scene that has no such model."""
     pycolmap = pytest.importorskip("pycolmap")
@@ -284,48 +297,3 @@ def test_twists_come_back(relief):
         camera = moved(relief.cameras[0], twist, 650.0)
         assert twist_between(relief.cameras[0], camera, 650.0) == pytest.approx(twist, abs=1e-9)
     assert np.isnan(pixel_motion(camera, camera, np.zeros((0, 3))))
-
-
-def chain(cameras: int, rng):
-    """Terms of made blocks, each view with its neighbours."""
-    from pagas_cl.cameras.adjust import Block
-
-    terms = []
-    for t in range(cameras):
-        others = tuple(k for k in (t - 2, t - 1, t + 1, t + 2) if 0 <= k < cameras)
-        a = rng.normal(size=(60, 6 * len(others)))
-        matrix = (a.T @ a).reshape(len(others), 6, len(others), 6)
-        terms.append(Term(t, others, Block(matrix, rng.normal(size=(len(others), 6)), np.ones(4), np.ones(4))))
-    return terms
-
-
-def test_a_thousand_cameras_sparse_as_dense(monkeypatch):
-    pytest.importorskip("scipy")
-    from conftest import look_at
-
-    from pagas_cl.cameras import solve as module
-
-    rng = np.random.default_rng(0)
-    cameras = [look_at((0.1 * k, 0, -4), (0.1 * k, 0, 0)) for k in range(1000)]
-    for number in (30, 1000):
-        unknowns = Unknowns(number, pixel_scales(cameras[:number], [1.0] * number))
-        terms = chain(number, rng)
-        monkeypatch.setattr(module, "DENSE", 0)
-        system, right = assemble(terms, cameras, 4.0, unknowns)
-        assert system.nnz < 6 * 6 * 9 * number and not isinstance(system, np.ndarray)
-        y, spread = solve(system, right, np.zeros(6 * number), 1e-6, 1.0)
-        hold = 1e-6 / spread**2
-        monkeypatch.setattr(module, "DENSE", DENSE)
-        if number <= DENSE:
-            dense, same = assemble(terms, cameras, 4.0, unknowns)
-            assert system.toarray() == pytest.approx(dense) and np.array_equal(right, same)
-        assert np.linalg.norm(system @ y + hold * y + right) < 0.1 * np.linalg.norm(right)
-
-
-def test_what_nothing_sees_stays_given():
-    """Unknowns without evidence go back to where they were given; evidence below the noise moves nothing."""
-    system, right = np.diag([1e4, 1e4, 0.0]), np.array([-1e4, 1e4, 0.0])
-    y, spread = solve(system, right, np.array([0.0, 0.0, 0.3]), 1.0, 1.0)
-    assert y == pytest.approx([1, -1, 0], abs=1e-3) and spread == pytest.approx(1, abs=0.1)
-    y, spread = solve(system, 1e-3 * right, np.zeros(3), 1.0, 1.0)
-    assert np.abs(y).max() < 1e-4 and spread < 1e-3
