@@ -199,7 +199,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     """
     config, depths = settings_of(preset, config), depth_maps(views, depths)
     asked = asked_views(views, depths, names)
-    photos = photos or photos_here(device, executor, folder)
+    photos = photos_here(device, executor, folder, photos)
     views, config, cameras = settle_cameras(views, depths, config, device, progress, photos, executor, folder)
     depths = depths if cameras is None else cameras.scaled(depths)
     if photos is None:

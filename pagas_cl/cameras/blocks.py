@@ -15,6 +15,7 @@ import pyopencl as cl
 
 from pagas_cl.cameras.adjust import Adjuster, Block, Frame
 from pagas_cl.errors import PagasError, log
+from pagas_cl.runtime.device import elsewhere
 from pagas_cl.runtime.memory import upload
 from pagas_cl.scene.camera import Camera
 
@@ -115,7 +116,7 @@ def blocks_of(part: Part, context: WorkerContext) -> dict[int, tuple[Block | Non
 @contextmanager
 def blocks_by(executor, device, folder) -> Iterator[Callable[..., list[Block | None]]]:
     """Context: `blocks`, made where these arguments of refine_views say."""
-    from pagas_cl.jobs.executors import Workers, elsewhere
+    from pagas_cl.jobs.executors import Workers
     from pagas_cl.jobs.finished import one_run, work_folder
     from pagas_cl.jobs.worker import close_worker_contexts
 

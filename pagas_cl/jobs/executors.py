@@ -7,13 +7,9 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor
 
 from pagas_cl.errors import DeviceError, InputError, need
 from pagas_cl.jobs.worker import follow_parent
+from pagas_cl.runtime.device import elsewhere
 
 PATIENCE = 20  # seconds to wait for a scheduler's answer
-
-
-def elsewhere(executor, device) -> bool:
-    """Whether these arguments of refine_views ask for other processes than this one."""
-    return executor is not None or device == "all" or isinstance(device, (list, tuple))
 
 
 class Workers:

@@ -132,6 +132,11 @@ def working(device: Device) -> Device:
                           f"{ENVIRONMENT}") from error
 
 
+def elsewhere(executor: Any, devices: Any) -> bool:
+    """Whether these arguments of refine_views ask for other processes than this one."""
+    return executor is not None or devices == "all" or isinstance(devices, (list, tuple))
+
+
 def one_of(devices: Any) -> Any:
     """The device to work on in this process, by name or open, of what refine_views takes: the first of several."""
     if isinstance(devices, (list, tuple)):

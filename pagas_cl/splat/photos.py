@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.runtime.device import open_device
+from pagas_cl.errors import InputError
+from pagas_cl.runtime.device import elsewhere, open_device
 from pagas_cl.splat.buffers import Size
 
 PHOTO_MARGIN = 16         # pixels behind a photo that may be read
@@ -93,11 +94,15 @@ class PhotoStore:
             self._held.pop(next(iter(self._held)))
 
 
-def photos_here(device, executor, folder) -> PhotoStore | None:
-    """Room for photos on the one device on which this process refines views; None where views are refined elsewhere
-    (arguments as of refine_views)."""
-    elsewhere = executor is not None or folder is not None or device == "all" or isinstance(device, (list, tuple))
-    return None if elsewhere else PhotoStore(open_device(device))
+def photos_here(device, executor, folder, photos: PhotoStore | None = None) -> PhotoStore | None:
+    """Room for photos on the one device on which this process refines views: that of `photos`, if given; None where
+    views are refined elsewhere (arguments as of refine_views)."""
+    if folder is None and not elsewhere(executor, device):
+        return photos or PhotoStore(open_device(device))
+    if photos is not None:
+        raise InputError("photos that are on one device serve this process alone: leave out photos, or folder, "
+                         "executor and several devices")
+    return None
 
 
 class StreamedPhotos:

@@ -129,6 +129,7 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
         raise InputError(f"fusion needs {plan.memory_mb:.0f} MB and {allowed:.0f} MB are free: set fusion.voxel to "
                          f"{fits:.2g} (it is {settings.voxel:g}), or give the machine more memory")
     tell, grid = progress or (lambda stage, done, total: None), plan.grid(plan.block_count)
+    tell("fuse", 0, len(views))
     for i, view in enumerate(views):
         integrate(grid, plan, plan.blocks[i], view, depths[i], None if weights is None else weights[i])
         tell("fuse", i + 1, len(views))
