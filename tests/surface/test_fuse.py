@@ -220,7 +220,7 @@ def test_progress_and_interruption(scene):
     views, depths = scene
     calls = []
     fuse(views, depths, progress=lambda *a: calls.append(a))
-    assert calls == [("fuse", 1, 3), ("fuse", 2, 3), ("fuse", 3, 3), *(("extract the mesh", k, 2) for k in range(3))]
+    assert calls == [*(("fuse", k, 3) for k in range(4)), *(("extract the mesh", k, 2) for k in range(3))]
 
     def stop(*_):
         raise KeyboardInterrupt
