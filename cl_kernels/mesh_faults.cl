@@ -5,7 +5,7 @@
 //   find_crossing  pairs that cross: each triangle looks at those of its own size and of every larger one
 #include "constants.clh"
 
-#define FINEST -14                       // widths of cells are powers of two, from this one on
+#define FINEST -24                       // widths of cells are powers of two, from this one on: as fine as places are
 #define COARSEST 1
 #define NO_AREA 1e-4f                    // height over longest edge
 #define TOUCH 1e-3f                      // share of an edge that must be beyond where triangles cross; less is touching
@@ -30,9 +30,10 @@ Triangle triangle_at(__global const float *positions, __global const int *faces,
     t.low = fmin(t.a, fmin(t.b, t.c));
     t.high = fmax(t.a, fmax(t.b, t.c));
     const float3 wide = t.high - t.low;
+    const float widest = fmax(wide.x, fmax(wide.y, wide.z));
     int exponent;
-    frexp(fmax(wide.x, fmax(wide.y, wide.z)), &exponent);
-    t.level = clamp(exponent, FINEST, COARSEST);
+    frexp(widest, &exponent);
+    t.level = widest > 0.0f ? clamp(exponent, FINEST, COARSEST) : FINEST;      // points cross nothing
     return t;
 }
 
@@ -92,6 +93,8 @@ __kernel void find_crossing(__global const float *positions, __global const int 
 {
     EACH(i, count)
     const Triangle own = triangle_at(positions, faces, i);
+    if (all(own.low == own.high))
+        return;
     int crosses = 0;
     for (int level = own.level; level <= COARSEST; ++level) {
         if (!(*levels >> (level - FINEST) & 1))
