@@ -35,6 +35,7 @@ def sheet():
 def test_faults_are_those_of_the_twin(device, spread):
     points, faces = soup(120, spread)
     points[faces[5, 2]] = points[faces[5, 0]]                            # no area
+    points[faces[13]], faces = points[faces[13, 0]], np.concatenate([faces, faces[[13]]])      # a point, twice
     before = points.copy()
     before[faces[9, 2]] = 2 * before[faces[9, 0]] - before[faces[9, 2]]      # two corners pass each other
     part = np.arange(len(points), dtype=np.int32)
@@ -42,7 +43,7 @@ def test_faults_are_those_of_the_twin(device, spread):
     assert np.array_equal(found, faults(device, before, points, faces, part))
     found = (found > FLAT) * CROSSING | found & (TURNED | FLAT)
     assert np.array_equal(found, expected)
-    assert found[5] & FLAT and found[9] & TURNED
+    assert found[5] & FLAT and found[9] & TURNED and found[13] == found[-1] == FLAT
     assert 20 < np.count_nonzero(expected & CROSSING) < len(faces)
 
 

@@ -14,8 +14,9 @@ def faults(before, after, faces) -> np.ndarray:
     flat = ~(np.linalg.norm(now, axis=1) > NO_AREA * sides.max(axis=1) ** 2)
     out = np.where(flat, 2, (then * now).sum(axis=1) < 0).astype(np.uint8)
     low, high = after[faces].min(axis=1), after[faces].max(axis=1)
-    for i in range(len(faces)):
-        near = (low <= high[i]).all(axis=1) & (high >= low[i]).all(axis=1)
+    wide = (low < high).any(axis=1)      # points cross nothing
+    for i in np.flatnonzero(wide):
+        near = wide & (low <= high[i]).all(axis=1) & (high >= low[i]).all(axis=1)
         if any(cross_each_other(after, faces[i], faces[j]) for j in np.flatnonzero(near) if j != i):
             out[i] |= 4
     return out
