@@ -31,10 +31,14 @@ Triangle triangle_at(__global const float *positions, __global const int *faces,
     t.high = fmax(t.a, fmax(t.b, t.c));
     const float3 wide = t.high - t.low;
     const float widest = fmax(wide.x, fmax(wide.y, wide.z));
-    int exponent;
-    frexp(widest, &exponent);
-    t.level = widest > 0.0f ? clamp(exponent, FINEST, COARSEST) : FINEST;      // points cross nothing
+    t.level = clamp((as_int(widest) >> 23) - 126, FINEST, COARSEST);      // the least power of two that is wider
     return t;
+}
+
+// 2^-level, exactly.
+float cells(int level)
+{
+    return as_float((127 - level) << 23);
 }
 
 uint place_of(int3 cell, int level)
@@ -52,7 +56,7 @@ __kernel void find_cells(__global const float *positions, __global const float *
     EACH(i, count)
     const Triangle t = triangle_at(positions, faces, i);
     atomic_or(levels, 1 << (t.level - FINEST));
-    cell[i] = (int)(place_of(convert_int3(floor(ldexp(0.5f * (t.low + t.high), -t.level))), t.level) & (uint)mask);
+    cell[i] = (int)(place_of(convert_int3(floor(0.5f * (t.low + t.high) * cells(t.level))), t.level) & (uint)mask);
     const float3 ab = t.b - t.a, ac = t.c - t.a, bc = t.c - t.b, now = cross(ab, ac);
     const float3 start = vload3(t.corner.x, before);
     const float3 then = cross(vload3(t.corner.y, before) - start, vload3(t.corner.z, before) - start);
@@ -99,8 +103,8 @@ __kernel void find_crossing(__global const float *positions, __global const int 
     for (int level = own.level; level <= COARSEST; ++level) {
         if (!(*levels >> (level - FINEST) & 1))
             continue;
-        const int3 low = convert_int3(floor(ldexp(own.low, -level) - 0.5f));
-        const int3 high = convert_int3(floor(ldexp(own.high, -level) + 0.5f));
+        const int3 low = convert_int3(floor(own.low * cells(level) - 0.5f));
+        const int3 high = convert_int3(floor(own.high * cells(level) + 0.5f));
         for (int z = low.z; z <= high.z; ++z)
             for (int y = low.y; y <= high.y; ++y)
                 for (int x = low.x; x <= high.x; ++x) {

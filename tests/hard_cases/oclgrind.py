@@ -129,12 +129,14 @@ def agree(scene, device) -> None:
 
 
 def solve_a_mesh(scene, device) -> None:
-    """Every kernel of drawing and solving a mesh: that of the depth map, and a triangle larger than the picture."""
+    """Every kernel of drawing and solving a mesh, and of what is wrong with its triangles: that of the depth map, and a
+    triangle larger than the picture."""
     import numpy as np
 
     from pagas_cl.scene.mesh import Surface
     from pagas_cl.surface import mesh_levels
     from pagas_cl.surface.mesh_evidence import Observed
+    from pagas_cl.surface.mesh_faults import faults
     from pagas_cl.surface.mesh_solve import OnDevice, solve_mesh
 
     camera, depth = scene.target.camera, scene.depth
@@ -150,6 +152,7 @@ def solve_a_mesh(scene, device) -> None:
     views = [Observed(view.camera, depth, deviation) for view in (scene.target, *scene.contexts)]
     solve_mesh(surface, views, device, rounds=1)
     mesh_levels.off_middles(OnDevice(device, surface), surface.vertices, surface.faces[:, :2], views, 0.0, 2)
+    faults(device, surface.vertices, surface.vertices, surface.faces, np.zeros(len(surface.vertices), np.int32))
 
 
 def main() -> int:
