@@ -31,17 +31,18 @@ def onto_mesh(cameras: Sequence[Camera], depths: Sequence[np.ndarray], drawn: Se
     for camera, depth, mesh in zip(cameras, depths, drawn):
         turn, focal = camera.world_to_camera[:3, :3], 0.5 * (camera.fx + camera.fy)
         both = np.where((depth > 0) & (mesh > 0), depth, 0)
-        normals = central_normals(mesh, camera)
         if not (both > 0).any():
             continue
         v, u = sample_pixels(both, _POINTS)
-        rays, n, z = camera.rays_at(v, u), normals[v, u], both[v, u].astype(np.float64)
+        rays, n, z = camera.rays_at(v, u), central_normals(mesh, camera)[v, u], both[v, u].astype(np.float64)
         known = np.abs((n * rays).sum(-1)) > _STEEP * np.linalg.norm(rays, axis=-1)
+        if not known.any():      # wires, or all of it seen edge-on
+            continue
         v, u, rays, n, z = v[known], u[known], rays[known], n[known] @ turn, z[known]
         x = (rays * z[:, None]) @ turn + camera.center - middle
         rows.append(np.c_[np.cross(x, n), n, (n * x).sum(-1)] * (focal / z)[:, None])
         sides.append((n * ((mesh[v, u] - z)[:, None] * (rays @ turn))).sum(-1) * focal / z)
-        shares.append(np.full(len(z), 1 / max(len(z), 1)))
+        shares.append(np.full(len(z), 1 / len(z)))
         c = camera.center - middle
         held += [focal * np.c_[np.eye(3), np.zeros((3, 4))],
                  focal / np.median(z) * np.c_[-cross_matrix(c), np.eye(3), c]]

@@ -210,6 +210,10 @@ def test_a_mesh_tells_where_the_world_is(relief):
     assert before > 0.3 and after < 0.15 * before
     sure = list(map(onto_mesh(cameras, depths, drawn, 1e-3), cameras))
     assert rms_motion(cameras, sure, relief.depths) < 0.01
+    thin = [np.where(np.indices(depth.shape).sum(axis=0) % 2, depth, 0) for depth in drawn]      # no normal is known
+    one = list(map(onto_mesh(cameras, depths, [thin[0], *drawn[1:]], 10.0), cameras))
+    assert rms_motion(relief.cameras, one, relief.depths) < 0.15 * before
+    assert onto_mesh(cameras, depths, thin, 10.0)(cameras[0]) is cameras[0]
 
 
 def test_a_colmap_model_keeps_all_but_poses(relief, off_by_one, tmp_path, capsys):
