@@ -1,4 +1,4 @@
-// What is wrong with a mesh's triangles (method section 10.3): those that cross others, that turned over, that have no
+// What is wrong with a mesh's triangles (method section 10.5): those that cross others, that turned over, that have no
 // area. Lengths in units of the mesh's size, places relative to its middle. Each triangle lies in one cell of a grid
 // whose cells are once to twice as wide as it is; grids are hashed into one table of `mask` + 1 places.
 //   find_cells     where each triangle lies, and what is wrong with it by itself

@@ -42,6 +42,14 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
+@pytest.fixture
+def own_locks(tmp_path, monkeypatch):
+    """Claims of devices apart from those of other programs on this machine."""
+    (tmp_path / "locks").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "locks"))
+    monkeypatch.setattr("tempfile.tempdir", None)
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """Folder of the real scenes (too large to ship): beside the checkout."""

@@ -18,11 +18,8 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(autouse=True)
-def own_locks(tmp_path, monkeypatch):
-    """Claims of devices apart from those of other programs on this machine; two processes share one."""
-    (tmp_path / "locks").mkdir()
-    monkeypatch.setenv("TMPDIR", str(tmp_path / "locks"))
-    monkeypatch.setattr("tempfile.tempdir", None)
+def two_share(own_locks, monkeypatch):
+    """Two processes share a device."""
     monkeypatch.setenv("PAGAS_CL_SHARE", "2")
 
 

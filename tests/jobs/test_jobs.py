@@ -26,15 +26,7 @@ from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.view import View
 
-pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(autouse=True)
-def own_locks(tmp_path, monkeypatch):
-    """Claims of devices apart from those of other programs on this machine."""
-    (tmp_path / "locks").mkdir()
-    monkeypatch.setenv("TMPDIR", str(tmp_path / "locks"))
-    monkeypatch.setattr("tempfile.tempdir", None)
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_locks")]
 
 
 @pytest.fixture(scope="module")

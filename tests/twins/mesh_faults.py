@@ -1,4 +1,4 @@
-"""Twin of cl_kernels/mesh_faults.cl in float64: every triangle against every other one (method section 10.3)."""
+"""Twin of cl_kernels/mesh_faults.cl in float64: every triangle against every other one (method section 10.5)."""
 
 from __future__ import annotations
 
