@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 
+from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import depth_down, depth_up
@@ -87,7 +88,7 @@ def _by_patches(sweep: _Sweep, start: float, bent: float) -> tuple[float, float]
     for i, j in sweep.pairs:
         across = sweep.scores_across(i, j, moves, start, bent)
         if np.isfinite(across).all():
-            rows = [sweep.across(i, j, moves[[across.argmax()]], value, bent) for value in tried]
+            rows = side_by_side(partial(sweep.across, i, j, moves[[across.argmax()]], bent=bent), tried.tolist())
             scores, pixels = np.concatenate([row for row, _ in rows]).T, rows[len(rows) // 2][1]
             top = np.where(np.isfinite(scores).all(axis=1)[:, None], scores, 0.0)
             good = (top.max(axis=1) > _MATCHED) & (top.argmax(axis=1) % (len(tried) - 1) > 0)
@@ -162,7 +163,7 @@ def _best_agreement(views: Sequence[View], cameras: Sequence[Camera], depths: Se
     step, best = max(sweep.parallax, 2 * RANGE / 80), []
     for i in sorted({i for i, _ in pairs}):
         sweep.pairs = [pair for pair in pairs if pair[0] == i]
-        scores = [sweep.score(value) for value in np.arange(-RANGE, RANGE, step)]
+        scores = side_by_side(sweep.score, np.arange(-RANGE, RANGE, step).tolist())
         best.append(np.nanmax(scores) if np.isfinite(scores).any() else 0.0)
     return float(np.mean(best))
 
@@ -192,13 +193,21 @@ class _Sweep:
     def __init__(self, views: Sequence[View], depths: Sequence[np.ndarray | None], pairs: list[tuple[int, int]],
                  side: int):
         self.pairs, self.patches = pairs, dict[int, _Patches]()
-        self.greys, self.cameras = dict[int, np.ndarray](), dict[int, Camera]()
-        for k in sorted({k for pair in pairs for k in pair}):
+        self.cameras = dict[int, Camera]()
+        self._turned = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]()      # rays of i as j has them, and tau
+        chosen = sorted({k for pair in pairs for k in pair})
+
+        def seen(k: int) -> np.ndarray:
+            size = self.cameras[k].width, self.cameras[k].height
+            return np.ascontiguousarray(grey_of(photo_to(views[k].load_image(), *size)))
+
+        for k in chosen:
             camera = views[k].camera
             scale = min(1.0, side / max(camera.width, camera.height))
             self.cameras[k] = camera.resized(max(8, round(camera.width * scale)), max(8, round(camera.height * scale)))
+        self.greys = dict(zip(chosen, side_by_side(seen, chosen)))
+        for k in chosen:
             size = self.cameras[k].width, self.cameras[k].height
-            self.greys[k] = grey_of(photo_to(views[k].load_image(), *size))
             depth = depths[k]
             if depth is not None and any(k == i for i, _ in pairs):
                 resized = depth_down if depth.shape[1] >= size[0] else depth_up
@@ -211,7 +220,7 @@ class _Sweep:
         """Where `score` is largest within `span` of `start`, which stays where nothing can be compared."""
         step = max(_STEP * parallax, 2 * span / (_MOST - 1))
         tried = np.union1d(np.arange(start - span, start + span + step / 2, step), [start])
-        scores = np.array([score(float(value)) for value in tried])
+        scores = np.array(side_by_side(score, tried.tolist()))
         return _peak(tried, scores) if np.isfinite(scores).any() else start
 
     def _parallax(self) -> float:
@@ -225,8 +234,11 @@ class _Sweep:
 
     def _place(self, i: int, j: int, log_scale: float, bent: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         patches, camera = self.patches[i], self.cameras[j]
-        rotation, tau = camera.relative_to(patches.camera)
-        x, y, z = np.moveaxis(patches.rays * self.depth(patches, log_scale, bent)[..., None] @ rotation.T + tau, -1, 0)
+        if (i, j) not in self._turned:
+            rotation, tau = camera.relative_to(patches.camera)
+            self._turned[i, j] = np.ascontiguousarray(np.moveaxis(patches.rays @ rotation.T, -1, 0)), tau
+        rays, tau = self._turned[i, j]
+        x, y, z = rays * self.depth(patches, log_scale, bent) + tau[:, None, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
             good = ((z > 0) & (u > 1) & (v > 1) & (u < camera.width - 1) & (v < camera.height - 1)).all(axis=1)
@@ -252,7 +264,7 @@ class _Sweep:
         other = _unit(bilinear(self.greys[j], u[good], v[good]))[0]
         return np.maximum((other * self.patches[i].grey[good]).sum(axis=1), 0)
 
-    def across(self, i: int, j: int, moves: np.ndarray, log_scale: float = 0.0,
+    def across(self, i: int, j: int, moves: np.ndarray, log_scale: float = 0.0, *,
                bent: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Correlations of the pair's patches (moves, patches; NaN for those that leave the photo) where those of j are
         moved by each of `moves` pixels across the direction of depth; and pixels by which each moves along it for a
@@ -268,7 +280,7 @@ class _Sweep:
 
     def scores_across(self, i: int, j: int, moves: np.ndarray, log_scale: float = 0.0, bent: float = 0.0) -> np.ndarray:
         """Means over the patches of what `across` gives; NaN where too few are told."""
-        found, _ = self.across(i, j, moves, log_scale, bent)
+        found, _ = self.across(i, j, moves, log_scale, bent=bent)
         good = np.isfinite(found).all(axis=0)
         return np.array([row[good].mean() for row in found]) if good.sum() >= _LEAST else np.full(len(moves), np.nan)
 
