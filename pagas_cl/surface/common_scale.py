@@ -88,7 +88,7 @@ def _by_patches(sweep: _Sweep, start: float, bent: float) -> tuple[float, float]
     for i, j in sweep.pairs:
         across = sweep.scores_across(i, j, moves, start, bent)
         if np.isfinite(across).all():
-            rows = side_by_side(partial(sweep.across, i, j, moves[[across.argmax()]], bent=bent), tried.tolist())
+            rows = [sweep.across(i, j, moves[[across.argmax()]], value, bent) for value in tried]
             scores, pixels = np.concatenate([row for row, _ in rows]).T, rows[len(rows) // 2][1]
             top = np.where(np.isfinite(scores).all(axis=1)[:, None], scores, 0.0)
             good = (top.max(axis=1) > _MATCHED) & (top.argmax(axis=1) % (len(tried) - 1) > 0)
@@ -163,7 +163,7 @@ def _best_agreement(views: Sequence[View], cameras: Sequence[Camera], depths: Se
     step, best = max(sweep.parallax, 2 * RANGE / 80), []
     for i in sorted({i for i, _ in pairs}):
         sweep.pairs = [pair for pair in pairs if pair[0] == i]
-        scores = side_by_side(sweep.score, np.arange(-RANGE, RANGE, step).tolist())
+        scores = [sweep.score(value) for value in np.arange(-RANGE, RANGE, step)]
         best.append(np.nanmax(scores) if np.isfinite(scores).any() else 0.0)
     return float(np.mean(best))
 
@@ -220,7 +220,7 @@ class _Sweep:
         """Where `score` is largest within `span` of `start`, which stays where nothing can be compared."""
         step = max(_STEP * parallax, 2 * span / (_MOST - 1))
         tried = np.union1d(np.arange(start - span, start + span + step / 2, step), [start])
-        scores = np.array(side_by_side(score, tried.tolist()))
+        scores = np.array([score(float(value)) for value in tried])
         return _peak(tried, scores) if np.isfinite(scores).any() else start
 
     def _parallax(self) -> float:
@@ -264,7 +264,7 @@ class _Sweep:
         other = _unit(bilinear(self.greys[j], u[good], v[good]))[0]
         return np.maximum((other * self.patches[i].grey[good]).sum(axis=1), 0)
 
-    def across(self, i: int, j: int, moves: np.ndarray, log_scale: float = 0.0, *,
+    def across(self, i: int, j: int, moves: np.ndarray, log_scale: float = 0.0,
                bent: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Correlations of the pair's patches (moves, patches; NaN for those that leave the photo) where those of j are
         moved by each of `moves` pixels across the direction of depth; and pixels by which each moves along it for a
@@ -280,7 +280,7 @@ class _Sweep:
 
     def scores_across(self, i: int, j: int, moves: np.ndarray, log_scale: float = 0.0, bent: float = 0.0) -> np.ndarray:
         """Means over the patches of what `across` gives; NaN where too few are told."""
-        found, _ = self.across(i, j, moves, log_scale, bent=bent)
+        found, _ = self.across(i, j, moves, log_scale, bent)
         good = np.isfinite(found).all(axis=0)
         return np.array([row[good].mean() for row in found]) if good.sum() >= _LEAST else np.full(len(moves), np.nan)
 
