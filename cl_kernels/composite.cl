@@ -3,6 +3,7 @@
 // sums holds, per context pixel, fixed-point [weight, red, green, blue] ([weight, grey] with GREY).
 #include "box.clh"
 #include "strip.clh"
+#include "weights.clh"
 #include "exposed.clh"
 
 #ifdef INT64_ATOMICS
@@ -21,10 +22,10 @@ void add_pair(__global volatile uint *pair, uint low, uint high)
 #endif
 
 // Fixed-point weight and weighted colours of the Gaussians at the pixels they reach.
-void weigh_colors(const Gaussians *g, const Reach r, columns_t share, const columns_t color[CHANNELS],
-                  int parts[CHANNELS + 1][COLUMNS])
+void weigh_colors(const Gaussians *g, const Reach r, columns_t share, float inverse_area,
+                  const columns_t color[CHANNELS], int parts[CHANNELS + 1][COLUMNS])
 {
-    const columns_t weight = faded_alpha(g->splat, r.dx, r.dy) * (share * FIXED_ONE);
+    const columns_t weight = faded_alpha(g->splat, r.dx, r.dy, inverse_area) * (share * FIXED_ONE);
     STORE_COLUMNS(ROUND_SHORT(weight), parts[0]);
     for (int c = 0; c < CHANNELS; ++c)
         STORE_COLUMNS(ROUND_SHORT(weight * color[c]), parts[c + 1]);
@@ -41,7 +42,8 @@ void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
 #ifdef BOXED
 __kernel IN_BOXES
 void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                      __constant float *cameras, int view, float low_pass, float threshold, float relative,
+                      __constant float *cameras, int view, float radius, float inverse_area, float low_pass,
+                      float threshold, float relative,
                       __global const uint *z_first, __global const float *exposure,
                       __global const int *landing, __global volatile uint *sums)             // [H', W', CHANNELS + 1]
 {
@@ -50,7 +52,7 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;
     const int row = get_global_id(1);
-    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, low_pass, &column);
+    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, radius, low_pass, &column);
     const Box box = landing_box(&g, corners);
     for (int k = box_item(); k < box.width * box.height; k += BOX_GROUP)
         for (int c = 0; c <= CHANNELS; ++c)
@@ -65,7 +67,7 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
             if (!(share > 0.0f))
                 continue;
             int parts[CHANNELS + 1][1];
-            weigh_colors(&g, r, share, color, parts);
+            weigh_colors(&g, r, share, inverse_area, color, parts);
             const int place = place_in_box(box, g.x + u, g.y + v);
             if (place >= 0)
                 for (int c = 0; c <= CHANNELS; ++c)
@@ -85,14 +87,15 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
 }
 #elif ONE_PIXEL
 __kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                               __constant float *cameras, int view, float low_pass, float threshold, float relative,
+                               __constant float *cameras, int view, float radius, float inverse_area, float low_pass,
+                               float threshold, float relative,
                                __global const uint *z_first, __global const float *exposure,
                                __global const int *landing, __global volatile uint *sums)     // [H', W', CHANNELS + 1]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;
     const int row = get_global_id(1);
-    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, low_pass, &column);
+    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, radius, low_pass, &column);
     if (!g.own)
         return;
     float color[CHANNELS];
@@ -103,13 +106,14 @@ __kernel void splat_order_free(__global const float *depth, __global const uchar
         if (!(share > 0.0f))
             continue;
         int parts[CHANNELS + 1][1];
-        weigh_colors(&g, r, share, color, parts);
+        weigh_colors(&g, r, share, inverse_area, color, parts);
         add_to_image(sums + r.pixel * (CHANNELS + 1), (const uint *)parts);
     }
 }
 #else
 __kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                               __constant float *cameras, int view, float low_pass, float threshold, float relative,
+                               __constant float *cameras, int view, float radius, float inverse_area, float low_pass,
+                               float threshold, float relative,
                                __global const uint *z_first, __global const float *exposure,
                                __global const int *landing, __global int *sums)     // [H', W', CHANNELS + 1]
 {
@@ -117,7 +121,7 @@ __kernel void splat_order_free(__global const float *depth, __global const uchar
     const Strip strip = own_strip(context);
     EACH_LANDING(item, row, landing, strip, target, BLOCKS_ACROSS(target)) {
         int column;
-        const Gaussians g = load_gaussians(depth, target, context, item, row, low_pass, &column);
+        const Gaussians g = load_gaussians(depth, target, context, item, row, radius, low_pass, &column);
         if (!ANY(g.own & (g.y < strip.to) & (g.y + SPAN > strip.from)))
             continue;
         const columns_t one = 1.0f;
@@ -133,7 +137,7 @@ __kernel void splat_order_free(__global const float *depth, __global const uchar
         EACH_PLACE(u, v) {
             const Reach r = reach_pixel(&g, context.width, strip.from, strip.to, u, v);
             const columns_t share = share_of(&g, r, z_first, threshold, relative);
-            const columns_t weight = faded_alpha(g.splat, r.dx, r.dy) * (share * FIXED_ONE);
+            const columns_t weight = faded_alpha(g.splat, r.dx, r.dy, inverse_area) * (share * FIXED_ONE);
             weights[v * SPAN + u] = select(ZERO, weight, share > 0.0f);
             pixels[v * SPAN + u] = r.pixel;
         }
