@@ -64,7 +64,7 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
 }
 
 __kernel void gather_alpha(__global const float *depth, __constant float *cameras, int view, float radius,
-                           float low_pass,
+                           float inverse_area, float low_pass,
                            __global const float *alphas,           // [PLACES, H, W] dL/dalpha
                            __global float *gradient,               // [H, W] N dL/dd is added
                            __global int *heads, int bins)
@@ -85,7 +85,7 @@ __kernel void gather_alpha(__global const float *depth, __constant float *camera
         for (int u = -REACH; u <= REACH; ++u) {
             const float v_alpha = alphas[((v + REACH) * SIDE + u + REACH) * count + i];
             const float dx = x + u + 0.5f - s.x, dy = y + v + 0.5f - s.y;
-            sum += v_alpha * dalpha_ddepth(slope, dsplat_ddepth, dx, dy, raw_alpha(s, dx, dy));
+            sum += v_alpha * dalpha_ddepth(slope, dsplat_ddepth, dx, dy, raw_alpha(s, dx, dy), inverse_area);
         }
     gradient[i] += sum;
 }

@@ -115,7 +115,7 @@ void store_v_rendered(const Rendered r, columns_t v_color[CHANNELS], columns_t v
 #endif
 }
 
-// |e| and its slope; quadratic up to `huber` (0: plain L1, its inverse is large), constant beyond a quarter of `robust`.
+// |e| and its slope: quadratic up to `huber` (0 is plain L1: its inverse is large), constant beyond a quarter of `robust`.
 columns_t residual_size(columns_t e, float huber, float inverse_huber, float robust, columns_t *slope)
 {
     columns_t size = fabs(e);
@@ -131,6 +131,7 @@ columns_t residual_size(columns_t e, float huber, float inverse_huber, float rob
     return size;
 }
 
+#ifdef TRACK_LOSS
 // Whole numbers of the lanes that are new: not repeated from the tile before.
 long whole_loss(columns_t loss, int repeated)
 {
@@ -141,6 +142,7 @@ long whole_loss(columns_t loss, int repeated)
         sum += convert_long_rte(lane[k] * TILE_ONE);
     return sum;
 }
+#endif
 
 __kernel TILE_LOOP
 void loss_backward(__global const stored_t *rendered,              // [H', W', CHANNELS + 1], see rendered.clh
@@ -149,7 +151,7 @@ void loss_backward(__global const stored_t *rendered,              // [H', W', C
                    __global const uint *seen,                      // [H' W' / 32] a bit a pixel
                    float huber, float inverse_huber, float robust, float l1_scale, float ssim_scale,
                    __global float *v_rendered,                     // [H', W', CHANNELS + 1]
-                   float loss_scale, __global uint *total)         // a sum of 64 bits; null: nobody asks
+                   float loss_scale, __global uint *total)         // a sum of 64 bits
 {
     const int left = span_start(get_group_id(0), TILE_W, width), top = span_start(get_group_id(1), TILE_H, height);
 #ifdef SSIM
@@ -161,8 +163,10 @@ void loss_backward(__global const stored_t *rendered,              // [H', W', C
         barrier(CLK_LOCAL_MEM_FENCE);
     }
 #endif
+#ifdef TRACK_LOSS
     __local long scratch[LOSS_GROUP];
     long loss = 0;
+#endif
     for (int t = get_local_id(0); t < TILE_H * TILE_ACROSS; t += LOSS_GROUP) {
         const int row = t / TILE_ACROSS, column = t % TILE_ACROSS * COLUMNS;
         const int x = left + column, y = top + row, pixel = y * width + x;
@@ -193,9 +197,12 @@ void loss_backward(__global const stored_t *rendered,              // [H', W', C
         const columns_t v_coverage = ZERO;
 #endif
         store_v_rendered(r, v_color, v_coverage, v_rendered + pixel * (CHANNELS + 1));
-        if (total && y >= (int)get_group_id(1) * TILE_H)
+#ifdef TRACK_LOSS
+        if (y >= (int)get_group_id(1) * TILE_H)
             loss += whole_loss(select(ZERO, full_weight * mean_residual, r.live), (int)get_group_id(0) * TILE_W - x);
+#endif
     }
-    if (total)
-        add_losses(scratch, loss, loss_scale, total);
+#ifdef TRACK_LOSS
+    add_losses(scratch, loss, loss_scale, total);
+#endif
 }

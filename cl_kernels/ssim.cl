@@ -116,13 +116,15 @@ __kernel TILE_LOOP
 void ssim_forward(__global const stored_t *rendered,               // [H', W', CHANNELS + 1], see rendered.clh
                   __global const uchar4 *photo, int width, int height, int pitch,
                   __global float *partials,                        // as window.clh says
-                  float robust, float loss_scale, __global uint *total)          // a sum of 64 bits; null: nobody asks
+                  float robust, float loss_scale, __global uint *total)          // a sum of 64 bits
 {
     __local float xs[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));
     __local shade_t ys[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));
     __local float sums[4 * TILE_H * STRIDE] __attribute__((aligned(16)));
+#ifdef TRACK_LOSS
     __local long scratch[LOSS_GROUP];
     long loss = 0;
+#endif
     const int columns = width - HALO, rows = height - HALO, plane = pitch * height;
     const int left = span_start(get_group_id(0), TILE_W, columns), top = span_start(get_group_id(1), TILE_H, rows);
     load_tile(rendered, photo, left, top, width, height, xs, ys);
@@ -139,12 +141,15 @@ void ssim_forward(__global const stored_t *rendered,               // [H', W', C
             const lanes_t similar = similarity(
                 blur_across(at), blur_across(at + TILE_H * STRIDE), blur_across(at + 2 * TILE_H * STRIDE),
                 blur_across(at + 3 * TILE_H * STRIDE), robust, out, plane);
+#ifdef TRACK_LOSS
             const int from = max((int)get_group_id(0) * TILE_W, left + t % CHUNKS * LANES);
-            if (total && row >= (int)get_group_id(1) * TILE_H)
+            if (row >= (int)get_group_id(1) * TILE_H)
                 loss += dissimilarity(similar, left + x, from, columns);
+#endif
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
-    if (total)
-        add_losses(scratch, loss, loss_scale, total);
+#ifdef TRACK_LOSS
+    add_losses(scratch, loss, loss_scale, total);
+#endif
 }

@@ -55,6 +55,7 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
         "SSIM": loss.ssim > 0,
         "ROBUST": loss.robust > 0,
         **{own.metadata["define"]: getattr(loss, own.name) for own in fields(loss) if own.metadata["define"]},
+        "TRACK_LOSS": config.solver.patience > 0,
         "INT64_ATOMICS": device.has("cl_khr_int64_base_atomics"),
     }
     numbers = {"REACH": reach(splatting.radius), "SPAN": span(splatting.radius), "SLOTS": SLOTS,
