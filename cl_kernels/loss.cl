@@ -115,7 +115,7 @@ void store_v_rendered(const Rendered r, columns_t v_color[CHANNELS], columns_t v
 #endif
 }
 
-// |e| and its slope: quadratic up to `huber` (0 is plain L1: its inverse is large), constant beyond a quarter of `robust`.
+// |e| and its slope: quadratic up to `huber` (0: plain L1, its inverse is large), constant beyond 1/4 of `robust`.
 columns_t residual_size(columns_t e, float huber, float inverse_huber, float robust, columns_t *slope)
 {
     columns_t size = fabs(e);
