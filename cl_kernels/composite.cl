@@ -39,7 +39,7 @@ void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
 #endif
 }
 
-#ifdef BOXED
+#if ONE_PIXEL
 __kernel IN_BOXES
 void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
                       __constant float *cameras, int view, float radius, float inverse_area, float low_pass,
@@ -47,17 +47,19 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
                       __global const uint *z_first, __global const float *exposure,
                       __global const int *landing, __global volatile uint *sums)             // [H', W', CHANNELS + 1]
 {
-    __local uint boxed[(CHANNELS + 1) * BOX];
-    __local int corners[4];
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;
     const int row = get_global_id(1);
     const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, radius, low_pass, &column);
+#ifdef BOXED
+    __local uint boxed[(CHANNELS + 1) * BOX];
+    __local int corners[4];
     const Box box = landing_box(&g, corners);
     for (int k = box_item(); k < box.width * box.height; k += BOX_GROUP)
         for (int c = 0; c <= CHANNELS; ++c)
             boxed[c * BOX + k] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
+#endif
     if (g.own) {
         float color[CHANNELS];
         load_exposed(target_photo, row * target.width + column, exposure, view, color);
@@ -68,14 +70,17 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
                 continue;
             int parts[CHANNELS + 1][1];
             weigh_colors(&g, r, share, inverse_area, color, parts);
+#ifdef BOXED
             const int place = place_in_box(box, g.x + u, g.y + v);
             if (place >= 0)
                 for (int c = 0; c <= CHANNELS; ++c)
                     atomic_add(&boxed[c * BOX + place], (uint)parts[c][0]);
             else
+#endif
                 add_to_image(sums + r.pixel * (CHANNELS + 1), (const uint *)parts);
         }
     }
+#ifdef BOXED
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int k = box_item(); k < box.width * box.height; k += BOX_GROUP) {
         uint parts[CHANNELS + 1];
@@ -84,31 +89,7 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
         if (parts[0])
             add_to_image(sums + pixel_of_box(box, k, context.width) * (CHANNELS + 1), parts);
     }
-}
-#elif ONE_PIXEL
-__kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                               __constant float *cameras, int view, float radius, float inverse_area, float low_pass,
-                               float threshold, float relative,
-                               __global const uint *z_first, __global const float *exposure,
-                               __global const int *landing, __global volatile uint *sums)     // [H', W', CHANNELS + 1]
-{
-    const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    int column;
-    const int row = get_global_id(1);
-    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, radius, low_pass, &column);
-    if (!g.own)
-        return;
-    float color[CHANNELS];
-    load_exposed(target_photo, row * target.width + column, exposure, view, color);
-    EACH_PLACE(u, v) {
-        const Reach r = reach_pixel(&g, context.width, 0, context.height, u, v);
-        const float share = r.reached ? share_of(&g, r, z_first, threshold, relative) : 0.0f;
-        if (!(share > 0.0f))
-            continue;
-        int parts[CHANNELS + 1][1];
-        weigh_colors(&g, r, share, inverse_area, color, parts);
-        add_to_image(sums + r.pixel * (CHANNELS + 1), (const uint *)parts);
-    }
+#endif
 }
 #else
 __kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
