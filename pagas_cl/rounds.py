@@ -129,8 +129,8 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, resul
     from pagas_cl.splat.budget import fit_memory
 
     target, contexts, held_out = views[partners.target], *(
-        [views[k] for k in chosen if views[k].name in result.report[role]]       # those that resemble it
-        for chosen, role in ((partners.contexts, "contexts"), (partners.held_out, "held_out")))
+        [views[k] for k in chosen if k not in result.report["left_out"]]         # those that resemble it
+        for chosen in (partners.contexts, partners.held_out))
 
     def attempt(photos: PhotoStore) -> Any:
         normalized = NormalizedDepth(target, result.depth, device)

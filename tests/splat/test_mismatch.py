@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.kernel_cases import Scene, start_level
+from support.scenes import relief_scene
 from twins import mismatch as twin
 
 from pagas_cl.config import MOST_RAISED, MOST_WEIGHT, Smoothness
@@ -17,7 +18,6 @@ from pagas_cl.runtime.memory import download
 from pagas_cl.splat import mismatch
 from pagas_cl.splat.buffers import SampleGrid
 from pagas_cl.splat.measure import Rows
-from pagas_cl.synthetic import relief_scene
 
 pytestmark = pytest.mark.kernels
 
