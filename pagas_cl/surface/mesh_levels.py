@@ -161,7 +161,7 @@ def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: 
         whole = {"positions": upload(device, mesh.in_frame(vertices)), "edges": upload(device, pairs.astype(np.int32))}
         own = {name: device.memory.buffer(device.context, 4 * size * len(pairs), name)
                for name, size in (("positions", 3), ("normals", 3), ("reach", 1))}
-        words = Words(device, len(pairs), own)
+        words = Words(device, len(pairs), own, least_views)
         for name, size in (("normals", 3), ("reach", 1), ("flatness", 1)):
             whole[name] = device.memory.buffer(device.context, 4 * size * count, name)
         run_once(device.queue, [
@@ -173,7 +173,7 @@ def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: 
             buffer.release()
         for view in views:
             words.ask(mesh.drawing, view, orientation)
-        words.settle(least_views)
+        words.settle()
         off, unit, seen = (download(device, words.known[name], len(pairs), kind) for name, kind in
                            (("target", np.float32), ("unit", np.float32), ("seen", np.int32)))
         words.release()

@@ -146,13 +146,13 @@ def _solve(mesh: OnDevice, views: Sequence[Observed], least_views: int, rounds: 
         orientation = orientation_of(surface, drawing, views)
     for number in range(rounds):
         known = {**mesh.rings, **own}
-        words = Words(device, count, known)
+        words = Words(device, count, known, least_views)
         run_once(device.queue, [bind(words.program, "vertex_normals", (count,), None, known, count=count)])
         if number:
             drawing.move(vertices)
         for view in views:
             words.ask(drawing, view, orientation)
-        words.settle(least_views)
+        words.settle()
         unit = download(device, words.known["unit"], count)
         found = np.isfinite(unit)
         if not found.any():
