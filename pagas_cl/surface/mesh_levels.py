@@ -12,6 +12,7 @@ from pagas_cl.scene.mesh import Surface
 from pagas_cl.surface.edges import Edges
 from pagas_cl.surface.mesh_evidence import Observed, Words, sent
 from pagas_cl.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded, welded, with_area
+from pagas_cl.surface.raster import Drawing
 from pagas_cl.surface.subdivide import Subdivision, spread, with_middles
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ COARSE, DETAIL = 6.0, 1.5   # footprints: edges to begin with, and the longest t
 _OFF = 2.0                  # times `flat` that the middle of an edge lies off, for which it is split
 _LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
 TRIANGLE_BYTES = 450        # of host and device memory together, at the peak (measured)
+_FULL = 0.98                # of the triangles that the memory is for, from which on nothing more is split
 _FACE = 0.35                # area of a face whose edges are all just short enough, of their square
 
 
@@ -34,15 +36,14 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     """
     mesh, views = _Splitting(surface, unit), sent(views, device)
     mesh.split_longer(max(COARSE, detail) * mesh.coarsening(max(COARSE, detail), most))
-    orientation = None
+    orientation = orientation_of(surface, Drawing(device, surface), views)
     for level in range(_LEVELS + 1):
         now = OnDevice(device, Surface(mesh.points, with_area(mesh.edges.faces)))
-        if orientation is None:
-            orientation = orientation_of(now.surface, now.drawing, views)
+        last = level == _LEVELS or len(mesh.edges) > _FULL * most
         solved = solve_welded(now, views, least_views=least_views, orientation=orientation,
-                              rounds=1 if level < _LEVELS else _ROUNDS)
+                              rounds=_ROUNDS + (level < _LEVELS) if last else 1)
         mesh.points = solved.vertices
-        if level == _LEVELS:
+        if last:
             now.release()
             break
         lengths = mesh.edges.lengths(mesh.points)

@@ -257,7 +257,7 @@ def orientation_of(surface: Surface, drawing: Any, views: Sequence[Observed]) ->
     step, votes, number = max(1, len(surface.faces) // _SAMPLES), 0, 0
     a, b, c = (surface.vertices[surface.faces[::step, k]] for k in range(3))
     across, middle = np.cross(b - a, c - a), (a + b + c) / 3
-    for place in range(0, len(views), max(1, len(views) // _ASKED)):
+    for place in range(0, len(views), -(-len(views) // _ASKED)):
         camera = views[place].camera
         uv, z = camera.project(middle)
         inside = np.flatnonzero(camera.holds(uv, z))
