@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
 
 _TURNS = 24                # times that vertices of new faults go the way of their neighbours; every third, a ring more
-_RINGS = 12                # around them that are looked at meanwhile
+_RINGS = 8                 # around them that are looked at meanwhile
 TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another part of the mesh, its own
 
 

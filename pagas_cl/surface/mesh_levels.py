@@ -41,7 +41,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
         now = OnDevice(device, Surface(mesh.points, with_area(mesh.edges.faces)))
         last = level == _LEVELS or len(mesh.edges) > _FULL * most
         solved = solve_welded(now, views, least_views=least_views, orientation=orientation,
-                              rounds=_ROUNDS + (level < _LEVELS) if last else 1)
+                              rounds=_ROUNDS + 2 * (level < _LEVELS) if last else 1)
         mesh.points = solved.vertices
         if last:
             now.release()
