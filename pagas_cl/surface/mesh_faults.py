@@ -24,8 +24,8 @@ TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another 
 def without_new(device: Device, given: Surface, division: Subdivision | None,
                 vertices: np.ndarray) -> tuple[np.ndarray, str]:
     """Where the vertices (V', 3) of a mesh, split as `division` says, are to be so that it has no fault that `given`
-    had not: those of such triangles go the way of their neighbours. Triangles that touch one with a fault in the given
-    mesh are let alone, and so are parts that stood in others. And how many have faults, in words."""
+    had not: those of such triangles go the way of their neighbours. Where the given mesh, split alike, has faults,
+    triangles around them are let alone, and so are parts that stood in others. And how many have faults, in words."""
     before, faces, parents = given.vertices, given.faces, slice(None)
     if division is not None:
         before, faces, parents = division.vertices(before), division.faces, division.parents
@@ -36,7 +36,9 @@ def without_new(device: Device, given: Surface, division: Subdivision | None,
     start, end, faces = before[one], vertices[one], place[faces]
     part = (own if division is None else division.vertices(own))[one]
     old = faults(device, start, start, place[given.faces], part)
-    near = _marked(given.faces, given.faces[old & ~CROSSING > 0], 0)[given.faces].any(axis=1)[parents]
+    some = np.flatnonzero(_marked(given.faces, given.faces[old & ~CROSSING > 0], 0)[given.faces].any(axis=1)[parents])
+    folded = some[faults(device, start, start, faces[some], part) & ~CROSSING > 0]
+    near = _marked(faces, faces[folded], 1)[faces].any(axis=1)
     stands_in = np.zeros(len(points), bool)
     stands_in[own[given.faces[old & CROSSING > 0, 0]]] = True
     let = np.where(near, ~CROSSING, 0) | np.where(stands_in[part[faces[:, 0]]], CROSSING, 0)
@@ -99,6 +101,8 @@ def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndar
     from pagas_cl.runtime.program import bind, build, run_once
 
     count, mask = len(faces), (1 << max(10, len(faces).bit_length())) - 1
+    if not count:
+        return np.zeros(0, np.int32)
     middle, unit = frame_of(Surface(after, faces))
     with translate_cl_errors(device, "looking for triangles that cross"):
         program = build(device, "mesh_faults.cl")

@@ -23,7 +23,6 @@ _OFF = 2.0                  # times `flat` that the middle of an edge lies off, 
 _LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
 TRIANGLE_BYTES = 450        # of host and device memory together, at the peak (measured)
 _FULL = 0.98                # of the triangles that the memory is for, from which on nothing more is split
-_FACE = 0.35                # area of a face whose edges are all just short enough, of their square
 
 
 def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, *, flat: float,
@@ -35,7 +34,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     its vertices are, and which of them are at one place (V',).
     """
     mesh, views = _Splitting(surface, unit), sent(views, device)
-    mesh.split_longer(max(COARSE, detail) * mesh.coarsening(max(COARSE, detail), most))
+    mesh.split_longer(max(COARSE, detail), most // 2)
     orientation = orientation_of(surface, Drawing(device, surface), views)
     for level in range(_LEVELS + 1):
         now = OnDevice(device, Surface(mesh.points, with_area(mesh.edges.faces)))
@@ -76,18 +75,12 @@ class _Splitting:
             self.edges = Edges(faces, len(self.points))
         self.rounds: list[np.ndarray] = []
 
-    def coarsening(self, edges: float, most: int) -> float:
-        """By how much longer edges than `edges` footprints must be to leave half of `most` triangles to the detail."""
-        faces = self.edges.faces
-        corners = self.points[faces]
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-        needed = (area / (_FACE * (edges * self.unit[faces].min(axis=1)) ** 2)).sum()
-        return float(np.sqrt(max(1.0, needed / max(1, most // 2))))
-
-    def split_longer(self, longest: float) -> None:
-        """Split edges until none is longer than `longest` footprints."""
+    def split_longer(self, longest: float, most: int) -> None:
+        """Split edges until none is longer than `longest` footprints, or there would be more than `most` faces."""
         fresh: np.ndarray | slice = slice(None)
         while len(chosen := self.edges.longer(self.points, longest * self.unit, fresh)):
+            if len(self.edges) + 2 * len(chosen) > most:
+                break
             fresh = self._split(chosen)
 
     def split_longest_with(self, long: np.ndarray, wanted: np.ndarray, off: np.ndarray, lengths: np.ndarray,
