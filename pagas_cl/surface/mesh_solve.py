@@ -210,7 +210,9 @@ class _Gradients:
         cl.enqueue_fill_buffer(self.device.queue, self._known["delta"], np.float32(0), 0, 4 * self.count)
         for _ in range(LINKINGS):
             run_once(self.device.queue, [self._bound("find_links", crease=CREASE, jump=JUMP), self._bound("find_sums"),
-                                         self._bound("start"), self._bound("advance", step=0, first_time=1),
+                                         self._bound("apply_laplacian", x=self._known["delta"]),
+                                         self._bound("apply_matrix", p=self._known["delta"]), self._bound("start"),
+                                         self._bound("advance", step=0, first_time=1),
                                          self._bound("add_up", _GROUP, which=0),
                                          self._bound("turn", step=0, first_time=1)])
             laplacian = self._bound("apply_laplacian", x=self._own["p"])
