@@ -22,7 +22,7 @@ COARSE, DETAIL = 6.0, 1.5   # footprints: edges to begin with, and the longest t
 _OFF = 2.0                  # times `flat` that the middle of an edge lies off, for which it is split
 _LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
 TRIANGLE_BYTES = 450        # of host and device memory together, at the peak (measured)
-_FULL = 0.98                # of the triangles that the memory is for, from which on nothing more is split
+_FULL = 0.9                 # of the triangles that the memory is for, from which on nothing more is split
 
 
 def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, *, flat: float,
@@ -40,7 +40,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
         now = OnDevice(device, Surface(mesh.points, with_area(mesh.edges.faces)))
         last = level == _LEVELS or len(mesh.edges) > _FULL * most
         solved = solve_welded(now, views, least_views=least_views, orientation=orientation,
-                              rounds=_ROUNDS + 2 * (level < _LEVELS) if last else 1)
+                              rounds=_ROUNDS + (level < _LEVELS) if last else 1)
         mesh.points = solved.vertices
         if last:
             now.release()
