@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
 
 LAMBDA, STAY, CREASE, JUMP = 4.0, 0.15, 0.1, 0.5
-ROUNDS, LINKINGS, STEPS = 3, 2, 60      # of evidence, of links between neighbours, of conjugate gradients
+ROUNDS, LINKINGS, STEPS = 3, 2, 30      # of evidence, of links between neighbours, of conjugate gradients
 _HOLDS = 8                              # times that ways are halved where triangles would turn over
 _FOLLOWS = 16                           # times that vertices on creases follow the planes there
 _GROUP = 128
@@ -146,13 +146,13 @@ def _solve(mesh: OnDevice, views: Sequence[Observed], least_views: int, rounds: 
         orientation = orientation_of(surface, drawing, views)
     for number in range(rounds):
         known = {**mesh.rings, **own}
-        words = Words(device, count, known)
+        words = Words(device, count, known, least_views)
         run_once(device.queue, [bind(words.program, "vertex_normals", (count,), None, known, count=count)])
         if number:
             drawing.move(vertices)
         for view in views:
             words.ask(drawing, view, orientation)
-        words.settle(least_views)
+        words.settle()
         unit = download(device, words.known["unit"], count)
         found = np.isfinite(unit)
         if not found.any():
@@ -210,7 +210,9 @@ class _Gradients:
         cl.enqueue_fill_buffer(self.device.queue, self._known["delta"], np.float32(0), 0, 4 * self.count)
         for _ in range(LINKINGS):
             run_once(self.device.queue, [self._bound("find_links", crease=CREASE, jump=JUMP), self._bound("find_sums"),
-                                         self._bound("start"), self._bound("advance", step=0, first_time=1),
+                                         self._bound("apply_laplacian", x=self._known["delta"]),
+                                         self._bound("apply_matrix", p=self._known["delta"]), self._bound("start"),
+                                         self._bound("advance", step=0, first_time=1),
                                          self._bound("add_up", _GROUP, which=0),
                                          self._bound("turn", step=0, first_time=1)])
             laplacian = self._bound("apply_laplacian", x=self._own["p"])
@@ -257,7 +259,7 @@ def orientation_of(surface: Surface, drawing: Any, views: Sequence[Observed]) ->
     step, votes, number = max(1, len(surface.faces) // _SAMPLES), 0, 0
     a, b, c = (surface.vertices[surface.faces[::step, k]] for k in range(3))
     across, middle = np.cross(b - a, c - a), (a + b + c) / 3
-    for place in range(0, len(views), max(1, len(views) // _ASKED)):
+    for place in range(0, len(views), -(-len(views) // _ASKED)):
         camera = views[place].camera
         uv, z = camera.project(middle)
         inside = np.flatnonzero(camera.holds(uv, z))
