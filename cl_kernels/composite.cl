@@ -13,12 +13,13 @@ typedef uint4 sums_t;
 #endif
 
 // An empty image, at once: a launch takes as long as much of the writing.
-__kernel void clear(int count, __global uint *z_first,             // [count] none without occlusion
+__kernel void clear(int count, __global uint *z_first,             // [count]
                     __global sums_t *sums)                         // [count]
 {
     EACH(i, count)
-    if (z_first)
-        z_first[i] = as_uint(INFINITY);
+#ifdef OCCLUSION
+    z_first[i] = as_uint(INFINITY);
+#endif
     sums[i] = 0;
 }
 
