@@ -2,14 +2,14 @@
 // of a depth, counted from the initial one, has beyond its own average around it, on one surface.
 //   find_changes     pixels of parallax, by inverse depth
 //   smooth_changes   averaged with both neighbours a few pixels away, along one axis; several times gives the average
-//   weigh_detail     square of the detail, and variance that the photos leave: sums around a pixel tell their ratio
+//   weigh_detail     square of the detail over the variance that the photos leave; the mean around a pixel tells
 //   sample_detail    the share of the detail that is noise, on a grid of samples
 //   take_back        that share goes
 #include "lookup.clh"
 
 #define EDGE 1.0f                    // pixels of parallax between initial depths: another surface
-#define MOST 0.25f                   // squared pixels of parallax: as much variance as counts
-#define BEYOND 1.6f                  // variance of a depth as the steps leave it, of that of one match
+#define LEAST 4.0f                   // per squared pixel of parallax: as little information as counts
+#define NOISE 5.0f                   // variance of the detail of errors alone, of that which the photos leave
 
 __kernel void find_changes(__global const float *initial, __global const float *depth,
                            __global const float *depth_per_parallax, __global const uchar *status, int count,
@@ -45,14 +45,14 @@ __kernel void weigh_detail(__global const float *initial, __global const float *
     const float d0 = initial[i], d = depth[i], u = depth_per_parallax[i];
     const float detail = d0 * (d - d0) / (d * u) - smooth[i];
     const bool known = status[i] == REFINED;
-    vstore2(known ? (float2)(detail * detail, 1.0f / fmax(vload3(i, after).z * u * u, 1.0f / MOST)) : 0.0f, i, values);
+    vstore2(known ? (float2)(detail * detail * fmax(vload3(i, after).z * u * u, LEAST), 1.0f) : 0.0f, i, values);
 }
 
 // Share of the detail around a pixel that is noise.
 float noise_in(__global const float *sums, int i)
 {
     const float2 sum = vload2(i, sums);
-    return fmin(BEYOND * sum.y / fmax(sum.x, 1e-12f), 1.0f);
+    return fmin(NOISE * sum.y / fmax(sum.x, 1e-12f), 1.0f);
 }
 
 __kernel void sample_detail(__global const float *sums, __global const uchar *status, __constant float *cameras,
