@@ -82,9 +82,10 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
             few = _few(steps, len(report["contexts"]))
             stepped = _steps(views, partners, own, averaged["depth"], few, device, photos, told)
             # what no view has spoken for, or the photos speak against, is as it was
-            refined = (comparison.read(averaged, "status")["status"] == REFINED) & (stepped.status == REFINED)
-            found = {name: np.where(refined, getattr(stepped, name), getattr(own, name)) for name in averaged}
-            found["parallax"] = stepped.parallax
+            other = (comparison.read(averaged, "status")["status"] != REFINED) | (stepped.status != REFINED)
+            found = {name: getattr(stepped, name) for name in (*averaged, "parallax")}
+            for name in averaged:
+                np.copyto(found[name], getattr(own, name), where=other)
         else:
             found = comparison.read(averaged, *averaged)
     comparison.release()
