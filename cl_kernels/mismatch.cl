@@ -9,7 +9,14 @@
 
 #define EDGE 1.0f                    // pixels of parallax between initial depths: another surface
 #define LEAST 4.0f                   // per squared pixel of parallax: as little information as counts
-#define NOISE 5.0f                   // variance of the detail of errors alone, of that which the photos leave
+#define FINE 0.03f                   // pixels of parallax: smaller detail calls for nothing
+#define NOISE 6.0f                   // variance of the detail of errors alone, of that which the photos leave
+
+// Change of a depth beyond its average, pixels of parallax.
+float detail_of(float d0, float d, float u, float smooth)
+{
+    return d0 * (d - d0) / (d * u) - smooth;
+}
 
 __kernel void find_changes(__global const float *initial, __global const float *depth,
                            __global const float *depth_per_parallax, __global const uchar *status, int count,
@@ -17,7 +24,7 @@ __kernel void find_changes(__global const float *initial, __global const float *
 {
     EACH(i, count)
     const float d0 = initial[i], d = depth[i];
-    changes[i] = status[i] == REFINED ? d0 * (d - d0) / (d * depth_per_parallax[i]) : 0.0f;
+    changes[i] = status[i] == REFINED ? detail_of(d0, d, depth_per_parallax[i], 0.0f) : 0.0f;
 }
 
 __kernel void smooth_changes(__global const float *initial, __global const float *depth_per_parallax,
@@ -38,14 +45,16 @@ __kernel void smooth_changes(__global const float *initial, __global const float
 
 __kernel void weigh_detail(__global const float *initial, __global const float *depth,
                            __global const float *depth_per_parallax, __global const uchar *status,
-                           __global const float *after,            // evidence, [H, W, 3]
-                           __global const float *smooth, int count, __global float *values)        // [H, W, 2]
+                           __global const float *evidence,         // [H, W, 3] of one in `every` views
+                           __global const float *smooth, int count, float every,
+                           __global float *values)                 // [H, W, 2]
 {
     EACH(i, count)
     const float d0 = initial[i], d = depth[i], u = depth_per_parallax[i];
-    const float detail = d0 * (d - d0) / (d * u) - smooth[i];
+    const float detail = detail_of(d0, d, u, smooth[i]);
     const bool known = status[i] == REFINED;
-    vstore2(known ? (float2)(detail * detail * fmax(vload3(i, after).z * u * u, LEAST), 1.0f) : 0.0f, i, values);
+    const float information = fmax(every * vload3(i, evidence).z * u * u, LEAST);
+    vstore2(known ? (float2)(detail * detail * information, 1.0f) : 0.0f, i, values);
 }
 
 // Share of the detail around a pixel that is noise.
@@ -55,14 +64,17 @@ float noise_in(__global const float *sums, int i)
     return fmin(NOISE * sum.y / fmax(sum.x, 1e-12f), 1.0f);
 }
 
-__kernel void sample_detail(__global const float *sums, __global const uchar *status, __constant float *cameras,
+__kernel void sample_detail(__global const float *initial, __global const float *depth,
+                            __global const float *depth_per_parallax, __global const uchar *status,
+                            __global const float *sums, __global const float *smooth, __constant float *cameras,
                             int stride, int across, int count, __global float *rows)               // [samples]
 {
     const Camera target = load_camera(cameras, 0);
     EACH(k, count)
     const int2 at = sample_place(k, stride, across, target);
     const int i = at.y * target.width + at.x;
-    rows[k] = status[i] == REFINED ? noise_in(sums, i) : NAN;
+    const float detail = detail_of(initial[i], depth[i], depth_per_parallax[i], smooth[i]);
+    rows[k] = status[i] != REFINED ? NAN : fabs(detail) < FINE ? 0.0f : noise_in(sums, i);
 }
 
 __kernel void take_back(__global const float *initial, __global const float *depth_per_parallax,
@@ -73,6 +85,6 @@ __kernel void take_back(__global const float *initial, __global const float *dep
     const float d0 = initial[i], d = depth[i], u = depth_per_parallax[i];
     if (status[i] != REFINED)
         return;
-    const float change = d0 * (d - d0) / (d * u), kept = change - noise_in(sums, i) * (change - smooth[i]);
+    const float kept = smooth[i] + (1.0f - noise_in(sums, i)) * detail_of(d0, d, u, smooth[i]);
     depth[i] = d0 / (1.0f - kept * u / d0);
 }

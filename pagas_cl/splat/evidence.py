@@ -97,14 +97,14 @@ class Evidence:
             self._run([*view.fetch(), *self._add(view, self._initial, self._before),
                        *self._add(view, self.buffers.depth, self._after)])
 
-    def _add(self, view, depth: cl.Buffer, evidence: cl.Buffer) -> list:
+    def _add(self, view, depth: cl.Buffer, evidence: cl.Buffer, floor_share: float = 1.0) -> list:
         """What the photo of `view` says of `depth`, added to `evidence`."""
         warped, grey = self.scratch
         return [*project.nearest(self.programs, self.buffers, view, depth=depth),
                 self.programs.bind_rows("patches.cl", "warp_photo", self.buffers, view, depth=depth, warped=warped,
                                         grey=grey),
                 self.programs.bind_rows("patches.cl", "weigh", self.buffers, view, warped=warped, grey=grey,
-                                        noise_variance=self.prior.noise_variance, evidence=evidence,
+                                        noise_variance=self.prior.noise_variance, floor_share=floor_share, evidence=evidence,
                                         **self.size.extent)]
 
     def release(self):
@@ -158,7 +158,7 @@ class Evidence:
         extent, noise, config = self.size.extent, float("nan"), self.programs.config
         self._run([self.bind("feather", initial=self._initial, status=status, **extent)])
         if mismatch.is_asked(config):
-            noise = mismatch.take_back(self, status, self._initial, self._after, config.effects.mismatch == "on")
+            noise = mismatch.take_back(self, status, self._initial, config.effects.mismatch == "on")
         self._run([self.bind("bends", file="deviation.cl", bent=bent, **extent),
                    self.bind("deviate", file="deviation.cl", status=status, before=self._before, after=self._after,
                              bent=bent, error_factor=self.prior.error_factor, misaligned=self.prior.misaligned,
@@ -167,6 +167,14 @@ class Evidence:
             return EvidenceDecision(status, deviation, (float("nan"), float("nan")), (), noise)
         return EvidenceDecision(status, deviation, self.costs(), tuple(evidence.judge() for evidence in held_out),
                                 noise)
+
+    def of_accepted(self, views, floor_share: float) -> cl.Buffer:
+        """What the photos of `views` say of the depth as it is now."""
+        evidence = self._buffer(12 * self.size.pixels)
+        self._run([Fill(evidence, np.uint32(0), evidence.size)])
+        for view in views:
+            self._run([*view.fetch(), *self._add(view, self.buffers.depth, evidence, floor_share)])
+        return evidence
 
     def judge(self) -> tuple[float, float]:
         """Medians under the depth as it is now."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 REFINED = 1
-SPACINGS, EDGE, LEAST, NOISE, WINDOW = (1, 2, 3, 4, 6), 1.0, 4.0, 5.0, 7
+SPACINGS, EDGE, LEAST, FINE, NOISE, WINDOW = (1, 2, 3, 4, 6), 1.0, 4.0, 0.03, 6.0, 7
 
 
 def _moved(values, dv: int, du: int, empty=0):
@@ -31,7 +31,8 @@ def smoothed(changes, initial, parallax, status):
 
 
 def taken_back(initial, depth, parallax, status, information):
-    """The depth without the detail that is noise, and by pixel the share of it that is; all (H, W), device units."""
+    """The depth without the detail that is noise, and by pixel the share of it that is, as it calls for it (0 where it
+    is fine); all (H, W), device units."""
     ok = status == REFINED
     unit = np.where(ok, parallax, 1)
     changes = np.where(ok, initial * (depth - initial) / (np.where(ok, depth, 1) * unit), 0)
@@ -41,4 +42,4 @@ def taken_back(initial, depth, parallax, status, information):
     total, number = (sum(_moved(values, dv, du) for dv in side for du in side) for values in (chances, ok * 1.0))
     share = np.minimum(NOISE * number / np.maximum(total, 1e-12), 1)
     kept = changes - share * detail
-    return np.where(ok, initial / (1 - kept * unit / np.where(ok, initial, 1)), depth), share
+    return np.where(ok, initial / (1 - kept * unit / np.where(ok, initial, 1)), depth), np.where(np.abs(detail) < FINE, 0, share)
