@@ -104,8 +104,8 @@ class Evidence:
                 self.programs.bind_rows("patches.cl", "warp_photo", self.buffers, view, depth=depth, warped=warped,
                                         grey=grey),
                 self.programs.bind_rows("patches.cl", "weigh", self.buffers, view, warped=warped, grey=grey,
-                                        noise_variance=self.prior.noise_variance, floor_share=floor_share, evidence=evidence,
-                                        **self.size.extent)]
+                                        noise_variance=self.prior.noise_variance, floor_share=floor_share,
+                                        evidence=evidence, **self.size.extent)]
 
     def release(self):
         for buffer in filter(None, (self._before, self._after)):

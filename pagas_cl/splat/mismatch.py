@@ -14,8 +14,8 @@ ROUNDING = 0.054                 # share of a grey level's square: variance of t
 
 
 def take_back(evidence, status: cl.Buffer, initial: cl.Buffer, always: bool) -> float:
-    """Smooth evidence.buffers.depth as far as its detail is noise, where most of it is or `always`. Returns the share of
-    the detail that is noise, median over the refined pixels, NaN without any. Waits for the device."""
+    """Smooth evidence.buffers.depth as far as its detail is noise, where most of it is or `always`. Returns the share
+    of the detail that is noise, median over the refined pixels, NaN without any. Waits for the device."""
     device, size, (sums, rows) = evidence.device, evidence.size, evidence.scratch
     asked, grid = evidence.views[:VIEWS], SampleGrid.over(size)
     changes, smooth = (device.memory.buffer(device.context, 4 * size.pixels) for _ in range(2))

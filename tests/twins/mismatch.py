@@ -42,4 +42,5 @@ def taken_back(initial, depth, parallax, status, information):
     total, number = (sum(_moved(values, dv, du) for dv in side for du in side) for values in (chances, ok * 1.0))
     share = np.minimum(NOISE * number / np.maximum(total, 1e-12), 1)
     kept = changes - share * detail
-    return np.where(ok, initial / (1 - kept * unit / np.where(ok, initial, 1)), depth), np.where(np.abs(detail) < FINE, 0, share)
+    found = np.where(ok, initial / (1 - kept * unit / np.where(ok, initial, 1)), depth)
+    return found, np.where(np.abs(detail) < FINE, 0, share)
