@@ -90,12 +90,13 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
         report["differences"] = spreads
         if steps is not None:
             told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
-            few = _few(steps, len(report["contexts"]), report)
+            few = _few(steps, len(report["contexts"]))
             stepped = _steps(views, partners, own, averaged["depth"], few, device, photos, told)
             # what no view has spoken for, or the photos speak against, is as it was
-            refined = (comparison.read(averaged, "status")["status"] == REFINED) & (stepped.status == REFINED)
-            found = {name: np.where(refined, getattr(stepped, name), getattr(own, name)) for name in averaged}
-            found["parallax"] = stepped.parallax
+            other = (comparison.read(averaged, "status")["status"] != REFINED) | (stepped.status != REFINED)
+            found = {name: getattr(stepped, name) for name in (*averaged, "parallax")}
+            for name in averaged:
+                np.copyto(found[name], getattr(own, name), where=other)
         else:
             found = comparison.read(averaged, *averaged)
     comparison.release()
@@ -111,13 +112,11 @@ def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partn
     return average_depths(views, partners, results, config, device, photos, progress, between_rounds(config))
 
 
-def _few(config: Config, contexts: int, report: Mapping[str, Any]) -> Config:
-    """Settings of so few steps, from a depth that is nearly right: smoothness raised at once, for mismatch by what was
-    measured (`report`). Photos that do not match anywhere around (solver.mismatch) do not tell one depth from
-    another."""
-    mismatch = [e["evidence"] for e in report.get("effects", ()) if e["effect"] == "mismatch"] or [1.0]
+def _few(config: Config, contexts: int) -> Config:
+    """Settings of so few steps, from a depth that is nearly right: smoothness raised at once. Photos that do not match
+    anywhere around (solver.mismatch) do not tell one depth from another."""
     return config.with_settings(solver__early_damping=1.0, solver__rate=min(100.0, _LONGER * config.solver.rate),
-                                smoothness__weight=config.smoothness.weight_with(contexts, mismatch[0]),
+                                smoothness__weight=config.smoothness.weight_with(contexts),
                                 smoothness__full_views=1, effects__pyramid="set", effects__mismatch="set",
                                 solver__mismatch=2.0)
 

@@ -21,7 +21,7 @@ from pagas_cl.splat.options import defines
 pytestmark = pytest.mark.kernels
 
 PRIOR = EvidencePrior(1.5, 0.2, 0.05)
-CONFIG = BALANCED.with_settings(solver__views_per_step=0)
+CONFIG = BALANCED.with_settings(solver__views_per_step=0, effects__mismatch="off")
 
 
 def twin_evidence(scene: Scene, depth):
