@@ -1,7 +1,9 @@
 """`pagas-cl check`: are these the right cameras for this mesh and these photos?"""
 
 import json
+import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,7 @@ import typer
 
 from pagas_cl.commands._given import look, together
 from pagas_cl.errors import InputError, log, plain
-from pagas_cl.scene.check import check_views
+from pagas_cl.scene.check import CameraReport, check_views
 from pagas_cl.scene.depth_mesh import mesh_of_depths
 
 
@@ -38,9 +40,20 @@ def command(
     if surface is None:
         surface = mesh_of_depths(given.scene.cameras, together(given, True))
     report = check_views(surface, given.scene.cameras, given.scene.views)
+    if given.mesh is None:
+        report = of_depth_maps(report)
     sys.stdout.write(json.dumps(report.as_dict(), indent=1) + "\n" if as_json else table(report))
     if not report.ok:
         raise InputError(report.at_command_line[1])
+
+
+def of_depth_maps(report: CameraReport) -> CameraReport:
+    """The report in words of what was given: no mesh."""
+    def said(words: str) -> str:
+        return re.sub(r"\bmesh\b", "depth maps", words.replace("the mesh", "the surface of the depth maps"))
+
+    return replace(report, sentence=said(report.sentence), half_pixel=said(report.half_pixel),
+                   at_command_line=tuple(map(said, report.at_command_line)))
 
 
 def table(report) -> str:
