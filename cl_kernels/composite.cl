@@ -5,6 +5,22 @@
 #include "strip.clh"
 #include "exposed.clh"
 
+#ifdef GREY
+typedef uint2 sums_t;
+#else
+typedef uint4 sums_t;
+#endif
+
+// An empty image, at once: a launch takes as long as much of the writing.
+__kernel void clear(int count, __global uint *z_first,             // [count] none without occlusion
+                    __global sums_t *sums)                         // [count]
+{
+    EACH(i, count)
+    if (z_first)
+        z_first[i] = as_uint(INFINITY);
+    sums[i] = 0;
+}
+
 #ifdef INT64_ATOMICS
 #pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable
 // Two 32-bit fields in one addition: they are never negative and never overflow, so no carry passes between them.

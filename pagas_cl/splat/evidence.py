@@ -21,12 +21,14 @@ HISTOGRAM = 8 * COST_BINS   # bytes that count them, before and after
 class EvidenceDecision:
     """On the device, per pixel: status uint8, as in scene/depthmap.py; standard deviation of the depth, float32, device
     units, infinite where nothing is known. Before and after, over the pixels that are seen: mean 1 - correlation with
-    the views' photos, of all refined depth, and median with each held-out view's photo, of what is accepted."""
+    the views' photos, of all refined depth, and median with each held-out view's photo, of what is accepted. `silent`:
+    depths that would count as refined, but for photos that show nothing far and wide."""
 
     status: cl.Buffer
     deviation: cl.Buffer
     cost: tuple[float, float]
     held_out: tuple[tuple[float, float], ...]
+    silent: int
 
     def release(self):
         self.status.release()
@@ -161,8 +163,20 @@ class Evidence:
                               bent=bent, error_factor=self.prior.error_factor, misaligned=self.prior.misaligned,
                               deviation=deviation, **extent)])
         if not told:
-            return EvidenceDecision(status, deviation, (float("nan"), float("nan")), ())
-        return EvidenceDecision(status, deviation, self.costs(), tuple(evidence.judge() for evidence in held_out))
+            return EvidenceDecision(status, deviation, (float("nan"), float("nan")), (), 0)
+        costs, judged = self.costs(), tuple(evidence.judge() for evidence in held_out)
+        return EvidenceDecision(status, deviation, costs, judged, self._hold_silent(status, deviation))
+
+    def _hold_silent(self, status: cl.Buffer, deviation: cl.Buffer) -> int:
+        """Take back what smoothness alone moved; returns the number of depths that are where they were, then."""
+        counts, (one, other), grid = self._buffer(4), self._scratch, (self.size.pixels,)
+        known = {"count": self.size.pixels, "status": status, "deviation": deviation}
+        self._run([Fill(counts, np.uint32(0), 4), self._bind("mark_spoken", grid=grid, spoken=one, **known),
+                   *self._sum_around(one, 2, other, one),
+                   self._bind("hold_silent", grid=grid, initial=self._initial, around=one, silent=counts, **known)])
+        silent = int(download(self.device, counts, 1, np.uint32)[0])
+        counts.release()
+        return silent
 
     def judge(self) -> tuple[float, float]:
         """Medians under the depth as it is now."""
