@@ -5,7 +5,6 @@ import re
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import typer
 
@@ -34,14 +33,11 @@ def command(
                  photos=photos)
     for line in given.lines():
         log.info("%s", line)
-    surface: Any = given.mesh
-    if surface is None and given.depths is None:
+    if given.mesh is None and given.depths is None:
         raise InputError(f"{str(scene)!r} holds neither depth maps nor a mesh to compare the photos over: give --mesh")
-    if surface is None:
-        surface = mesh_of_depths(given.scene.cameras, together(given, True))
+    surface = mesh_of_depths(given.scene.cameras, together(given, True)) if given.mesh is None else given.mesh
     report = check_views(surface, given.scene.cameras, given.scene.views)
-    if given.mesh is None:
-        report = of_depth_maps(report)
+    report = of_depth_maps(report) if given.mesh is None else report
     sys.stdout.write(json.dumps(report.as_dict(), indent=1) + "\n" if as_json else table(report))
     if not report.ok:
         raise InputError(report.at_command_line[1])
@@ -49,11 +45,10 @@ def command(
 
 def of_depth_maps(report: CameraReport) -> CameraReport:
     """The report in words of what was given: no mesh."""
-    def said(words: str) -> str:
-        return re.sub(r"\bmesh\b", "depth maps", words.replace("the mesh", "the surface of the depth maps"))
-
-    return replace(report, sentence=said(report.sentence), half_pixel=said(report.half_pixel),
-                   at_command_line=tuple(map(said, report.at_command_line)))
+    half_pixel, sentence, *at_command_line = (
+        re.sub(r"\bmesh\b", "depth maps", words.replace("the mesh", "the surface of the depth maps"))
+        for words in (report.half_pixel, report.sentence, *report.at_command_line))
+    return replace(report, half_pixel=half_pixel, sentence=sentence, at_command_line=tuple(at_command_line))
 
 
 def table(report) -> str:
