@@ -16,8 +16,8 @@ from pagas_cl.surface.subdivide import Subdivision
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
 
-_TURNS = 24                # times that vertices of new faults go the way of their neighbours; every third, a ring more
-_RINGS = 8                 # around them that are looked at meanwhile
+_TURNS = 15                # times that vertices of new faults go the way of their neighbours; every third, a ring more
+_RINGS = 6                 # around them that are looked at meanwhile
 TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another part of the mesh, its own
 
 
@@ -43,7 +43,7 @@ def without_new(device: Device, given: Surface, division: Subdivision | None,
     stands_in[own[given.faces[old & CROSSING > 0, 0]]] = True
     let = np.where(near, ~CROSSING, 0) | np.where(stands_in[part[faces[:, 0]]], CROSSING, 0)
     now, found = end.copy(), faults(device, start, end, faces, part)
-    for back in (False, False, True, True):
+    for back in (False, True, True, True):
         if not (found & ~let).any():
             break
         some = np.flatnonzero(_marked(faces, faces[found & ~let > 0], _RINGS)[faces[:, 0]])
@@ -56,7 +56,7 @@ def without_new(device: Device, given: Surface, division: Subdivision | None,
     told = (f"{_count(found, both)} of {len(faces)} triangles cross others ({_count(old, both)} of {len(old)} given "
             f"ones did), {_count(new, both)} of them where none did before; {_count(found, TURNED)} are turned "
             f"over, {_count(found, FLAT)} have no area ({_count(old, FLAT)} before); {mended.sum()} vertices went with "
-            "their neighbours for it")
+            "their neighbours, or back, for it")
     return np.where(mended[place][:, None], now[place], vertices), told
 
 
@@ -72,16 +72,17 @@ def _marked(faces: np.ndarray, wrong: np.ndarray, rings: int) -> np.ndarray:
 def _mended(device: Device, start: np.ndarray, now: np.ndarray, faces: np.ndarray, part: np.ndarray,
             found: np.ndarray, let: np.ndarray, back: bool) -> np.ndarray:
     """Places of vertices at `now`, moved until no face has a fault beyond those it may be `let`: around `found` ones,
-    farther and farther, ways from `start` become the means of their neighbours' or, with `back`, none."""
+    farther and farther, ways from `start` become the means of their neighbours' or, with `back`, are halved."""
     for turn in range(_TURNS):
         rings, marked = turn // 3, _marked(faces, faces[found & ~let > 0], turn // 3)
         near = faces[marked[faces].any(axis=1)]
-        for _ in range(rings + 1):
+        for _ in range(1 if back else rings + 1):
             way, total, number = now - start, np.zeros(now.shape), np.zeros(len(now))
             for side in range(0 if back else 3):
                 np.add.at(total, near[:, side], way[near[:, side - 1]] + way[near[:, side - 2]])
                 np.add.at(number, near[:, side], 2)
-            now = np.where(marked[:, None], start + total / np.maximum(number, 1)[:, None], now)
+            even = way / 2 if back else total / np.maximum(number, 1)[:, None]
+            now = np.where(marked[:, None], start + even, now)
         found = faults(device, start, now, faces, part)
         if not (found & ~let).any():
             break

@@ -56,7 +56,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
                         "the memory is for", number - done, most)
         log.info("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
                  number, len(long), _OFF * flat, count, len(mesh.edges))
-    division = Subdivision.of(len(surface.vertices), surface.faces, mesh.own, mesh.rounds)
+    division = Subdivision(len(surface.vertices), surface.faces, mesh.own.faces, mesh.own.table[6], mesh.rounds)
     return division, solved.at(mesh.place), mesh.place
 
 
