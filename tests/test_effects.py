@@ -153,7 +153,7 @@ def test_measurements_tell_made_scenes_apart(device):
     jitter = measured_of(device, steps=0, exposure=0.3)
     assert jitter.exposure_change > 0.012
     assert measured_of(device, bar=10.0).hidden > clean.hidden + EFFECTS["occlusion"].threshold
-    assert measured_of(device, steps=0, coarse_error=4.0).far_off > EFFECTS["pyramid"].threshold
+    assert measured_of(device, steps=0, coarse_error=4.0).depth_far_off > EFFECTS["pyramid"].threshold
     assert measured_of(device, steps=0, distances=(2.5,)).smallest < 0.36
     noisy = measured_of(device, steps=0, contrast=0.2, noise=6.0)
     assert noisy.noise > 0.01 and noisy.unexplained > 1.4

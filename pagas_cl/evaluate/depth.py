@@ -73,13 +73,9 @@ def _errors(depth, truth, per_pixel, angle, where):
     both = where & (depth > 0) & (truth > 0)
     error = np.abs(depth - truth)
     shift = np.broadcast_to(error / np.where(per_pixel > 0, per_pixel, np.nan), error.shape)
-    figures = (figure for values in (error, shift, angle) for figure in _mean_and_median(values[both]))
+    known = [values[both & np.isfinite(values)] for values in (error, shift, angle)]
+    figures = (float(of(values)) if len(values) else float("nan") for values in known for of in (np.mean, np.median))
     return DepthErrors(int(both.sum()), int((where & (depth <= 0) & (truth > 0)).sum()), *figures)
-
-
-def _mean_and_median(values):
-    values = values[np.isfinite(values)]
-    return (float(values.mean()), float(np.median(values))) if len(values) else (float("nan"), float("nan"))
 
 
 def _angles(a, b):
