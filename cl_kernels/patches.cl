@@ -79,9 +79,9 @@ __kernel void warp_photo(__global const float *depth, __constant float *cameras,
 //
 // noise_variance: of the photos' noise beyond NOISE. A correlation is taken as a share of what that much noise lets a
 // perfect match have; looking up between pixels leaves 4/9 of it. Without it two flat patches match; with it, nothing
-// is known of them.
+// is known of them. floor_share: of NOISE, what counts in a residual.
 __kernel void weigh(__global const float *warped, __global const float *grey, int width, int height,
-                    float noise_variance, __global float *evidence)     // [H, W, 3], added
+                    float noise_variance, float floor_share, __global float *evidence)     // [H, W, 3], added
 {
     const int row = get_global_id(1);
     if (row >= height)
@@ -116,7 +116,7 @@ __kernel void weigh(__global const float *warped, __global const float *grey, in
         const columns_t possible = fmax(sqrt(fmax(clear_w, 0.0f) * fmax(clear_t, 0.0f)), LEAST_POSSIBLE);
         const columns_t correlation = (cov + flat) / sqrt((var_w + flat) * (var_t + flat)) / possible;
         const columns_t share = fmin(fmax(cov, 0.0f) / sqrt(fmax(var_w * var_t, noise * noise)), 1.0f);
-        const columns_t explained = share * share, unexplained = var_w * (1.0f - explained) + noise;
+        const columns_t explained = share * share, unexplained = var_w * (1.0f - explained) + floor_share * noise;
         const mask_t known = (origin != UNSEEN) & (n >= LEAST_PIXELS) & (column + LANE_NUMBERS >= item * COLUMNS);
         float found[3][COLUMNS];
         STORE_COLUMNS(select(ZERO, 1.0f - correlation, known), found[0]);

@@ -95,11 +95,9 @@ class Smoothness(Stage):
     """With "planar": a second difference beyond this, pixels of parallax, is a discontinuity and pulls no more; up to
     there its pull fades as (1 - (e / discontinuity)^8)^2."""
 
-    def weight_with(self, contexts: int, mismatch: float = 1.0) -> float:
-        """lambda_s where there are so many context views, raised by `mismatch` (below 1 and NaN: not), at most the
-        largest weight there is."""
-        weight = self.weight * float(max(1.0, self.full_views / contexts) ** (2 / 3))
-        return min(MOST_WEIGHT, weight * mismatch if mismatch > 1 else weight)
+    def weight_with(self, contexts: int) -> float:
+        """lambda_s where there are so many context views, at most the largest weight there is."""
+        return min(MOST_WEIGHT, self.weight * float(max(1.0, self.full_views / contexts) ** (2 / 3)))
 
 
 @dataclass(frozen=True)

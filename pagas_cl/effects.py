@@ -12,7 +12,7 @@ import numpy as np
 from pagas_cl.config import MOST_RAISED, MOST_WEIGHT, Config
 from pagas_cl.errors import log
 from pagas_cl.measurements import FAR_OFF, Measurements, measure
-from pagas_cl.splat.constants import SPECULAR_VIEW
+from pagas_cl.splat.constants import NOISY_DETAIL, SPECULAR_VIEW
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
@@ -111,7 +111,7 @@ EFFECTS = {
     "antialiasing": Effect("smallest", 0.36, False, "smallest projected Gaussian, pixels",
                            _sets("splatting__low_pass", LOW_PASS, 0.0)),
     "smoothness": Effect("textureless", 0.01, True, "share of pixels with little texture", _smoothness),
-    "pyramid": Effect("far_off", FAR_OFF, True, "share of samples that match two or more pixels away", _pyramid),
+    "pyramid": Effect("depth_far_off", FAR_OFF, True, "share of samples that match two or more pixels away", _pyramid),
     "noise": Effect("unexplained", 1.4, True,
                     "noise, residual, cameras that are off; of what the default weight allows for", _noise),
 }
@@ -159,10 +159,10 @@ def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Co
 
 
 def decide_mismatch(evidence: float, config: Config) -> Decision:
-    """What smoothness was raised by for photos that do not match, or was not (splat.mismatch, while it was refined)."""
+    """What share of the refined detail is noise, and whether it was taken back (splat.mismatch)."""
     choice = config.effects.mismatch
-    return Decision("mismatch", evidence, 1.0, evidence > 1.0, "errors by mismatch over bending, factor of smoothness"
-                    if choice == "auto" else f"asked for: {choice}")
+    reason = "refined detail that is noise by how photos match" if choice == "auto" else f"asked for: {choice}"
+    return Decision("mismatch", evidence, NOISY_DETAIL, choice == "on" or evidence > NOISY_DETAIL, reason)
 
 
 def agreement_rounds(config: Config, views: int) -> int:

@@ -71,8 +71,8 @@ def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, stre
     if scale == 1:           # evidence before and after: of the context views, and of one held-out view at a time
         judges = 2 if len(cameras) > 1 + contexts else 1
         after = total_bytes(EvidenceBuffers.plan(lengths)) + depths
-        after += (24 * judges + 5) * full[0].pixels + HISTOGRAM * (judges - 1)
-        during += mismatch.nbytes(lengths["samples"], contexts) if mismatch.is_asked(config) else 0
+        beside = mismatch.nbytes(full[0].pixels, lengths["samples"]) if mismatch.is_asked(config) else 0
+        after += 29 * full[0].pixels + max(beside, 24 * (judges - 1) * full[0].pixels + HISTOGRAM * (judges - 1))
     return Plan(_photos(full, sizes, streamed), max(during, after))
 
 

@@ -9,7 +9,7 @@ import pyopencl as cl
 
 from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import Fill, run_once
-from pagas_cl.splat import project
+from pagas_cl.splat import mismatch, project
 from pagas_cl.splat.buffers import EvidenceBuffers
 from pagas_cl.splat.constants import CLEAR_NOISE, COST_BINS, COST_GROUP, COST_ONE
 
@@ -21,12 +21,15 @@ HISTOGRAM = 8 * COST_BINS   # bytes that count them, before and after
 class EvidenceDecision:
     """On the device, per pixel: status uint8, as in scene/depthmap.py; standard deviation of the depth, float32, device
     units, infinite where nothing is known. Before and after, over the pixels that are seen: mean 1 - correlation with
-    the views' photos, of all refined depth, and median with each held-out view's photo, of what is accepted."""
+    the views' photos, of all refined depth, and median with each held-out view's photo, of what is accepted. `silent`:
+    depths that would count as refined, but for photos that show nothing far and wide."""
 
     status: cl.Buffer
     deviation: cl.Buffer
     cost: tuple[float, float]
     held_out: tuple[tuple[float, float], ...]
+    silent: int
+    mismatch: float                     # share of its detail that is noise, NaN where it was not asked for
 
     def release(self):
         self.status.release()
@@ -84,7 +87,7 @@ class Evidence:
     def __init__(self, programs, buffers: EvidenceBuffers, views, initial: cl.Buffer, prior: EvidencePrior = NO_PRIOR):
         self.programs, self.buffers, self.views, self.prior = programs, buffers, list(views), prior
         self.device, self.size = programs.device, self.views[0].target_size
-        self._initial, self._scratch = initial, (buffers.v_rendered, buffers.rendered)     # two floats a pixel each
+        self._initial, self.scratch = initial, (buffers.v_rendered, buffers.rendered)     # two floats a pixel each
         self._before = self._after = None
 
     def weigh(self):
@@ -96,15 +99,15 @@ class Evidence:
             self._run([*view.fetch(), *self._add(view, self._initial, self._before),
                        *self._add(view, self.buffers.depth, self._after)])
 
-    def _add(self, view, depth: cl.Buffer, evidence: cl.Buffer) -> list:
+    def _add(self, view, depth: cl.Buffer, evidence: cl.Buffer, floor_share: float = 1.0) -> list:
         """What the photo of `view` says of `depth`, added to `evidence`."""
-        warped, grey = self._scratch
+        warped, grey = self.scratch
         return [*project.nearest(self.programs, self.buffers, view, depth=depth),
                 self.programs.bind_rows("patches.cl", "warp_photo", self.buffers, view, depth=depth, warped=warped,
                                         grey=grey),
                 self.programs.bind_rows("patches.cl", "weigh", self.buffers, view, warped=warped, grey=grey,
-                                        noise_variance=self.prior.noise_variance, evidence=evidence,
-                                        **self.size.extent)]
+                                        noise_variance=self.prior.noise_variance, floor_share=floor_share,
+                                        evidence=evidence, **self.size.extent)]
 
     def release(self):
         for buffer in filter(None, (self._before, self._after)):
@@ -114,8 +117,8 @@ class Evidence:
     def costs(self) -> tuple[float, float]:
         """Mean 1 - correlation before and after, over the pixels that are seen both times."""
         sums = self._buffer(24 * _SUM_GROUPS)
-        self._run([self._bind("sum_costs", grid=(_SUM_GROUPS * COST_GROUP,), group=(COST_GROUP,), sums=sums,
-                              **self._both)])
+        self._run([self.bind("sum_costs", grid=(_SUM_GROUPS * COST_GROUP,), group=(COST_GROUP,), sums=sums,
+                             **self._both)])
         before, after, pixels = download(self.device, sums, (_SUM_GROUPS, 3), np.int64).sum(axis=0).tolist()
         sums.release()
         return (before / pixels / COST_ONE, after / pixels / COST_ONE) if pixels else (float("nan"), float("nan"))
@@ -125,7 +128,7 @@ class Evidence:
         NaN where there are none."""
         counts = self._buffer(HISTOGRAM)
         self._run([Fill(counts, np.uint32(0), HISTOGRAM),
-                   self._bind("count_costs", grid=(self.size.pixels,), counts=counts, **self._both)])
+                   self.bind("count_costs", grid=(self.size.pixels,), counts=counts, **self._both)])
         before, after = download(self.device, counts, (2, COST_BINS), np.uint32)
         counts.release()
         return _median(before), _median(after)
@@ -133,11 +136,11 @@ class Evidence:
     def _refuse(self, evidence: "Evidence", status: cl.Buffer):
         """Reject too what matches worse in the held-out view's photo, seen over its surroundings."""
         evidence.weigh()
-        pixels, (one, other) = self.size.pixels, self._scratch
-        launches = [self._bind("worse_costs", grid=(pixels,), worse=one, **evidence._both)]
+        pixels, (one, other) = self.size.pixels, self.scratch
+        launches = [self.bind("worse_costs", grid=(pixels,), worse=one, **evidence._both)]
         for _ in range(2):       # twice: nearer pixels count for more
-            launches += self._sum_around(one, 2, other, one)
-        self._run([*launches, self._bind("refuse", grid=(pixels,), count=pixels, worse=one, status=status)])
+            launches += self.sum_around(one, 2, other, one)
+        self._run([*launches, self.bind("refuse", grid=(pixels,), count=pixels, worse=one, status=status)])
         evidence.release()
 
     def decide(self, held_out: "Sequence[Evidence]" = (), told: bool = True) -> EvidenceDecision:
@@ -146,23 +149,45 @@ class Evidence:
         `held_out`, each of a photo that took no part, are weighed here. `told`: whether it has cost and held_out.
         """
         self.weigh()
-        n, (bent, around), solver = self.size.pixels, self._scratch, self.programs.config.solver
+        n, (bent, around), solver = self.size.pixels, self.scratch, self.programs.config.solver
         status, deviation = self._buffer(n), self._buffer(4 * n)
-        self._run([*self._sum_around(self._after, 3, bent, around),
-                   self._bind("decide", grid=(n,), initial=self._initial, around=around, max_move=solver.max_move,
-                              tolerance=solver.tolerance * self.prior.slack, mismatch=solver.mismatch, status=status,
-                              **self._both)])
+        self._run([*self.sum_around(self._after, 3, bent, around),
+                   self.bind("decide", grid=(n,), initial=self._initial, around=around, max_move=solver.max_move,
+                             tolerance=solver.tolerance * self.prior.slack, mismatch=solver.mismatch, status=status,
+                             **self._both)])
         for evidence in held_out:       # each by itself: in a mean, one that errs as the context views do hides another
             self._refuse(evidence, status)
-        extent = self.size.extent
-        self._run([self._bind("feather", initial=self._initial, status=status, **extent),
-                   self._bind("bends", file="deviation.cl", bent=bent, **extent),
-                   self._bind("deviate", file="deviation.cl", status=status, before=self._before, after=self._after,
-                              bent=bent, error_factor=self.prior.error_factor, misaligned=self.prior.misaligned,
-                              deviation=deviation, **extent)])
+        extent, noise, config = self.size.extent, float("nan"), self.programs.config
+        self._run([self.bind("feather", initial=self._initial, status=status, **extent)])
+        if mismatch.is_asked(config):
+            noise = mismatch.take_back(self, status, self._initial, config.effects.mismatch == "on")
+        self._run([self.bind("bends", file="deviation.cl", bent=bent, **extent),
+                   self.bind("deviate", file="deviation.cl", status=status, before=self._before, after=self._after,
+                             bent=bent, error_factor=self.prior.error_factor, misaligned=self.prior.misaligned,
+                             deviation=deviation, **extent)])
         if not told:
-            return EvidenceDecision(status, deviation, (float("nan"), float("nan")), ())
-        return EvidenceDecision(status, deviation, self.costs(), tuple(evidence.judge() for evidence in held_out))
+            return EvidenceDecision(status, deviation, (float("nan"), float("nan")), (), 0, noise)
+        costs, judged = self.costs(), tuple(evidence.judge() for evidence in held_out)
+        return EvidenceDecision(status, deviation, costs, judged, self._hold_silent(status, deviation), noise)
+
+    def _hold_silent(self, status: cl.Buffer, deviation: cl.Buffer) -> int:
+        """Take back what smoothness alone moved; returns the number of depths that are where they were, then."""
+        counts, (one, other), grid = self._buffer(4), self.scratch, (self.size.pixels,)
+        known = {"count": self.size.pixels, "status": status, "deviation": deviation}
+        self._run([Fill(counts, np.uint32(0), 4), self.bind("mark_spoken", grid=grid, spoken=one, **known),
+                   *self.sum_around(one, 2, other, one),
+                   self.bind("hold_silent", grid=grid, initial=self._initial, around=one, silent=counts, **known)])
+        silent = int(download(self.device, counts, 1, np.uint32)[0])
+        counts.release()
+        return silent
+
+    def of_accepted(self, views, floor_share: float) -> cl.Buffer:
+        """What the photos of `views` say of the depth as it is now."""
+        evidence = self._buffer(12 * self.size.pixels)
+        self._run([Fill(evidence, np.uint32(0), evidence.size)])
+        for view in views:
+            self._run([*view.fetch(), *self._add(view, self.buffers.depth, evidence, floor_share)])
+        return evidence
 
     def judge(self) -> tuple[float, float]:
         """Medians under the depth as it is now."""
@@ -176,12 +201,12 @@ class Evidence:
         """What was weighed, as kernels name it."""
         return {"before": self._before, "after": self._after, "count": self.size.pixels}
 
-    def _sum_around(self, values: cl.Buffer, stride: int, rows: cl.Buffer, sums: cl.Buffer) -> list:
+    def sum_around(self, values: cl.Buffer, stride: int, rows: cl.Buffer, sums: cl.Buffer) -> list:
         """Two floats of each pixel, `stride` apart in `values`, summed over the surroundings: by rows, then columns."""
-        return [self._bind("sum_window", values=source, stride=step, dx=dx, dy=dy, sums=out, **self.size.extent)
+        return [self.bind("sum_window", values=source, stride=step, dx=dx, dy=dy, sums=out, **self.size.extent)
                 for source, step, dx, dy, out in ((values, stride, 1, 0, rows), (rows, 2, 0, 1, sums))]
 
-    def _bind(self, kernel: str, view=None, *, file="evidence.cl", grid=None, group=None, **arguments):
+    def bind(self, kernel: str, view=None, *, file="evidence.cl", grid=None, group=None, **arguments):
         return self.programs.bind(file, kernel, grid or self.size.grid, self.buffers, view, group, **arguments)
 
     def _run(self, launches):

@@ -8,7 +8,7 @@ import pyopencl as cl
 from pagas_cl.config import Config
 from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import run_once
-from pagas_cl.splat import composite, exposure, gradient_filter, loss, mismatch, project, smooth, step
+from pagas_cl.splat import composite, exposure, gradient_filter, loss, project, smooth, step
 from pagas_cl.splat.buffers import EvidenceBuffers, LevelBuffers
 from pagas_cl.splat.inputs import LevelInput
 from pagas_cl.splat.options import Programs
@@ -26,22 +26,19 @@ class Phase:
 @dataclass(frozen=True)
 class Schedule:
     """What changes between the steps of a level: `phases`, and the fits of exposure, by the step (from 0) before which
-    each comes; at one step, the fit comes first. `measured`: before which step mismatch is, 0 for none."""
+    each comes; at one step, the fit comes first."""
 
     phases: dict[int, Phase]
     fits: frozenset[int] = frozenset()
-    measured: int = 0
 
     @classmethod
-    def of(cls, config: Config, steps: int, measure: bool = False, again: bool = False) -> "Schedule":
-        """For so many steps; `measure`: mismatch too, where that is asked for; `again`: from a refined depth, so that
-        one fit of exposure will do."""
+    def of(cls, config: Config, steps: int, again: bool = False) -> "Schedule":
+        """For so many steps; `again`: from a refined depth, so that one fit of exposure will do."""
         photos_first, radius = config.solver.photos_first(steps), config.splatting.final_radius
         narrow = config.with_settings(splatting__radius=radius, splatting__final_radius=0.0) if radius else config
         return cls({start: Phase(narrow if start >= steps // 2 else config, start >= photos_first)
                     for start in sorted({0, photos_first, steps // 2})},
-                   frozenset(exposure.fitted_before(1 if again else steps) if config.loss.exposure else ()),
-                   photos_first if measure and mismatch.is_asked(config) else 0)
+                   frozenset(exposure.fitted_before(1 if again else steps) if config.loss.exposure else ()))
 
     @property
     def settled(self) -> "Schedule":
@@ -61,7 +58,7 @@ class Level:
         cl.enqueue_copy(device.queue, self.buffers.cameras, given.camera_table)
         if config.loss.exposure:
             cl.enqueue_copy(device.queue, self.buffers.exposure, exposure.neutral(len(self.views)))
-        self.phase, self.mismatch = None, float("nan")     # mismatch: as measured (mismatch.py)
+        self.phase = None
         self.target_view, self.view_launches, self.gradient_filter, self.smooth, self.ending = [], [], [], [], []
 
     def prepare(self):
@@ -87,7 +84,7 @@ class Level:
         if raised:
             run_once(self.device.queue,
                      smooth.raising(self._first, self.buffers, self.target, self.given.specularity))
-            weight = self.config.smoothness.weight_with(len(self.views), self.mismatch)
+            weight = self.config.smoothness.weight_with(len(self.views))
         _release(self.smooth)
         self.smooth = smooth.launches(self._first, self.buffers, self.target, weight)
 
@@ -137,8 +134,6 @@ class Level:
         for number in range(steps):
             if number in schedule.fits:
                 run_once(queue, exposure.launches(self.programs, self.buffers, self.views))
-            if number == schedule.measured > 0:
-                self.mismatch = mismatch.measured(self)
             if number in schedule.phases:
                 self.enter(schedule.phases[number])
             for launch in self.step_launches(number):

@@ -30,8 +30,9 @@ class Refinement:
     held_out: tuple[tuple[float, float], ...]
     """Median 1 - correlation with each photo that took no part, before and after, over the pixels that it sees; NaN
     where there are none."""
+    silent: int                 # depths that only smoothness moved, far from any that a photo speaks for: they are kept
     steps: tuple[int, ...]      # those done at each level
-    mismatch: float             # as splat.mismatch measures it, NaN where it was not asked for
+    mismatch: float             # as EvidenceDecision has it, NaN where it was not asked for
     losses: list[float]         # of each step, where the schedule follows it
     device_bytes: int           # most that this process held on the device meanwhile, photos of other views included
     planned_bytes: int          # planned before it began, without those
@@ -46,9 +47,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     that the device has done, of those of all levels; `held_out` views take no part and judge the result; evidence and
     deviations depend on `measured` (Measurements); `normalized` is the depth where it is on the device already, and is
     used up. `start`, on the device, float32 in scene units: where the steps of a full-size level alone start from, in
-    place of `depth`, which the evidence compares with; neither mismatch is measured nor is it told then what photos say
-    of the whole (cost, held_out). DeviceMemoryError comes before the first step, where the device may not hold what is
-    planned.
+    place of `depth`, which the evidence compares with; it is not told then what photos say of the whole (cost,
+    held_out). DeviceMemoryError comes before the first step, where the device may not hold what is planned.
     """
     photos = photos or PhotoStore(device)
     cameras = [view.camera for view in (target, *contexts, *held_out)]
@@ -66,7 +66,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
         level = run.level(scale, before, start)
         earlier = sum(config.pyramid.steps[:number])
         done.append(level.run(steps, progress and (lambda done, _, earlier=earlier: progress(earlier + done, total)),
-                              Schedule.of(config, steps, scale == 1, start is not None)))
+                              Schedule.of(config, steps, start is not None)))
         if level.buffers.history is not None:
             losses += level.read("history", max(config.pyramid.steps))[:done[-1]].tolist()
         if scale < 1:
@@ -145,5 +145,5 @@ class _Run:
             buffers.depth, buffers.depth_per_parallax, decision.status, decision.deviation, self.depth.shape)
         for held in (buffers, contexts, decision, self.normalized):
             held.release()
-        return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out, steps, level.mismatch,
-                          losses, self.device.memory.peak, planned)
+        return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out, decision.silent, steps,
+                          decision.mismatch, losses, self.device.memory.peak, planned)

@@ -117,7 +117,7 @@ def main():
         for settings in given.settings or [[]]:
             config = build_config("balanced", settings)
             (before, after), within, rejected, result = measured(views, start, truth, config, device)
-            raised = [f"{e['evidence']:.1f}" for e in result.report["effects"] if e["effect"] == "mismatch"]
+            raised = [f"{e['evidence']:.2f}" for e in result.report["effects"] if e["effect"] == "mismatch"]
             print(f"| {name} | {' '.join(settings)} | {' '.join(raised)} | "
                   f"{before.mean_parallax:.3f}, {after.mean_parallax:.3f} | "
                   f"{before.normal_mean:.1f}°, {after.normal_mean:.1f}° | "

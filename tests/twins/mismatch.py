@@ -1,54 +1,46 @@
-"""Twin of mismatch.cl: how a surface bends, and what photos leave open about its depth (method section 5.2)."""
+"""Twin of mismatch.cl: detail that photos do not support is taken back (method section 5.2)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl.reference.loss import luma
-from pagas_cl.reference.project import project
-
-NEAR_BY, PATCH, LEAST_PIXELS, NOISE, CONFIRMED = 4, 2, 20, 1 / 255, 0.25
+REFINED = 1
+SPACINGS, EDGE, LEAST, FINE, NOISE, WINDOW = (1, 2, 3, 4, 6), 1.0, 4.0, 0.03, 6.0, 7
 
 
-def bends(depth, kappa, at, step: int):
-    """|second difference| of inverse depth over `step` pixels, across and down, at `at`, (rows, columns); or NaN."""
-    found, (height, width) = [], depth.shape
-    for dv, du in ((0, step), (step, 0)):
-        v, u = at
-        inside = (v >= dv) & (u >= du) & (v < height - dv) & (u < width - du)
-        ends = [depth[np.clip(v + s * dv, 0, height - 1), np.clip(u + s * du, 0, width - 1)] for s in (-1, 1)]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            bend = kappa[at] * np.abs(1 / ends[0] + 1 / ends[1] - 2 / depth[at])
-        good = inside & (depth[at] > 0) & (ends[0] > 0) & (ends[1] > 0) & (bend > 0)
-        found.append(np.where(good, bend, np.nan))
-    return found
+def _moved(values, dv: int, du: int, empty=0):
+    """What lies so many rows and columns away, `empty` beyond the border."""
+    height, width = values.shape
+    rows, columns = np.arange(height)[:, None] + dv, np.arange(width) + du
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    return np.where(inside, values[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)], empty)
 
 
-def match(depth, parallax, target, context, scene_scale, at):
-    """Variance of the depth, squared pixels of parallax, by one patch of the context photo; NaN where it tells none.
-    `target`, `context`: Photo."""
-    values = []
-    for shift in (0.0, -0.5, 0.5):
-        p = project(depth + shift * parallax, target.camera, context.camera, 0.0, scene_scale)
-        u, v = (p.m - 0.5).T
-        height, width = context.image.shape[:2]
-        inside = p.valid & (u >= 0) & (v >= 0) & (u < width - 1) & (v < height - 1)
-        x, y = (np.clip(np.floor(np.where(inside, c, 0)).astype(int), 0, n - 2) for c, n in ((u, width), (v, height)))
-        photo, a, b = luma(context.image), u - x, v - y
-        grey = ((1 - b) * ((1 - a) * photo[y, x] + a * photo[y, x + 1])
-                + b * ((1 - a) * photo[y + 1, x] + a * photo[y + 1, x + 1]))
-        values.append(np.where(inside, grey, np.nan).reshape(depth.shape))
-    own, seen, out = luma(target.image), np.isfinite(sum(values)) & (parallax > 0) & (depth > 0), []
-    for v, u in zip(*at):
-        window = np.s_[max(v - PATCH, 0):v + PATCH + 1, max(u - PATCH, 0):u + PATCH + 1]
-        use = seen[window]
-        w, t, s = (x[window][use] for x in (values[0], own, values[2] - values[1]))
-        if len(w) < LEAST_PIXELS:
-            out.append(np.nan)
-            continue
-        cov = max(np.mean(w * t) - w.mean() * t.mean(), 0)
-        explained = min(cov**2 / max(w.var() * t.var(), NOISE**4), 1)
-        slopes = len(w) * s.var()
-        good = explained > CONFIRMED and slopes > 0
-        out.append((w.var() * (1 - explained) + NOISE**2) / (explained * slopes) if good else np.nan)
-    return np.array(out)
+def smoothed(changes, initial, parallax, status):
+    """Changes, pixels of parallax, averaged around each pixel on one surface."""
+    for far in SPACINGS:
+        for dv, du in ((0, far), (far, 0)):
+            total = np.zeros_like(changes)
+            for side in (-1, 1):
+                other, there = _moved(initial, side * dv, side * du, np.nan), _moved(status, side * dv, side * du)
+                with np.errstate(invalid="ignore"):
+                    linked = (there == REFINED) & (np.abs(other - initial) * initial < EDGE * parallax * other)
+                total += np.where(linked, _moved(changes, side * dv, side * du) - changes, 0)
+            changes = changes + total / 4
+    return changes
+
+
+def taken_back(initial, depth, parallax, status, information):
+    """The depth without the detail that is noise, and by pixel the share of it that is, as it calls for it (0 where it
+    is fine); all (H, W), device units."""
+    ok = status == REFINED
+    unit = np.where(ok, parallax, 1)
+    changes = np.where(ok, initial * (depth - initial) / (np.where(ok, depth, 1) * unit), 0)
+    detail = np.where(ok, changes - smoothed(changes, initial, parallax, status), 0)
+    chances = detail**2 * np.maximum(information * unit**2, LEAST)
+    side = range(-WINDOW, WINDOW + 1)
+    total, number = (sum(_moved(values, dv, du) for dv in side for du in side) for values in (chances, ok * 1.0))
+    share = np.minimum(NOISE * number / np.maximum(total, 1e-12), 1)
+    kept = changes - share * detail
+    found = np.where(ok, initial / (1 - kept * unit / np.where(ok, initial, 1)), depth)
+    return found, np.where(np.abs(detail) < FINE, 0, share)
