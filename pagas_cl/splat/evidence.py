@@ -162,7 +162,7 @@ class Evidence:
         self._run([self.bind("bends", file="deviation.cl", bent=bent, **extent),
                    self.bind("deviate", file="deviation.cl", status=status, before=self._before, after=self._after,
                              bent=bent, error_factor=self.prior.error_factor, misaligned=self.prior.misaligned,
-                             deviation=deviation, **extent)])
+                             mismatch=solver.mismatch, deviation=deviation, **extent)])
         if not told:
             return EvidenceDecision(status, deviation, (float("nan"), float("nan")), (), noise)
         return EvidenceDecision(status, deviation, self.costs(), tuple(evidence.judge() for evidence in held_out),
