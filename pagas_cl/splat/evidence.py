@@ -163,10 +163,8 @@ class Evidence:
                    self.bind("deviate", file="deviation.cl", status=status, before=self._before, after=self._after,
                              bent=bent, error_factor=self.prior.error_factor, misaligned=self.prior.misaligned,
                              mismatch=solver.mismatch, deviation=deviation, **extent)])
-        if not told:
-            return EvidenceDecision(status, deviation, (float("nan"), float("nan")), (), noise)
-        return EvidenceDecision(status, deviation, self.costs(), tuple(evidence.judge() for evidence in held_out),
-                                noise)
+        whole = self.costs() if told else (float("nan"), float("nan"))
+        return EvidenceDecision(status, deviation, whole, tuple(one.judge() for one in held_out if told), noise)
 
     def of_accepted(self, views, floor_share: float) -> cl.Buffer:
         """What the photos of `views` say of the depth as it is now."""
