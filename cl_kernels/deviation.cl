@@ -29,7 +29,8 @@ __kernel void bends(__global const float *depth, __global const float *depth_per
 
 // Standard deviation of each depth: what the sharpness of the match leaves, what the surface bends around it, which
 // neither photos nor smoothness resolve, and what cameras that are off add. The numbers are fitted to scenes with truth
-// (tests/bench/calibration.py). Infinite where nothing is known.
+// (tests/bench/calibration.py). Infinite where nothing is known, as where photos refused a depth and do not show what
+// the initial one says either (moving content: what matches does so by chance).
 #define INFORMED 0.7f
 #define BENT 0.35f
 #define LEAST 0.02f                  // pixels of parallax: what no photo of this kind resolves
@@ -38,11 +39,13 @@ __kernel void bends(__global const float *depth, __global const float *depth_per
 __kernel void deviate(__global const uchar *status, __global const float *depth_per_parallax, int width, int height,
                       __global const float *before, __global const float *after,   // evidence, [H, W, 3]
                       __global const float *bent,                  // [H, W] pixels of parallax
-                      float error_factor, float misaligned, __global float *deviation)     // [H, W] units
+                      float error_factor, float misaligned, float mismatch,
+                      __global float *deviation)                   // [H, W] units
 {
     EACH_PIXEL(column, row, i, width, height)
     const float3 held = vload3(i, status[i] == REFINED ? after : before);
-    if (status[i] == NO_SURFACE || !(held.y > 0.0f && held.z > 0.0f)) {
+    const bool known = held.y > 0.0f && held.z > 0.0f && !(status[i] == REJECTED && held.x > mismatch * held.y);
+    if (status[i] == NO_SURFACE || !known) {
         deviation[i] = status[i] == NO_SURFACE ? 0.0f : INFINITY;
         return;
     }

@@ -6,7 +6,8 @@ and after the rounds of agreement, in one run.
 Six views of a relief whose initial depth is off by 0.6 pixels of parallax. Kinds of mismatch, each photo its own:
 gain, a smooth field of 12 % (root mean square); blur, up to a pixel; haze, a veil of 10 to 30 % that is denser here
 than there; jpeg, quality 60; shine, a highlight that moves; camera, turned by 0.35 pixels, half a pixel between two of
-them; together, all at once. Depth in pixels of parallax, normals in degrees, both means; edges: within 3 pixels of one.
+them; moving, something else in a disc, 8 % of the photo, elsewhere in each; together, all but that. Depth in pixels of
+parallax, normals in degrees, both means; edges: within 3 pixels of one.
 """
 
 import argparse
@@ -67,6 +68,13 @@ def jpeg(rng, photo):
     return np.asarray(Image.open(file)) / 255
 
 
+def moving(rng, photo):
+    height, width = photo.shape[:2]
+    v, u = np.mgrid[:height, :width]
+    across = (v - height * rng.uniform(0.25, 0.75)) ** 2 + (u - width * rng.uniform(0.25, 0.75)) ** 2
+    return np.where((across < (0.18 * height) ** 2)[..., None], np.roll(photo[::-1, ::-1], 11, axis=1), photo)
+
+
 def turned(rng, camera: Camera) -> Camera:
     """The camera as somebody believes it to be whose image is off by OFF pixels."""
     angle = rng.uniform(0, 2 * np.pi)
@@ -79,7 +87,7 @@ def turned(rng, camera: Camera) -> Camera:
 
 
 KINDS = {"clean": (), "gain": (gain,), "blur": (blur,), "haze": (haze,), "jpeg": (jpeg,), "shine": (), "camera": (),
-         "together": (gain, blur, haze, jpeg)}
+         "moving": (moving,),         "together": (gain, blur, haze, jpeg)}
 
 
 def eight_bit(photo) -> np.ndarray:

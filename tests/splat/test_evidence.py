@@ -83,7 +83,7 @@ def without_holding(monkeypatch):
 def test_verdicts_equal_the_twin(device, without_holding):
     rng = np.random.default_rng(5)
     scene = Scene.make(17, width=45, height=37, contexts=3, masks=True)
-    config = CONFIG.with_settings(solver__max_move=0.5, solver__mismatch=0.8, solver__tolerance=0.1)
+    config = CONFIG.with_settings(solver__max_move=0.5, solver__mismatch=0.9, solver__tolerance=0.1)
     level, depth_per_parallax, initial, normalized = entered_level(device, config, scene)
     judge = evidence_of(level, [1, 2, 3], normalized, EvidencePrior(1.5, 0.2))
     refined = np.where(initial > 0, initial + rng.normal(0, 0.3, initial.shape) * depth_per_parallax,
@@ -97,12 +97,12 @@ def test_verdicts_equal_the_twin(device, without_holding):
     level.release()
     feathered = twin.feather(initial.astype(np.float64), refined.astype(np.float64), status)
     assert np.abs(accepted - feathered).max() < 1e-6 and (feathered != refined)[status == 1].mean() > 0.3
-    deviations = twin.deviation(accepted, status, depth_per_parallax.astype(np.float64), before, after, 1.5, 0.2)
+    deviations = twin.deviation(accepted, status, depth_per_parallax.astype(np.float64), before, after, 1.5, 0.2, 0.9)
     assert (np.isfinite(deviations) == np.isfinite(deviation)).all()
     known = np.isfinite(deviations) & (deviations > 0)
     off = np.abs(deviation / np.where(known, deviations, 1) - 1)
     assert known.mean() > 0.3 and np.quantile(off[known], 0.99) < 1e-3
-    want = twin.decide(initial, refined, depth_per_parallax, before, after, 0.5, 0.1, 0.8)
+    want = twin.decide(initial, refined, depth_per_parallax, before, after, 0.5, 0.1, 0.9)
     assert (np.bincount(want.ravel(), minlength=4) > 0).all()
     assert (status == want).mean() > 0.999
 

@@ -156,22 +156,24 @@ def hold_silent(initial, refined, status, deviation):
     return moved, np.where((status == REFINED) & ~spoken & (moved == initial), KEPT, status)
 
 
-def deviation(depth, status, depth_per_parallax, before, after, error_factor: float, misaligned: float):
+def deviation(depth, status, depth_per_parallax, before, after, error_factor: float, misaligned: float,
+              mismatch: float):
     """Standard deviation of each depth of shape (H, W), units; infinite where nothing is known.
 
     Parameters
     ----------
     depth, status, depth_per_parallax, before, after
         Accepted depth, and as in `decide`.
-    error_factor, misaligned : float
-        See Measurements.
+    error_factor, misaligned, mismatch : float
+        See Measurements, and as in `decide`.
     """
     held = np.where((status == REFINED)[..., None], after, before)
     bending = 0.35 * _patch_sum(bends(depth, depth_per_parallax)) / _patch_sum(np.ones_like(depth))
     with np.errstate(divide="ignore", invalid="ignore"):
         match = 0.7 / held[..., 2] + depth_per_parallax**2 * (bending**2 + 0.02**2)
         total = np.sqrt(error_factor**2 * match + depth_per_parallax**2 * 0.36 * misaligned**2 / held[..., 1])
-    known = (held[..., 1] > 0) & (held[..., 2] > 0)
+    known = (held[..., 1] > 0) & (held[..., 2] > 0) & ~(
+        (status == REJECTED) & (held[..., 0] > mismatch * held[..., 1]))
     return np.where(status == NO_SURFACE, 0.0, np.where(known, total, np.inf))
 
 
