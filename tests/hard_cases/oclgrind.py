@@ -83,7 +83,7 @@ def inside() -> None:
     mismatch.measured(level)
     level.release()
     adjust_cameras(scene, device)
-    solve_a_mesh(scene, device)
+    solve_a_mesh(make.base(size=(18, 16)), device)
     agree(scene, device)
     counts(scene.target.camera, scene.depth, [view.camera for view in scene.contexts], [scene.depth, scene.depth],
            device=device)
