@@ -98,17 +98,20 @@ def test_elimination_is_the_full_system(rig):
     cameras, depths, _, _, normals = rig
     given = cameras[0], cameras[1:], depths[0], depths[1:], normals[0], normals[1:]
     matrix, right, _, _, steps = twin.block(*given, 1e-3, 0.02)
-    n, size = 18, depths[0].size
-    rows, sides = [], []
-    for k, (camera, depth, normal) in enumerate(zip(cameras[1:], depths[1:], normals[1:])):
+    n, told = 18, []
+    for camera, depth, normal in zip(cameras[1:], depths[1:], normals[1:]):
         r, g, point = twin.residuals(cameras[0], camera, depths[0], depth, normals[0], normal, 0.02)
         by, c = twin.derivatives(cameras[0], camera, depths[0], g, point)
         root = np.sqrt(twin.weights(r))
+        told.append((root[:, None] * by[:, :6], root * c, root * np.nan_to_num(r)))
+    seen = np.flatnonzero(np.any([(c != 0) | (by != 0).any(axis=1) for by, c, _ in told], axis=0))
+    size, rows, sides = len(seen), [], []                 # pixels that no photo sees stay alone
+    for k, (by, c, r) in enumerate(told):
         full = np.zeros((size, n + size))
-        full[:, 6 * k:6 * k + 6] = root[:, None] * by[:, :6]
-        full[np.arange(size), n + np.arange(size)] = root * c
+        full[:, 6 * k:6 * k + 6] = by[seen]
+        full[np.arange(size), n + np.arange(size)] = c[seen]
         rows.append(full)
-        sides.append(root * np.nan_to_num(r))
+        sides.append(r[seen])
     A, b = np.concatenate(rows), np.concatenate(sides)
     H, side = A.T @ A, A.T @ b
     H[range(n, n + size), range(n, n + size)] += 1e-3
@@ -117,7 +120,8 @@ def test_elimination_is_the_full_system(rig):
     assert np.allclose(M, M.T) and np.linalg.eigvalsh(M)[0] > -1e-9 * np.linalg.eigvalsh(M)[-1]
     got = np.linalg.solve(M + 1e-9 * np.diag(np.diag(H)[:n]), -right.ravel())
     assert got == pytest.approx(want, rel=1e-5, abs=1e-9)
-    alone = -side[n:] / np.diag(H)[n:]
+    alone = np.zeros(depths[0].size)
+    alone[seen] = -side[n:] / np.diag(H)[n:]
     valid = steps[:, 1] > 0
     assert (steps[:, 0] / np.where(valid, steps[:, 1], 1))[valid] == pytest.approx(alone[valid], abs=1e-12)
 

@@ -78,7 +78,7 @@ def inside() -> None:
             refine_levels(scene.target, scene.contexts, scene.depth, config, on, start=start)
     scene = make.base(size=(17, 12))
     adjust_cameras(scene, device)
-    solve_a_mesh(scene, device)
+    solve_a_mesh(make.base(size=(18, 16)), device)
     agree(scene, device)
     counts(scene.target.camera, scene.depth, [view.camera for view in scene.contexts], [scene.depth, scene.depth],
            device=device)
