@@ -9,7 +9,7 @@
 // Each pair of a Gaussian and a pixel has a place of its own, so that no two work-items ever write to the same one.
 #include "lists.clh"
 
-__kernel void link_bins(__global const float *depth, __constant float *cameras, int view, float low_pass,
+__kernel void link_bins(__global const float *depth, __constant float *cameras, int view, float radius, float low_pass,
                         __global volatile int *heads,              // [H' + SIDE, W' + SIDE] Gaussian, -1 = none
                         __global int2 *links,                      // [H, W] next Gaussian, bits of z
                         __global float *alphas)                    // [PLACES, H, W]
@@ -19,13 +19,13 @@ __kernel void link_bins(__global const float *depth, __constant float *cameras, 
     const int count = target.width * target.height;
     Splat s;
     SplatDerivative dsplat_ddepth;
-    if (!project_gaussian(target, context, column, row, depth[i], RADIUS, low_pass, &s, &dsplat_ddepth))
+    if (!project_gaussian(target, context, column, row, depth[i], radius, low_pass, &s, &dsplat_ddepth))
         return;
     const int x = (int)floor(s.x), y = (int)floor(s.y);
     for (int v = -REACH; v <= REACH; ++v)
         for (int u = -REACH; u <= REACH; ++u) {
             const float dx = x + u + 0.5f - s.x, dy = y + v + 0.5f - s.y;
-            const bool reached = dx * dx + dy * dy <= RADIUS * RADIUS && x + u >= 0 && x + u < context.width
+            const bool reached = dx * dx + dy * dy <= radius * radius && x + u >= 0 && x + u < context.width
                                  && y + v >= 0 && y + v < context.height;
             alphas[((v + REACH) * SIDE + u + REACH) * count + i] =
                 reached ? fmin(raw_alpha(s, dx, dy), ALPHA_MAX) : 0.0f;
@@ -63,7 +63,8 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
               exposure, view, threshold, relative, v_color, v_coverage);
 }
 
-__kernel void gather_alpha(__global const float *depth, __constant float *cameras, int view, float low_pass,
+__kernel void gather_alpha(__global const float *depth, __constant float *cameras, int view, float radius,
+                           float inverse_area, float low_pass,
                            __global const float *alphas,           // [PLACES, H, W] dL/dalpha
                            __global float *gradient,               // [H, W] N dL/dd is added
                            __global int *heads, int bins)
@@ -75,7 +76,7 @@ __kernel void gather_alpha(__global const float *depth, __constant float *camera
         heads[bin] = -1;
     Splat s;
     SplatDerivative dsplat_ddepth;
-    if (!project_gaussian(target, context, column, row, depth[i], RADIUS, low_pass, &s, &dsplat_ddepth))
+    if (!project_gaussian(target, context, column, row, depth[i], radius, low_pass, &s, &dsplat_ddepth))
         return;
     const int x = (int)floor(s.x), y = (int)floor(s.y);
     const LogSlope slope = log_slope(s, dsplat_ddepth);
@@ -84,7 +85,7 @@ __kernel void gather_alpha(__global const float *depth, __constant float *camera
         for (int u = -REACH; u <= REACH; ++u) {
             const float v_alpha = alphas[((v + REACH) * SIDE + u + REACH) * count + i];
             const float dx = x + u + 0.5f - s.x, dy = y + v + 0.5f - s.y;
-            sum += v_alpha * dalpha_ddepth(slope, dsplat_ddepth, dx, dy, raw_alpha(s, dx, dy));
+            sum += v_alpha * dalpha_ddepth(slope, dsplat_ddepth, dx, dy, raw_alpha(s, dx, dy), inverse_area);
         }
     gradient[i] += sum;
 }

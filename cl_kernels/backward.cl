@@ -1,6 +1,7 @@
 // Gradient of the loss by each Gaussian's depth, order-free blend: a gather, since what a pixel passes back is the
 // same affine function of colour for all that take part in it: dL/dalpha_i = G . c_i + h.
 #include "strip.clh"
+#include "weights.clh"
 #include "exposed.clh"
 
 #if ONE_PIXEL
@@ -39,7 +40,8 @@ columns_t sum_v_alpha(__global const float *v_rendered, const mask_t pixels[PLAC
 #endif
 
 __kernel void gather_gradient(__global const float *depth, __global const uchar4 *target_photo,
-                              __constant float *cameras, int view, float low_pass, float threshold, float relative,
+                              __constant float *cameras, int view, float radius, float inverse_area, float low_pass,
+                              float threshold, float relative,
                               __global const uint *z_first, __global const float *exposure,
                               __global const float *v_rendered,    // [H', W', G and h]
                               __global float *gradient)            // [H, W] N dL/dd is added
@@ -48,7 +50,7 @@ __kernel void gather_gradient(__global const float *depth, __global const uchar4
     const int row = get_global_id(1);
     EACH_VECTOR(item, target.width) {
         int column;
-        const Gaussians g = load_gaussians(depth, target, context, item, row, low_pass, &column);
+        const Gaussians g = load_gaussians(depth, target, context, item, row, radius, low_pass, &column);
         if (!ANY(g.own))
             continue;
         const int i = row * target.width + column;
@@ -64,7 +66,7 @@ __kernel void gather_gradient(__global const float *depth, __global const uchar4
             const columns_t share = share_of(&g, r, z_first, threshold, relative);
             const mask_t taken = share > 0.0f;
             const columns_t raw = raw_alpha(g.splat, r.dx, r.dy);
-            const columns_t dalpha = dalpha_ddepth(slope, g.dsplat_ddepth, r.dx, r.dy, raw);
+            const columns_t dalpha = dalpha_ddepth(slope, g.dsplat_ddepth, r.dx, r.dy, raw, inverse_area);
 #if ONE_PIXEL
             sum += taken ? share * load_v_alpha(v_rendered, r.reached ? r.pixel : 0, color) * dalpha : 0.0f;
 #else

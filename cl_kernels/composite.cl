@@ -3,7 +3,25 @@
 // sums holds, per context pixel, fixed-point [weight, red, green, blue] ([weight, grey] with GREY).
 #include "box.clh"
 #include "strip.clh"
+#include "weights.clh"
 #include "exposed.clh"
+
+#ifdef GREY
+typedef uint2 sums_t;
+#else
+typedef uint4 sums_t;
+#endif
+
+// An empty image, at once: a launch takes as long as much of the writing.
+__kernel void clear(int count, __global uint *z_first,             // [count]
+                    __global sums_t *sums)                         // [count]
+{
+    EACH(i, count)
+#ifdef OCCLUSION
+    z_first[i] = as_uint(INFINITY);
+#endif
+    sums[i] = 0;
+}
 
 #ifdef INT64_ATOMICS
 #pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable
@@ -21,10 +39,10 @@ void add_pair(__global volatile uint *pair, uint low, uint high)
 #endif
 
 // Fixed-point weight and weighted colours of the Gaussians at the pixels they reach.
-void weigh_colors(const Gaussians *g, const Reach r, columns_t share, const columns_t color[CHANNELS],
-                  int parts[CHANNELS + 1][COLUMNS])
+void weigh_colors(const Gaussians *g, const Reach r, columns_t share, float inverse_area,
+                  const columns_t color[CHANNELS], int parts[CHANNELS + 1][COLUMNS])
 {
-    const columns_t weight = faded_alpha(g->splat, r.dx, r.dy) * (share * FIXED_ONE);
+    const columns_t weight = faded_alpha(g->splat, r.dx, r.dy, inverse_area) * (share * FIXED_ONE);
     STORE_COLUMNS(ROUND_SHORT(weight), parts[0]);
     for (int c = 0; c < CHANNELS; ++c)
         STORE_COLUMNS(ROUND_SHORT(weight * color[c]), parts[c + 1]);
@@ -38,24 +56,27 @@ void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
 #endif
 }
 
-#ifdef BOXED
+#if ONE_PIXEL
 __kernel IN_BOXES
 void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                      __constant float *cameras, int view, float low_pass, float threshold, float relative,
+                      __constant float *cameras, int view, float radius, float inverse_area, float low_pass,
+                      float threshold, float relative,
                       __global const uint *z_first, __global const float *exposure,
                       __global const int *landing, __global volatile uint *sums)             // [H', W', CHANNELS + 1]
 {
-    __local uint boxed[(CHANNELS + 1) * BOX];
-    __local int corners[4];
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;
     const int row = get_global_id(1);
-    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, low_pass, &column);
+    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, radius, low_pass, &column);
+#ifdef BOXED
+    __local uint boxed[(CHANNELS + 1) * BOX];
+    __local int corners[4];
     const Box box = landing_box(&g, corners);
     for (int k = box_item(); k < box.width * box.height; k += BOX_GROUP)
         for (int c = 0; c <= CHANNELS; ++c)
             boxed[c * BOX + k] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
+#endif
     if (g.own) {
         float color[CHANNELS];
         load_exposed(target_photo, row * target.width + column, exposure, view, color);
@@ -65,15 +86,18 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
             if (!(share > 0.0f))
                 continue;
             int parts[CHANNELS + 1][1];
-            weigh_colors(&g, r, share, color, parts);
+            weigh_colors(&g, r, share, inverse_area, color, parts);
+#ifdef BOXED
             const int place = place_in_box(box, g.x + u, g.y + v);
             if (place >= 0)
                 for (int c = 0; c <= CHANNELS; ++c)
                     atomic_add(&boxed[c * BOX + place], (uint)parts[c][0]);
             else
+#endif
                 add_to_image(sums + r.pixel * (CHANNELS + 1), (const uint *)parts);
         }
     }
+#ifdef BOXED
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int k = box_item(); k < box.width * box.height; k += BOX_GROUP) {
         uint parts[CHANNELS + 1];
@@ -82,34 +106,12 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
         if (parts[0])
             add_to_image(sums + pixel_of_box(box, k, context.width) * (CHANNELS + 1), parts);
     }
-}
-#elif ONE_PIXEL
-__kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                               __constant float *cameras, int view, float low_pass, float threshold, float relative,
-                               __global const uint *z_first, __global const float *exposure,
-                               __global const int *landing, __global volatile uint *sums)     // [H', W', CHANNELS + 1]
-{
-    const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    int column;
-    const int row = get_global_id(1);
-    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, low_pass, &column);
-    if (!g.own)
-        return;
-    float color[CHANNELS];
-    load_exposed(target_photo, row * target.width + column, exposure, view, color);
-    EACH_PLACE(u, v) {
-        const Reach r = reach_pixel(&g, context.width, 0, context.height, u, v);
-        const float share = r.reached ? share_of(&g, r, z_first, threshold, relative) : 0.0f;
-        if (!(share > 0.0f))
-            continue;
-        int parts[CHANNELS + 1][1];
-        weigh_colors(&g, r, share, color, parts);
-        add_to_image(sums + r.pixel * (CHANNELS + 1), (const uint *)parts);
-    }
+#endif
 }
 #else
 __kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                               __constant float *cameras, int view, float low_pass, float threshold, float relative,
+                               __constant float *cameras, int view, float radius, float inverse_area, float low_pass,
+                               float threshold, float relative,
                                __global const uint *z_first, __global const float *exposure,
                                __global const int *landing, __global int *sums)     // [H', W', CHANNELS + 1]
 {
@@ -117,7 +119,7 @@ __kernel void splat_order_free(__global const float *depth, __global const uchar
     const Strip strip = own_strip(context);
     EACH_LANDING(item, row, landing, strip, target, BLOCKS_ACROSS(target)) {
         int column;
-        const Gaussians g = load_gaussians(depth, target, context, item, row, low_pass, &column);
+        const Gaussians g = load_gaussians(depth, target, context, item, row, radius, low_pass, &column);
         if (!ANY(g.own & (g.y < strip.to) & (g.y + SPAN > strip.from)))
             continue;
         const columns_t one = 1.0f;
@@ -133,7 +135,7 @@ __kernel void splat_order_free(__global const float *depth, __global const uchar
         EACH_PLACE(u, v) {
             const Reach r = reach_pixel(&g, context.width, strip.from, strip.to, u, v);
             const columns_t share = share_of(&g, r, z_first, threshold, relative);
-            const columns_t weight = faded_alpha(g.splat, r.dx, r.dy) * (share * FIXED_ONE);
+            const columns_t weight = faded_alpha(g.splat, r.dx, r.dy, inverse_area) * (share * FIXED_ONE);
             weights[v * SPAN + u] = select(ZERO, weight, share > 0.0f);
             pixels[v * SPAN + u] = r.pixel;
         }

@@ -3,6 +3,7 @@
 //   sum_window   1 - correlation and views of one line of pixels around each pixel, by rows and then by columns
 //   decide       which refined depths are kept
 //   feather      no seams between those and the others
+//   hold_silent  nothing moves far from what photos show
 #include "camera.clh"
 #include "photo.clh"
 
@@ -142,4 +143,31 @@ __kernel void refuse(int count, __global const float *worse, __global uchar *sta
     EACH(i, count)
     if (status[i] == REFINED && worse[2 * i] > 0.0f)
         status[i] = REJECTED;
+}
+
+// Refined depths that a photo speaks for.
+__kernel void mark_spoken(__global const uchar *status, __global const float *deviation, int count,
+                          __global float *spoken)                  // [count, 2] 1 or 0, and 0
+{
+    EACH(i, count)
+    vstore2((float2)(status[i] == REFINED && deviation[i] < INFINITY ? 1.0f : 0.0f, 0.0f), i, spoken);
+}
+
+#define ENOUGH_AROUND 60.0f          // pixels within WINDOW that photos speak for; with fewer a depth moves less
+
+// What photos show nothing of goes back towards where it was; without any around that they speak for it is kept.
+__kernel void hold_silent(__global const float *initial, __global float *depth, __global const float *deviation,
+                          __global const float *around,            // [count, 2], spoken through sum_window
+                          int count, __global uchar *status, __global volatile uint *silent)      // number of them
+{
+    EACH(i, count)
+    const float share = around[2 * i] * (1.0f / ENOUGH_AROUND), d0 = initial[i];
+    if (status[i] != REFINED || deviation[i] < INFINITY || share >= 1.0f)
+        return;
+    const float d = d0 + share * (depth[i] - d0);
+    depth[i] = d;
+    if (d == d0) {
+        status[i] = KEPT;
+        atomic_inc(silent);
+    }
 }

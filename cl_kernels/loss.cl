@@ -115,22 +115,18 @@ void store_v_rendered(const Rendered r, columns_t v_color[CHANNELS], columns_t v
 #endif
 }
 
-// |e| and its slope; quadratic up to HUBER, constant beyond a quarter of ROBUST.
-columns_t residual_size(columns_t e, columns_t *slope)
+// |e| and its slope: quadratic up to `huber` (0: plain L1, its inverse is large), constant beyond 1/4 of `robust`.
+columns_t residual_size(columns_t e, float huber, float inverse_huber, float robust, columns_t *slope)
 {
     columns_t size = fabs(e);
 #ifdef ROBUST
-    size = fmin(size, 0.25f * ROBUST);
+    size = fmin(size, 0.25f * robust);
 #endif
-#ifdef HUBER
-    const columns_t inner = fmin(size, HUBER);
-    size += inner * (inner * (0.5f / HUBER) - 1.0f);
-    *slope = clamp(e * (1.0f / HUBER), -1.0f, 1.0f);
-#else
-    *slope = sign(e);
-#endif
+    const columns_t inner = fmin(size, huber);
+    size += inner * (inner * (0.5f * inverse_huber) - 1.0f);
+    *slope = clamp(e * inverse_huber, -1.0f, 1.0f);
 #ifdef ROBUST
-    *slope = select(ZERO, *slope, fabs(e) <= 0.25f * ROBUST);
+    *slope = select(ZERO, *slope, fabs(e) <= 0.25f * robust);
 #endif
     return size;
 }
@@ -153,7 +149,7 @@ void loss_backward(__global const stored_t *rendered,              // [H', W', C
                    __global const uchar4 *photo, int width, int height, int pitch,
                    __global const float *partials,                 // as window.clh says
                    __global const uint *seen,                      // [H' W' / 32] a bit a pixel
-                   float l1_scale, float ssim_scale,
+                   float huber, float inverse_huber, float robust, float l1_scale, float ssim_scale,
                    __global float *v_rendered,                     // [H', W', CHANNELS + 1]
                    float loss_scale, __global uint *total)         // a sum of 64 bits
 {
@@ -186,7 +182,8 @@ void loss_backward(__global const stored_t *rendered,              // [H', W', C
         columns_t v_color[CHANNELS], mean_residual = ZERO;
         for (int c = 0; c < CHANNELS; ++c) {
             columns_t slope;
-            mean_residual += residual_size(r.color[c] - r.photo[c], &slope) * (1.0f / CHANNELS);
+            const columns_t size = residual_size(r.color[c] - r.photo[c], huber, inverse_huber, robust, &slope);
+            mean_residual += size * (1.0f / CHANNELS);
             v_color[c] = l1_scale * (1.0f / CHANNELS) * full_weight * slope;
 #ifdef SSIM
             if (ssim_scale > 0.0f)

@@ -64,13 +64,24 @@ float3 at_depth(const Eye eye, int column, int row, float d)
     return d * (float3)((column + 0.5f - eye.cx) * eye.ifx, (row + 0.5f - eye.cy) * eye.ify, 1.0f);
 }
 
+// whether the surface goes on from `own` to the depth of another pixel, along n
+bool beside(const Eye eye, __global const float *depth, int column, int row, float scale, float3 own, float3 n,
+            float size)
+{
+    if (!(row >= 0 && row < eye.height && column >= 0 && column < eye.width))
+        return false;
+    const float d = depth[row * eye.width + column] * scale;
+    const float3 apart = at_depth(eye, column, row, d) - own;
+    return d > 0.0f && fabs(dot(apart, n)) <= fmin(NO_EDGE * size, STEEP * length(apart));
+}
+
 // words: [V, SLOTS] way along the normal and weight, the weightiest of all views; a view is asked after the other.
 __kernel void gather(__global const float *positions, __global const float *normals, int count,
                      __constant float *camera,
                      __global const float *drawn,                  // [H, W] of the mesh as it is, units
                      __global const float *depth, __global const float *deviation, float scale,   // [H, W] scene units
                      float orientation,                            // of normals: 1 outwards, -1 inwards, 0 as it comes
-                     __global const float *reach,
+                     __global const float *reach, int least_views,     // from 2 on
                      __global float2 *words,
                      __global int *seen,                           // [V] views that the vertex is not hidden from
                      __global float *unit)                         // [V] least footprint among the views, units
@@ -92,18 +103,17 @@ __kernel void gather(__global const float *positions, __global const float *norm
     if (!(drawn[middle] > 0.0f && fabs(drawn[middle] - p.z) < ON_SURFACE * size * (1.0f + tangent)))
         return;
     unit[i] = fmin(unit[i], size);
-    bool smooth = depth[middle] > 0.0f && isfinite(deviation[middle]), alone = smooth;
+    bool smooth = depth[middle] > 0.0f && isfinite(deviation[middle]);
     const float3 own = at_depth(eye, column, row, depth[middle] * scale);
-    for (int y = -ALONE; smooth && y <= ALONE; ++y)
-        for (int x = -ALONE; x <= ALONE; ++x) {
-            const bool inside = row + y >= 0 && row + y < eye.height && column + x >= 0 && column + x < eye.width;
-            const float d = inside ? depth[middle + y * eye.width + x] * scale : 0.0f;
-            const float3 apart = at_depth(eye, column + x, row + y, d) - own;
-            const bool one = d > 0.0f && fabs(dot(apart, n)) <= fmin(NO_EDGE * size, STEEP * length(apart));
-            alone = alone && one;
-            if (abs(x) <= WINDOW && abs(y) <= WINDOW)
-                smooth = smooth && one;
-        }
+    for (int y = -WINDOW; y <= WINDOW; ++y)
+        for (int x = -WINDOW; smooth && x <= WINDOW; ++x)
+            smooth = beside(eye, depth, column + x, row + y, scale, own, n, size);
+    // who has that many words beside this one needs none that may stand alone
+    __global float2 *own_words = words + i * SLOTS;
+    bool alone = smooth && !(own_words[min(least_views, SLOTS + 1) - 2].y > 0.0f);
+    for (int y = -ALONE; y <= ALONE; ++y)
+        for (int x = -ALONE; alone && x <= ALONE; ++x)
+            alone = beside(eye, depth, column + x, row + y, scale, own, n, size);
     seen[i] += alone ? 257 : 1;
     if (!smooth)
         return;
@@ -137,7 +147,6 @@ __kernel void gather(__global const float *positions, __global const float *norm
         shares = 1.0f;
     }
     float2 word = (float2)(way / total, facing * facing * facing * facing * total / shares);
-    __global float2 *own_words = words + i * SLOTS;
     for (int k = 0; k < SLOTS && word.y > 0.0f; ++k)
         if (word.y > own_words[k].y) {
             const float2 out = own_words[k];

@@ -66,11 +66,11 @@ float smoothed(__global const float *x, __global const int *first, __global cons
     return sum;
 }
 
-// residual = D w t (delta = 0), and the preconditioner 1 / diagonal
+// residual = D w t - q, with q what apply_matrix makes of delta, and the preconditioner 1 / diagonal
 __kernel void start(__global const int *first, __global const int2 *pairs, __global const float2 *links,
                     __global const float *sums, __global const float *unit, __global const float *weight,
-                    __global const float *target, __global const float *reach, int count, float scale, float lambda,
-                    float stay, __global float *inverse_diagonal, __global float *residual, __global float *delta)
+                    __global const float *target, __global const float *reach, __global const float *q, int count,
+                    float scale, float lambda, float stay, __global float *inverse_diagonal, __global float *residual)
 {
     EACH(i, count)
     const float each = 1.0f / (unit[i] * unit[i] * scale * scale), w = weight[i];
@@ -82,8 +82,7 @@ __kernel void start(__global const int *first, __global const int2 *pairs, __glo
         sum += 2.0f * (soft(unit[j.x], reach[j.x]) * a * a + soft(unit[j.y], reach[j.y]) * b * b);
     }
     inverse_diagonal[i] = 1.0f / (each * (w > 0.0f ? w : stay) + lambda * (soft(unit[i], reach[i]) * each + sum));
-    residual[i] = each * w * target[i] * scale;
-    delta[i] = 0.0f;
+    residual[i] = each * w * target[i] * scale - q[i];
 }
 
 // y = D L x

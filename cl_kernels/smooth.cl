@@ -4,7 +4,7 @@
 //   raise_weights                          more where a surface is specular
 //   planar_loss, normal_loss               their penalties, summed for the schedule
 #include "camera.clh"
-#include "photo.clh"
+#include "channels.clh"
 #include "sums.clh"
 
 // w_grad of one pixel.
@@ -136,7 +136,6 @@ __kernel void normal_vjp(__global const float *depth, __constant float *cameras,
         gradient[i] += dot(v, pixel_ray(camera, x, y));
 }
 
-#ifdef TRACK_LOSS
 void leave_sum(__local float *scratch, float sum, __global float *partials)
 {
     sum = sum_of_group(sum, scratch, PENALTY_GROUP);
@@ -178,4 +177,3 @@ void normal_loss(__global const float *normals, __global const float *weights, i
     }
     leave_sum(scratch, sum, partials);
 }
-#endif

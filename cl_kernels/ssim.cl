@@ -66,7 +66,8 @@ void blur_down(__local const float *xs, __local const shade_t *ys, __local float
 }
 
 // SSIM of LANES windows, and its derivatives to three planes from `out` on.
-lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, __global float *out, int plane)
+lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, float robust, __global float *out,
+                   int plane)
 {
     const lanes_t a2 = 2.0f * (product - mx * my) + C2;
 #ifdef STRUCTURE
@@ -84,7 +85,7 @@ lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, __g
                             - 2.0f * mx * v_squares;
 #endif
 #ifdef ROBUST
-    const JOIN(int, LANES) kept = similar >= 1.0f - ROBUST;
+    const JOIN(int, LANES) kept = similar >= 1.0f - robust;
 #define KEPT(x) select((lanes_t)0.0f, x, kept)
 #else
 #define KEPT(x) (x)
@@ -93,7 +94,7 @@ lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, __g
     STORE_LANES(KEPT(v_squares), out + plane);
     STORE_LANES(KEPT(v_product), out + 2 * plane);
 #ifdef ROBUST
-    return fmax(similar, 1.0f - ROBUST);
+    return fmax(similar, 1.0f - robust);
 #else
     return similar;
 #endif
@@ -115,7 +116,7 @@ __kernel TILE_LOOP
 void ssim_forward(__global const stored_t *rendered,               // [H', W', CHANNELS + 1], see rendered.clh
                   __global const uchar4 *photo, int width, int height, int pitch,
                   __global float *partials,                        // as window.clh says
-                  float loss_scale, __global uint *total)          // a sum of 64 bits
+                  float robust, float loss_scale, __global uint *total)          // a sum of 64 bits
 {
     __local float xs[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));
     __local shade_t ys[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));
@@ -139,7 +140,7 @@ void ssim_forward(__global const stored_t *rendered,               // [H', W', C
             __global float *out = partials + MARGIN + c * 3 * plane + row * pitch + left + x;
             const lanes_t similar = similarity(
                 blur_across(at), blur_across(at + TILE_H * STRIDE), blur_across(at + 2 * TILE_H * STRIDE),
-                blur_across(at + 3 * TILE_H * STRIDE), out, plane);
+                blur_across(at + 3 * TILE_H * STRIDE), robust, out, plane);
 #ifdef TRACK_LOSS
             const int from = max((int)get_group_id(0) * TILE_W, left + t % CHUNKS * LANES);
             if (row >= (int)get_group_id(1) * TILE_H)

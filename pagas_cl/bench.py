@@ -130,7 +130,8 @@ def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:
     first = 4 if config.splatting.occlusion else 0
     places = 4 * (2 * reach(config.splatting.radius) + 1) ** 2  # weights around a bin
     return {
-        "find_landing": 4 * n, "nearest": 4 * n + 8 * m, "splat_order_free": 8 * n + (first + 2 * image) * m,
+        "clear": (first + image) * m, "find_landing": 4 * n, "nearest": 4 * n + 8 * m,
+        "splat_order_free": 8 * n + (first + 2 * image) * m,
         "gather_gradient": 16 * n + (first + image) * m,
         "link_bins": (12 + places) * n + 8 * m, "composite_alpha": (12 + places) * n + (4 + image) * m,
         "composite_alpha_vjp": (12 + 2 * places) * n + (4 + image) * m, "gather_alpha": (12 + places) * n + 4 * m,

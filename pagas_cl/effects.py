@@ -111,7 +111,7 @@ EFFECTS = {
     "antialiasing": Effect("smallest", 0.36, False, "smallest projected Gaussian, pixels",
                            _sets("splatting__low_pass", LOW_PASS, 0.0)),
     "smoothness": Effect("textureless", 0.01, True, "share of pixels with little texture", _smoothness),
-    "pyramid": Effect("far_off", FAR_OFF, True, "share of samples that match two or more pixels away", _pyramid),
+    "pyramid": Effect("depth_far_off", FAR_OFF, True, "share of samples that match two or more pixels away", _pyramid),
     "noise": Effect("unexplained", 1.4, True,
                     "noise, residual, cameras that are off; of what the default weight allows for", _noise),
 }

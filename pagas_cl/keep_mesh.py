@@ -66,7 +66,7 @@ def displaced_mesh(mesh, views: list[View], depths, results, config: Config, sub
     if subdivide is not None:
         division = split_edges(given.vertices, given.faces, subdivide * _finest(given, views, depths, results))
         surface = Surface(division.vertices(given.vertices), division.faces)
-    used = _joined_results(views, results)
+    used = [result for _, result in joined(views, results)]
     solved = solve_mesh(surface, Observations(used), device, least_views=_least_views(config))
     return _with_solved(mesh, given, solved, division, used, device, tell)
 
@@ -76,7 +76,7 @@ def detailed_mesh(mesh, views: list[View], depths, results, config: Config, deta
     """displaced_mesh with as many triangles as the depth maps show detail (surface.mesh_levels): edges longer than
     `detail` footprints are split where depth maps lie off them; afterwards splits are undone where the surface is flat
     within `flat` footprints. In `memory_mb` of host memory; by default a quarter of what is free, at most 300 MB."""
-    mesh, used = load_whole(mesh), _joined_results(views, results)
+    mesh, used = load_whole(mesh), [result for _, result in joined(views, results)]
     given, device = to_surface(mesh), solve_device(device)
     most = int((memory_mb or min(available_mb() / 4, _MEMORY)) * 1e6 / TRIANGLE_BYTES)
     division, solved, place = fit_mesh(given, Observations(used), device,
@@ -90,10 +90,6 @@ def detailed_mesh(mesh, views: list[View], depths, results, config: Config, deta
         log.info("mesh: %d of %d triangles are needed to be true within %g footprints", len(division.faces), count,
                  flat)
     return _with_solved(mesh, given, solved, division, used, device, tell)
-
-
-def _joined_results(views, results) -> list:
-    return [result for _, result in joined(views, results)]
 
 
 def _least_views(config: Config) -> int:

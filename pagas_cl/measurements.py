@@ -10,6 +10,7 @@ from pagas_cl.splat import constants, probe_view
 from pagas_cl.splat.constants import MEAN, MEAN_SQUARE, NUMBER, QUANTILE
 
 FAR_OFF = 0.15           # share of samples that match elsewhere, beyond which the depth as a whole is too far off
+_BY_CAMERAS = 0.2        # of far_off, a squared pixel that photos are off: what a right depth shows then (made scenes)
 _QUANTISATION = 0.0012   # noise that rounding to 8 bits alone leaves
 _MISALIGNED = 0.4        # pixels by which cameras may be off for colours to be compared through them
 _LEAST = 50              # samples from which a share or a median is taken
@@ -78,9 +79,9 @@ class Measurements:
         return 0.0 if self.far_off > FAR_OFF or self.misaligned > _MISALIGNED else self.specularity
 
     @property
-    def exposure(self) -> np.ndarray:
-        """gains as an array of shape (contexts, 3, 2)."""
-        return np.array(self.gains)
+    def depth_far_off(self) -> float:
+        """far_off without what photos that are off show of any depth."""
+        return max(0.0, self.far_off - _BY_CAMERAS * self.misaligned**2)
 
 
 def measure(target, contexts, depth, config: Config, device, photos=None, *, normalized=None) -> Measurements:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.acceptance import moved_by_evidence, nothing_reason, rejection_reason
+from pagas_cl.acceptance import nothing_reason, rejection_reason
 from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide_consistency, decide_mismatch, settle
@@ -153,12 +153,12 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
               "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
               "planned_bytes": refined.planned_bytes, "measured": measured.figures if measured else {},
               "seconds": time.perf_counter() - start}
-    moved, status = moved_by_evidence(refined, depth)
-    reason = rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined, status)
+    reason = rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined)
     if reason:
         log.warning("view %s is kept as it came: %s", target.name, reason)
         return DepthResult.unrefined(target.camera, depth, reason, report, target.name)
-    return DepthResult(target.camera, moved, status, refined.deviation, refined.parallax, "", report, target.name)
+    return DepthResult(target.camera, refined.depth, refined.status, refined.deviation, refined.parallax, "", report,
+                       target.name)
 
 
 def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names: Collection[str] | None = None,
@@ -246,10 +246,12 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
     if not partners.contexts:
         log.warning("view %s is kept as it came: %s", target.name, partners.reason)
         return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
-    partners, decision = views_to_ask(views, partners, depth, config, device, photos)
+    chosen = partners
+    partners, decision = views_to_ask(views, chosen, depth, config, device, photos)
     result = refine_depth(target, [views[k] for k in partners.contexts], depth, config=config, device=device,
                           progress=progress, photos=photos, held_out=[views[k] for k in partners.held_out])
     result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
+    result.report["left_out"] = [k for k in chosen.all if k not in partners.all]        # by place: not all have names
     return result
 
 

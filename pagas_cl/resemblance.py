@@ -13,7 +13,7 @@ from pagas_cl.config import Config
 from pagas_cl.effects import Decision
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.view import View
-from pagas_cl.splat import NormalizedDepth, PhotoStore, probe_view
+from pagas_cl.splat import PhotoStore, probe_view
 from pagas_cl.splat.budget import fit_memory
 from pagas_cl.splat.constants import MEAN, NUMBER
 
@@ -39,9 +39,8 @@ def views_to_ask(views: Sequence[View] | Mapping[int, View], partners: Partners,
         return partners, None
     target, others = views[partners.target], [views[k] for k in usable]
     scale = min(1.0, _COARSE / max(target.camera.width, target.camera.height))
-    found = fit_memory(lambda photos: probe_view(target, others, depth, config, device, photos, scale=scale,
-                                                 normalized=NormalizedDepth(target, depth, device)),
-                       target, others, config, device, photos)
+    found = fit_memory(lambda photos: probe_view(target, others, depth, config, device, photos, scale=scale), target,
+                       others, config, device, photos)
     parallax = found.view_samples["parallax"]
     told = np.flatnonzero((parallax[:, NUMBER] >= _LEAST) & np.isfinite(found.explained).any(axis=(1, 2)))
     if not len(told):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.effects import agreement_rounds, between_rounds, decide_agreement, settle
+from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.progress import Progress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import Partners
@@ -30,12 +32,21 @@ _BYTES = 64     # a pixel: more than a comparison takes beside the photos that w
 _LONGER = 1.4   # steps of a few: as far as half as many again would
 
 
+def keep(owner: Any, result: DepthResult, device: Device, photos: PhotoStore) -> None:
+    """Have what views of the next round ask for stay on a device that has memory of its own."""
+    if not result.reason and not photos.on_host:
+        with suppress(DeviceMemoryError):       # it is read again, then
+            photos.held(owner, 8 * _pixels(result), lambda: send(result, device))
+
+
 @dataclass(frozen=True)
 class Round:
-    """One round: `work`, a function of a module as below, which any process finds; whether it looks at `photos`."""
+    """One round: `work`, a function of a module as below, which any process finds; whether it looks at `photos`; and
+    `keep`, what is done with each result of the round before it."""
 
     work: Callable[..., DepthResult]
     photos: bool
+    keep: Callable[..., None] = keep
 
 
 def later_rounds(config: Config, views: int) -> list[Round]:
@@ -117,8 +128,8 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, resul
     from pagas_cl.splat.budget import fit_memory
 
     target, contexts, held_out = views[partners.target], *(
-        [views[k] for k in chosen if views[k].name in result.report[role]]       # those that resemble it
-        for chosen, role in ((partners.contexts, "contexts"), (partners.held_out, "held_out")))
+        [views[k] for k in chosen if k not in result.report["left_out"]]         # those that resemble it
+        for chosen in (partners.contexts, partners.held_out))
 
     def attempt(photos: PhotoStore) -> Any:
         normalized = NormalizedDepth(target, result.depth, device)

@@ -42,6 +42,17 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
+@pytest.fixture(autouse=True, scope="session")
+def brief_probes():
+    """What settings take is probed by short runs: no test asks more of the time, and a probe takes ten seconds."""
+    from pagas_cl import costs
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(costs, "_LEAST", 0.03)
+        patch.setattr(costs, "_REPEATS", 2)
+        yield
+
+
 @pytest.fixture
 def own_locks(tmp_path, monkeypatch):
     """Claims of devices apart from those of other programs on this machine."""

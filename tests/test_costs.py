@@ -19,13 +19,6 @@ from pagas_cl.synthetic.scene import write_scene
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(autouse=True)
-def brief(monkeypatch):
-    """Probes that end early: these tests ask for the way, not for three digits."""
-    monkeypatch.setattr(costs, "_LEAST", 0.03)
-    monkeypatch.setattr(costs, "_REPEATS", 2)
-
-
 @pytest.fixture(scope="module")
 def made():
     return relief_scene(96, 72, 4, held_out=0)

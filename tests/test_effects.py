@@ -94,6 +94,11 @@ def test_noise_raises_the_weight_and_never_lowers_it():
     assert weights[0] < weights[1] < weights[2] <= weights[3] <= 100
 
 
+def test_photos_that_are_off_match_elsewhere_whatever_the_depth():
+    off, right = (decide(BALANCED, replace(CALM, far_off=0.17, misaligned=m))[0].pyramid.scales[0] for m in (0.7, 0.1))
+    assert off > right == 0.25 and replace(CALM, far_off=0.1, misaligned=1.0).depth_far_off == 0
+
+
 def test_gloss_is_not_judged_through_a_depth_that_is_far_off():
     assert replace(CALM, specularity=0.5, far_off=0.5).residual == 0
     assert decide(BALANCED, replace(CALM, smallest=0.2))[0].splatting.low_pass == LOW_PASS
@@ -160,7 +165,7 @@ def test_without_surface_nothing_is_measured(device):
     made = relief_scene(64, 48, 2, held_out=0)
     measured = measure(made.views[0], made.views[1:], np.zeros((48, 64), np.float32), BALANCED, device)
     assert measured.overlap == 0 and measured.hidden == 0 and measured.far_off == 0
-    assert (measured.exposure == [1, 0]).all()
+    assert (np.array(measured.gains) == [1, 0]).all()
 
 
 def test_an_effect_that_is_off_is_in_no_program():

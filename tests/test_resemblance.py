@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.scenes import relief_scene
 
 from pagas_cl.presets import BALANCED
 from pagas_cl.refine import refine_one, refine_views
 from pagas_cl.resemblance import adding, views_to_ask
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.splat import PhotoStore
-from pagas_cl.synthetic import relief_scene
 
 QUICK = BALANCED.with_settings(pyramid__steps=(6,), context__number=4, effects__cameras="off")
 
@@ -88,3 +88,23 @@ def test_a_view_is_refined_by_those_that_are_left(made, device):
                           device=device)
     assert views[chosen.contexts[0]].name not in agreed[0].report["contexts"]
     assert len(agreed[0].report["differences"]) == 2
+
+
+@pytest.mark.kernels
+def test_what_was_left_out_stays_so_in_rounds_also_without_names(made, device, monkeypatch):
+    from pagas_cl import splat
+
+    scene, depths = made
+    chosen, asked_in_rounds, plain = asked(scene.all_views, depths, device)[0], [], splat.refine_levels
+
+    def noted(target, contexts, *given, **more):
+        asked_in_rounds.append((target, contexts))
+        return plain(target, contexts, *given, **more)
+
+    monkeypatch.setattr(splat, "refine_levels", noted)
+    views = [replace(view, name="", camera=replace(view.camera, name=""))
+             for view in spoiled(scene.all_views, chosen.contexts[:1])]
+    refine_views(views, depths, device=device, config=QUICK.with_settings(
+        pyramid__steps=(16,), effects__agreement="on", agreement__steps=0.5, agreement__rounds=2))
+    told, = [contexts for target, contexts in asked_in_rounds if target is views[0]]
+    assert 0 < len(told) < len(chosen.contexts) and not any(view is views[chosen.contexts[0]] for view in told)

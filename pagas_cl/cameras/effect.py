@@ -60,7 +60,8 @@ def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     found = refine_cameras(views, depths_or_mesh, config=config, device=device, progress=progress, measured=off,
                            photos=photos, executor=executor, folder=folder)
     log.info("%s", found)
-    moved = with_cameras(views, found)
+    moved = [view if camera is view.camera else replace(view, camera=camera)
+             for view, camera in zip(views, found.cameras)]
     if photos is not None:
         photos.replace(views, moved)
     return moved, settled, found
@@ -94,9 +95,3 @@ def camera_seconds(views: Sequence[View], depths_or_mesh, config: Config, device
 def _may(choice: str, number: int) -> bool:
     """Whether the effect may be on for so many views."""
     return choice == "on" or (choice == "auto" and FEWEST <= number <= MOST)
-
-
-def with_cameras(views: Sequence[View], found: CameraRefinement) -> list[View]:
-    """The views with refined cameras; those that stay are the same objects."""
-    return [view if camera is view.camera else replace(view, camera=camera)
-            for view, camera in zip(views, found.cameras)]

@@ -176,8 +176,9 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     frames = Frames(adjuster, views, depths, moves, photos)
     finest = min(1.0, float(np.sqrt(_FINEST / np.median([c.width * c.height for c in given]))))
     rounds = Rounds(frames, pairs, finest, typical, progress, make_blocks)
+    numbers = ("focal" in unknowns) * (0,) + ("principal_point" in unknowns) * (1, 2)
     state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
-                  _lenses(given, unknowns, lenses), _lens_numbers(unknowns), _map_numbers(unknowns))
+                  _lenses(given, unknowns, lenses), numbers, _map_numbers(unknowns))
     if state.map_numbers:
         small = [alignment.reduced(camera, depth) for camera, depth in zip(given, surfaces)]
         first_maps = alignment.solve(small, alignment.pairs_of(small))
@@ -254,10 +255,6 @@ def _lenses(cameras: Sequence[Camera], unknowns, given) -> tuple[int, ...]:
         return tuple(int(k) for k in given)
     keys = [(c.width, c.height, c.fx, c.fy, c.cx, c.cy) for c in cameras]
     return tuple(sorted(set(keys)).index(key) for key in keys)
-
-
-def _lens_numbers(unknowns) -> tuple[int, ...]:
-    return ((0,) if "focal" in unknowns else ()) + ((1, 2) if "principal_point" in unknowns else ())
 
 
 def _map_numbers(unknowns) -> int:

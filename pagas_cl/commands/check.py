@@ -1,15 +1,16 @@
 """`pagas-cl check`: are these the right cameras for this mesh and these photos?"""
 
 import json
+import re
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import typer
 
 from pagas_cl.commands._given import look, together
 from pagas_cl.errors import InputError, log, plain
-from pagas_cl.scene.check import check_views
+from pagas_cl.scene.check import CameraReport, check_views
 from pagas_cl.scene.depth_mesh import mesh_of_depths
 
 
@@ -32,15 +33,22 @@ def command(
                  photos=photos)
     for line in given.lines():
         log.info("%s", line)
-    surface: Any = given.mesh
-    if surface is None and given.depths is None:
+    if given.mesh is None and given.depths is None:
         raise InputError(f"{str(scene)!r} holds neither depth maps nor a mesh to compare the photos over: give --mesh")
-    if surface is None:
-        surface = mesh_of_depths(given.scene.cameras, together(given, True))
+    surface = mesh_of_depths(given.scene.cameras, together(given, True)) if given.mesh is None else given.mesh
     report = check_views(surface, given.scene.cameras, given.scene.views)
+    report = of_depth_maps(report) if given.mesh is None else report
     sys.stdout.write(json.dumps(report.as_dict(), indent=1) + "\n" if as_json else table(report))
     if not report.ok:
         raise InputError(report.at_command_line[1])
+
+
+def of_depth_maps(report: CameraReport) -> CameraReport:
+    """The report in words of what was given: no mesh."""
+    half_pixel, sentence, *at_command_line = (
+        re.sub(r"\bmesh\b", "depth maps", words.replace("the mesh", "the surface of the depth maps"))
+        for words in (report.half_pixel, report.sentence, *report.at_command_line))
+    return replace(report, half_pixel=half_pixel, sentence=sentence, at_command_line=tuple(at_command_line))
 
 
 def table(report) -> str:

@@ -31,7 +31,9 @@ class Workers:
             self.executor = dask_executor(executor) if isinstance(executor, str) else executor
 
     def count(self) -> int:
-        """How many tasks run at a time, as far as the executor tells; 4 where it does not."""
+        """How many tasks run at a time elsewhere, 0 where they run here; 4 where the executor does not tell."""
+        if self.local:
+            return 0
         client = getattr(self.executor, "_client", None)  # Dask
         if client is not None and hasattr(client, "ncores"):
             return max(1, sum(client.ncores().values()))

@@ -208,8 +208,10 @@ class EarlierResults:
         return " ".join(key for _, _, key in self.results)
 
     def load(self) -> "list[StoredResult]":
-        """Told of, and not read: a round reads them one at a time."""
-        return [StoredResult.found(camera, self.folder, stem, key) for camera, stem, key in self.results]
+        """The view's own is read, ahead of its turn; the others are told of: a round reads them one at a time."""
+        own, *others = (StoredResult.found(camera, self.folder, stem, key) for camera, stem, key in self.results)
+        vars(own)["ahead"] = own.loaded()
+        return [own, *others]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -235,9 +237,9 @@ class StoredResult:
     normals = property(lambda self: normals_of(self.depth, self.camera))
 
     def loaded(self) -> DepthResult:
-        """Everything in memory."""
-        return DepthResult(self.camera, self.depth, self.status, self.deviation, self.parallax, self.reason,
-                           self.report, self.name)
+        """Everything in memory; what was read ahead is let go of."""
+        return vars(self).pop("ahead", None) or DepthResult(
+            self.camera, self.depth, self.status, self.deviation, self.parallax, self.reason, self.report, self.name)
 
     @classmethod
     def found(cls, camera: Camera, folder: Path, stem: str, key: str) -> "StoredResult":

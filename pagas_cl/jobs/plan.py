@@ -16,6 +16,7 @@ from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.view import View
 
 _BATCH = 16      # most views in a batch
+_HERE = 32       # views in a batch of this process: between two of them the device waits
 _SHARES = 8      # batches for each worker, so that a slow one leaves its share to others
 
 
@@ -87,11 +88,11 @@ class Planner:
 
 def groups(asked: list[int], views: list[View], workers: int) -> list[list[int]]:
     """Views that go together, in the order in which to give them out: a curve through the camera centres is cut into
-    one stretch a worker, and each worker that keeps pace goes along a stretch of its own."""
+    one stretch a worker (0: this process alone), and each worker that keeps pace goes along a stretch of its own."""
     if not asked:
         return []
     order = np.asarray(asked)[along_curve([views[index].camera.center for index in asked])]
-    size = int(np.clip(len(asked) // (workers * _SHARES), 1, _BATCH))
+    size = int(np.clip(len(asked) // (workers * _SHARES), 1, _BATCH)) if workers else _HERE
     stretches = [[part[start:start + size].tolist() for start in range(0, len(part), size)]
                  for part in np.array_split(order, max(1, workers))]
     longest = max(map(len, stretches))

@@ -2,7 +2,6 @@
 
 import shutil
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from pagas_cl.jobs.task import Batch, Record, code_version
 from pagas_cl.jobs.worker import STOP, close_worker_contexts
 from pagas_cl.progress import ViewProgress, tell
 from pagas_cl.result import DepthResult
+from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.choice import for_planning
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.reasons import warn_of_nothing
@@ -95,8 +95,9 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
             _make_ready(place)
             collect = _Collect(views_of_round, views, depths, place, progress, None, _stage(number))
             runs.append(Run(workers, place, collect, progress and collect.inside))
-            runs[-1].finish(_unfinished(planner, groups(views_of_round, views, workers.count()),
-                                        replace(template, folder=place, extras=True), collect, len(asked)))
+            to_here = replace(template, folder=place, extras=True, keep=later[number].keep)
+            runs[-1].finish(_unfinished(planner, groups(views_of_round, views, workers.count()), to_here, collect,
+                                        len(asked)))
             collect.results()        # raises where every view has failed
             failed += [record for record in collect.records.values() if record.error]
             lost = {record.name for record in failed}
@@ -227,6 +228,7 @@ class _Collect:
             except Exception as error:
                 raise _Ended(error) from error
 
+        relay("", 0, 1)       # those before it are done
         return relay
 
     def results(self) -> list:
@@ -248,8 +250,7 @@ def _sampled(depths, asked) -> tuple[list, list[int]]:
     def sample(depth):
         return for_planning(depth.load() if hasattr(depth, "load") else depth, len(depths))
 
-    with ThreadPoolExecutor(8) as readers:  # no more than these are in memory at a time
-        samples = list(readers.map(sample, depths))
+    samples = side_by_side(sample, depths, 8)      # no more than these are in memory at a time
     valid = [k for k in asked if samples[k] is not None and (getattr(samples[k], "depth", samples[k]) > 0).any()]
     if not valid:
         raise InputError("no view has a depth map with a valid pixel: nothing to refine")

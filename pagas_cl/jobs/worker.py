@@ -24,6 +24,7 @@ from pagas_cl.scene.view import View
 
 STOP = "stop"              # a file of this name in the work folder asks every worker to end after its present view
 _READERS = min(6, os.cpu_count() or 6)      # photos that are decoded at a time
+_WRITERS = 3               # results that are written at a time, beside a device with memory of its own
 _PHOTO_BYTES = 1 << 30     # most memory for decoded photos
 _one_at_a_time = Lock()    # tasks of one process share a device's queue
 _worker_contexts: dict = {}
@@ -148,8 +149,9 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
     written) and DeviceError (no device to work with) are raised: they are not the view's fault.
     """
     _begin(batch.code)
-    with _one_at_a_time, ThreadPoolExecutor(_READERS) as readers, ThreadPoolExecutor(1) as writer:
+    with _one_at_a_time, ThreadPoolExecutor(_READERS) as readers, ThreadPoolExecutor(_WRITERS) as writer:
         context = _worker_context(batch.device)
+        waiting = 1 if context.photos.on_host else _WRITERS
         views, photos, ended, ahead = context.views(batch), context.photos if batch.photos else None, [], {}
         for task, following in zip(batch.tasks, [*batch.tasks[1:], None]):
             if (work_folder(batch.folder) / STOP).exists():
@@ -162,8 +164,8 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
             if following is not None:
                 ahead[following.name] = _read_ahead(readers, following, views, photos)
             ended.append(_attempt(batch, task, views, depth, writer, inside and inside(len(ended))))
-            if len(ended) > 1 and isinstance(ended[-2], Future):
-                ended[-2] = ended[-2].result()  # no more than one result waits to be written
+            if len(ended) > waiting and isinstance(ended[-1 - waiting], Future):
+                ended[-1 - waiting] = ended[-1 - waiting].result()     # no more than these wait to be written
         ended = [record.result() if isinstance(record, Future) else record for record in ended]
     trim()
     return ended
@@ -198,6 +200,8 @@ def _attempt(batch: Batch, task: ViewTask, views: dict, depth: Future, writer: T
             _lost.append(task.name)
         return record
     _lost.clear()
+    if batch.keep:
+        batch.keep((batch.folder, task.key), result, context.device, context.photos)
     about = {"device": context.device.info.title, "worker": worker_name(), "task_seconds": time.perf_counter() - start}
     return writer.submit(_write, batch, task, result, about)
 

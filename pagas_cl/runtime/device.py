@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 ENVIRONMENT = "PAGAS_CL_DEVICE"
 SHARE = "PAGAS_CL_SHARE"  # how many processes may work on one device
+SPARE = 1 / 8             # of a device's own memory: buffers that wait may take it, beyond what is planned
 _told: set[DeviceInfo] = set()
 _PREFERENCE = ("GPU", "accelerator", "CPU", "other")
 
@@ -43,7 +44,8 @@ class Device:
         """The buffers that this process holds on the device, counted."""
         from pagas_cl.runtime.memory import Memory, limit_of
 
-        return Memory(self.info.title, limit_of(self.info.memory, shares()))
+        spare = 0 if self.info.kind == "CPU" else SPARE      # there it is the host's memory, and soon freed
+        return Memory(self.info.title, limit_of(self.info.memory, shares()), spare)
 
     def has(self, extension: str) -> bool:
         """Whether the device reports the OpenCL `extension`."""

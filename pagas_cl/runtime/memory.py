@@ -1,7 +1,7 @@
 """What a device holds of ours: every buffer is counted while it lives, and none is made beyond what is allowed.
 
-Buffers that are given back wait for the next of their size and role: a driver takes a third of a millisecond for each
-that it frees, and views of one size need the same ones again.
+Buffers that are given back wait for the next of their size and role: a driver takes half a millisecond for each that it
+frees, and views of one size need the same ones again.
 """
 
 import os
@@ -22,11 +22,12 @@ class Memory:
     """Buffers of one device.
 
     `title` is the device's name, for messages. Bytes: `limit` allowed, `held` now, `peak` at most since `begin`, and
-    `waiting` in buffers that were given back and are kept.
+    `waiting` in buffers that were given back and are kept, as long as all together are no more than what is planned, or
+    than the share `spare` of the limit.
     """
 
-    def __init__(self, title: str, limit: int):
-        self.title, self.limit = title, limit
+    def __init__(self, title: str, limit: int, spare: float = 0.0):
+        self.title, self.limit, self.spare = title, limit, spare
         self.held = self.peak = self.waiting = self._planned = 0
         self._kept: defaultdict[tuple[str, int], deque[_Counted]] = defaultdict(deque)      # never an empty one
 
@@ -43,7 +44,7 @@ class Memory:
             buffer = self._pop(role, nbytes)
             buffer.count()
             return buffer
-        self._free(self._planned - nbytes)
+        self._free(self._most - nbytes)
         try:
             return _Counted(self, context, nbytes, role)
         except cl.Error:
@@ -57,7 +58,11 @@ class Memory:
     def begin(self, planned: int) -> None:
         """Count the peak from here on; `planned` bytes in all will do, what waits included."""
         self.peak, self._planned = self.held, min(self.limit, planned)
-        self._free(self._planned)
+        self._free(self._most)
+
+    @property
+    def _most(self) -> int:
+        return max(self._planned, int(self.spare * self.limit))
 
     def count(self, nbytes: int) -> None:
         self.held += nbytes

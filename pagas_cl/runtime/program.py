@@ -176,7 +176,7 @@ class Fill:
     buffer: cl.Buffer
     pattern: np.generic
     size: int
-    stage: str = "clear"
+    stage: str = "fill"
 
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         pattern: Any = self.pattern  # a NumPy scalar is a buffer, which NumPy's types do not say

@@ -99,14 +99,17 @@ def bilinear(pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     A position that is not finite gets some value or other.
     """
     height, width = pixels.shape[:2]
-    x, y = (np.nan_to_num(np.clip(at - 0.5, 0, side - 1)) for at, side in ((x, width), (y, height)))
+    x, y = (np.fmin(np.fmax(at - 0.5, 0), side - 1) for at, side in ((x, width), (y, height)))       # NaN: 0
     left, top = np.minimum(x.astype(np.intp), max(width - 2, 0)), np.minimum(y.astype(np.intp), max(height - 2, 0))
-    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
     fx, fy = (x - left).astype(x.dtype), (y - top).astype(y.dtype)
     if pixels.ndim == 3:
         fx, fy = fx[..., None], fy[..., None]
-    mixed: np.ndarray = ((pixels[top, left] * (1 - fx) + pixels[top, right] * fx) * (1 - fy)
-                         + (pixels[bottom, left] * (1 - fx) + pixels[bottom, right] * fx) * fy)
+    flat, first = pixels.reshape(height * width, *pixels.shape[2:]), top * width + left
+    right, below = min(1, width - 1), width * min(1, height - 1)
+
+    upper, lower = (flat.take(places, axis=0) * (1 - fx) + flat.take(places + right, axis=0) * fx
+                    for places in (first, first + below))
+    mixed: np.ndarray = upper * (1 - fy) + lower * fy
     return mixed
 
 

@@ -1,11 +1,9 @@
 """Launches of composite.cl and alpha.cl, Gaussians to an image (method section 4), and of backward.cl and alpha.cl, the
 gradient of the loss by each depth (sections 3 and 4)."""
 
-import numpy as np
-
 from pagas_cl.runtime.program import Fill
 from pagas_cl.splat import project
-from pagas_cl.splat.buffers import NO_HEAD, channels_of
+from pagas_cl.splat.buffers import NO_HEAD
 from pagas_cl.splat.options import LIST_GROUP
 
 
@@ -14,8 +12,9 @@ def launches(programs, buffers, view) -> list:
     if programs.config.splatting.blend == "alpha":
         return [programs.bind("alpha.cl", "link_bins", view.target_size.grid, buffers, view),
                 _blend(programs, buffers, view, "composite_alpha")]
-    return [*project.nearest(programs, buffers, view),
-            Fill(buffers.rendered, np.uint32(0), 4 * view.size.pixels * (channels_of(programs.config) + 1)),
+    return [programs.bind("composite.cl", "clear", (view.size.pixels,), buffers, count=view.size.pixels,
+                          sums=buffers.rendered),
+            *project.nearest(programs, buffers, view, cleared=True),
             programs.bind_scatter("composite.cl", "splat_order_free", buffers, view, sums=buffers.rendered)]
 
 

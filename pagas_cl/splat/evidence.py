@@ -21,12 +21,14 @@ HISTOGRAM = 8 * COST_BINS   # bytes that count them, before and after
 class EvidenceDecision:
     """On the device, per pixel: status uint8, as in scene/depthmap.py; standard deviation of the depth, float32, device
     units, infinite where nothing is known. Before and after, over the pixels that are seen: mean 1 - correlation with
-    the views' photos, of all refined depth, and median with each held-out view's photo, of what is accepted."""
+    the views' photos, of all refined depth, and median with each held-out view's photo, of what is accepted. `silent`:
+    depths that would count as refined, but for photos that show nothing far and wide."""
 
     status: cl.Buffer
     deviation: cl.Buffer
     cost: tuple[float, float]
     held_out: tuple[tuple[float, float], ...]
+    silent: int
     mismatch: float                     # share of its detail that is noise, NaN where it was not asked for
 
     def release(self):
@@ -163,8 +165,21 @@ class Evidence:
                    self.bind("deviate", file="deviation.cl", status=status, before=self._before, after=self._after,
                              bent=bent, error_factor=self.prior.error_factor, misaligned=self.prior.misaligned,
                              mismatch=solver.mismatch, deviation=deviation, **extent)])
-        whole = self.costs() if told else (float("nan"), float("nan"))
-        return EvidenceDecision(status, deviation, whole, tuple(one.judge() for one in held_out if told), noise)
+        if not told:
+            return EvidenceDecision(status, deviation, (float("nan"), float("nan")), (), 0, noise)
+        costs, judged = self.costs(), tuple(evidence.judge() for evidence in held_out)
+        return EvidenceDecision(status, deviation, costs, judged, self._hold_silent(status, deviation), noise)
+
+    def _hold_silent(self, status: cl.Buffer, deviation: cl.Buffer) -> int:
+        """Take back what smoothness alone moved; returns the number of depths that are where they were, then."""
+        counts, (one, other), grid = self._buffer(4), self.scratch, (self.size.pixels,)
+        known = {"count": self.size.pixels, "status": status, "deviation": deviation}
+        self._run([Fill(counts, np.uint32(0), 4), self.bind("mark_spoken", grid=grid, spoken=one, **known),
+                   *self.sum_around(one, 2, other, one),
+                   self.bind("hold_silent", grid=grid, initial=self._initial, around=one, silent=counts, **known)])
+        silent = int(download(self.device, counts, 1, np.uint32)[0])
+        counts.release()
+        return silent
 
     def of_accepted(self, views, floor_share: float) -> cl.Buffer:
         """What the photos of `views` say of the depth as it is now."""

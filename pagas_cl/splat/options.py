@@ -4,6 +4,8 @@ and the programs that are compiled with them."""
 from dataclasses import fields
 from math import ceil, floor, log2
 
+import numpy as np
+
 from pagas_cl.config import Config
 from pagas_cl.runtime.program import Launch, bind, build
 from pagas_cl.scene.camera import Camera
@@ -51,6 +53,7 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
         "DEPTH_RELATIVE": splatting.occlusion and splatting.depth_relative > 0,
         "LOW_PASS": splatting.low_pass > 0,
         "SSIM": loss.ssim > 0,
+        "ROBUST": loss.robust > 0,
         **{own.metadata["define"]: getattr(loss, own.name) for own in fields(loss) if own.metadata["define"]},
         "TRACK_LOSS": config.solver.patience > 0,
         "INT64_ATOMICS": device.has("cl_khr_int64_base_atomics"),
@@ -62,12 +65,17 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
                "FIXED_ONE": float(1 << fixed_bits(weight))}
     if config.solver.gradient_filter > 0:
         numbers["FILTER_RADIUS"] = config.solver.gradient_filter
-    numbers["RADIUS"] = float(splatting.radius)
-    if loss.huber > 0:
-        numbers["HUBER"] = float(loss.huber)
-    if loss.robust > 0:
-        numbers["ROBUST"] = float(loss.robust)
     return (*(name for name, on in switches.items() if on), *define(**numbers), *SHARED)
+
+
+def numbers_of(config: Config) -> dict[str, float]:
+    """Arguments of kernels by name that are constants of `config`: numbers make no program of their own. Inverses are
+    rounded here, since not every device divides alike."""
+    splatting, loss, one = config.splatting, config.loss, np.float32(1)
+    radius, huber = np.float32(splatting.radius), np.float32(loss.huber)
+    return {"low_pass": splatting.low_pass, "relative": splatting.depth_relative, "radius": radius,
+            "inverse_area": one / max(radius * radius, np.float32(1e-12)), "robust": loss.robust,
+            "huber": huber, "inverse_huber": one / max(huber, np.float32(1e-37))}
 
 
 class Programs:
@@ -80,7 +88,7 @@ class Programs:
         self.tiles = dict(zip(("ssim.cl", "loss.cl"), choose_tiles(device, [(c.width, c.height) for c in cameras])))
         self.more = {**(more or {}), **{file: tile.defines for file, tile in self.tiles.items()}}
         self._columns = columns_of(device, cameras[0].width)
-        self._settings = {"low_pass": config.splatting.low_pass, "relative": config.splatting.depth_relative}
+        self._settings = numbers_of(config)
 
     def bind(self, file: str, kernel: str, grid, buffers, view=None, group=None, /, **arguments) -> Launch:
         """A Launch of `kernel` of `file` over the work-items `grid`.

@@ -17,11 +17,11 @@ def before_steps(programs, buffers, target, contexts: int) -> list:
     return launches
 
 
-def nearest(programs, buffers, view, **depth) -> list:
-    """buffers.landing and buffers.z_first of `view` under buffers.depth, or the `depth` given; without occlusion only
-    the former."""
-    landing = programs.bind_landing(buffers, view, **depth)
-    if not programs.config.splatting.occlusion:
-        return landing
-    return [*landing, Fill(buffers.z_first, _INFINITY, 4 * view.size.pixels),
-            programs.bind_scatter("project.cl", "nearest", buffers, view, **depth)]
+def nearest(programs, buffers, view, cleared=False, **depth) -> list:
+    """buffers.landing and buffers.z_first of `view`, which may be `cleared` already, under buffers.depth, or the
+    `depth` given; without occlusion only the former."""
+    launches = programs.bind_landing(buffers, view, **depth)
+    if programs.config.splatting.occlusion:
+        launches += [] if cleared else [Fill(buffers.z_first, _INFINITY, 4 * view.size.pixels)]
+        launches += [programs.bind_scatter("project.cl", "nearest", buffers, view, **depth)]
+    return launches

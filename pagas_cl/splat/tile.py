@@ -26,14 +26,9 @@ class Tile:
         return (f"TILE_W={self.width}", f"TILE_H={self.height}", f"LOSS_GROUP={self.group}", f"COLUMNS={self.columns}",
                 f"LANES={self.lanes}", f"RUN={self.run}")
 
-    def groups(self, width: int, height: int) -> tuple[int, int]:
-        """Tiles across and down that cover `width` x `height` pixels."""
-        return -(-width // self.width), -(-height // self.height)
-
     def grid(self, width: int, height: int) -> tuple[int, int]:
         """Work-items that cover `width` x `height` pixels."""
-        across, down = self.groups(width, height)
-        return across * self.group, down
+        return -(-width // self.width) * self.group, -(-height // self.height)
 
 
 # For ssim.cl and loss.cl: what fits into 32 kB of local memory, with few work-items that are idle in either pass; rows

@@ -30,6 +30,7 @@ class Refinement:
     held_out: tuple[tuple[float, float], ...]
     """Median 1 - correlation with each photo that took no part, before and after, over the pixels that it sees; NaN
     where there are none."""
+    silent: int                 # depths that only smoothness moved, far from any that a photo speaks for: they are kept
     steps: tuple[int, ...]      # those done at each level
     mismatch: float             # as EvidenceDecision has it, NaN where it was not asked for
     losses: list[float]         # of each step, where the schedule follows it
@@ -144,5 +145,5 @@ class _Run:
             buffers.depth, buffers.depth_per_parallax, decision.status, decision.deviation, self.depth.shape)
         for held in (buffers, contexts, decision, self.normalized):
             held.release()
-        return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out, steps,
+        return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out, decision.silent, steps,
                           decision.mismatch, losses, self.device.memory.peak, planned)

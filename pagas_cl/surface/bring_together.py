@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.depth_source import adjusted, rescaled
 from pagas_cl.scene.depthmap import depth_down
 from pagas_cl.scene.inputs import Depth, depth_array
@@ -53,10 +54,10 @@ class Together:
 def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_is_known: bool = False) -> Together:
     """Find what brings the initial depth maps of `views` (None where a view has none) together.
 
-    `unit_is_known`: whether their unit is not to be asked for. Deterministic; maps are loaded one at a time.
+    `unit_is_known`: whether their unit is not to be asked for. Deterministic; a few maps are loaded at a time.
     """
-    held = [None if depth is None else _small(view, depth_array(depth), len(views))
-            for view, depth in zip(views, depths)]
+    held = side_by_side(lambda k: None if (depth := depths[k]) is None else
+                        _small(views[k], depth_array(depth), len(views)), range(len(views)))
     cameras = [view.camera if map is None else view.camera.resized(map.shape[1], map.shape[0])
                for view, map in zip(views, held)]
     have = [k for k, map in enumerate(held) if map is not None and (map > 0).any()]

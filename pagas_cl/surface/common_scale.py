@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 
+from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import depth_down, depth_up
@@ -192,13 +193,21 @@ class _Sweep:
     def __init__(self, views: Sequence[View], depths: Sequence[np.ndarray | None], pairs: list[tuple[int, int]],
                  side: int):
         self.pairs, self.patches = pairs, dict[int, _Patches]()
-        self.greys, self.cameras = dict[int, np.ndarray](), dict[int, Camera]()
-        for k in sorted({k for pair in pairs for k in pair}):
+        self.cameras = dict[int, Camera]()
+        self._turned = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]()      # rays of i as j has them, and tau
+        chosen = sorted({k for pair in pairs for k in pair})
+
+        def seen(k: int) -> np.ndarray:
+            size = self.cameras[k].width, self.cameras[k].height
+            return np.ascontiguousarray(grey_of(photo_to(views[k].load_image(), *size)))
+
+        for k in chosen:
             camera = views[k].camera
             scale = min(1.0, side / max(camera.width, camera.height))
             self.cameras[k] = camera.resized(max(8, round(camera.width * scale)), max(8, round(camera.height * scale)))
+        self.greys = dict(zip(chosen, side_by_side(seen, chosen)))
+        for k in chosen:
             size = self.cameras[k].width, self.cameras[k].height
-            self.greys[k] = grey_of(photo_to(views[k].load_image(), *size))
             depth = depths[k]
             if depth is not None and any(k == i for i, _ in pairs):
                 resized = depth_down if depth.shape[1] >= size[0] else depth_up
@@ -225,8 +234,11 @@ class _Sweep:
 
     def _place(self, i: int, j: int, log_scale: float, bent: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         patches, camera = self.patches[i], self.cameras[j]
-        rotation, tau = camera.relative_to(patches.camera)
-        x, y, z = np.moveaxis(patches.rays * self.depth(patches, log_scale, bent)[..., None] @ rotation.T + tau, -1, 0)
+        if (i, j) not in self._turned:
+            rotation, tau = camera.relative_to(patches.camera)
+            self._turned[i, j] = np.ascontiguousarray(np.moveaxis(patches.rays @ rotation.T, -1, 0)), tau
+        rays, tau = self._turned[i, j]
+        x, y, z = rays * self.depth(patches, log_scale, bent) + tau[:, None, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
             good = ((z > 0) & (u > 1) & (v > 1) & (u < camera.width - 1) & (v < camera.height - 1)).all(axis=1)

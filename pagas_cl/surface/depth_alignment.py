@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -44,6 +45,11 @@ class Reduced:
     rays: np.ndarray = field(repr=False)
     samples: np.ndarray = field(repr=False)
 
+    @cached_property
+    def surface(self) -> np.ndarray:
+        """Where there is one, 1, and its depth: float64 (h, w, 2)."""
+        return np.stack([self.depth > 0, self.depth], axis=-1).astype(np.float64, order="C")
+
 
 def reduced(camera: Camera, depth: np.ndarray) -> Reduced:
     """Cut a depth map (H, W) down."""
@@ -73,11 +79,11 @@ def carried(view: Reduced, other: Reduced, depth: np.ndarray) -> tuple[np.ndarra
     return np.where(good, u, np.nan), np.where(good, v, np.nan), np.where(good, z, np.nan)
 
 
-def looked_up(depth: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Depth at positions, NaN where any of the four neighbours is no surface or the position is NaN."""
-    valid = bilinear((depth > 0).astype(np.float64), u, v) > 1 - 1e-9
-    found = bilinear(depth.astype(np.float64), u, v)
-    return np.where(valid & np.isfinite(u), found, np.nan)
+def looked_up(surface: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Depth of Reduced.surface at positions, NaN where any of the four neighbours is no surface or the position is
+    NaN."""
+    there, found = bilinear(surface, u, v).T
+    return np.where((there > 1 - 1e-9) & np.isfinite(u), found, np.nan)
 
 
 def solve(views: Sequence[Reduced], pairs: Sequence[tuple[int, int]]) -> np.ndarray:
@@ -96,7 +102,7 @@ def residuals(view: Reduced, other: Reduced, xi: np.ndarray, xj: np.ndarray,
     """r of the samples of `view` (NaN where it says nothing) and the other's given depth there."""
     depth = (np.exp(xi[0]) * view.samples + xi[1] * view.middle) * (1 + nearer)
     u, v, z = carried(view, other, depth)
-    given = looked_up(other.depth, u, v)
+    given = looked_up(other.surface, u, v)
     with np.errstate(invalid="ignore", divide="ignore"):
         r = np.log(z) - np.log(np.exp(xj[0]) * given + xj[1] * other.middle)
     return np.where(np.abs(r) < _GATE, r, np.nan), given

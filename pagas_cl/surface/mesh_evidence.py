@@ -48,14 +48,15 @@ def sent(views: Sequence[Observed], device: Device) -> Sequence[Observed]:
 
 
 class Words:
-    """What views say of the vertices of a mesh on the device; a view is asked after the other."""
+    """What views say of the vertices of a mesh on the device; a view is asked after the other. At least so many views
+    (2 or more) must agree."""
 
-    def __init__(self, device: Device, count: int, known: dict[str, Any]):
+    def __init__(self, device: Device, count: int, known: dict[str, Any], least_views: int):
         import pyopencl as cl
 
         from pagas_cl.runtime.program import build
 
-        self.device, self.count, self.known = device, count, dict(known)
+        self.device, self.count, self.known, self.least_views = device, count, dict(known), least_views
         self.program = build(device, "mesh_evidence.cl", DEFINES)
         for name, size in (("words", 8 * SLOTS), ("unit", 4), ("target", 4), ("weight", 4), ("seen", 4), ("sigma", 4)):
             self.known[name] = device.memory.buffer(device.context, size * count, name)
@@ -77,17 +78,18 @@ class Words:
             if isinstance(values, np.ndarray):
                 own[name] = upload(device, values)
         run_once(device.queue, [bind(self.program, "gather", (self.count,), None, {**self.known, **maps, **own},
-                                     count=self.count, scale=unit, orientation=orientation)])
+                                     count=self.count, scale=unit, orientation=orientation,
+                                     least_views=self.least_views)])
         device.queue.finish()
         for buffer in own.values():
             buffer.release()
 
-    def settle(self, least_views: int) -> None:
-        """Targets and weights of all vertices; at least so many views must agree."""
+    def settle(self) -> None:
+        """Targets and weights of all vertices."""
         from pagas_cl.runtime.program import bind, run_once
 
         run_once(self.device.queue, [bind(self.program, "settle", (self.count,), None, self.known, count=self.count,
-                                          least_views=least_views)])
+                                          least_views=self.least_views)])
 
     def release(self) -> None:
         for name in ("words", "unit", "target", "weight", "seen", "sigma"):

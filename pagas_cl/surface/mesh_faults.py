@@ -16,16 +16,16 @@ from pagas_cl.surface.subdivide import Subdivision
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
 
-_ROUNDS = 8                # times that vertices of new faults go the way of their neighbours
-_RINGS = 4                 # around them that are looked at meanwhile
+_TURNS = 15                # times that vertices of new faults go the way of their neighbours; every third, a ring more
+_RINGS = 6                 # around them that are looked at meanwhile
 TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another part of the mesh, its own
 
 
 def without_new(device: Device, given: Surface, division: Subdivision | None,
                 vertices: np.ndarray) -> tuple[np.ndarray, str]:
     """Where the vertices (V', 3) of a mesh, split as `division` says, are to be so that it has no fault that `given`
-    had not: those of such triangles go the way of their neighbours. Triangles that touch one with a fault in the given
-    mesh are let alone, and so are parts that stood in others. And how many have faults, in words."""
+    had not: those of such triangles go the way of their neighbours. Where the given mesh, split alike, has faults,
+    triangles around them are let alone, and so are parts that stood in others. And how many have faults, in words."""
     before, faces, parents = given.vertices, given.faces, slice(None)
     if division is not None:
         before, faces, parents = division.vertices(before), division.faces, division.parents
@@ -36,32 +36,28 @@ def without_new(device: Device, given: Surface, division: Subdivision | None,
     start, end, faces = before[one], vertices[one], place[faces]
     part = (own if division is None else division.vertices(own))[one]
     old = faults(device, start, start, place[given.faces], part)
-    near = _marked(given.faces, given.faces[old & ~CROSSING > 0], 0)[given.faces].any(axis=1)[parents]
+    some = np.flatnonzero(_marked(given.faces, given.faces[old & ~CROSSING > 0], 0)[given.faces].any(axis=1)[parents])
+    folded = some[faults(device, start, start, faces[some], part) & ~CROSSING > 0]
+    near = _marked(faces, faces[folded], 1)[faces].any(axis=1)
     stands_in = np.zeros(len(points), bool)
     stands_in[own[given.faces[old & CROSSING > 0, 0]]] = True
-    stands_in = stands_in[part[faces[:, 0]]]
-
-    def found_at(now: np.ndarray, some: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
-        found = faults(device, start, now, faces[some], part)
-        return found, (found & ~CROSSING > 0) & ~near[some] | (found & CROSSING > 0) & ~stands_in[some]
-
-    best, (found, new) = end, found_at(end)
-    if new.any():
-        some = np.flatnonzero(_marked(faces, faces[new], _RINGS)[faces[:, 0]])
-        now, wrong, least = end, new[some], len(some)
-        for turn in range(_ROUNDS):
-            now = _with_neighbours(start, now, faces[some], _marked(faces[some], faces[some][wrong], turn // 3))
-            wrong = found_at(now, some)[1]
-            if np.count_nonzero(wrong) < least:
-                best, least = now, np.count_nonzero(wrong)
-        again = found_at(best)
-        best, (found, new) = (best, again) if again[1].sum() < new.sum() else (end, (found, new))
-    mended, both = unlike(best, end), CROSSING | FOLDED
+    let = np.where(near, ~CROSSING, 0) | np.where(stands_in[part[faces[:, 0]]], CROSSING, 0)
+    now, found = end.copy(), faults(device, start, end, faces, part)
+    for back in (False, True, True, True):
+        if not (found & ~let).any():
+            break
+        some = np.flatnonzero(_marked(faces, faces[found & ~let > 0], _RINGS)[faces[:, 0]])
+        here, corners = np.unique(faces[some], return_inverse=True)
+        corners = corners.reshape(-1, 3)
+        let[some] |= faults(device, start[here], start[here], corners, part[here])
+        now[here] = _mended(device, start[here], now[here], corners, part[here], found[some], let[some], back)
+        found = faults(device, start, now, faces, part)
+    mended, both, new = unlike(now, end), CROSSING | FOLDED, found & ~let
     told = (f"{_count(found, both)} of {len(faces)} triangles cross others ({_count(old, both)} of {len(old)} given "
-            f"ones did), {_count(found[new], both)} of them where none did before; {_count(found, TURNED)} are turned "
+            f"ones did), {_count(new, both)} of them where none did before; {_count(found, TURNED)} are turned "
             f"over, {_count(found, FLAT)} have no area ({_count(old, FLAT)} before); {mended.sum()} vertices went with "
-            "their neighbours for it")
-    return np.where(mended[place][:, None], best[place], vertices), told
+            "their neighbours, or back, for it")
+    return np.where(mended[place][:, None], now[place], vertices), told
 
 
 def _marked(faces: np.ndarray, wrong: np.ndarray, rings: int) -> np.ndarray:
@@ -73,16 +69,24 @@ def _marked(faces: np.ndarray, wrong: np.ndarray, rings: int) -> np.ndarray:
     return marked
 
 
-def _with_neighbours(start: np.ndarray, now: np.ndarray, faces: np.ndarray, marked: np.ndarray) -> np.ndarray:
-    """Places `now`, the ways from `start` of `marked` vertices the means of their neighbours'."""
-    near = faces[marked[faces[:, 0]] | marked[faces[:, 1]] | marked[faces[:, 2]]]
-    way, total, number = now - start, np.zeros(now.shape), np.zeros(len(now))
-    for side in range(3):
-        np.add.at(total, near[:, side], way[near[:, side - 1]] + way[near[:, side - 2]])
-        np.add.at(number, near[:, side], 2)
-    moved, here = now.copy(), np.flatnonzero(marked)
-    moved[here] = start[here] + total[here] / np.maximum(number[here], 1)[:, None]
-    return moved
+def _mended(device: Device, start: np.ndarray, now: np.ndarray, faces: np.ndarray, part: np.ndarray,
+            found: np.ndarray, let: np.ndarray, back: bool) -> np.ndarray:
+    """Places of vertices at `now`, moved until no face has a fault beyond those it may be `let`: around `found` ones,
+    farther and farther, ways from `start` become the means of their neighbours' or, with `back`, are halved."""
+    for turn in range(_TURNS):
+        rings, marked = turn // 3, _marked(faces, faces[found & ~let > 0], turn // 3)
+        near = faces[marked[faces].any(axis=1)]
+        for _ in range(1 if back else rings + 1):
+            way, total, number = now - start, np.zeros(now.shape), np.zeros(len(now))
+            for side in range(0 if back else 3):
+                np.add.at(total, near[:, side], way[near[:, side - 1]] + way[near[:, side - 2]])
+                np.add.at(number, near[:, side], 2)
+            even = way / 2 if back else total / np.maximum(number, 1)[:, None]
+            now = np.where(marked[:, None], start + even, now)
+        found = faults(device, start, now, faces, part)
+        if not (found & ~let).any():
+            break
+    return now
 
 
 def _count(found: np.ndarray, fault: int) -> int:
@@ -98,6 +102,8 @@ def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndar
     from pagas_cl.runtime.program import bind, build, run_once
 
     count, mask = len(faces), (1 << max(10, len(faces).bit_length())) - 1
+    if not count:
+        return np.zeros(0, np.int32)
     middle, unit = frame_of(Surface(after, faces))
     with translate_cl_errors(device, "looking for triangles that cross"):
         program = build(device, "mesh_faults.cl")

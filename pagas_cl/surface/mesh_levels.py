@@ -12,6 +12,7 @@ from pagas_cl.scene.mesh import Surface
 from pagas_cl.surface.edges import Edges
 from pagas_cl.surface.mesh_evidence import Observed, Words, sent
 from pagas_cl.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded, welded, with_area
+from pagas_cl.surface.raster import Drawing
 from pagas_cl.surface.subdivide import Subdivision, spread, with_middles
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ COARSE, DETAIL = 6.0, 1.5   # footprints: edges to begin with, and the longest t
 _OFF = 2.0                  # times `flat` that the middle of an edge lies off, for which it is split
 _LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
 TRIANGLE_BYTES = 450        # of host and device memory together, at the peak (measured)
-_FACE = 0.35                # area of a face whose edges are all just short enough, of their square
+_FULL = 0.9                 # of the triangles that the memory is for, from which on nothing more is split
 
 
 def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, *, flat: float,
@@ -33,16 +34,15 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     its vertices are, and which of them are at one place (V',).
     """
     mesh, views = _Splitting(surface, unit), sent(views, device)
-    mesh.split_longer(max(COARSE, detail) * mesh.coarsening(max(COARSE, detail), most))
-    orientation = None
+    mesh.split_longer(max(COARSE, detail), most // 2)
+    orientation = orientation_of(surface, Drawing(device, surface), views)
     for level in range(_LEVELS + 1):
         now = OnDevice(device, Surface(mesh.points, with_area(mesh.edges.faces)))
-        if orientation is None:
-            orientation = orientation_of(now.surface, now.drawing, views)
+        last = level == _LEVELS or len(mesh.edges) > _FULL * most
         solved = solve_welded(now, views, least_views=least_views, orientation=orientation,
-                              rounds=1 if level < _LEVELS else _ROUNDS)
+                              rounds=_ROUNDS + (level < _LEVELS) if last else 1)
         mesh.points = solved.vertices
-        if level == _LEVELS:
+        if last:
             now.release()
             break
         lengths = mesh.edges.lengths(mesh.points)
@@ -56,7 +56,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
                         "the memory is for", number - done, most)
         log.info("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
                  number, len(long), _OFF * flat, count, len(mesh.edges))
-    division = Subdivision.of(len(surface.vertices), surface.faces, mesh.own, mesh.rounds)
+    division = Subdivision(len(surface.vertices), surface.faces, mesh.own.faces, mesh.own.table[6], mesh.rounds)
     return division, solved.at(mesh.place), mesh.place
 
 
@@ -75,18 +75,12 @@ class _Splitting:
             self.edges = Edges(faces, len(self.points))
         self.rounds: list[np.ndarray] = []
 
-    def coarsening(self, edges: float, most: int) -> float:
-        """By how much longer edges than `edges` footprints must be to leave half of `most` triangles to the detail."""
-        faces = self.edges.faces
-        corners = self.points[faces]
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-        needed = (area / (_FACE * (edges * self.unit[faces].min(axis=1)) ** 2)).sum()
-        return float(np.sqrt(max(1.0, needed / max(1, most // 2))))
-
-    def split_longer(self, longest: float) -> None:
-        """Split edges until none is longer than `longest` footprints."""
+    def split_longer(self, longest: float, most: int) -> None:
+        """Split edges until none is longer than `longest` footprints, or there would be more than `most` faces."""
         fresh: np.ndarray | slice = slice(None)
         while len(chosen := self.edges.longer(self.points, longest * self.unit, fresh)):
+            if len(self.edges) + 2 * len(chosen) > most:
+                break
             fresh = self._split(chosen)
 
     def split_longest_with(self, long: np.ndarray, wanted: np.ndarray, off: np.ndarray, lengths: np.ndarray,
@@ -161,7 +155,7 @@ def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: 
         whole = {"positions": upload(device, mesh.in_frame(vertices)), "edges": upload(device, pairs.astype(np.int32))}
         own = {name: device.memory.buffer(device.context, 4 * size * len(pairs), name)
                for name, size in (("positions", 3), ("normals", 3), ("reach", 1))}
-        words = Words(device, len(pairs), own)
+        words = Words(device, len(pairs), own, least_views)
         for name, size in (("normals", 3), ("reach", 1), ("flatness", 1)):
             whole[name] = device.memory.buffer(device.context, 4 * size * count, name)
         run_once(device.queue, [
@@ -173,7 +167,7 @@ def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: 
             buffer.release()
         for view in views:
             words.ask(mesh.drawing, view, orientation)
-        words.settle(least_views)
+        words.settle()
         off, unit, seen = (download(device, words.known[name], len(pairs), kind) for name, kind in
                            (("target", np.float32), ("unit", np.float32), ("seen", np.int32)))
         words.release()

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
 
 LAMBDA, STAY, CREASE, JUMP = 4.0, 0.15, 0.1, 0.5
-ROUNDS, LINKINGS, STEPS = 3, 2, 60      # of evidence, of links between neighbours, of conjugate gradients
+ROUNDS, LINKINGS, STEPS = 3, 2, 30      # of evidence, of links between neighbours, of conjugate gradients
 _HOLDS = 8                              # times that ways are halved where triangles would turn over
 _FOLLOWS = 16                           # times that vertices on creases follow the planes there
 _GROUP = 128
@@ -126,57 +126,51 @@ def solve_welded(mesh: OnDevice, views: Sequence[Observed], *, least_views: int,
                  orientation: float | None = None) -> Solved:
     """solve_mesh of a mesh on its device; `orientation` as orientation_of says."""
     from pagas_cl.runtime.device import translate_cl_errors
-
-    with translate_cl_errors(mesh.device, "the solve of the mesh"):
-        return _solve(mesh, views, least_views, rounds, orientation)
-
-
-def _solve(mesh: OnDevice, views: Sequence[Observed], least_views: int, rounds: int,
-           orientation: float | None) -> Solved:
     from pagas_cl.runtime.memory import download, upload
     from pagas_cl.runtime.program import bind, run_once
 
-    device, surface, drawing, count = mesh.device, mesh.surface, mesh.drawing, len(mesh.surface.vertices)
-    start = mesh.in_frame(surface.vertices)
-    own: dict[str, Any] = {"positions": upload(device, start)}
-    for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1), ("reach", 1), ("flatness", 1)):
-        own[name] = device.memory.buffer(device.context, 4 * size * count, name)
-    vertices, held = surface.vertices, 0
-    if orientation is None:
-        orientation = orientation_of(surface, drawing, views)
-    for number in range(rounds):
-        known = {**mesh.rings, **own}
-        words = Words(device, count, known)
-        run_once(device.queue, [bind(words.program, "vertex_normals", (count,), None, known, count=count)])
-        if number:
-            drawing.move(vertices)
-        for view in views:
-            words.ask(drawing, view, orientation)
-        words.settle(least_views)
-        unit = download(device, words.known["unit"], count)
-        found = np.isfinite(unit)
-        if not found.any():
-            seen, sigma = np.zeros(count, np.int32), np.full(count, np.inf, np.float32)
-            break
-        middle = float(np.median(unit[found]))
-        words.known["unit"].release()
-        words.known["unit"] = upload(device, np.where(found, unit, np.float32(middle)))
-        _Gradients(device, count, mesh.corners, {**known, **words.known}, 1 / middle).run()
-        held = _move(device, count, {**known, **words.known}, 1 / middle)
-        seen, sigma = (download(device, words.known[name], count, kind) for name, kind in
-                       (("seen", np.int32), ("sigma", np.float32)))
-        words.release()
-        own["positions"], own["moved"] = own["moved"], own["positions"]
-        place = download(device, own["positions"], (count, 3))
-        moved = unlike(place, start)
-        way = (place - start).astype(np.float64) * drawing.unit
-        vertices = np.where(moved[:, None], surface.vertices + way, surface.vertices)
-        log.info("mesh: round %d, %.0f %% of %d vertices have evidence, moved by %.3g footprints (root mean square)",
-                 number + 1, 100 * (np.isfinite(sigma)).mean(), count,
-                 np.sqrt(np.square(place - start).sum(axis=1).mean()) / middle)
-    for buffer in own.values():
-        buffer.release()
-    return Solved(vertices, seen, sigma.astype(np.float64) * drawing.unit, unit * drawing.unit, held)
+    with translate_cl_errors(mesh.device, "the solve of the mesh"):
+        device, surface, drawing, count = mesh.device, mesh.surface, mesh.drawing, len(mesh.surface.vertices)
+        start = mesh.in_frame(surface.vertices)
+        own: dict[str, Any] = {"positions": upload(device, start)}
+        for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1), ("reach", 1), ("flatness", 1)):
+            own[name] = device.memory.buffer(device.context, 4 * size * count, name)
+        vertices, held = surface.vertices, 0
+        if orientation is None:
+            orientation = orientation_of(surface, drawing, views)
+        for number in range(rounds):
+            known = {**mesh.rings, **own}
+            words = Words(device, count, known, least_views)
+            run_once(device.queue, [bind(words.program, "vertex_normals", (count,), None, known, count=count)])
+            if number:
+                drawing.move(vertices)
+            for view in views:
+                words.ask(drawing, view, orientation)
+            words.settle()
+            unit = download(device, words.known["unit"], count)
+            found = np.isfinite(unit)
+            if not found.any():
+                seen, sigma = np.zeros(count, np.int32), np.full(count, np.inf, np.float32)
+                break
+            middle = float(np.median(unit[found]))
+            words.known["unit"].release()
+            words.known["unit"] = upload(device, np.where(found, unit, np.float32(middle)))
+            _Gradients(device, count, mesh.corners, {**known, **words.known}, 1 / middle).run()
+            held = _move(device, count, {**known, **words.known}, 1 / middle)
+            seen, sigma = (download(device, words.known[name], count, kind) for name, kind in
+                           (("seen", np.int32), ("sigma", np.float32)))
+            words.release()
+            own["positions"], own["moved"] = own["moved"], own["positions"]
+            place = download(device, own["positions"], (count, 3))
+            moved = unlike(place, start)
+            way = (place - start).astype(np.float64) * drawing.unit
+            vertices = np.where(moved[:, None], surface.vertices + way, surface.vertices)
+            log.info("mesh: round %d, %.0f %% of %d vertices have evidence, moved by %.3g footprints (root mean "
+                     "square)", number + 1, 100 * (np.isfinite(sigma)).mean(), count,
+                     np.sqrt(np.square(place - start).sum(axis=1).mean()) / middle)
+        for buffer in own.values():
+            buffer.release()
+        return Solved(vertices, seen, sigma.astype(np.float64) * drawing.unit, unit * drawing.unit, held)
 
 
 class _Gradients:
@@ -210,7 +204,9 @@ class _Gradients:
         cl.enqueue_fill_buffer(self.device.queue, self._known["delta"], np.float32(0), 0, 4 * self.count)
         for _ in range(LINKINGS):
             run_once(self.device.queue, [self._bound("find_links", crease=CREASE, jump=JUMP), self._bound("find_sums"),
-                                         self._bound("start"), self._bound("advance", step=0, first_time=1),
+                                         self._bound("apply_laplacian", x=self._known["delta"]),
+                                         self._bound("apply_matrix", p=self._known["delta"]), self._bound("start"),
+                                         self._bound("advance", step=0, first_time=1),
                                          self._bound("add_up", _GROUP, which=0),
                                          self._bound("turn", step=0, first_time=1)])
             laplacian = self._bound("apply_laplacian", x=self._own["p"])
@@ -257,7 +253,7 @@ def orientation_of(surface: Surface, drawing: Any, views: Sequence[Observed]) ->
     step, votes, number = max(1, len(surface.faces) // _SAMPLES), 0, 0
     a, b, c = (surface.vertices[surface.faces[::step, k]] for k in range(3))
     across, middle = np.cross(b - a, c - a), (a + b + c) / 3
-    for place in range(0, len(views), max(1, len(views) // _ASKED)):
+    for place in range(0, len(views), -(-len(views) // _ASKED)):
         camera = views[place].camera
         uv, z = camera.project(middle)
         inside = np.flatnonzero(camera.holds(uv, z))

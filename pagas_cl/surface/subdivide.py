@@ -46,11 +46,6 @@ class Subdivision:
         """Values of shape (F, ...) on the new faces: the parent's."""
         return values[self.parents]
 
-    @classmethod
-    def of(cls, count: int, given: np.ndarray, edges: Edges, rounds: list[np.ndarray]) -> Subdivision:
-        """By what became of the edges."""
-        return cls(count, given, edges.faces, edges.table[6], rounds)
-
 
 def with_middles(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     """Values (V, ...) of vertices, and after them those in the middles of `pairs` (E, 2); of whole numbers, the
@@ -81,7 +76,7 @@ def subdivide(vertices: np.ndarray, faces: np.ndarray, longest: np.ndarray, *,
     for _ in range(_ROUNDS):
         chosen = edges.longer(vertices, longest, fresh)
         if not len(chosen):
-            return Subdivision.of(count, given, edges, rounds)
+            return Subdivision(count, given, edges.faces, edges.table[6], rounds)
         if len(vertices) + len(chosen) > most:
             raise InputError(f"subdividing to the pixel footprint needs more than {most} vertices; use a coarser "
                              "target (--subdivide with more footprints), or none")
@@ -115,4 +110,4 @@ def undivided(division: Subdivision, vertices: np.ndarray, within: np.ndarray,
         kept = new[pairs[needed[start:start + len(pairs)]]]
         edges.split(edges.of_pairs(kept), len(kept))
         rounds.append(kept)
-    return Subdivision.of(division.count, division.given, edges, rounds), np.flatnonzero(needed)
+    return Subdivision(division.count, division.given, edges.faces, edges.table[6], rounds), np.flatnonzero(needed)

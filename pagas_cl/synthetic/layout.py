@@ -112,8 +112,9 @@ def make_solids(relief: Relief, rng) -> tuple[Solid, Solid]:
 
 
 def _limits(fields, relief):
-    """Largest height and slope on a dense sample, with a margin for what lies between."""
-    height, slope_x, slope_y = height_of(fields, *_plane(relief, 601), precise=False)
+    """Largest height and slope on a dense sample (four a pixel of small photos), and a margin for what lies between."""
+    number = min(601, 4 * max(relief.width, relief.height))
+    height, slope_x, slope_y = height_of(fields, *_plane(relief, number), precise=False)
     return 1.15 * float(np.abs(height).max()) + 1e-3, 1.15 * float(np.hypot(slope_x, slope_y).max())
 
 

@@ -66,21 +66,22 @@ def _light(solid, texture, camera, rows, look, samples):
     normal = solid.normals(camera.center + np.where(part == MISS, 1.0, depth)[:, None] * middle, part, precise=False)
     unmixed = ~mixed & (part != MISS)
     total = np.zeros((len(depth), 3), np.float32)
-    for j in range(samples):
-        for i in range(samples):
-            du, dv = (i + 0.5) / samples, (j + 0.5) / samples
-            ray, here, of = _directions(camera, rows, du, dv), depth.copy(), part.copy()
-            here[mixed], of[mixed] = solid.meet(camera.center, ray[mixed], precise=False)
-            # tangent plane at the pixel's centre, then one Newton step on the relief
-            with np.errstate(divide="ignore", invalid="ignore"):
-                here[unmixed] *= ((normal * middle).sum(1) / (normal * ray).sum(1))[unmixed]
-            hit, miss = np.flatnonzero(of != MISS), np.flatnonzero(of == MISS)
-            colour = np.zeros((len(depth), 3), np.float32)
-            colour[hit] = _colour(solid, texture, camera, ray[hit], here[hit], of[hit], look)
-            if look.backdrop is not None and len(miss):
-                row, column = np.divmod(miss + rows.start * camera.width, camera.width)
-                colour[miss] = look.backdrop(column + du - camera.width / 2, row + dv - camera.height / 2)
-            total += colour
+    places = [((i + 0.5) / samples, (j + 0.5) / samples) for j in range(samples) for i in range(samples)]
+    rays = [_directions(camera, rows, *place) for place in places]
+    met = solid.meet(camera.center, np.concatenate([ray[mixed] for ray in rays]), precise=False)
+    for (du, dv), ray, *met_here in zip(places, rays, *(np.split(found, len(places)) for found in met)):
+        here, of = depth.copy(), part.copy()
+        here[mixed], of[mixed] = met_here
+        # tangent plane at the pixel's centre, then one Newton step on the relief
+        with np.errstate(divide="ignore", invalid="ignore"):
+            here[unmixed] *= ((normal * middle).sum(1) / (normal * ray).sum(1))[unmixed]
+        hit, miss = np.flatnonzero(of != MISS), np.flatnonzero(of == MISS)
+        colour = np.zeros((len(depth), 3), np.float32)
+        colour[hit] = _colour(solid, texture, camera, ray[hit], here[hit], of[hit], look)
+        if look.backdrop is not None and len(miss):
+            row, column = np.divmod(miss + rows.start * camera.width, camera.width)
+            colour[miss] = look.backdrop(column + du - camera.width / 2, row + dv - camera.height / 2)
+        total += colour
     return total / samples**2
 
 

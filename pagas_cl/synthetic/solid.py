@@ -214,9 +214,9 @@ class Solid:
 
 
 def height_of(fields, x, y, *, precise=True):
-    """Sum of fields that hold a wave: z, dz/dx, dz/dy, float64 of shape (3, *x.shape)."""
+    """Sum of fields that are not flat: z, dz/dx, dz/dy, float64 of shape (3, *x.shape)."""
     total = np.zeros((3, *np.shape(x)))
     for field in fields:
-        if len(field.amplitude):
+        if field.amplitude.any():
             total += field(x, y, precise=precise)
     return total

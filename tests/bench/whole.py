@@ -3,6 +3,7 @@
     python tests/bench/whole.py                     # makes 49 views of 1600 x 1200, then times `pagas-cl refine` twice
     python tests/bench/whole.py --scene FOLDER      # keeps the synthetic scene there, or uses what is there
     python tests/bench/whole.py --profile           # once more in this process, with the functions that took longest
+    python tests/bench/whole.py --effect agreement=off     # what it does not know goes to the command
 """
 
 from __future__ import annotations
@@ -55,15 +56,15 @@ def _make_view(made, k: int, size: tuple[int, int], folder: Path) -> None:
     save_depth(folder / "depth_initial" / f"{camera.name}.npz", made.initial_depth(camera.resized(*size)))
 
 
-def arguments(scene: Path, out: Path, preset: str) -> list[str]:
-    return ["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth", str(out), "--preset",
-            preset, "--quiet"]
+def arguments(scene: Path, out: Path, more: list[str]) -> list[str]:
+    return ["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth", str(out), "--quiet",
+            *more]
 
 
-def timed(scene: Path, out: Path, preset: str) -> float:
+def timed(scene: Path, out: Path, more: list[str]) -> float:
     """Wall seconds of the command in a process of its own."""
     start = time.perf_counter()
-    subprocess.run([sys.executable, "-m", "pagas_cl", *arguments(scene, out, preset)], check=True)
+    subprocess.run([sys.executable, "-m", "pagas_cl", *arguments(scene, out, more)], check=True)
     return time.perf_counter() - start
 
 
@@ -74,14 +75,14 @@ def told(out: Path) -> dict[str, float]:
             "at a view": sum(r["task_seconds"] for r in reports), "first view": max(r["task_seconds"] for r in reports)}
 
 
-def profile(scene: Path, out: Path, preset: str) -> None:
+def profile(scene: Path, out: Path, more: list[str]) -> None:
     import cProfile
     import pstats
 
     from pagas_cl.__main__ import run
 
     watch = cProfile.Profile()
-    watch.runcall(run, arguments(scene, out, preset))
+    watch.runcall(run, arguments(scene, out, more))
     pstats.Stats(watch).sort_stats("tottime").print_stats(35)
     pstats.Stats(watch).sort_stats("cumtime").print_stats(60)
 
@@ -92,21 +93,20 @@ def main() -> int:
     parse.add_argument("--views", type=int, default=49)
     parse.add_argument("--width", type=int, default=1600)
     parse.add_argument("--height", type=int, default=1200)
-    parse.add_argument("--preset", default="balanced")
     parse.add_argument("--times", type=int, default=2)
     parse.add_argument("--profile", action="store_true")
-    ask = parse.parse_args()
+    ask, more = parse.parse_known_args()
     with tempfile.TemporaryDirectory() as temporary:
         scene = ask.scene or Path(temporary) / "scene"
         if not (scene / "cameras.json").exists():
             make(scene, ask.views, ask.width, ask.height)
         for number in range(ask.times):
             out = Path(temporary) / f"out{number}"
-            seconds = timed(scene, out, ask.preset)
+            seconds = timed(scene, out, more)
             parts = ", ".join(f"{name} {value:.3g}" for name, value in told(out).items())
-            print(f"{ask.preset}, run {number + 1}: {seconds:.2f} s ({parts})", flush=True)
+            print(f"run {number + 1}: {seconds:.2f} s ({parts})", flush=True)
         if ask.profile:
-            profile(scene, Path(temporary) / "profiled", ask.preset)
+            profile(scene, Path(temporary) / "profiled", more)
     return 0
 
 

@@ -108,7 +108,7 @@ def test_one_wrong_camera_is_named_and_left_out(relief, device):
     (dict(exposure=0.3, foreground=True, noise=3.0), 0.2), (dict(zooms=(1.0, 1.4, 0.8), sizes=(1.0, 1.3)), 0.35),
     (dict(base=0.0, detail=0.0, steps=0), 0.2)], ids=["masks, exposure, noise", "mixed", "plane"])
 def test_hard_scenes(settings, most, device):
-    case = Case(160, 120, **settings)
+    case = Case(120, 90, **settings)
     cameras = noisy(case.cameras, 1.0, 0)
     found = refine_cameras(case.through(cameras), case.depths, device=device)
     assert found.accepted and case.error(found.cameras) < most < case.error(cameras)
@@ -146,7 +146,7 @@ def test_the_effect_moves_cameras_before_views_are_refined(relief, off_by_one, d
     from pagas_cl.refine import refine_views
 
     cameras, found = off_by_one
-    config = pagas_cl.preset("balanced").with_settings(pyramid__steps=(4,))
+    config = pagas_cl.preset("balanced").with_settings(pyramid__steps=(16,))
     views, names = relief.through(cameras), [relief.views[0].name]
     result, = refine_views(views, relief.depths, names=names, config=config, device=device)
     assert np.array_equal(result.camera.world_to_camera, found.cameras[0].world_to_camera)

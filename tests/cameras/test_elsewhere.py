@@ -6,13 +6,13 @@ from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 import numpy as np
 import pytest
 from support.camera_noise import noisy
+from support.scenes import relief_scene
 
 from pagas_cl.cameras.refine import refine_cameras
 from pagas_cl.errors import DeviceError, InputError, PagasError
 from pagas_cl.jobs.executors import SerialExecutor, Workers
 from pagas_cl.jobs.parts import results_of
 from pagas_cl.scene.view import View
-from pagas_cl.synthetic import relief_scene
 
 pytestmark = pytest.mark.slow
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from bench.cameras_far import far, table
+from support.scenes import relief_scene
 
 from pagas_cl.cameras.accept import beyond
 from pagas_cl.cameras.motion import exponential
 from pagas_cl.cameras.turns import first_turns, turned
 from pagas_cl.scene.view import View
-from pagas_cl.synthetic import relief_scene
 
 pytestmark = pytest.mark.slow
 

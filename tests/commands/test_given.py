@@ -70,4 +70,5 @@ def test_check_answers_for_depth(tmp_path, capsys):
     assert run(["check", str(tmp_path / "a")]) == 0
     said = capsys.readouterr()
     assert "the cameras are right as they are" in said.out and "depth maps disagreed by" in said.err
+    assert "3 of 3 cameras see the surface of the depth maps, and" in said.out and "mesh" not in said.out
     assert run(["demo", "--format", "vgtt", "--output", str(tmp_path / "b")]) == 2

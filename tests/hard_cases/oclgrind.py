@@ -62,7 +62,7 @@ def inside() -> None:
     for module in (options, composite):      # Oclgrind adds up the local memory of all kernels of a program
         module.LIST_GROUP = (16, 4)
     for name, settings in SETTINGS.items():
-        scene = make.crowded(16, 14) if "crowded" in name else make.base(size=(18, 16))
+        scene = make.crowded(16, 14) if "crowded" in name else make.base(size=(17, 12))
         smoothness = "normal" if "switches" in name else "planar"
         scales = (0.5, 1.0) if name in BLENDS else (1.0,)
         config = BLENDS[name.split(",")[0]].with_settings(**settings, smoothness__kind=smoothness,
@@ -76,7 +76,7 @@ def inside() -> None:
             on = replace(device, lanes=4) if "lanes" in name else device        # as on a CPU
             start = upload(device, np.float32(scene.depth)) if "grey, L1" in name else None    # as rounds have it
             refine_levels(scene.target, scene.contexts, scene.depth, config, on, start=start)
-    scene = make.base(size=(18, 16))
+    scene = make.base(size=(17, 12))
     adjust_cameras(scene, device)
     solve_a_mesh(scene, device)
     agree(scene, device)

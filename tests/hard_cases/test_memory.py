@@ -230,6 +230,17 @@ def test_what_is_given_back_waits_for_its_role_and_never_beyond_the_plan():
     assert not counter._kept                             # nor is there anything for sizes that never come again
 
 
+def test_memory_of_its_own_lets_more_wait():
+    device, counter = open_device(), Memory("a device", 1000, spare=0.5)
+    counter.begin(200)
+    for number in range(3):
+        counter.buffer(device.context, 200, f"role {number}").release()
+    assert (counter.held, counter.waiting) == (0, 400)   # half of 1000: the one that has waited longest went
+    counter.limit = 600
+    counter.begin(200)
+    assert counter.waiting == 200
+
+
 def test_a_run_leaves_nothing_waiting():
     made = relief_scene(48, 36, contexts=2)
     device = open_device()

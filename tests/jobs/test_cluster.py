@@ -6,12 +6,16 @@ import subprocess
 import sys
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from support import job_scenes as work
+from support.camera_noise import noisy
 from support.job_scenes import QUICK, TESTS, bytes_of, compile_once, load_small_scene, said, write_small_scene
 
 import pagas_cl.__main__ as command_line
+from pagas_cl.cameras.refine import refine_cameras
 from pagas_cl.jobs import refine_all
 from pagas_cl.refine import refine_one, refine_views
 
@@ -128,3 +132,15 @@ def test_temporary_results_come_back_whole(scene, cluster):
     executor = cluster.client.get_executor(pure=False)
     results = refine_views(views, depths, names=["target"], config=QUICK, executor=executor)
     assert results[0].confidence.shape == (48, 64) and results[0].report["worker"]
+
+
+def test_blocks_of_cameras_are_added_up_by_its_workers(scene, cluster, monkeypatch):
+    views, depths = (part[:7] for part in load_small_scene(scene))
+    cameras = noisy([view.camera for view in views], 1.0, 0)
+    views = [replace(view, camera=camera) for view, camera in zip(views, cameras)]
+    alone = refine_cameras(views, depths)
+    cluster.add("127.0.0.2")
+    cluster.ready(1)
+    monkeypatch.setattr("pagas_cl.cameras.blocks.blocks", None)      # not in this process
+    found = refine_cameras(views, depths, executor=cluster.address)
+    assert found.moved.max() > 0.1 and np.array_equal(found.moved, alone.moved) and found.pairs == alone.pairs

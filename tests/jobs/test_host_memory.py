@@ -6,6 +6,7 @@ import pytest
 from support.job_scenes import QUICK, load_small_scene, write_small_scene
 
 pytest.importorskip("pyopencl")
+from pagas_cl import rounds
 from pagas_cl.jobs import worker
 from pagas_cl.refine import refine_views
 from pagas_cl.result import DepthResult
@@ -47,6 +48,24 @@ def test_depth_maps_of_the_round_before_are_let_go_of(scene, tmp_path, device, m
     here = refine_views(views, depths, config=config, device=device)
     assert not held
     assert all((a.depth == b.depth).all() for a, b in zip(stored, here))
+
+
+def test_a_device_with_memory_of_its_own_has_the_results_of_the_round_before(scene, tmp_path, device, monkeypatch):
+    views, depths = scene
+    config = QUICK.with_settings(agreement__rounds=2, agreement__steps=0.5, effects__agreement="on")
+    wanted, sent = refine_views(views, depths, config=config, device=device), []
+    make, send = worker.WorkerContext, rounds.send
+
+    def on_its_own(device):
+        context = make(device)
+        context.photos.on_host = False
+        return context
+
+    monkeypatch.setattr(worker, "WorkerContext", on_its_own)
+    monkeypatch.setattr(rounds, "send", lambda *given: sent.append(given) or send(*given))
+    found = refine_views(views, depths, config=config, device=device, folder=tmp_path)
+    assert len(sent) == 2 * sum(not result.reason for result in found)        # once a round that another follows
+    assert all((a.depth == b.depth).all() for a, b in zip(found, wanted))
 
 
 def test_what_a_run_will_take_is_told(scene, device, caplog):

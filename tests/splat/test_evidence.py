@@ -74,7 +74,13 @@ def entered_level(device, config, scene):
     return level, depth_per_parallax, initial, normalized
 
 
-def test_verdicts_equal_the_twin(device):
+@pytest.fixture
+def without_holding(monkeypatch):
+    """What no photo speaks for is held in a test of its own."""
+    monkeypatch.setattr(Evidence, "_hold_silent", lambda *_: 0)
+
+
+def test_verdicts_equal_the_twin(device, without_holding):
     rng = np.random.default_rng(5)
     scene = Scene.make(17, width=45, height=37, contexts=3, masks=True)
     config = CONFIG.with_settings(solver__max_move=0.5, solver__mismatch=0.9, solver__tolerance=0.1)
@@ -218,7 +224,28 @@ def test_refusal_equals_the_twin(kernels):
     assert (got == twin.refuse(status, growth))[sure].all()
 
 
-def test_verdicts_with_witnesses_equal_the_twin(device):
+def test_holding_what_photos_are_silent_about_equals_the_twin(kernels):
+    """Every status; columns where photos speak for all, some and none."""
+    rng = np.random.default_rng(6)
+    height, width = shape = 41, 70
+    status = rng.choice(np.array([0, 1, 1, 1, 1, 1, 1, 2, 3], np.uint8), shape)
+    initial = rng.uniform(1, 2, shape).astype(np.float32)
+    refined = initial + np.float32(0.1)
+    deviation = np.where(rng.uniform(size=shape) < np.linspace(1.2, -0.6, width), 0.1, np.inf).astype(np.float32)
+    *_, spoken = kernels("mark_spoken", (height * width,), status, deviation, height * width,
+                         np.zeros((*shape, 2), np.float32))
+    _, rows = kernels("sum_window", (width, height), spoken, 2, width, height, 1, 0, np.zeros_like(spoken))
+    _, around = kernels("sum_window", (width, height), rows, 2, width, height, 0, 1, np.zeros_like(spoken))
+    _, depth, _, _, got, silent = kernels("hold_silent", (height * width,), initial, refined.copy(), deviation, around,
+                                          height * width, status, np.zeros(1, np.uint32))
+    want, statuses = twin.hold_silent(initial.astype(np.float64), refined.astype(np.float64), status, deviation)
+    assert np.abs(depth - want).max() < 1e-6 and (got == statuses).all()
+    assert silent[0] == ((got == 2) & (status == 1)).sum() > 100
+    between = (depth != initial) & (depth != refined)
+    assert between.sum() > 100 and (depth == refined)[status == 1].sum() > 100
+
+
+def test_verdicts_with_witnesses_equal_the_twin(device, without_holding):
     """The whole way: decided by two views, refused by either of two others, feathered, and judged by those."""
     rng = np.random.default_rng(5)
     scene = Scene.make(17, width=45, height=37, contexts=4, masks=True)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.scenes import relief_scene
 from twins import mismatch as twin
 
 from pagas_cl.effects import decide_mismatch
@@ -14,7 +15,6 @@ from pagas_cl.refine import refine_depth
 from pagas_cl.runtime.memory import download
 from pagas_cl.splat import mismatch
 from pagas_cl.splat.buffers import SampleGrid, Size
-from pagas_cl.synthetic import relief_scene
 
 pytestmark = pytest.mark.kernels
 

@@ -76,7 +76,7 @@ EFFECTS = {
         is_on=lambda config: config.loss.structure,
         on=dict(loss__structure=True, loss__robust=0.5),
         off=dict(loss__structure=False, loss__robust=0.0),
-        macros=("STRUCTURE", "ROBUST"),
+        macros=("STRUCTURE", "ROBUST"), parameters=("robust",),
         cases={"structure": dict(loss__structure=True, loss__ssim=1.0)}),
     "antialiasing": Effect(
         below=dict(smallest=0.5), above=dict(smallest=0.2),

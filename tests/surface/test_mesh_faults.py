@@ -79,6 +79,20 @@ def test_new_faults_are_mended_and_told(device):
     assert np.array_equal(same, split) and "0 vertices went" in told
 
 
+def test_sides_that_went_through_each_other_go_back(device):
+    """Where neighbours are no help: two sides of one bent sheet, each evenly moved beyond the other."""
+    points, faces = sheet()
+    column = points[:, 0]
+    bent = np.stack([np.minimum(column, 13 - column), points[:, 1], column // 6.5], axis=1)
+    moved = bent.copy()
+    inside = (abs(bent[:, 0] - 3) < 2) & (abs(bent[:, 1] - 6) < 4)
+    moved[inside, 2] = 1 - bent[inside, 2]
+    vertices, told = without_new(device, Surface(bent, faces), None, moved)
+    own = np.zeros(len(bent), np.int32)
+    assert faults(device, bent, moved, faces, own).any() and not faults(device, bent, vertices, faces, own).any()
+    assert np.array_equal(vertices[bent[:, 1] < 1], bent[bent[:, 1] < 1]) and ", 0 of them where none did" in told
+
+
 def test_vertices_at_one_place_stay_together(device):
     points, faces = sheet()
     halves = np.array_split(faces, 2)

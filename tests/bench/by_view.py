@@ -1,0 +1,128 @@
+"""Real photos, view by view: held-out photos through the input, refined depth, and refined depth with refined cameras.
+
+    python tests/bench/by_view.py hololens_rgbd OUT
+    python tests/bench/by_view.py dtu_scan24 OUT --mesh dtu_scan24/derived/mesh_coarse.ply --share 0.5 --judges 2
+
+Every fourth photo is held out from everything; each view is judged by the nearest of them (all by default), of which a
+photo counts that sees at least `--pixels` of it, its pose fitted to each of the three surfaces first. Medians of 7x7
+patches' correlation, means over the judges; the error of the gain: blocks of 32 x 32 pixels of the view drawn anew, the
+same ones for all judges, 200 times. OUT gets views.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+SIDE, DRAWS, EVERY = 32, 200, 4     # pixels of a block; draws; of so many pixels along rows and columns one is drawn
+
+
+def error_of_gain(pairs) -> float:
+    """Standard deviation of the mean over `pairs` (correlations before and after, (H, W), NaN where none) of the
+    difference of medians."""
+    rng, told = np.random.default_rng(0), []
+    numbers = np.add.outer(np.arange(pairs[0][0].shape[0]) * EVERY // SIDE * 1000,
+                           np.arange(pairs[0][0].shape[1]) * EVERY // SIDE)
+    parts = [[part[np.isfinite(both).all(axis=0)] for part in (*both, numbers)] for both in map(np.array, pairs)]
+    blocks, numbered = np.unique(np.concatenate([part[2] for part in parts]), return_inverse=True)
+    cuts = np.cumsum([len(part[2]) for part in parts])[:-1]
+    for _ in range(DRAWS):
+        weights = np.split(rng.multinomial(len(blocks), np.ones(len(blocks)) / len(blocks))[numbered], cuts)
+        told.append([_median(after, w) - _median(before, w) for (before, after, _), w in zip(parts, weights)])
+    return float(np.nanstd(np.nanmean(told, axis=1)))
+
+
+def _median(values, weights) -> float:
+    order = np.argsort(values)
+    upto = np.cumsum(weights[order])
+    return values[order][np.searchsorted(upto, upto[-1] / 2)] if upto[-1] else np.nan
+
+
+def row(view, given, candidates, judges, depths, device, least, photos) -> tuple | None:
+    """Number of judges, means of their medians for each candidate, gain of the last over the first, its error; `judges`
+    are views, `depths` theirs; None where no judge sees `least` pixels."""
+    from pagas_cl.cameras.judge import fitted_pose
+    from pagas_cl.evaluate import compare_predictions, predict_photo
+
+    told = []
+    for judge, depth in zip(judges, depths):
+        if predict_photo(view, given, judge, depth).pixels >= least:
+            fitted = [fitted_pose(judge, view, one, depth, device, photos) for one in candidates]
+            told.append(compare_predictions(view, candidates, fitted, depth))
+    told = [those for those in told if those[0].pixels >= least]
+    if not told:
+        return None
+    medians = np.mean([[one.median for one in those] for those in told], axis=0)
+    gain = medians[-1] - medians[0]
+    pairs = [[one.correlation[::EVERY, ::EVERY] for one in (those[0], those[-1])] for those in told]
+    return len(told), *medians, gain, error_of_gain(pairs) if gain else 0.0
+
+
+def table(rows: dict) -> str:
+    lines = ["| view | judges | input | refined, cameras as given | cameras refined first | gain | |", "|" + "---|" * 7]
+    for name, (number, *medians, gain, error) in rows.items():
+        cells = [name, number, *(f"{median:.4f}" for median in medians), f"{gain:+.4f} ± {error:.4f}",
+                 ("worse", "equal", "better")[1 + int(np.sign(gain))]]
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    told = np.array(list(rows.values()))
+    counts = [", ".join(str((np.sign(gain) == way).sum()) for way in (1, 0, -1))
+              for gain in (told[:, 2] - told[:, 1], told[:, 4])]
+    means = ", ".join(f"{mean:.4f}" for mean in told[:, 1:4].mean(axis=0))
+    return "\n".join([*lines, "", f"Better, equal, worse: {counts[0]} with cameras as given, {counts[1]} with refined "
+                      f"ones, {(told[:, 4] < -2 * told[:, 5]).sum()} worse by more than two errors; means {means}"])
+
+
+def main() -> int:
+    parse = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parse.add_argument("scene", type=Path)
+    parse.add_argument("out", type=Path)
+    parse.add_argument("--mesh", type=Path)
+    parse.add_argument("--depth-dir", type=Path)
+    parse.add_argument("--share", type=float, default=1.0, help="of the photos' size")
+    parse.add_argument("--judges", type=int, default=1000, help="the nearest held-out photos of a view")
+    parse.add_argument("--pixels", type=int, default=1000)
+    parse.add_argument("--preset", default="balanced")
+    parse.add_argument("--device")
+    ask = parse.parse_args()
+    from cameras import refined
+    from real import _fitting, load
+
+    from pagas_cl.cameras.refine import refine_cameras
+    from pagas_cl.presets import preset
+    from pagas_cl.refine import initial_depths
+    from pagas_cl.runtime.device import open_device
+    from pagas_cl.scene.mesh import to_surface
+    from pagas_cl.splat import PhotoStore
+
+    config, device = preset(ask.preset), open_device(ask.device)
+    views, depths = load(ask.scene, ask.mesh, ask.depth_dir, ask.share)
+    held = np.arange(2, len(views), 4)
+    kept = [k for k in range(len(views)) if k not in held]
+    own, maps = [views[k] for k in kept], [depths[k] for k in kept]
+    surface = maps if ask.mesh is None else to_surface(ask.mesh)
+    found = refine_cameras(own, surface, config=config, device=device)
+    sys.stderr.write(f"{found}\n")
+    moved = [replace(view, camera=camera) for view, camera in zip(own, found.cameras)]
+    drawn = found.scaled(maps) if ask.mesh is None else [
+        _fitting(depth, view.camera) for depth, view in zip(initial_depths(surface, moved), moved)]
+    names, rows, photos = [view.name for view in own], {}, PhotoStore(device)
+    without, with_them = (refined(*those, config, device, names) for those in ((own, maps), (moved, drawn)))
+    axes = np.array([views[k].camera.direction for k in held])
+    for view, depth, first in zip(own, maps, drawn):
+        judges = held[np.argsort(-axes @ view.camera.direction, kind="stable")[:ask.judges]]
+        told = row(view, depth, [first, without[view.name].depth, with_them[view.name].depth],
+                   [views[k] for k in judges], [depths[k] for k in judges], device, ask.pixels, photos)
+        if told:
+            rows[view.name] = told
+    ask.out.mkdir(parents=True, exist_ok=True)
+    (ask.out / "views.md").write_text(table(rows) + "\n")
+    sys.stdout.write(table(rows) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
