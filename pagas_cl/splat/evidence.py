@@ -165,10 +165,10 @@ class Evidence:
                    self.bind("deviate", file="deviation.cl", status=status, before=self._before, after=self._after,
                              bent=bent, error_factor=self.prior.error_factor, misaligned=self.prior.misaligned,
                              mismatch=solver.mismatch, deviation=deviation, **extent)])
-        whole = self.costs() if told else (float("nan"), float("nan"))
-        judged = tuple(one.judge() for one in held_out if told)
-        silent = self._hold_silent(status, deviation) if told else 0
-        return EvidenceDecision(status, deviation, whole, judged, silent, noise)
+        if not told:
+            return EvidenceDecision(status, deviation, (float("nan"), float("nan")), (), 0, noise)
+        costs, judged = self.costs(), tuple(evidence.judge() for evidence in held_out)
+        return EvidenceDecision(status, deviation, costs, judged, self._hold_silent(status, deviation), noise)
 
     def _hold_silent(self, status: cl.Buffer, deviation: cl.Buffer) -> int:
         """Take back what smoothness alone moved; returns the number of depths that are where they were, then."""
