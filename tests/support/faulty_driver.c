@@ -64,7 +64,7 @@ cl_int clBuildProgram(void *program, cl_uint count, void *const *devices, const 
             sleep(1000);
         if (fault_is("wrong")) {
             char *more = malloc(strlen(options) + 64);
-            sprintf(more, "%s -DRADIUS=0.9f", options);
+            sprintf(more, "%s -DSPAN=2", options);
             return real(program, count, devices, more, done, data);
         }
     }
