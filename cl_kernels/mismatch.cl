@@ -86,5 +86,6 @@ __kernel void take_back(__global const float *initial, __global const float *dep
     if (status[i] != REFINED)
         return;
     const float kept = smooth[i] + (1.0f - noise_in(sums, i)) * detail_of(d0, d, u, smooth[i]);
-    depth[i] = d0 / (1.0f - kept * u / d0);
+    const float nearer = 1.0f - kept * u / d0;       // beyond all distances where a change is as large as the depth
+    depth[i] = nearer > NEAR ? d0 / nearer : d;
 }

@@ -106,7 +106,6 @@ def bilinear(pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         fx, fy = fx[..., None], fy[..., None]
     flat, first = pixels.reshape(height * width, *pixels.shape[2:]), top * width + left
     right, below = min(1, width - 1), width * min(1, height - 1)
-
     upper, lower = (flat.take(places, axis=0) * (1 - fx) + flat.take(places + right, axis=0) * fx
                     for places in (first, first + below))
     mixed: np.ndarray = upper * (1 - fy) + lower * fy

@@ -42,5 +42,6 @@ def taken_back(initial, depth, parallax, status, information):
     total, number = (sum(_moved(values, dv, du) for dv in side for du in side) for values in (chances, ok * 1.0))
     share = np.minimum(NOISE * number / np.maximum(total, 1e-12), 1)
     kept = changes - share * detail
-    found = np.where(ok, initial / (1 - kept * unit / np.where(ok, initial, 1)), depth)
+    nearer = 1 - kept * unit / np.where(ok, initial, 1)
+    found = np.where(ok & (nearer > 1e-3), initial / np.where(nearer > 1e-3, nearer, 1), depth)
     return found, np.where(np.abs(detail) < FINE, 0, share)
