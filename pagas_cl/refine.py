@@ -246,12 +246,11 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
     if not partners.contexts:
         log.warning("view %s is kept as it came: %s", target.name, partners.reason)
         return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
-    chosen = partners
-    partners, decision = views_to_ask(views, chosen, depth, config, device, photos)
-    result = refine_depth(target, [views[k] for k in partners.contexts], depth, config=config, device=device,
-                          progress=progress, photos=photos, held_out=[views[k] for k in partners.held_out])
+    asked, decision = views_to_ask(views, partners, depth, config, device, photos)
+    result = refine_depth(target, [views[k] for k in asked.contexts], depth, config=config, device=device,
+                          progress=progress, photos=photos, held_out=[views[k] for k in asked.held_out])
     result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
-    result.report["left_out"] = [k for k in chosen.all if k not in partners.all]        # by place: not all have names
+    result.report["left_out"] = [k for k in partners.all if k not in asked.all]         # by place: not all have names
     return result
 
 

@@ -176,7 +176,7 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     frames = Frames(adjuster, views, depths, moves, photos)
     finest = min(1.0, float(np.sqrt(_FINEST / np.median([c.width * c.height for c in given]))))
     rounds = Rounds(frames, pairs, finest, typical, progress, make_blocks)
-    numbers = ("focal" in unknowns) * (0,) + ("principal_point" in unknowns) * (1, 2)
+    numbers = ((0,) if "focal" in unknowns else ()) + ((1, 2) if "principal_point" in unknowns else ())
     state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
                   _lenses(given, unknowns, lenses), numbers, _map_numbers(unknowns))
     if state.map_numbers:

@@ -193,25 +193,16 @@ class _Sweep:
     def __init__(self, views: Sequence[View], depths: Sequence[np.ndarray | None], pairs: list[tuple[int, int]],
                  side: int):
         self.pairs, self.patches = pairs, dict[int, _Patches]()
-        self.cameras = dict[int, Camera]()
         self._turned = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]()      # rays of i as j has them, and tau
         chosen = sorted({k for pair in pairs for k in pair})
-
-        def seen(k: int) -> np.ndarray:
-            size = self.cameras[k].width, self.cameras[k].height
-            return np.ascontiguousarray(grey_of(photo_to(views[k].load_image(), *size)))
-
-        for k in chosen:
-            camera = views[k].camera
-            scale = min(1.0, side / max(camera.width, camera.height))
-            self.cameras[k] = camera.resized(max(8, round(camera.width * scale)), max(8, round(camera.height * scale)))
-        self.greys = dict(zip(chosen, side_by_side(seen, chosen)))
-        for k in chosen:
-            size = self.cameras[k].width, self.cameras[k].height
-            depth = depths[k]
-            if depth is not None and any(k == i for i, _ in pairs):
-                resized = depth_down if depth.shape[1] >= size[0] else depth_up
-                self.patches[k] = _patches(self.cameras[k], self.greys[k], resized(depth, *size))
+        sizes = {k: _within(side, views[k].camera) for k in chosen}
+        self.cameras = {k: views[k].camera.resized(*size) for k, size in sizes.items()}
+        self.greys = dict(zip(chosen, side_by_side(lambda k: np.ascontiguousarray(
+            grey_of(photo_to(views[k].load_image(), *sizes[k]))), chosen)))
+        for k in sorted({i for i, _ in pairs}):
+            if (depth := depths[k]) is not None:
+                resized = depth_down if depth.shape[1] >= sizes[k][0] else depth_up
+                self.patches[k] = _patches(self.cameras[k], self.greys[k], resized(depth, *sizes[k]))
         every = np.concatenate([patches.depth.ravel() for patches in self.patches.values()])
         self.middle = float(np.median(every)) if len(every) else 1.0
         self.parallax = self._parallax()
@@ -283,6 +274,11 @@ class _Sweep:
         found, _ = self.across(i, j, moves, log_scale, bent)
         good = np.isfinite(found).all(axis=0)
         return np.array([row[good].mean() for row in found]) if good.sum() >= _LEAST else np.full(len(moves), np.nan)
+
+
+def _within(side: int, camera: Camera) -> tuple[int, int]:
+    scale = min(1.0, side / max(camera.width, camera.height))
+    return max(8, round(camera.width * scale)), max(8, round(camera.height * scale))
 
 
 def _patches(camera: Camera, grey: np.ndarray, depth: np.ndarray) -> _Patches:

@@ -74,19 +74,24 @@ def _mended(device: Device, start: np.ndarray, now: np.ndarray, faces: np.ndarra
     """Places of vertices at `now`, moved until no face has a fault beyond those it may be `let`: around `found` ones,
     farther and farther, ways from `start` become the means of their neighbours' or, with `back`, are halved."""
     for turn in range(_TURNS):
-        rings, marked = turn // 3, _marked(faces, faces[found & ~let > 0], turn // 3)
+        marked = _marked(faces, faces[found & ~let > 0], turn // 3)
         near = faces[marked[faces].any(axis=1)]
-        for _ in range(1 if back else rings + 1):
-            way, total, number = now - start, np.zeros(now.shape), np.zeros(len(now))
-            for side in range(0 if back else 3):
-                np.add.at(total, near[:, side], way[near[:, side - 1]] + way[near[:, side - 2]])
-                np.add.at(number, near[:, side], 2)
-            even = way / 2 if back else total / np.maximum(number, 1)[:, None]
-            now = np.where(marked[:, None], start + even, now)
+        for _ in range(1 if back else turn // 3 + 1):
+            ways = (now - start) / 2 if back else _neighbours_mean(now - start, near)
+            now = np.where(marked[:, None], start + ways, now)
         found = faults(device, start, now, faces, part)
         if not (found & ~let).any():
             break
     return now
+
+
+def _neighbours_mean(ways: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The mean over the other corners of a vertex's faces, of all vertices (V, 3); 0 where it has no face."""
+    total, number = np.zeros(ways.shape), np.zeros(len(ways))
+    for side in range(3):
+        np.add.at(total, faces[:, side], ways[faces[:, side - 1]] + ways[faces[:, side - 2]])
+        np.add.at(number, faces[:, side], 2)
+    return total / np.maximum(number, 1)[:, None]
 
 
 def _count(found: np.ndarray, fault: int) -> int:

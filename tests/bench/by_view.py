@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -89,31 +88,20 @@ def main() -> int:
     parse.add_argument("--device")
     ask = parse.parse_args()
     from cameras import refined
-    from real import _fitting, load
+    from real import nearest_held, with_cameras
 
-    from pagas_cl.cameras.refine import refine_cameras
     from pagas_cl.presets import preset
-    from pagas_cl.refine import initial_depths
     from pagas_cl.runtime.device import open_device
-    from pagas_cl.scene.mesh import to_surface
     from pagas_cl.splat import PhotoStore
 
     config, device = preset(ask.preset), open_device(ask.device)
-    views, depths = load(ask.scene, ask.mesh, ask.depth_dir, ask.share)
-    held = np.arange(2, len(views), 4)
-    kept = [k for k in range(len(views)) if k not in held]
-    own, maps = [views[k] for k in kept], [depths[k] for k in kept]
-    surface = maps if ask.mesh is None else to_surface(ask.mesh)
-    found = refine_cameras(own, surface, config=config, device=device)
+    views, depths, held, (own, maps), found, (moved, drawn) = with_cameras(
+        ask.scene, ask.mesh, ask.depth_dir, ask.share, config, device)
     sys.stderr.write(f"{found}\n")
-    moved = [replace(view, camera=camera) for view, camera in zip(own, found.cameras)]
-    drawn = found.scaled(maps) if ask.mesh is None else [
-        _fitting(depth, view.camera) for depth, view in zip(initial_depths(surface, moved), moved)]
     names, rows, photos = [view.name for view in own], {}, PhotoStore(device)
     without, with_them = (refined(*those, config, device, names) for those in ((own, maps), (moved, drawn)))
-    axes = np.array([views[k].camera.direction for k in held])
     for view, depth, first in zip(own, maps, drawn):
-        judges = held[np.argsort(-axes @ view.camera.direction, kind="stable")[:ask.judges]]
+        judges = nearest_held(views, held, view, ask.judges)
         told = row(view, depth, [first, without[view.name].depth, with_them[view.name].depth],
                    [views[k] for k in judges], [depths[k] for k in judges], device, ask.pixels, photos)
         if told:

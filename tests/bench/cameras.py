@@ -16,7 +16,6 @@ import argparse
 import json
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -196,26 +195,15 @@ def draw_meshes(file: Path, config, *runs) -> None:
 
 def real(scene: Path, mesh, depth_dir, share: float, number: int, judges: int, config, device, tell,
          out: Path) -> list[dict]:
-    """A row for each of `number` views and its `judges` nearest held-out photos. With a mesh depth maps are drawn anew
-    through the refined cameras, as refine_mesh does it."""
-    from real import _fitting, load
+    """A row for each of `number` views and its `judges` nearest held-out photos."""
+    from real import nearest_held, with_cameras
 
     from pagas_cl.cameras.judge import fitted_pose
-    from pagas_cl.cameras.refine import refine_cameras
     from pagas_cl.evaluate import compare_predictions
-    from pagas_cl.refine import initial_depths
-    from pagas_cl.scene.mesh import to_surface
 
-    views, depths = load(scene, mesh, depth_dir, share)
-    held = list(range(2, len(views), 4))
-    kept = [k for k in range(len(views)) if k not in held]
-    own, maps = [views[k] for k in kept], [depths[k] for k in kept]
-    surface, drawn = maps if mesh is None else to_surface(mesh), maps
-    found = refine_cameras(own, surface, config=config, device=device)
+    views, depths, held, (own, maps), found, (moved, drawn) = with_cameras(scene, mesh, depth_dir, share, config,
+                                                                           device)
     tell({key: value for key, value in found.as_dict().items() if key != "rounds"})
-    moved = [replace(view, camera=camera) for view, camera in zip(own, found.cameras)]
-    if mesh is not None and found.accepted:
-        drawn = [_fitting(depth, view.camera) for depth, view in zip(initial_depths(surface, moved), moved)]
     names = [own[k].name for k in np.unique(np.linspace(0, len(own) - 1, number).astype(int))]
     without, with_them = (refined(those, depths, config, device, names) for those, depths in
                           ((own, maps), (moved, drawn)))
@@ -230,8 +218,7 @@ def real(scene: Path, mesh, depth_dir, share: float, number: int, judges: int, c
     for view, depth in zip(own, maps):
         if view.name not in names:
             continue
-        axes = np.array([views[k].camera.direction for k in held])
-        for k in np.array(held)[np.argsort(-axes @ view.camera.direction, kind="stable")[:judges]]:
+        for k in nearest_held(views, held, view, judges):
             candidates = [depth, without[view.name].depth, with_them[view.name].depth]
             fitted = [fitted_pose(views[k], view, one, depths[k], device) for one in candidates]
             told = compare_predictions(view, candidates, fitted, depths[k])

@@ -180,6 +180,33 @@ def summary(rows: list[Row]) -> str:
             f"median seconds a view {np.median([r.seconds for r in rows]):.3f}")
 
 
+def with_cameras(scene: Path, mesh, depth_dir, share: float, config, device):
+    """Views and depth maps of a real scene, places of every fourth, which is held out from everything; of the others
+    views and depth maps as given, what refine_cameras found, and views and depth maps with that: with a mesh drawn anew
+    through the refined cameras, as refine_mesh does it."""
+    from pagas_cl.cameras.refine import refine_cameras
+    from pagas_cl.refine import initial_depths
+    from pagas_cl.scene.mesh import to_surface
+
+    views, depths = load(scene, mesh, depth_dir, share)
+    held = np.arange(2, len(views), 4)
+    kept = [k for k in range(len(views)) if k not in held]
+    own, maps = [views[k] for k in kept], [depths[k] for k in kept]
+    surface = maps if mesh is None else to_surface(mesh)
+    found = refine_cameras(own, surface, config=config, device=device)
+    moved = [replace(view, camera=camera) for view, camera in zip(own, found.cameras)]
+    drawn = found.scaled(maps)
+    if mesh is not None and found.accepted:
+        drawn = [_fitting(depth, view.camera) for depth, view in zip(initial_depths(surface, moved), moved)]
+    return views, depths, held, (own, maps), found, (moved, drawn)
+
+
+def nearest_held(views, held, view, number: int):
+    """Places of the held-out views that look most as `view` does."""
+    axes = np.array([views[k].camera.direction for k in held])
+    return held[np.argsort(-axes @ view.camera.direction, kind="stable")[:number]]
+
+
 def main() -> int:
     parse = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parse.add_argument("scene", type=Path)
