@@ -135,6 +135,7 @@ def both(views, depths, config: Config, device):
     start = time.process_time()
     results = alone = refine_views(views, depths, config=config.with_settings(effects__agreement="off"), device=device)
     seconds = [time.process_time() - start]
+    views = [replace(view, camera=result.camera) for view, result in zip(views, results)]    # cameras that were refined
     chooser = PartnerChooser([view.camera for view in views], depths, config.context)
     partners, photos = [chooser.choose(k) for k in range(len(views))], PhotoStore(device)
     start = time.process_time()
