@@ -112,14 +112,16 @@ class _Kernel:
                         enumerate(program.signatures[name].items())}
         # set_arg takes a number for four other things first, by exceptions: 10 us each, more than a launch
         self._set_number = getattr(self.cl_kernel, "_set_arg_buf", self.cl_kernel.set_arg)
+        self._numbers: dict[str, Any] = {}
 
     def set(self, arguments: Mapping[str, Any]) -> None:
         for name, value in arguments.items():
             index, kind = self._places[name]
-            if kind:
-                self._set_number(index, _number(value, kind, self.name))
-            else:
+            if not kind:
                 self.cl_kernel.set_arg(index, value)
+            elif self._numbers.get(name) != value:        # it keeps the others from the last time
+                self._set_number(index, _number(value, kind, self.name))
+                self._numbers[name] = value
 
 
 def _number(value: Any, kind: str, name: str) -> np.generic:
@@ -251,13 +253,14 @@ def bind(program: Program, name: str, global_size: Sequence[int], local_size: Se
     has none of that name.
     """
     signature = program.signatures[name]
-    unknown, missing = arguments.keys() - signature, signature.keys() - arguments.keys() - known.keys()
-    if unknown or missing:
+    values = {**known, **arguments}
+    if not (arguments.keys() <= signature.keys() <= values.keys()):
+        unknown, missing = arguments.keys() - signature, signature.keys() - values.keys()
         raise TypeError(f"kernel {name} takes {', '.join(signature)}: missing {sorted(missing)}, unknown "
                         f"{sorted(unknown)}")
     source = (program.built.int_ptr, name)
     kernel = _idle[source].popleft() if _idle[source] else _Kernel(program, name)
-    kernel.set({argument: arguments[argument] if argument in arguments else known[argument] for argument in signature})
+    kernel.set({argument: values[argument] for argument in signature})
     group = tuple(local_size) if local_size else usual_group(global_size)
     if group:
         global_size = [-(-items // side) * side for items, side in zip(global_size, group)]

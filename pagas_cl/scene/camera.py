@@ -141,6 +141,8 @@ class Camera:
 
     def resized(self, width: int, height: int) -> "Camera":
         """The same camera for the image resampled to `width` x `height` (the image's corners stay in place)."""
+        if (width, height) == (self.width, self.height):
+            return self
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx,
                        cy=self.cy * sy)

@@ -106,8 +106,10 @@ class _Run:
         normalized = normalized or NormalizedDepth(target, depth, device)
         self.scene_scale, self.normalized = normalized.scene_scale, normalized
         self.threshold = normalized.depth_range / config.splatting.depth_slices
-        distance = viewing_distance([view.camera for view in self.views]) / self.scene_scale
-        self.distance = distance if np.isfinite(distance) else 1.0
+        self.distance = 1.0
+        if config.solver.rate_unit == "distance":
+            distance = viewing_distance([view.camera for view in self.views]) / self.scene_scale
+            self.distance = distance if np.isfinite(distance) else 1.0
 
     def at(self, scale: float) -> LevelInput:
         views = self.views + (self.held_out if scale == 1 else [])
