@@ -1,6 +1,10 @@
 """Launches of units.cl: depths from scene units to the device's units, and back."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
+import pyopencl as cl
 
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, build, run_once
@@ -10,20 +14,32 @@ from pagas_cl.splat.constants import SHARED
 _NONE_YET = np.array([np.inf, 0], np.float32)
 
 
+@dataclass(frozen=True)
+class Start:
+    """Where steps start from in place of the initial depth, on the device in scene units: `depth`; and `settle`, which
+    of depth, parallax, deviation and status, on the device, makes those that are given back, in `nbytes` more."""
+
+    depth: cl.Buffer
+    settle: Callable[..., tuple[cl.Buffer, ...]]
+    nbytes: int
+
+
 class NormalizedDepth:
     """The initial depth of a view on the device, in units of its median: made once for measuring and for refining.
 
     Depths outside NEAR to FAR units, masked out or not finite have no Gaussian. `scene_scale`: scene units per device
     unit; `depth_range`: of the valid depths, units; `given` and `buffer`: float32 of shape (H, W), in scene units as it
-    came, and in units, 0 = no surface.
+    came, and in units, 0 = no surface. Where `depth` is on the device already, `given` is that buffer, its owner's, and
+    `scene_scale` what a view without a mask has.
     """
 
-    def __init__(self, target, depth: np.ndarray, device):
+    def __init__(self, target, depth: np.ndarray, device, given: cl.Buffer | None = None, scene_scale: float = 0.0):
         depth = np.ascontiguousarray(depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32))
         mask = target.load_mask()
-        self.scene_scale, self._device = scene_scale_of(depth, mask), device
+        self.scene_scale = scene_scale if scene_scale and mask is None else scene_scale_of(depth, mask)
+        self._device, self._own, self._start = device, given is None, None
         with np.errstate(over="ignore"):
-            self.given = upload(device, depth.astype(np.float32, copy=False))
+            self.given = upload(device, depth.astype(np.float32, copy=False)) if given is None else given
         doubles = depth.dtype == np.float64          # rounded once, after the division
         if doubles:
             with np.errstate(over="ignore", invalid="ignore"):
@@ -41,10 +57,11 @@ class NormalizedDepth:
         for buffer in filter(None, (visible, bounds)):
             buffer.release()
 
-    def start_from(self, start, depth, count: int):
-        """Put into `depth`, a buffer in units, what the buffer `start` has in scene units, where both have one."""
+    def start_from(self, start: Start, depth, count: int):
+        """Put into `depth`, a buffer in units, what `start` has in scene units, where both have one."""
+        self._start = start
         run_once(self._device.queue, [
-            bind(build(self._device, "units.cl", SHARED), "start_from", (count,), start=start, count=count,
+            bind(build(self._device, "units.cl", SHARED), "start_from", (count,), start=start.depth, count=count,
                  scene_scale=self._device_scale(), depth=depth)])
 
     def denormalize(self, refined, parallax, status, deviation, shape):
@@ -58,11 +75,13 @@ class NormalizedDepth:
             bind(build(self._device, "units.cl", SHARED), "denormalize_depth", (n,), given=self.given, count=n,
                  scene_scale=self._device_scale(), depth=refined, parallax=parallax, status=status,
                  deviation=deviation)])
-        return tuple(download(self._device, buffer, shape, dtype) for buffer, dtype in (
-            (refined, np.float32), (parallax, np.float32), (deviation, np.float32), (status, np.uint8)))
+        found = (refined, parallax, deviation, status)
+        return tuple(download(self._device, buffer, shape, dtype) for buffer, dtype in zip(
+            self._start.settle(*found) if self._start else found, (np.float32, np.float32, np.float32, np.uint8)))
 
     def release(self):
-        self.given.release()
+        if self._own:
+            self.given.release()
         self.buffer.release()
 
     def _device_scale(self) -> float:
