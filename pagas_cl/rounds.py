@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from pagas_cl.config import Config
@@ -129,6 +130,7 @@ def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partn
     return average_depths(views, partners, results, config, device, photos, progress, between_rounds(config))
 
 
+@lru_cache(16)
 def _few(config: Config, contexts: int) -> Config:
     """Settings of so few steps, from a depth that is nearly right: smoothness raised at once. Photos that do not match
     anywhere around (solver.mismatch) do not tell one depth from another."""

@@ -72,7 +72,7 @@ def scene_scale_of(depth: np.ndarray, mask: np.ndarray | None) -> float:
 
 
 def _valid_of(depth: np.ndarray, mask: np.ndarray | None, every: int) -> np.ndarray:
-    some = depth.ravel()[::every]
+    some = np.ascontiguousarray(depth.ravel()[::every])
     valid = (some > 0) & (some < np.inf)
     if mask is not None:
         valid &= mask.ravel()[::every]
