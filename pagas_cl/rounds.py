@@ -75,6 +75,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     start, found = time.perf_counter(), {}
     if own.reason or not others:
         return own
+    promised = None if steps else Agreement.room(own)
     photos.trim(_BYTES * max(_pixels(result) for result in results))
 
     def owner(result: Any) -> Any:
@@ -111,7 +112,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
                              told)
             found = {name: getattr(stepped, name) for name in (*averaged, "parallax")}
         else:
-            found = comparison.read(averaged, *averaged)
+            found = comparison.read(averaged, promised)
     comparison.release()
     report["seconds"] = report.get("seconds", 0.0) + time.perf_counter() - start
     result = replace(own, report=report, **found)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.memory import download, fill, room, upload
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.sampling import scene_scale_of
 from pagas_cl.splat.constants import SHARED
@@ -52,6 +52,7 @@ class NormalizedDepth:
             bind(build(device, "units.cl", SHARED), "normalize_depth", (depth.size,), given=self.given, visible=visible,
                  count=depth.size, scene_scale=self._device_scale(), scaled=int(doubles), depth=self.buffer,
                  bounds=bounds)])
+        self._room = room(depth.shape, np.float32, np.float32, np.float32, np.uint8)
         nearest, farthest = download(device, bounds, 2)
         self.depth_range = max(0.0, float(farthest - nearest))
         for buffer in filter(None, (visible, bounds)):
@@ -65,7 +66,7 @@ class NormalizedDepth:
                  scene_scale=self._device_scale(), depth=depth)])
 
     def denormalize(self, refined, parallax, status, deviation, shape):
-        """(depth, parallax, deviation, status) on the host, scene units, from the buffers of `shape` in units.
+        """(depth, parallax, deviation, status) on the host, scene units, from the buffers of `shape` in units; once.
 
         A depth that was not refined comes back with the bits that it came with; a surface without a Gaussian counts as
         kept.
@@ -76,8 +77,7 @@ class NormalizedDepth:
                  scene_scale=self._device_scale(), depth=refined, parallax=parallax, status=status,
                  deviation=deviation)])
         found = (refined, parallax, deviation, status)
-        return tuple(download(self._device, buffer, shape, dtype) for buffer, dtype in zip(
-            self._start.settle(*found) if self._start else found, (np.float32, np.float32, np.float32, np.uint8)))
+        return fill(self._device, self._room, self._start.settle(*found) if self._start else found)
 
     def release(self):
         if self._own:

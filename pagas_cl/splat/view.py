@@ -47,7 +47,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     that the device has done, of those of all levels; `held_out` views take no part and judge the result; evidence and
     deviations depend on `measured` (Measurements); `normalized` is the depth where it is on the device already, and is
     used up. `start`: where the steps of a full-size level alone start from, in place of `depth`, which the evidence
-    compares with; it is not told then what photos say of the whole (cost, held_out). DeviceMemoryError comes before the first step, where the device may not hold what is planned.
+    compares with; it is not told then what photos say of the whole (cost, held_out). DeviceMemoryError comes before the
+    first step, where the device may not hold what is planned.
     """
     photos = photos or PhotoStore(device)
     cameras = [view.camera for view in (target, *contexts, *held_out)]

@@ -38,7 +38,7 @@ def trusted(view):
 
 def averaged(comparison, *given):
     found = comparison.average(*given)
-    return replace(comparison.own, **comparison.read(found, *found))
+    return replace(comparison.own, **comparison.read(found))
 
 
 @pytest.fixture
