@@ -4,7 +4,7 @@
 //   count_differences   how far one other view's surface is from the target's, counted in bins
 //   add_view            what that view says of each depth, weighted by deviations
 //   average             depth, deviation and status that follow
-//   settle              what of that holds once photos have had some steps from there
+//   keep_agreed         what of that holds once photos have had some steps from there
 #define CAMERA_SPACE __global const      // all views of a scene at once, more than constant memory may hold
 #include "camera.clh"
 
@@ -167,18 +167,18 @@ __kernel void average(int width, int height, float scale, float spread, float wi
 }
 
 // What no view has spoken for (`proposed`: status that `average` found), or the photos speak against, is as it was.
-__kernel void settle(int count, __global const uchar *proposed, __global const float *own_depth,
-                     __global const float *own_deviation, __global const uchar *own_status,
-                     __global const float *depth, __global const float *depth_per_parallax,
-                     __global const float *deviation, __global const uchar *status,          // after the steps
-                     __global float *settled, __global float *parallax, __global float *surer, __global uchar *found,
-                     __global float *inverse)
+__kernel void keep_agreed(int count, __global const uchar *proposed, __global const float *own_depth,
+                          __global const float *own_deviation, __global const uchar *own_status,
+                          __global const float *depth, __global const float *depth_per_parallax,
+                          __global const float *deviation, __global const uchar *status,          // after the steps
+                          __global float *agreed, __global float *parallax, __global float *surer, __global uchar *found,
+                          __global float *inverse)
 {
     EACH(i, count)
     const bool held = proposed[i] == REFINED && status[i] == REFINED;
-    settled[i] = held ? depth[i] : own_depth[i];
+    agreed[i] = held ? depth[i] : own_depth[i];
     surer[i] = held ? deviation[i] : own_deviation[i];
     found[i] = held ? status[i] : own_status[i];
     parallax[i] = depth_per_parallax[i];
-    inverse[i] = CONFIRMED(found[i], settled[i], surer[i]);
+    inverse[i] = CONFIRMED(found[i], agreed[i], surer[i]);
 }

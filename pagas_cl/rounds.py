@@ -25,7 +25,6 @@ from pagas_cl.surface.agreement import Agreement, Told, send
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
     from pagas_cl.splat import PhotoStore
-    from pagas_cl.splat.units import Start
 
 _BYTES = 64     # a pixel: more than a comparison takes beside the photos that wait on the device
 _LONGER = 1.4   # steps of a few: as far as half as many again would
@@ -83,8 +82,8 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
         return getattr(given, "identity", given)
 
     # once for all views of a round that are compared with it, whose arrays are not looked at again
-    comparison = Agreement(own, others, device, lambda result, whole: _told(owner(result), result, device, photos,
-                                                                             whole))
+    comparison = Agreement(own, others, device,
+                           lambda result, whole: _told(owner(result), result, device, photos, whole))
     spread = comparison.spread()
     decision = decide_agreement(spread, config)
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
@@ -99,17 +98,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
         if steps is not None:
             told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
             few = _few(steps, len(report["contexts"]))
-            from pagas_cl.splat.units import Start
-
-            settled: list[Told] = []
-
-            def settle(*found: Any) -> tuple[Any, ...]:
-                settled[:] = [comparison.settle(averaged["status"], *found)]
-                return settled[0].depth, settled[0].parallax, settled[0].deviation, settled[0].status
-
-            nbytes = Told.nbytes(_pixels(own), True)
-            stepped = _steps(views, partners, comparison, Start(averaged["depth"], settle, nbytes), few, device, photos,
-                             told)
+            stepped, left = _steps(views, partners, comparison, averaged, few, device, photos, told)
             found = {name: getattr(stepped, name) for name in (*averaged, "parallax")}
         else:
             found = comparison.read(averaged, promised)
@@ -119,7 +108,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     if photos.on_host:
         photos.forget([owner(own)])
     elif averaged is not None and steps is not None:        # for the next round
-        photos.held(result, nbytes, lambda: settled[0])
+        photos.held(result, Told.nbytes(_pixels(own), True), lambda: left)
     return result
 
 
@@ -141,16 +130,25 @@ def _few(config: Config, contexts: int) -> Config:
                                 solver__mismatch=2.0)
 
 
-def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement, start: Start,
-           config: Config, device: Device, photos: PhotoStore, told: Callable[[int, int], None] | None) -> Any:
-    """From `start`, on the device, for what the view called for when it was refined, or calls for now."""
+def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement,
+           averaged: Mapping[str, Any], config: Config, device: Device, photos: PhotoStore,
+           told: Callable[[int, int], None] | None) -> tuple[Any, Told]:
+    """From what was `averaged`, for what the view called for when it was refined, or calls for now; and the same on the
+    device."""
     from pagas_cl.splat import NormalizedDepth, refine_levels
     from pagas_cl.splat.budget import fit_memory
+    from pagas_cl.splat.units import Start
 
-    result = comparison.own
+    result, left = comparison.own, []
     target, contexts, held_out = views[partners.target], *(
         [views[k] for k in chosen if k not in result.report["left_out"]]         # those that resemble it
         for chosen in (partners.contexts, partners.held_out))
+
+    def agreed(*found: Any) -> tuple[Any, ...]:
+        left[:] = [comparison.agreed(averaged["status"], *found)]
+        return left[0].depth, left[0].parallax, left[0].deviation, left[0].status
+
+    start = Start(averaged["depth"], agreed, Told.nbytes(_pixels(result), True))
 
     def attempt(photos: PhotoStore) -> Any:
         normalized = NormalizedDepth(target, result.depth, device, comparison.told.depth, result.scene_scale)
@@ -161,7 +159,7 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
         return refine_levels(target, contexts, result.depth, settled, device, photos, progress=told, measured=measured,
                              normalized=normalized, start=start, held_out=held_out)
 
-    return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)
+    return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out), left[0]
 
 
 def _loaded(result: Any) -> DepthResult:

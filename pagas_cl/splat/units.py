@@ -16,11 +16,11 @@ _NONE_YET = np.array([np.inf, 0], np.float32)
 
 @dataclass(frozen=True)
 class Start:
-    """Where steps start from in place of the initial depth, on the device in scene units: `depth`; and `settle`, which
+    """Where steps start from in place of the initial depth, on the device in scene units: `depth`; and `agreed`, which
     of depth, parallax, deviation and status, on the device, makes those that are given back, in `nbytes` more."""
 
     depth: cl.Buffer
-    settle: Callable[..., tuple[cl.Buffer, ...]]
+    agreed: Callable[..., tuple[cl.Buffer, ...]]
     nbytes: int
 
 
@@ -77,7 +77,7 @@ class NormalizedDepth:
                  scene_scale=self._device_scale(), depth=refined, parallax=parallax, status=status,
                  deviation=deviation)])
         found = (refined, parallax, deviation, status)
-        return fill(self._device, self._room, self._start.settle(*found) if self._start else found)
+        return fill(self._device, self._room, self._start.agreed(*found) if self._start else found)
 
     def release(self):
         if self._own:

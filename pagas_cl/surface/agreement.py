@@ -113,13 +113,13 @@ class Agreement:
                   deviation=self.told.deviation, status=self.told.status, averaged=depth, surer=deviation, found=status)
         return {"depth": depth, "deviation": deviation, "status": status}
 
-    def settle(self, proposed: Any, depth: Any, parallax: Any, deviation: Any, status: Any) -> Told:
+    def agreed(self, proposed: Any, depth: Any, parallax: Any, deviation: Any, status: Any) -> Told:
         """What holds of depths, as refine_levels leaves them, that started from `average` and its status `proposed`."""
         count = self.own.depth.size
         found = Told(*(self.device.memory.buffer(self.device.context, size * count) for size in (4, 4, 4, 4, 1)))
-        self._run("settle", (count,), count=count, proposed=proposed, own_depth=self.told.depth,
+        self._run("keep_agreed", (count,), count=count, proposed=proposed, own_depth=self.told.depth,
                   own_deviation=self.told.deviation, own_status=self.told.status, depth=depth,
-                  depth_per_parallax=parallax, deviation=deviation, status=status, settled=found.depth,
+                  depth_per_parallax=parallax, deviation=deviation, status=status, agreed=found.depth,
                   parallax=found.parallax, surer=found.deviation, found=found.status, inverse=found.inverse)
         return found
 
