@@ -74,7 +74,6 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     start, found = time.perf_counter(), {}
     if own.reason or not others:
         return own
-    promised = None if steps else Agreement.room(own)
     photos.trim(_BYTES * max(_pixels(result) for result in results))
 
     def owner(result: Any) -> Any:
@@ -101,7 +100,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
             stepped, left = _steps(views, partners, comparison, averaged, few, device, photos, told)
             found = {name: getattr(stepped, name) for name in (*averaged, "parallax")}
         else:
-            found = comparison.read(averaged, promised)
+            found = comparison.read(averaged)
     comparison.release()
     report["seconds"] = report.get("seconds", 0.0) + time.perf_counter() - start
     result = replace(own, report=report, **found)

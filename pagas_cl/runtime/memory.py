@@ -6,7 +6,7 @@ frees, and views of one size need the same ones again.
 
 import os
 from collections import defaultdict, deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from math import prod
 
@@ -149,14 +149,6 @@ def _touched(shape: tuple[int, ...], dtypes: Sequence[npt.DTypeLike]) -> list[np
     block = np.empty(ends[-1], np.uint8)
     block.fill(0)
     return [part.view(dtype).reshape(shape) for part, dtype in zip(np.split(block, ends[:-1]), dtypes)]
-
-
-def fill(device: Device, promised: Future[list[np.ndarray]], buffers: Iterable[cl.Buffer]) -> list[np.ndarray]:
-    """What `room` promised, with copies of `buffers`."""
-    arrays = promised.result()
-    for array, buffer in zip(arrays, buffers, strict=True):
-        cl.enqueue_copy(device.queue, array, buffer)
-    return arrays
 
 
 def limit_of(total: int, processes: int = 1) -> int:

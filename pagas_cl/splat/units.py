@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.runtime.memory import download, fill, room, upload
+from pagas_cl.runtime.memory import download, room, upload
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.sampling import scene_scale_of
 from pagas_cl.splat.constants import SHARED
@@ -77,7 +77,9 @@ class NormalizedDepth:
                  scene_scale=self._device_scale(), depth=refined, parallax=parallax, status=status,
                  deviation=deviation)])
         found = (refined, parallax, deviation, status)
-        return fill(self._device, self._room, self._start.agreed(*found) if self._start else found)
+        for array, buffer in zip(arrays := self._room.result(), self._start.agreed(*found) if self._start else found):
+            cl.enqueue_copy(self._device.queue, array, buffer)
+        return arrays
 
     def release(self):
         if self._own:

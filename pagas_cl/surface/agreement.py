@@ -123,18 +123,12 @@ class Agreement:
                   parallax=found.parallax, surer=found.deviation, found=found.status, inverse=found.inverse)
         return found
 
-    def read(self, averaged: dict[str, Any], promised: Any = None) -> dict[str, np.ndarray]:
-        """What `average` left, on the host, float32 and uint8 of shape (H, W), where `room` has `promised` it."""
-        from pagas_cl.runtime.memory import fill
+    def read(self, averaged: dict[str, Any]) -> dict[str, np.ndarray]:
+        """What `average` left, on the host, float32 and uint8 of shape (H, W)."""
+        from pagas_cl.runtime.memory import download
 
-        return dict(zip(averaged, fill(self.device, promised or self.room(self.own), averaged.values())))
-
-    @staticmethod
-    def room(own: Any) -> Any:
-        """For what is read, made meanwhile."""
-        from pagas_cl.runtime.memory import room
-
-        return room(own.depth.shape, np.float32, np.float32, np.uint8)
+        return {name: download(self.device, buffer, self.own.depth.shape, np.uint8 if name == "status" else np.float32)
+                for name, buffer in averaged.items()}
 
     def release(self) -> None:
         """Give back what was made here."""
