@@ -12,6 +12,7 @@ from pagas_cl.scene.sampling import scene_scale_of
 from pagas_cl.splat.constants import SHARED
 
 _NONE_YET = np.array([np.inf, 0], np.float32)
+_LEFT = np.float32, np.float32, np.float32, np.uint8      # depth, parallax, deviation, status
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class NormalizedDepth:
             bind(build(device, "units.cl", SHARED), "normalize_depth", (depth.size,), given=self.given, visible=visible,
                  count=depth.size, scene_scale=self._device_scale(), scaled=int(doubles), depth=self.buffer,
                  bounds=bounds)])
-        self._room = room(depth.shape, np.float32, np.float32, np.float32, np.uint8)
+        self._room = room(depth.shape, *_LEFT) if self._own else None     # in rounds there is little to hide it behind
         nearest, farthest = download(device, bounds, 2)
         self.depth_range = max(0.0, float(farthest - nearest))
         for buffer in filter(None, (visible, bounds)):
@@ -77,7 +78,8 @@ class NormalizedDepth:
                  scene_scale=self._device_scale(), depth=refined, parallax=parallax, status=status,
                  deviation=deviation)])
         found = (refined, parallax, deviation, status)
-        for array, buffer in zip(arrays := self._room.result(), self._start.agreed(*found) if self._start else found):
+        arrays = self._room.result() if self._room else [np.empty(shape, dtype) for dtype in _LEFT]
+        for array, buffer in zip(arrays, self._start.agreed(*found) if self._start else found):
             cl.enqueue_copy(self._device.queue, array, buffer)
         return arrays
 
