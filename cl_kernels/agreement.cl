@@ -4,6 +4,7 @@
 //   count_differences   how far one other view's surface is from the target's, counted in bins
 //   add_view            what that view says of each depth, weighted by deviations
 //   average             depth, deviation and status that follow
+//   keep_agreed         what of that holds once photos have had some steps from there
 #define CAMERA_SPACE __global const      // all views of a scene at once, more than constant memory may hold
 #include "camera.clh"
 
@@ -18,12 +19,15 @@
 #define VARIANCE(s, u, floor) (SQUARE(fmin(s, MOST_UNSURE * (u))) + SQUARE((floor) * (u)))
 #define SQUARE(x) ((x) * (x))
 
-// Inverse depths that photos confirm, 0 for all others.
+// Inverse depth that photos confirm, 0 for any other.
+#define CONFIRMED(status, depth, deviation) \
+    ((status) == REFINED && (deviation) < INFINITY && (depth) > 0.0f ? 1.0f / (depth) : 0.0f)
+
 __kernel void invert(int count, __global const float *depth, __global const float *deviation,
                      __global const uchar *status, __global float *inverse)
 {
     EACH(i, count)
-    inverse[i] = status[i] == REFINED && deviation[i] < INFINITY && depth[i] > 0.0f ? 1.0f / depth[i] : 0.0f;
+    inverse[i] = CONFIRMED(status[i], depth[i], deviation[i]);
 }
 
 // How much the target's depths would have to change for their points to lie on the other view's surface: the plane of
@@ -160,4 +164,21 @@ __kernel void average(int width, int height, float scale, float spread, float wi
     averaged[i] = depth[i] + total / weight / scale;
     surer[i] = sqrt(one * (IN_COMMON + (1.0f - IN_COMMON) * alone)) / scale;
     found[i] = REFINED;
+}
+
+// What no view has spoken for (`proposed`: status that `average` found), or the photos speak against, is as it was.
+__kernel void keep_agreed(int count, __global const uchar *proposed, __global const float *own_depth,
+                          __global const float *own_deviation, __global const uchar *own_status,
+                          __global const float *depth, __global const float *depth_per_parallax,
+                          __global const float *deviation, __global const uchar *status,          // after the steps
+                          __global float *agreed, __global float *parallax, __global float *surer, __global uchar *found,
+                          __global float *inverse)
+{
+    EACH(i, count)
+    const bool held = proposed[i] == REFINED && status[i] == REFINED;
+    agreed[i] = held ? depth[i] : own_depth[i];
+    surer[i] = held ? deviation[i] : own_deviation[i];
+    found[i] = held ? status[i] : own_status[i];
+    parallax[i] = depth_per_parallax[i];
+    inverse[i] = CONFIRMED(found[i], agreed[i], surer[i]);
 }

@@ -7,6 +7,7 @@ same settings serve millimetres and kilometres.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from functools import cache
 from typing import Any
 
 from pagas_cl.errors import InputError, nearest_of
@@ -293,6 +294,7 @@ class Config:
         return asdict(self)
 
 
+@cache
 def setting_names() -> list[str]:
     """Every setting as "stage.field", in order."""
     return [f"{stage.name}.{f.name}" for stage in fields(Config) for f in fields(globals()[str(stage.type)])]

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -173,6 +174,7 @@ def agreement_rounds(config: Config, views: int) -> int:
     return config.agreement.rounds if choice == "set" else config.agreement.rounds or AGREEMENT_ROUNDS
 
 
+@lru_cache(4)
 def between_rounds(config: Config) -> Config | None:
     """The settings of the steps that photos have between two rounds, at full size; None where they have none."""
     share = config.agreement.steps

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED, central_normals, confidence_of, surface_depth
+from pagas_cl.scene.sampling import scene_scale_of
 from pagas_cl.scene.view import View
 
 _ROWS = 64      # of a depth map whose normals are worked out in float64 at a time
@@ -59,6 +60,11 @@ class DepthResult:
         number = np.bincount(self.status.ravel(), minlength=4)
         return {"refined": int(number[REFINED]), "kept": int(number[KEPT]), "rejected": int(number[REJECTED]),
                 "no surface": int(number[NO_SURFACE])}
+
+    @cached_property
+    def scene_scale(self) -> float:
+        """As scene.sampling.scene_scale_of has it, without a mask."""
+        return scene_scale_of(self.depth, None)
 
     @cached_property
     def confidence(self) -> npt.NDArray[np.float32]:

@@ -10,9 +10,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.effects import agreement_rounds, between_rounds, decide_agreement, settle
@@ -20,9 +19,8 @@ from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.progress import Progress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import Partners
-from pagas_cl.scene.depthmap import REFINED
 from pagas_cl.scene.view import View
-from pagas_cl.surface.agreement import Agreement, send
+from pagas_cl.surface.agreement import Agreement, Told, send
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
@@ -34,9 +32,17 @@ _LONGER = 1.4   # steps of a few: as far as half as many again would
 
 def keep(owner: Any, result: DepthResult, device: Device, photos: PhotoStore) -> None:
     """Have what views of the next round ask for stay on a device that has memory of its own."""
-    if not result.reason and not photos.on_host:
-        with suppress(DeviceMemoryError):       # it is read again, then
-            photos.held(owner, 8 * _pixels(result), lambda: send(result, device))
+    if result.reason or photos.on_host:
+        return
+    photos.replace([result], [owner])           # where its round has left it there
+    with suppress(DeviceMemoryError):           # it is read again, then
+        _told(owner, result, device, photos)
+
+
+def _told(owner: Any, result: DepthResult, device: Device, photos: PhotoStore, whole: bool = False) -> Told:
+    """`result` on the device, where it may be already; all of it where that has memory of its own."""
+    whole = whole or not photos.on_host
+    return photos.held(owner, Told.nbytes(_pixels(result), whole), lambda: send(result, device, whole))
 
 
 @dataclass(frozen=True)
@@ -75,8 +81,8 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
         return getattr(given, "identity", given)
 
     # once for all views of a round that are compared with it, whose arrays are not looked at again
-    comparison = Agreement(own, others, device, lambda result: photos.held(
-        owner(result), 8 * _pixels(result), lambda: send(result, device)))
+    comparison = Agreement(own, others, device,
+                           lambda result, whole: _told(owner(result), result, device, photos, whole))
     spread = comparison.spread()
     decision = decide_agreement(spread, config)
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
@@ -85,23 +91,24 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     averaged = comparison.average(spread, config.agreement.pixels, steps is not None,
                                   spreads[0]) if decision.on else None
     if photos.on_host:          # where they would take the memory of all else
-        photos.forget(map(owner, (own, *others)))
+        photos.forget(map(owner, others))
     if averaged is not None:
         report["differences"] = spreads
         if steps is not None:
             told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
             few = _few(steps, len(report["contexts"]))
-            stepped = _steps(views, partners, own, averaged["depth"], few, device, photos, told)
-            # what no view has spoken for, or the photos speak against, is as it was
-            other = (comparison.read(averaged, "status")["status"] != REFINED) | (stepped.status != REFINED)
+            stepped, left = _steps(views, partners, comparison, averaged, few, device, photos, told)
             found = {name: getattr(stepped, name) for name in (*averaged, "parallax")}
-            for name in averaged:
-                np.copyto(found[name], getattr(own, name), where=other)
         else:
-            found = comparison.read(averaged, *averaged)
+            found = comparison.read(averaged)
     comparison.release()
     report["seconds"] = report.get("seconds", 0.0) + time.perf_counter() - start
-    return replace(own, report=report, **found)
+    result = replace(own, report=report, **found)
+    if photos.on_host:
+        photos.forget([owner(own)])
+    elif averaged is not None and steps is not None:        # for the next round
+        photos.held(result, Told.nbytes(_pixels(own), True), lambda: left)
+    return result
 
 
 def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partners, results: Sequence[DepthResult],
@@ -112,6 +119,7 @@ def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partn
     return average_depths(views, partners, results, config, device, photos, progress, between_rounds(config))
 
 
+@lru_cache(16)
 def _few(config: Config, contexts: int) -> Config:
     """Settings of so few steps, from a depth that is nearly right: smoothness raised at once. Photos that do not match
     anywhere around (solver.mismatch) do not tell one depth from another."""
@@ -121,18 +129,28 @@ def _few(config: Config, contexts: int) -> Config:
                                 solver__mismatch=2.0)
 
 
-def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, result: DepthResult, start: Any,
-           config: Config, device: Device, photos: PhotoStore, told: Callable[[int, int], None] | None) -> Any:
-    """From `start`, on the device, for what the view called for when it was refined, or calls for now."""
+def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement,
+           averaged: Mapping[str, Any], config: Config, device: Device, photos: PhotoStore,
+           told: Callable[[int, int], None] | None) -> tuple[Any, Told]:
+    """From what was `averaged`, for what the view called for when it was refined, or calls for now; and the same on the
+    device."""
     from pagas_cl.splat import NormalizedDepth, refine_levels
     from pagas_cl.splat.budget import fit_memory
+    from pagas_cl.splat.units import Start
 
+    result, left = comparison.own, []
     target, contexts, held_out = views[partners.target], *(
         [views[k] for k in chosen if k not in result.report["left_out"]]         # those that resemble it
         for chosen in (partners.contexts, partners.held_out))
 
+    def agreed(*found: Any) -> tuple[Any, ...]:
+        left[:] = [comparison.agreed(averaged["status"], *found)]
+        return left[0].depth, left[0].parallax, left[0].deviation, left[0].status
+
+    start = Start(averaged["depth"], agreed, Told.nbytes(_pixels(result), True))
+
     def attempt(photos: PhotoStore) -> Any:
-        normalized = NormalizedDepth(target, result.depth, device)
+        normalized = NormalizedDepth(target, result.depth, device, comparison.told.depth, result.scene_scale)
         settled, _, measured = settle(target, contexts, result.depth, config, device, photos, normalized=normalized,
                                       known=result.report.get("measured"))
         if len(settled.pyramid.scales) > 1:      # asked for by noise, for a depth that is far off
@@ -140,7 +158,7 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, resul
         return refine_levels(target, contexts, result.depth, settled, device, photos, progress=told, measured=measured,
                              normalized=normalized, start=start, held_out=held_out)
 
-    return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)
+    return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out), left[0]
 
 
 def _loaded(result: Any) -> DepthResult:

@@ -94,9 +94,10 @@ class Buffers:
     @classmethod
     def allocated(cls: type[Handed], device: Device, dimensions: dict[str, Any]) -> Handed:
         """All that is planned, on `device`; errors as of `allocate`."""
-        made, found = allocate(device, cls.plan(dimensions)), {}
-        for own in fields(cls):
-            buffers = tuple(made[spec.name] for spec in _specs(own, dimensions))
+        planned = {own: _specs(own, dimensions) for own in fields(cls)}
+        made, found = allocate(device, [spec for specs in planned.values() for spec in specs]), {}
+        for own, specs in planned.items():
+            buffers = tuple(made[spec.name] for spec in specs)
             if own.metadata["start"] is not None:
                 for buffer in buffers:
                     cl.enqueue_fill_buffer(device.queue, buffer, own.metadata["start"], 0, buffer.size)

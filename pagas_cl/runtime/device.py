@@ -171,7 +171,10 @@ def translate_cl_errors(device: Device, doing: str) -> Iterator[None]:
     DeviceMemoryError: it has no memory left, fewer buffers may do. DeviceLostError: it answers no more, or has ended
     what it was at; its context is given up.
     """
-    cl, title = import_pyopencl(), device.info.title
+    import pyopencl as cl  # which the device has loaded: no driver is looked for any more
+
+    check_process()
+    title = device.info.title
     try:
         yield
     except cl.Error as error:

@@ -60,6 +60,7 @@ class Program:
     """A compiled kernel file."""
 
     built: cl.Program
+    key: int
     signatures: dict[str, dict[str, str]]
     """Of each kernel: the names of its arguments, in order, and "int", "float", or "" for a buffer."""
 
@@ -94,7 +95,7 @@ def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
             raise KernelBuildError(f"{name} does not compile on {device.info.title}: {_first_line(str(error))}; "
                                    "update the driver, or choose another device (pagas-cl devices)",
                                    log=str(error), options=" ".join(options), source=source(name)) from error
-        _programs[key] = Program(built, signatures(source(name)))
+        _programs[key] = Program(built, built.int_ptr, signatures(source(name)))
     return _programs[key]
 
 
@@ -108,18 +109,20 @@ class _Kernel:
 
     def __init__(self, program: Program, name: str):
         self.cl_kernel, self.name = cl.Kernel(program.built, name), name
-        self._places = {argument: (index, kind) for index, (argument, kind) in
+        self.places = {argument: (index, kind) for index, (argument, kind) in
                         enumerate(program.signatures[name].items())}
         # set_arg takes a number for four other things first, by exceptions: 10 us each, more than a launch
         self._set_number = getattr(self.cl_kernel, "_set_arg_buf", self.cl_kernel.set_arg)
+        self._numbers: dict[str, Any] = {}
 
     def set(self, arguments: Mapping[str, Any]) -> None:
         for name, value in arguments.items():
-            index, kind = self._places[name]
-            if kind:
-                self._set_number(index, _number(value, kind, self.name))
-            else:
+            index, kind = self.places[name]
+            if not kind:
                 self.cl_kernel.set_arg(index, value)
+            elif self._numbers.get(name) != value:        # it keeps the others from the last time
+                self._set_number(index, _number(value, kind, self.name))
+                self._numbers[name] = value
 
 
 def _number(value: Any, kind: str, name: str) -> np.generic:
@@ -161,6 +164,10 @@ class Launch:
         """Other values for some arguments, by name."""
         self.bound.set(values)
 
+    def change(self, **values: Any) -> None:
+        """The same, of those that the kernel has."""
+        self.bound.set({name: value for name, value in values.items() if name in self.bound.places})
+
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         return cl.enqueue_nd_range_kernel(queue, self.bound.cl_kernel, self.global_size, self.local_size)
 
@@ -181,6 +188,9 @@ class Fill:
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         pattern: Any = self.pattern  # a NumPy scalar is a buffer, which NumPy's types do not say
         return cl.enqueue_fill_buffer(queue, self.buffer, pattern, 0, self.size)
+
+    def change(self, **values: Any) -> None:
+        """It has no arguments."""
 
     def release(self) -> None:
         """Nothing is held."""
@@ -251,13 +261,14 @@ def bind(program: Program, name: str, global_size: Sequence[int], local_size: Se
     has none of that name.
     """
     signature = program.signatures[name]
-    unknown, missing = arguments.keys() - signature, signature.keys() - arguments.keys() - known.keys()
-    if unknown or missing:
+    values = {**known, **arguments}
+    if not (arguments.keys() <= signature.keys() <= values.keys()):
+        unknown, missing = arguments.keys() - signature, signature.keys() - values.keys()
         raise TypeError(f"kernel {name} takes {', '.join(signature)}: missing {sorted(missing)}, unknown "
                         f"{sorted(unknown)}")
-    source = (program.built.int_ptr, name)
+    source = (program.key, name)
     kernel = _idle[source].popleft() if _idle[source] else _Kernel(program, name)
-    kernel.set({argument: arguments[argument] if argument in arguments else known[argument] for argument in signature})
+    kernel.set({argument: values[argument] for argument in signature})
     group = tuple(local_size) if local_size else usual_group(global_size)
     if group:
         global_size = [-(-items // side) * side for items, side in zip(global_size, group)]

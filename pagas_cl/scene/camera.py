@@ -1,6 +1,7 @@
 """A pinhole camera in the one convention that is used everywhere inside (method section 2)."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -100,10 +101,12 @@ class Camera:
         """Intrinsics, float64 of shape (3, 3), pixel centres at +0.5."""
         return intrinsics(self.fx, self.fy, self.cx, self.cy)
 
-    @property
+    @cached_property
     def center(self) -> npt.NDArray[np.float64]:
-        """Centre of projection in world coordinates, float64 of shape (3,)."""
-        return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
+        """Centre of projection in world coordinates, float64 of shape (3,), read only."""
+        center = -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
+        center.setflags(write=False)
+        return center
 
     @property
     def direction(self) -> npt.NDArray[np.float64]:
@@ -141,6 +144,8 @@ class Camera:
 
     def resized(self, width: int, height: int) -> "Camera":
         """The same camera for the image resampled to `width` x `height` (the image's corners stay in place)."""
+        if (width, height) == (self.width, self.height):
+            return self
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx,
                        cy=self.cy * sy)

@@ -64,10 +64,16 @@ def scene_scale_of(depth: np.ndarray, mask: np.ndarray | None) -> float:
     sample = _valid_of(depth, mask, every)
     if every > 1 and sample.size < MEDIAN_SAMPLES // 16:        # a small object in a large photo
         sample = _valid_of(depth, mask, 1)
-    return float(np.median(sample.astype(np.float64))) if sample.size else 1.0
+    if not sample.size:
+        return 1.0
+    half = np.partition(sample, sample.size // 2)[:sample.size // 2 + 1]      # np.median in the sample's own precision
+    below = half[:-1].max() if sample.size % 2 == 0 else half[-1]
+    return (float(below) + float(half[-1])) / 2
 
 
 def _valid_of(depth: np.ndarray, mask: np.ndarray | None, every: int) -> np.ndarray:
-    some = depth.ravel()[::every]
+    some = np.ascontiguousarray(depth.ravel()[::every])
     valid = (some > 0) & (some < np.inf)
-    return some[valid if mask is None else valid & mask.ravel()[::every]]
+    if mask is not None:
+        valid &= mask.ravel()[::every]
+    return some if valid.all() else some[valid]

@@ -2,7 +2,9 @@
 what the device has: with all photos there, or with one at a time."""
 
 import gc
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from pagas_cl.config import Config
 from pagas_cl.errors import DeviceMemoryError, log
@@ -51,32 +53,38 @@ class Plan:
 def plan_for(cameras: list[Camera], contexts: int, config: Config, streamed: bool = False) -> Plan:
     """The plan of a refinement for the cameras of the target, of `contexts` context views, and of the held-out views;
     `streamed`: photos wait on the host (StreamedPhotos)."""
-    plans = [_at(scale, cameras, contexts, config, streamed) for scale in config.pyramid.scales]
+    return _plan_of(tuple(level_size(camera, 1.0) for camera in cameras), contexts, config, streamed)
+
+
+@lru_cache(16)
+def _plan_of(sizes: tuple[Size, ...], contexts: int, config: Config, streamed: bool) -> Plan:
+    """The same for photos of these sizes, which views of a scene have alike."""
+    plans = [_at(scale, sizes, contexts, config, streamed) for scale in config.pyramid.scales]
     if config.effects.measured:         # beforehand, beside the initial depth
-        sizes = [level_size(camera, 1.0) for camera in cameras[:1 + contexts]]
+        sizes = sizes[:1 + contexts]
         plans.append(Plan(_photos(sizes, sizes, streamed), probe_bytes(config, sizes, contexts) + 8 * sizes[0].pixels))
     return max(plans, key=lambda plan: plan.nbytes)
 
 
-def _at(scale: float, cameras: list[Camera], contexts: int, config: Config, streamed: bool) -> Plan:
+def _at(scale: float, full: tuple[Size, ...], contexts: int, config: Config, streamed: bool) -> Plan:
     """The plan of one level."""
-    cameras = cameras if scale == 1 else cameras[:1 + contexts]
-    full, sizes = [level_size(camera, 1.0) for camera in cameras], [level_size(camera, scale) for camera in cameras]
+    full = full if scale == 1 else full[:1 + contexts]
+    sizes = tuple(level_size(size, scale) for size in full)
     lengths = dimensions(config, sizes[0], sizes[1:], contexts)
     depths = 8 * full[0].pixels          # the initial one, as it came and in units; that of the level before, enlarged
     number = config.pyramid.scales.index(scale)
     if number > 0:
-        depths += 4 * (sizes[0].pixels + level_size(cameras[0], config.pyramid.scales[number - 1]).pixels)
+        depths += 4 * (sizes[0].pixels + level_size(full[0], config.pyramid.scales[number - 1]).pixels)
     during = after = total_bytes(LevelBuffers.plan(lengths)) + depths
     if scale == 1:           # evidence before and after: of the context views, and of one held-out view at a time
-        judges = 2 if len(cameras) > 1 + contexts else 1
+        judges = 2 if len(full) > 1 + contexts else 1
         after = total_bytes(EvidenceBuffers.plan(lengths)) + depths
         beside = mismatch.nbytes(full[0].pixels, lengths["samples"]) if mismatch.is_asked(config) else 0
         after += 29 * full[0].pixels + max(beside, 24 * (judges - 1) * full[0].pixels + HISTOGRAM * (judges - 1))
     return Plan(_photos(full, sizes, streamed), max(during, after))
 
 
-def _photos(full: list[Size], sizes: list[Size], streamed: bool) -> int:
+def _photos(full: Sequence[Size], sizes: Sequence[Size], streamed: bool) -> int:
     """Photos at the level's size, beside them those of full size where it is another."""
     if streamed:
         place = max((photo_bytes(size.pixels) for size in sizes[1:]), default=0)

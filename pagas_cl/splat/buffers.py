@@ -1,6 +1,8 @@
 """What the device holds for one level beside photos: one declaration that is planned, allocated and read from."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import ceil, prod, sqrt
 from typing import TypeAlias
 
@@ -36,14 +38,14 @@ class Size:
     def grid(self) -> tuple[int, int]:
         return self.width, self.height
 
-    @property
+    @cached_property
     def extent(self) -> dict[str, int]:
         """As kernels name it."""
         return {"width": self.width, "height": self.height}
 
 
-def level_size(camera: Camera, scale: float) -> Size:
-    """Image size of `camera` at the pyramid level `scale`."""
+def level_size(camera: Camera | Size, scale: float) -> Size:
+    """Image size of `camera`, or of that size, at the pyramid level `scale`."""
     return Size(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
 
 
@@ -76,7 +78,7 @@ def channels_of(config: Config) -> int:
     return 1 if config.loss.grey else 3
 
 
-def dimensions(config: Config, target: Size, others: list[Size], contexts: int) -> dict:
+def dimensions(config: Config, target: Size, others: Sequence[Size], contexts: int) -> dict:
     """What the buffers of a level are made of, by the names that their fields below use: lengths, and whether an effect
     is on. `others` are all images but the target's, of which the first `contexts` are context views."""
     sizes, channels, side = (target, *others), channels_of(config), 2 * reach(config.splatting.radius) + 1

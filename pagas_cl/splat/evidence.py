@@ -3,6 +3,7 @@ section 7)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 import pyopencl as cl
@@ -95,12 +96,26 @@ class Evidence:
         self.release()
         self._before, self._after = (self._buffer(12 * self.size.pixels) for _ in range(2))
         self._run([Fill(evidence, np.uint32(0), evidence.size) for evidence in (self._before, self._after)])
-        for view in self.views:
-            self._run([*view.fetch(), *self._add(view, self._initial, self._before),
-                       *self._add(view, self.buffers.depth, self._after)])
+        self._add(self.views, {"depth": self._initial, "evidence": self._before},
+                  {"depth": self.buffers.depth, "evidence": self._after})
 
-    def _add(self, view, depth: cl.Buffer, evidence: cl.Buffer, floor_share: float = 1.0) -> list:
-        """What the photo of `view` says of `depth`, added to `evidence`."""
+    def _add(self, views, *given: dict, floor_share: float = 1.0):
+        """What the photos of `views` say of depth maps, added to the evidence of each. Launches are bound once for all
+        views of a size."""
+        bound: dict = {}
+        for view in views:
+            for fetched in view.fetch():
+                fetched.enqueue(self.device.queue)
+            if view.size not in bound:
+                bound[view.size] = self._launches(view, floor_share=floor_share, **given[0])
+            for one in given:
+                for launch in bound[view.size]:
+                    launch.change(**one, view=view.number, photo=view.photo, threshold=view.threshold)
+                    launch.enqueue(self.device.queue)
+        for launch in chain(*bound.values()):
+            launch.release()
+
+    def _launches(self, view, depth: cl.Buffer, evidence: cl.Buffer, floor_share: float) -> list:
         warped, grey = self.scratch
         return [*project.nearest(self.programs, self.buffers, view, depth=depth),
                 self.programs.bind_rows("patches.cl", "warp_photo", self.buffers, view, depth=depth, warped=warped,
@@ -185,8 +200,7 @@ class Evidence:
         """What the photos of `views` say of the depth as it is now."""
         evidence = self._buffer(12 * self.size.pixels)
         self._run([Fill(evidence, np.uint32(0), evidence.size)])
-        for view in views:
-            self._run([*view.fetch(), *self._add(view, self.buffers.depth, evidence, floor_share)])
+        self._add(views, {"depth": self.buffers.depth, "evidence": evidence}, floor_share=floor_share)
         return evidence
 
     def judge(self) -> tuple[float, float]:

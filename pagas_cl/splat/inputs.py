@@ -24,7 +24,7 @@ class LevelView:
     target_photo: cl.Buffer
     pixels: np.ndarray | None = None    # uint8 (H, W, 4) to fill `photo` with first, where several photos share it
 
-    @property
+    @cached_property
     def arguments(self) -> dict:
         """As kernels name them."""
         return {"view": self.number, "photo": self.photo, "target_photo": self.target_photo,

@@ -88,7 +88,7 @@ class Programs:
         self.tiles = dict(zip(("ssim.cl", "loss.cl"), choose_tiles(device, [(c.width, c.height) for c in cameras])))
         self.more = {**(more or {}), **{file: tile.defines for file, tile in self.tiles.items()}}
         self._columns = columns_of(device, cameras[0].width)
-        self._settings = numbers_of(config)
+        self._settings, self._built = numbers_of(config), {}
 
     def bind(self, file: str, kernel: str, grid, buffers, view=None, group=None, /, **arguments) -> Launch:
         """A Launch of `kernel` of `file` over the work-items `grid`.
@@ -123,5 +123,7 @@ class Programs:
                           arguments)
 
     def _bind(self, file, more, kernel, grid, group, buffers, view, arguments) -> Launch:
+        if (file, more) not in self._built:
+            self._built[file, more] = build(self.device, file, (*self.defines, *more))
         known = {**self._settings, **vars(buffers), **(view.arguments if view else {})}
-        return bind(build(self.device, file, (*self.defines, *more)), kernel, grid, group, known, **arguments)
+        return bind(self._built[file, more], kernel, grid, group, known, **arguments)

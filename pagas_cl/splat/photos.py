@@ -59,9 +59,11 @@ class PhotoStore:
         return view in self._held
 
     def forget(self, owners) -> None:
-        """Let go of what is held for `owners`, and so of them."""
+        """Let go of what is held for `owners`, and so of them; what else may serve is given back."""
         for owner in owners:
-            self._held.pop(owner, None)
+            found, _ = self._held.pop(owner, (None, 0))
+            if hasattr(found, "release"):
+                found.release()
 
     def level(self, views, sizes: list[Size], resampler):
         """Photos of `views` at `sizes`, all on the device; none on the host (see StreamedPhotos). Several are read at a

@@ -1,13 +1,28 @@
 """Launches of units.cl: depths from scene units to the device's units, and back."""
 
-import numpy as np
+from collections.abc import Callable
+from dataclasses import dataclass
 
-from pagas_cl.runtime.memory import download, upload
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.runtime.memory import download, room, upload
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.sampling import scene_scale_of
 from pagas_cl.splat.constants import SHARED
 
 _NONE_YET = np.array([np.inf, 0], np.float32)
+_LEFT = np.float32, np.float32, np.float32, np.uint8      # depth, parallax, deviation, status
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where steps start from in place of the initial depth, on the device in scene units: `depth`; and `agreed`, which
+    of depth, parallax, deviation and status, on the device, makes those that are given back, in `nbytes` more."""
+
+    depth: cl.Buffer
+    agreed: Callable[..., tuple[cl.Buffer, ...]]
+    nbytes: int
 
 
 class NormalizedDepth:
@@ -15,15 +30,17 @@ class NormalizedDepth:
 
     Depths outside NEAR to FAR units, masked out or not finite have no Gaussian. `scene_scale`: scene units per device
     unit; `depth_range`: of the valid depths, units; `given` and `buffer`: float32 of shape (H, W), in scene units as it
-    came, and in units, 0 = no surface.
+    came, and in units, 0 = no surface. Where `depth` is on the device already, `given` is that buffer, its owner's, and
+    `scene_scale` what a view without a mask has.
     """
 
-    def __init__(self, target, depth: np.ndarray, device):
+    def __init__(self, target, depth: np.ndarray, device, given: cl.Buffer | None = None, scene_scale: float = 0.0):
         depth = np.ascontiguousarray(depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32))
         mask = target.load_mask()
-        self.scene_scale, self._device = scene_scale_of(depth, mask), device
+        self.scene_scale = scene_scale if scene_scale and mask is None else scene_scale_of(depth, mask)
+        self._device, self._own, self._start = device, given is None, None
         with np.errstate(over="ignore"):
-            self.given = upload(device, depth.astype(np.float32, copy=False))
+            self.given = upload(device, depth.astype(np.float32, copy=False)) if given is None else given
         doubles = depth.dtype == np.float64          # rounded once, after the division
         if doubles:
             with np.errstate(over="ignore", invalid="ignore"):
@@ -36,19 +53,21 @@ class NormalizedDepth:
             bind(build(device, "units.cl", SHARED), "normalize_depth", (depth.size,), given=self.given, visible=visible,
                  count=depth.size, scene_scale=self._device_scale(), scaled=int(doubles), depth=self.buffer,
                  bounds=bounds)])
+        self._room = room(depth.shape, *_LEFT) if self._own else None     # in rounds there is little to hide it behind
         nearest, farthest = download(device, bounds, 2)
         self.depth_range = max(0.0, float(farthest - nearest))
         for buffer in filter(None, (visible, bounds)):
             buffer.release()
 
-    def start_from(self, start, depth, count: int):
-        """Put into `depth`, a buffer in units, what the buffer `start` has in scene units, where both have one."""
+    def start_from(self, start: Start, depth, count: int):
+        """Put into `depth`, a buffer in units, what `start` has in scene units, where both have one."""
+        self._start = start
         run_once(self._device.queue, [
-            bind(build(self._device, "units.cl", SHARED), "start_from", (count,), start=start, count=count,
+            bind(build(self._device, "units.cl", SHARED), "start_from", (count,), start=start.depth, count=count,
                  scene_scale=self._device_scale(), depth=depth)])
 
     def denormalize(self, refined, parallax, status, deviation, shape):
-        """(depth, parallax, deviation, status) on the host, scene units, from the buffers of `shape` in units.
+        """(depth, parallax, deviation, status) on the host, scene units, from the buffers of `shape` in units; once.
 
         A depth that was not refined comes back with the bits that it came with; a surface without a Gaussian counts as
         kept.
@@ -58,11 +77,15 @@ class NormalizedDepth:
             bind(build(self._device, "units.cl", SHARED), "denormalize_depth", (n,), given=self.given, count=n,
                  scene_scale=self._device_scale(), depth=refined, parallax=parallax, status=status,
                  deviation=deviation)])
-        return tuple(download(self._device, buffer, shape, dtype) for buffer, dtype in (
-            (refined, np.float32), (parallax, np.float32), (deviation, np.float32), (status, np.uint8)))
+        found = (refined, parallax, deviation, status)
+        arrays = self._room.result() if self._room else [np.empty(shape, dtype) for dtype in _LEFT]
+        for array, buffer in zip(arrays, self._start.agreed(*found) if self._start else found):
+            cl.enqueue_copy(self._device.queue, array, buffer)
+        return arrays
 
     def release(self):
-        self.given.release()
+        if self._own:
+            self.given.release()
         self.buffer.release()
 
     def _device_scale(self) -> float:

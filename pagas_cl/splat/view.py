@@ -15,7 +15,7 @@ from pagas_cl.splat.level import Level, Schedule
 from pagas_cl.splat.measure import Probe
 from pagas_cl.splat.photos import PhotoStore, StreamedPhotos
 from pagas_cl.splat.resample import Resampler
-from pagas_cl.splat.units import NormalizedDepth
+from pagas_cl.splat.units import NormalizedDepth, Start
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,21 +40,21 @@ class Refinement:
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
                   progress=None, held_out=(), measured=None, normalized: NormalizedDepth | None = None,
-                  start: cl.Buffer | None = None) -> Refinement:
+                  start: Start | None = None) -> Refinement:
     """Run the pyramid on one view with at least one context view; `depth` (H, W), z in scene units, 0 = no surface.
 
     `photos` are a PhotoStore (a new one by default) or StreamedPhotos; `progress(done, total)` is told of the steps
     that the device has done, of those of all levels; `held_out` views take no part and judge the result; evidence and
     deviations depend on `measured` (Measurements); `normalized` is the depth where it is on the device already, and is
-    used up. `start`, on the device, float32 in scene units: where the steps of a full-size level alone start from, in
-    place of `depth`, which the evidence compares with; it is not told then what photos say of the whole (cost,
-    held_out). DeviceMemoryError comes before the first step, where the device may not hold what is planned.
+    used up. `start`: where the steps of a full-size level alone start from, in place of `depth`, which the evidence
+    compares with; it is not told then what photos say of the whole (cost, held_out). DeviceMemoryError comes before the
+    first step, where the device may not hold what is planned.
     """
     photos = photos or PhotoStore(device)
     cameras = [view.camera for view in (target, *contexts, *held_out)]
     planned = plan_for(cameras, len(contexts), config, isinstance(photos, StreamedPhotos))
     if start is not None:
-        planned = replace(planned, beside_photos=planned.beside_photos + start.size)
+        planned = replace(planned, beside_photos=planned.beside_photos + start.depth.size + start.nbytes)
     planned.check(target.name, device)
     planned.tell(target.name)
     photos.trim(planned.beside_photos)
@@ -106,8 +106,10 @@ class _Run:
         normalized = normalized or NormalizedDepth(target, depth, device)
         self.scene_scale, self.normalized = normalized.scene_scale, normalized
         self.threshold = normalized.depth_range / config.splatting.depth_slices
-        distance = viewing_distance([view.camera for view in self.views]) / self.scene_scale
-        self.distance = distance if np.isfinite(distance) else 1.0
+        self.distance = 1.0
+        if config.solver.rate_unit == "distance":
+            distance = viewing_distance([view.camera for view in self.views]) / self.scene_scale
+            self.distance = distance if np.isfinite(distance) else 1.0
 
     def at(self, scale: float) -> LevelInput:
         views = self.views + (self.held_out if scale == 1 else [])

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pagas_cl.scene.camera import camera_table
 from pagas_cl.scene.depthmap import REFINED
-from pagas_cl.scene.sampling import NEAR, scene_scale_of
+from pagas_cl.scene.sampling import NEAR
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
@@ -22,9 +23,30 @@ _LEAST_ROWS = 32                     # of a large view, that are spread over it
 _NORMAL = 0.6745                     # median of |x| where x has a standard deviation of 1
 
 
-def send(result: Any, device: Device) -> tuple[Any, Any]:
-    """What others are told of a DepthResult, on the device: inverse depths that photos confirm, 0 for all others, and
-    deviations; 8 bytes a pixel."""
+@dataclass(frozen=True, eq=False)
+class Told:
+    """A DepthResult on the device, in scene units. What others are told of it: `inverse` depths that photos confirm, 0
+    for all others, and `deviation`; the rest for the view itself, where it was asked for."""
+
+    inverse: Any
+    deviation: Any
+    depth: Any = None
+    parallax: Any = None
+    status: Any = None
+
+    @staticmethod
+    def nbytes(pixels: int, whole: bool) -> int:
+        return (17 if whole else 8) * pixels
+
+    def release(self) -> None:
+        """Give the buffers back."""
+        for buffer in vars(self).values():
+            if buffer is not None:
+                buffer.release()
+
+
+def send(result: Any, device: Device, whole: bool = False) -> Told:
+    """A DepthResult to the device, `whole` or what others are told of it."""
     from pagas_cl.runtime.memory import upload
     from pagas_cl.runtime.program import bind, run_once
 
@@ -32,9 +54,11 @@ def send(result: Any, device: Device) -> tuple[Any, Any]:
     inverse, count = device.memory.buffer(device.context, 4 * result.depth.size), result.depth.size
     run_once(device.queue, [bind(_program(device), "invert", (count,), count=count, depth=depth, deviation=deviation,
                                  status=status, inverse=inverse)])
+    if whole:
+        return Told(inverse, deviation, depth, upload(device, result.parallax), status)
     for buffer in (depth, status):
         buffer.release()
-    return inverse, deviation
+    return Told(inverse, deviation)
 
 
 def _program(device: Device, columns: int = 1) -> Program:
@@ -45,23 +69,20 @@ def _program(device: Device, columns: int = 1) -> Program:
 
 class Agreement:
     """Compares `own`, a DepthResult, with `others` of the same round, in memory or on disk (StoredResult), in their
-    order; on `device`, one of them at a time. `sent(result)`: as `send` does it, where some are on the device already;
-    it alone looks at the arrays of the others."""
+    order; on `device`, one of them at a time. `sent(result, whole)`: as `send` does it, where some are on the device
+    already; it alone looks at the arrays of the others. `told`: `own`, whole."""
 
     def __init__(self, own: Any, others: Sequence[Any], device: Device,
-                 sent: Callable[[Any], tuple[Any, Any]] | None = None):
+                 sent: Callable[[Any, bool], Told] | None = None):
         from pagas_cl.runtime.memory import upload
 
         self.own, self.others, self.device = own, list(others), device
-        self._sent = sent or (lambda result: send(result, device))
-        self._scale = 1 / scene_scale_of(own.depth, None)
+        self._sent = sent or (lambda result, whole: send(result, device, whole))
+        self._scale = 1 / own.scene_scale
         self._columns = device.lanes if device.lanes <= own.depth.shape[1] else 1     # of a row, side by side
         self._program = _program(device, self._columns)
         self._cameras = upload(device, camera_table(own.camera, [view.camera for view in others], 1 / self._scale))
-        self._inverse, self._deviation = self._sent(own)
-        self._depth, self._status, self._parallax = (
-            upload(device, array) for array in (own.depth, own.status, own.parallax))
-        self._held = [self._cameras, self._depth, self._status, self._parallax]
+        self.told, self._held = self._sent(own, True), [self._cameras]
 
     def spread(self) -> float:
         """Standard deviation of a depth by how far the maps differ, pixels of parallax: median over pixels (of 32
@@ -70,9 +91,8 @@ class Agreement:
 
         counts, size = self._zeros(4 * _BINS), self.own.depth.size
         stride = max(1, min(size // _SAMPLES, self.own.depth.shape[0] // _LEAST_ROWS))
-        for given in self._each():
-            self._run("count_differences", self._rows(stride), inverse=self._inverse, stride=stride, bins=_BINS,
-                      per_pixel=_PER_PIXEL, counts=counts, **given)
+        self._compare("count_differences", -(-self.own.depth.shape[0] // stride), inverse=self.told.inverse,
+                      stride=stride, bins=_BINS, per_pixel=_PER_PIXEL, counts=counts)
         found = np.cumsum(download(self.device, counts, _BINS, np.uint32), dtype=np.int64)
         if found[-1] < _LEAST:
             return float("nan")
@@ -87,42 +107,56 @@ class Agreement:
         count, grown = width * height, 1.0 if first_spread is None else first_spread / spread
         wider = grown**2 / 2 * views / (views - 1) if views > 1 else 0.0    # two that share their photos tell nothing
         sums, depth, deviation, status = self._zeros(20 * count), *(self._buffer(size * count) for size in (4, 4, 1))
-        for given in self._each():
-            self._run("add_view", self._rows(), spread=spread, pixels=pixels, sums=sums, **given)
+        self._compare("add_view", height, spread=spread, pixels=pixels, sums=sums)
         self._run("average", (width, height), width=width, height=height, scale=self._scale, spread=spread, wider=wider,
-                  propose=int(propose), sums=sums, depth=self._depth, depth_per_parallax=self._parallax,
-                  deviation=self._deviation, status=self._status, averaged=depth, surer=deviation, found=status)
+                  propose=int(propose), sums=sums, depth=self.told.depth, depth_per_parallax=self.told.parallax,
+                  deviation=self.told.deviation, status=self.told.status, averaged=depth, surer=deviation, found=status)
         return {"depth": depth, "deviation": deviation, "status": status}
 
-    def read(self, averaged: dict[str, Any], *names: str) -> dict[str, np.ndarray]:
-        """Some of what `average` left, on the host, float32 and uint8 of shape (H, W)."""
+    def agreed(self, proposed: Any, depth: Any, parallax: Any, deviation: Any, status: Any) -> Told:
+        """What holds of depths, as refine_levels leaves them, that started from `average` and its status `proposed`."""
+        count = self.own.depth.size
+        found = Told(*(self.device.memory.buffer(self.device.context, size * count) for size in (4, 4, 4, 4, 1)))
+        self._run("keep_agreed", (count,), count=count, proposed=proposed, own_depth=self.told.depth,
+                  own_deviation=self.told.deviation, own_status=self.told.status, depth=depth,
+                  depth_per_parallax=parallax, deviation=deviation, status=status, agreed=found.depth,
+                  parallax=found.parallax, surer=found.deviation, found=found.status, inverse=found.inverse)
+        return found
+
+    def read(self, averaged: dict[str, Any]) -> dict[str, np.ndarray]:
+        """What `average` left, on the host, float32 and uint8 of shape (H, W)."""
         from pagas_cl.runtime.memory import download
 
-        return {name: download(self.device, averaged[name], self.own.depth.shape,
-                               np.uint8 if name == "status" else np.float32) for name in names}
+        return {name: download(self.device, buffer, self.own.depth.shape, np.uint8 if name == "status" else np.float32)
+                for name, buffer in averaged.items()}
 
     def release(self) -> None:
         """Give back what was made here."""
         for buffer in self._held:
             buffer.release()
 
-    def _each(self) -> Iterator[dict[str, Any]]:
-        """Arguments of a comparison with each other view."""
-        for number, other in enumerate(self.others, start=1):
-            inverse, deviation = self._sent(other)
-            yield {"view": number, "scale": self._scale, "cameras": self._cameras, "depth": self._depth,
-                   "depth_per_parallax": self._parallax, "inverses": inverse, "deviations": deviation}
+    def _compare(self, kernel: str, rows: int, **arguments: Any) -> None:
+        """Run `kernel` with each other view, over so many rows: a pixel each, or a row each where vectors are fast."""
+        from pagas_cl.runtime.program import bind
 
-    def _rows(self, stride: int = 1) -> tuple[int, int]:
-        """Work-items over every `stride`-th row: a pixel each, or a row each where vectors are fast."""
-        height, width = self.own.depth.shape
-        return width if self._columns == 1 else 1, -(-height // stride)
+        launch, (grid, group) = None, (((self.own.depth.shape[1], rows), None) if self._columns == 1 else
+                                       ((1, rows), (1, 1)))
+        for number, other in enumerate(self.others, start=1):
+            told = self._sent(other, False)
+            each = {"view": number, "inverses": told.inverse, "deviations": told.deviation}
+            if launch is None:
+                launch = bind(self._program, kernel, grid, group, scale=self._scale, cameras=self._cameras,
+                              depth=self.told.depth, depth_per_parallax=self.told.parallax, **each, **arguments)
+            else:
+                launch.set(**each)
+            launch.enqueue(self.device.queue)
+        if launch:
+            launch.release()
 
     def _run(self, kernel: str, size: tuple[int, ...], **arguments: Any) -> None:
         from pagas_cl.runtime.program import bind, run_once
 
-        group = (1, 1) if size[0] == 1 and self._columns > 1 else None
-        run_once(self.device.queue, [bind(self._program, kernel, size, group, **arguments)])
+        run_once(self.device.queue, [bind(self._program, kernel, size, **arguments)])
 
     def _zeros(self, nbytes: int) -> Any:
         import pyopencl as cl

@@ -15,8 +15,9 @@ from pagas_cl.presets import preset
 from pagas_cl.refine import refine_views
 from pagas_cl.result import DepthResult
 from pagas_cl.rounds import average_and_step, average_depths, later_rounds
+from pagas_cl.runtime.memory import download, upload
 from pagas_cl.scene.depthmap import KEPT, REFINED, REJECTED
-from pagas_cl.surface.agreement import Agreement
+from pagas_cl.surface.agreement import Agreement, send
 
 pytestmark = pytest.mark.kernels
 
@@ -38,7 +39,7 @@ def trusted(view):
 
 def averaged(comparison, *given):
     found = comparison.average(*given)
-    return replace(comparison.own, **comparison.read(found, *found))
+    return replace(comparison.own, **comparison.read(found))
 
 
 @pytest.fixture
@@ -132,6 +133,23 @@ def test_what_photos_refused_is_replaced_where_they_judge_it_anew(planes, device
     assert (last.status == status).all() and (last.depth == own.depth)[50:70, 70:90].all()
     assert (earlier.status == REFINED).all() and (earlier.depth == last.depth)[status == REFINED].all()
     assert np.abs(earlier.depth - planes[3].depth)[50:70, 70:90].max() < 2e-5
+
+
+def test_what_no_view_speaks_for_or_photos_refuse_stays_as_it_was(planes, device):
+    """On the device, with what the next round is told of it."""
+    rng, shape = np.random.default_rng(4), planes[3].depth.shape
+    proposed, status = (rng.choice(np.array([REFINED, REJECTED, KEPT], "u1"), shape) for _ in range(2))
+    depth, parallax, deviation = (rng.uniform(1, 2, shape).astype("f4") for _ in range(3))
+    own, comparison = planes[3], Agreement(planes[3], planes[:3], device)
+    buffers = (upload(device, array) for array in (proposed, depth, parallax, deviation, status))
+    told = comparison.agreed(*buffers)
+    held = (proposed == REFINED) & (status == REFINED)
+    want = {"depth": np.where(held, depth, own.depth), "deviation": np.where(held, deviation, own.deviation),
+            "status": np.where(held, status, own.status), "parallax": parallax}
+    for name, array in want.items():
+        assert np.array_equal(download(device, getattr(told, name), shape, array.dtype), array), name
+    sent = send(replace(own, **want), device)
+    assert np.array_equal(*(download(device, given.inverse, shape) for given in (told, sent)))
 
 
 def test_what_has_no_parallax_is_left_alone(planes, device):
