@@ -145,6 +145,8 @@ def depth_down(depth: np.ndarray, width: int, height: int) -> np.ndarray:
     if depth.shape == (height, width):
         return depth
     valid = depth > 0
+    if valid.all():
+        return _shrunk(depth, width, height).astype(np.float32)
     weight = _shrunk(valid, width, height)
     total = _shrunk(np.where(valid, depth, 0), width, height)
     some = weight > 1e-9

@@ -8,9 +8,8 @@ by itself agrees best.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
@@ -31,6 +30,8 @@ _FLAT = 2.0             # grey levels of 255: patches of less texture are not co
 _BENDABLE = 0.3         # largest stretch of depths about their middle
 CLEAR = 0.02            # by so much patches must correlate better than under the depths as given
 _MOST = 241             # values of s in a sweep
+_SPARSE, _ENOUGH, _AROUND = 4, 600, 4   # each so many-th patch is asked first, where so many are; values asked of all
+_THREADS = 8
 _ACROSS, _SOME = 10.0, 0.3      # pixels of the small photos searched to each side; least correlation at the best
 _EACH = 6.0             # and in both directions for the s of a patch
 _MATCHED, _SURE = 0.7, 4.0      # correlation of a patch that is believed to be found; standard errors of a stretch
@@ -60,20 +61,20 @@ class CommonScale:
 
 
 def find_common_scale(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
-                      known: bool = True) -> CommonScale:
+                      known: bool = True, greys: Greys | None = None) -> CommonScale:
     """The factor by which all depth maps (None where a view has none) are to be multiplied, and the shift added then;
     1 and 0 where photos do not clearly ask for others, or at all where their scale is not `known`. `cameras` are the
     views', of the depth maps' size."""
-    pairs = _pairs(cameras, depths)
+    pairs, greys = _pairs(cameras, depths), Greys(views) if greys is None else greys
     if not pairs:
         return CommonScale(1.0, 0.0, float("nan"), float("nan"))
     best, bent, span = 0.0, 0.0, RANGE
-    sweeps = [_Sweep(views, depths, pairs, side) for side in _SIDES]
-    for sweep in sweeps:
-        best = sweep.best(best, span, sweep.parallax, partial(sweep.score, bent=bent))
+    for side in _SIDES:
+        sweep = _Sweep(views, depths, pairs, side, greys)
+        best = sweep.best(best, span, bent)
         best, bent = _by_patches(sweep, best, bent)
         span = _FINER * _STEP * sweep.parallax
-    given, found = sweep.score(0.0, 0.0), sweep.score(best, bent)
+    given, found = (float(sweep.scores(np.array([s]), b)[0]) for s, b in ((0.0, 0.0), (best, bent)))
     if not found > given + (CLEAR if known else 0.0) or abs(best) > 0.98 * RANGE or abs(bent) > _BENDABLE:
         return CommonScale(1.0, 0.0, given, given)
     factor = float(np.exp(best))
@@ -84,17 +85,21 @@ def _by_patches(sweep: _Sweep, start: float, bent: float) -> tuple[float, float]
     """The log factor `start` and `bent` made exact by where each patch by itself agrees best; a stretch within its
     error stays. The mean of all patches hardly shows a stretch: in most of them it is small."""
     tried = start + sweep.parallax * np.arange(-_EACH, _EACH + 0.25, _STEP)
-    moves, told = np.arange(-_EACH, _EACH + 0.5), []
-    for i, j in sweep.pairs:
-        across = sweep.scores_across(i, j, moves, start, bent)
-        if np.isfinite(across).all():
-            rows = [sweep.across(i, j, moves[[across.argmax()]], value, bent) for value in tried]
-            scores, pixels = np.concatenate([row for row, _ in rows]).T, rows[len(rows) // 2][1]
-            top = np.where(np.isfinite(scores).all(axis=1)[:, None], scores, 0.0)
-            good = (top.max(axis=1) > _MATCHED) & (top.argmax(axis=1) % (len(tried) - 1) > 0)
-            best = np.array([_peak(tried, row) for row in scores[good]]) - start
-            middle = sweep.middle / sweep.depth(sweep.patches[i], 0.0, bent)[good].mean(axis=1)
-            told += [(np.stack([np.ones(len(best)), 1 - middle], -1), best, pixels[good])] * (len(best) >= _LEAST)
+    moves = np.arange(-_EACH, _EACH + 0.5)
+
+    def of_pair(pair: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        across = sweep.scores_across(*pair, moves, start, bent)
+        if not np.isfinite(across).all():
+            return None
+        rows = [sweep.across(*pair, moves[[across.argmax()]], value, bent) for value in tried]
+        scores, pixels = np.concatenate([row for row, _ in rows]).T, rows[len(rows) // 2][1]
+        top = np.where(np.isfinite(scores).all(axis=1)[:, None], scores, 0.0)
+        good = (top.max(axis=1) > _MATCHED) & (top.argmax(axis=1) % (len(tried) - 1) > 0)
+        best = np.array([_peak(tried, row) for row in scores[good]]) - start
+        middle = sweep.middle / sweep.depth(sweep.patches[pair[0]], 0.0, bent)[good].mean(axis=1)
+        return (np.stack([np.ones(len(best)), 1 - middle], -1), best, pixels[good]) if len(best) >= _LEAST else None
+
+    told = [found for found in side_by_side(of_pair, sweep.pairs, _THREADS) if found]
     for unknowns in (2, 1) if told else ():
         each = [_fitted(rows[:, :unknowns], best, pixels) for rows, best, pixels in told]
         values, errors = np.array(each).swapaxes(0, 1)
@@ -136,49 +141,55 @@ def _pairs(cameras: Sequence[Camera], depths: Sequence[np.ndarray | None]) -> li
     usable = [k for k, depth in enumerate(depths) if depth is not None]
     asked = [usable[k] for k in evenly(len(usable), _VIEWS)] if usable else []
     chooser = ContextChooser(cameras, depths)
-    return [(i, j) for i in asked for j in chooser.choose(i).indices[:_OTHERS]]
+    return [(i, j) for i, choice in zip(asked, side_by_side(chooser.choose, asked, _THREADS))
+            for j in choice.indices[:_OTHERS]]
 
 
-def find_unit(views: Sequence[View], cameras: Sequence[Camera],
-              depths: Sequence[np.ndarray | None]) -> tuple[float, float, float]:
+def find_unit(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
+              greys: Greys) -> tuple[float, float, float]:
     """The power of ten by which depths are to be divided so that photos agree over them, the agreement then, and as
     given: 1000 for millimetres where cameras are in metres. 1 where no other is clear; agreements are the mean over
-    views of each one's best correlation within RANGE."""
-    given = _best_agreement(views, cameras, depths, 1.0)
+    views of each one's best correlation within RANGE, or less where that is enough."""
+    given = _best_agreement(views, cameras, depths, 1.0, greys)
     if given >= AGREE:
         return 1.0, given, given
-    found = {unit: _best_agreement(views, cameras, depths, unit) for unit in UNITS}
+    found = {unit: _best_agreement(views, cameras, depths, unit, greys) for unit in UNITS}
     best = max(found, key=lambda unit: found[unit])
     clear = found[best] >= AGREE and found[best] > max(given, 0) + 0.2
     return (best, found[best], given) if clear else (1.0, given, given)
 
 
 def _best_agreement(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
-                    unit: float) -> float:
+                    unit: float, greys: Greys) -> float:
     scaled = [None if depth is None else depth / np.float32(unit) for depth in depths]
     pairs = _pairs(cameras, scaled)
     if not pairs:
         return 0.0
-    sweep = _Sweep(views, scaled, pairs, _SIDES[0])
-    step, best = max(sweep.parallax, 2 * RANGE / 80), []
-    for i in sorted({i for i, _ in pairs}):
-        sweep.pairs = [pair for pair in pairs if pair[0] == i]
-        scores = [sweep.score(value) for value in np.arange(-RANGE, RANGE, step)]
-        best.append(np.nanmax(scores) if np.isfinite(scores).any() else 0.0)
-    return float(np.mean(best))
+    sweep = _Sweep(views, scaled, pairs, _SIDES[0], greys)
+    step, found = max(sweep.parallax, 2 * RANGE / 80), 0.0
+    for tried in (np.zeros(1), np.arange(-RANGE, RANGE, step)):
+        best = []
+        for i in sorted({i for i, _ in pairs}):
+            sweep.pairs = [pair for pair in pairs if pair[0] == i]
+            scores = sweep.scores(tried)
+            best.append(np.nanmax(scores) if np.isfinite(scores).any() else 0.0)
+        found = float(np.mean(best))
+        if unit == 1 and found >= AGREE:
+            break
+    return found
 
 
-def cameras_off(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None]) -> float:
+def cameras_off(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
+                greys: Greys) -> float:
     """How far photos are off across the direction in which depth moves them, which no depth explains: the root mean
     square over pairs of views, pixels of the photos; 0 where moving them gains nothing, NaN where no pair can be
     compared. Up to some 6 % of a side."""
     pairs = _pairs(cameras, depths)
     if not pairs:
         return float("nan")
-    sweep = _Sweep(views, depths, pairs, _SIDES[0])
+    sweep = _Sweep(views, depths, pairs, _SIDES[0], greys)
     tried, found, gains = np.arange(-_ACROSS, _ACROSS + 0.25, 0.5), [], []
-    for pair in pairs:
-        scores = sweep.scores_across(*pair, tried)
+    for pair, scores in zip(pairs, side_by_side(lambda pair: sweep.scores_across(*pair, tried), pairs, _THREADS)):
         if np.isfinite(scores).all() and scores.max() > _SOME:
             found.append(_peak(tried, scores) * views[pair[0]].camera.width / sweep.cameras[pair[0]].width)
             gains.append(scores.max() - scores[len(tried) // 2])
@@ -187,18 +198,36 @@ def cameras_off(views: Sequence[View], cameras: Sequence[Camera], depths: Sequen
     return float(np.sqrt(np.mean(np.square(found)))) if np.mean(gains) > _GAIN else 0.0
 
 
+class Greys:
+    """Grey levels of small photos of `views` at all the sizes asked for; each photo is read once."""
+
+    def __init__(self, views: Sequence[View]):
+        self.views = views
+        self._small = dict[int, dict[int, np.ndarray]]()        # by view and side
+
+    def at(self, side: int, chosen: Sequence[int]) -> list[np.ndarray]:
+        """float32 (h, w) of the views `chosen`, each of the longer side `side`."""
+        new = [k for k in chosen if k not in self._small]
+        self._small.update(zip(new, side_by_side(self._read, new, _THREADS)))
+        return [self._small[k][side] for k in chosen]
+
+    def _read(self, k: int) -> dict[int, np.ndarray]:
+        photo = self.views[k].load_image()
+        return {side: np.ascontiguousarray(grey_of(photo_to(photo, *_within(side, self.views[k].camera))))
+                for side in _SIDES}
+
+
 class _Sweep:
     """Photos and patches at one size."""
 
     def __init__(self, views: Sequence[View], depths: Sequence[np.ndarray | None], pairs: list[tuple[int, int]],
-                 side: int):
+                 side: int, greys: Greys):
         self.pairs, self.patches = pairs, dict[int, _Patches]()
         self._turned = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]()      # rays of i as j has them, and tau
         chosen = sorted({k for pair in pairs for k in pair})
         sizes = {k: _within(side, views[k].camera) for k in chosen}
         self.cameras = {k: views[k].camera.resized(*size) for k, size in sizes.items()}
-        self.greys = dict(zip(chosen, side_by_side(lambda k: np.ascontiguousarray(
-            grey_of(photo_to(views[k].load_image(), *sizes[k]))), chosen)))
+        self.greys = dict(zip(chosen, greys.at(side, chosen)))
         for k in sorted({i for i, _ in pairs}):
             if (depth := depths[k]) is not None:
                 resized = depth_down if depth.shape[1] >= sizes[k][0] else depth_up
@@ -207,11 +236,18 @@ class _Sweep:
         self.middle = float(np.median(every)) if len(every) else 1.0
         self.parallax = self._parallax()
 
-    def best(self, start: float, span: float, parallax: float, score: Callable[[float], float]) -> float:
-        """Where `score` is largest within `span` of `start`, which stays where nothing can be compared."""
-        step = max(_STEP * parallax, 2 * span / (_MOST - 1))
+    def best(self, start: float, span: float, bent: float) -> float:
+        """Where photos agree best within `span` of `start`, which stays where nothing can be compared. Where patches are
+        many, some of them say around which values all are asked."""
+        step = max(_STEP * self.parallax, 2 * span / (_MOST - 1))
         tried = np.union1d(np.arange(start - span, start + span + step / 2, step), [start])
-        scores = np.array([score(float(value)) for value in tried])
+        every = min(_SPARSE, sum(len(self.patches[i].depth) for i, _ in self.pairs) // _ENOUGH)
+        if every > 1 and len(tried) > 2 * _AROUND:
+            rough = self.scores(tried, bent, every)
+            if np.isfinite(rough).any():
+                top = int(np.nanargmax(rough))
+                tried = tried[max(0, top - _AROUND):top + _AROUND + 1]
+        scores = self.scores(tried, bent)
         return _peak(tried, scores) if np.isfinite(scores).any() else start
 
     def _parallax(self) -> float:
@@ -223,13 +259,14 @@ class _Sweep:
             changes.append(1e-3 / max(float(np.nanmedian(moved)) if moved.size else 0.0, 1e-6))
         return float(np.median(changes))
 
-    def _place(self, i: int, j: int, log_scale: float, bent: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _place(self, i: int, j: int, log_scale: float, bent: float = 0.0,
+               every: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         patches, camera = self.patches[i], self.cameras[j]
         if (i, j) not in self._turned:
             rotation, tau = camera.relative_to(patches.camera)
             self._turned[i, j] = np.ascontiguousarray(np.moveaxis(patches.rays @ rotation.T, -1, 0)), tau
         rays, tau = self._turned[i, j]
-        x, y, z = rays * self.depth(patches, log_scale, bent) + tau[:, None, None]
+        x, y, z = rays[:, ::every] * self.depth(patches, log_scale, bent)[::every] + tau[:, None, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
             good = ((z > 0) & (u > 1) & (v > 1) & (u < camera.width - 1) & (v < camera.height - 1)).all(axis=1)
@@ -240,20 +277,23 @@ class _Sweep:
         moved: np.ndarray = np.exp(log_scale) * (patches.depth + bent * (patches.depth - self.middle))
         return moved
 
-    def score(self, log_scale: float, bent: float = 0.0) -> float:
-        """Mean correlation (at least 0) of all patches that stay inside, over all pairs."""
-        total, count = 0.0, 0
-        for i, j in self.pairs:
-            u, v, good = self._place(i, j, log_scale, bent)
-            if good.any():
-                values = self._correlations(i, j, u, v, good)
-                total, count = total + float(values.sum()), count + len(values)
-        return total / count if count >= _LEAST else float("nan")
+    def scores(self, tried: np.ndarray, bent: float = 0.0, every: int = 1) -> np.ndarray:
+        """Mean correlation (at least 0) of all patches (each `every`-th) that stay inside, over all pairs, for each log
+        factor; NaN where hardly any do."""
+        def of_pair(pair: tuple[int, int]) -> list[tuple[float, int]]:
+            found = [self._correlations(*pair, *self._place(*pair, float(value), bent, every), every)
+                     for value in tried]
+            return [(float(values.sum()), len(values)) for values in found]
 
-    def _correlations(self, i: int, j: int, u: np.ndarray, v: np.ndarray, good: np.ndarray) -> np.ndarray:
-        """Correlation, at least 0, of the `good` patches of view i with what view j shows at u, v."""
-        other = _unit(bilinear(self.greys[j], u[good], v[good]))[0]
-        return np.maximum((other * self.patches[i].grey[good]).sum(axis=1), 0)
+        total, count = np.sum(side_by_side(of_pair, self.pairs, _THREADS), axis=0).T
+        return np.where(count >= _LEAST, total / np.maximum(count, 1), np.nan)
+
+    def _correlations(self, i: int, j: int, u: np.ndarray, v: np.ndarray, good: np.ndarray,
+                      every: int = 1) -> np.ndarray:
+        """Correlation, at least 0, of the `good` patches of view i (of each `every`-th) with what view j shows at u,
+        v."""
+        u, v = u[good].astype(np.float32), v[good].astype(np.float32)
+        return np.maximum((_unit(bilinear(self.greys[j], u, v))[0] * self.patches[i].grey[::every][good]).sum(axis=1), 0)
 
     def across(self, i: int, j: int, moves: np.ndarray, log_scale: float = 0.0,
                bent: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
