@@ -238,13 +238,13 @@ class _Sweep:
 
     def best(self, start: float, span: float, bent: float) -> float:
         """Where photos agree best within `span` of `start`, which stays where nothing can be compared. Where patches are
-        many, some of them say around which values all are asked."""
+        many, and some of them agree somewhere, all are asked around there alone."""
         step = max(_STEP * self.parallax, 2 * span / (_MOST - 1))
         tried = np.union1d(np.arange(start - span, start + span + step / 2, step), [start])
         every = min(_SPARSE, sum(len(self.patches[i].depth) for i, _ in self.pairs) // _ENOUGH)
         if every > 1 and len(tried) > 2 * _AROUND:
             rough = self.scores(tried, bent, every)
-            if np.isfinite(rough).any():
+            if (rough >= AGREE).any():
                 top = int(np.nanargmax(rough))
                 tried = tried[max(0, top - _AROUND):top + _AROUND + 1]
         scores = self.scores(tried, bent)
