@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pagas_cl.config import Config
 from pagas_cl.errors import log
 from pagas_cl.runtime.host import resident_mb, trim
+from pagas_cl.scene.choice import MOST_HELD_OUT
 from pagas_cl.scene.view import View
 from pagas_cl.surface.blocks import USUAL_MB
 
@@ -18,7 +19,7 @@ def tell_memory(views: Sequence[View], config: Config, device, fused: bool,
                 memory_mb: float | None) -> dict[str, float]:
     """Log the most MB that refining these views, and fusing them (in `memory_mb`), will take, with what this process
     has now; gives them by stage."""
-    from pagas_cl.splat.budget import largest_plan
+    from pagas_cl.splat.budget import plan_for
 
     trim()
     now, cameras = resident_mb(), [view.camera for view in views]
@@ -26,7 +27,8 @@ def tell_memory(views: Sequence[View], config: Config, device, fused: bool,
     contexts = min(config.context.number, len(views) - 1)
     on_device = 0.0
     if contexts and getattr(getattr(device, "info", None), "kind", "GPU") == "CPU":
-        plan = largest_plan(cameras, config)
+        some = sorted(cameras, key=lambda camera: -camera.width * camera.height)[:1 + contexts + MOST_HELD_OUT]
+        plan = plan_for(some, contexts, config)
         agree = largest * (_AGREE + 8 * (1 + contexts)) + plan.photos
         on_device = min(max(plan.nbytes, agree), device.memory.limit) / 1e6
     planned = {"refining": now + on_device + _KERNELS + largest * _VIEW / 1e6}

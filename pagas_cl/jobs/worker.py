@@ -4,12 +4,12 @@ import multiprocessing
 import os
 import socket
 import time
-from collections import Counter, OrderedDict, deque
+from collections import Counter, OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime
-from functools import cache, partial
+from functools import cache
 from multiprocessing.connection import wait
 from threading import Lock, Thread
 
@@ -144,18 +144,15 @@ def run_part(work: Callable, part, device, code: str):
 def run_batch(batch: Batch, inside=None) -> list[Record]:
     """Refine the views of `batch` that are not finished; one record each, which also tells of the view's error.
 
-    The device refines one view while the files of the next are read and those of the one before are written; one with
-    memory of its own refines two at a time, so that it never waits for what the host does about one of them.
+    The device refines one view while the files of the next are read and those of the one before are written.
     `inside(k)` is the progress of view `k`, where somebody in this process wants to know. OutputError (nothing can be
     written) and DeviceError (no device to work with) are raised: they are not the view's fault.
     """
     _begin(batch.code)
-    with (_one_at_a_time, ThreadPoolExecutor(_READERS) as readers, ThreadPoolExecutor(_WRITERS) as writer,
-          ThreadPoolExecutor(2) as pair):
+    with _one_at_a_time, ThreadPoolExecutor(_READERS) as readers, ThreadPoolExecutor(_WRITERS) as writer:
         context = _worker_context(batch.device)
-        waiting, two = 1 if context.photos.on_host else _WRITERS, _two_at_a_time(batch, context)
+        waiting = 1 if context.photos.on_host else _WRITERS
         views, photos, ended, ahead = context.views(batch), context.photos if batch.photos else None, [], {}
-        begun: deque[_Begun] = deque()
         for task, following in zip(batch.tasks, [*batch.tasks[1:], None]):
             if (work_folder(batch.folder) / STOP).exists():
                 break
@@ -166,16 +163,9 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
             depth = ahead.pop(task.name, None) or _read_ahead(readers, task, views, photos)
             if following is not None:
                 ahead[following.name] = _read_ahead(readers, following, views, photos)
-            given = batch, task, views, depth, writer
-            if two:
-                begun.append(_Begun(pair, given, begun[-1] if begun else None,
-                                    inside and partial(inside, len(ended) + len(begun))))
-                if len(begun) == 1:
-                    continue
-            ended.append(begun.popleft().ended() if two else _attempt(*given, inside and inside(len(ended))))
+            ended.append(_attempt(batch, task, views, depth, writer, inside and inside(len(ended))))
             if len(ended) > waiting and isinstance(ended[-1 - waiting], Future):
                 ended[-1 - waiting] = ended[-1 - waiting].result()     # no more than these wait to be written
-        ended += [view.ended() for view in begun]
         ended = [record.result() if isinstance(record, Future) else record for record in ended]
     trim()
     return ended
@@ -190,40 +180,8 @@ def _read_ahead(readers: ThreadPoolExecutor, task: ViewTask, views: dict, photos
     return depth
 
 
-def _two_at_a_time(batch: Batch, context: WorkerContext) -> bool:
-    """Whether the device has memory of its own, and for two of the largest views twice over."""
-    from pagas_cl.splat.budget import largest_plan
-
-    if context.photos.on_host or len(batch.tasks) < 2:
-        return False
-    plan = largest_plan([view.camera for view in batch.views.values()], batch.config)
-    return 4 * plan.nbytes <= context.device.memory.limit
-
-
-class _Begun:
-    """A view that is refined beside the one that was begun `before` it; who asks is told how far the first of both
-    is."""
-
-    def __init__(self, pair: ThreadPoolExecutor, given: tuple, before: "_Begun | None", inside):
-        self._given, self._before, self._inside, self._tell = given, before, inside, None
-        self._found = pair.submit(_attempt, *given, self._progress, False)
-
-    def _progress(self, *given) -> None:
-        if self._inside and (self._before is None or self._before._found.done()):
-            self._tell = self._tell or self._inside()
-            self._tell(*given)
-
-    def ended(self):
-        """As of _attempt; a view that has failed beside another one is tried again alone: it may not have been its
-        fault."""
-        found, self._before = self._found.result(), None
-        return _attempt(*self._given, self._inside and self._inside()) if found is None else found
-
-
-def _attempt(batch: Batch, task: ViewTask, views: dict, depth: Future, writer: ThreadPoolExecutor, progress,
-             alone: bool = True):
-    """The record of `task` if it fails, else what promises it: `writer` is to write the result. None where it fails
-    and is not `alone`, unless its input is bad."""
+def _attempt(batch: Batch, task: ViewTask, views: dict, depth: Future, writer: ThreadPoolExecutor, progress):
+    """The record of `task` if it fails, else what promises it: `writer` is to write the result."""
     context, start = _worker_context(batch.device), time.perf_counter()
     note_down(batch.folder, "began", task.name)
     try:
@@ -232,11 +190,9 @@ def _attempt(batch: Batch, task: ViewTask, views: dict, depth: Future, writer: T
     except OutputError:
         raise
     except Exception as error:  # whatever it is, the other views must not suffer
+        record = _failed(batch, task, error)
         if not isinstance(error, InputError):
             _worker_contexts.pop(batch.device, None)  # the device may be in any state: opened anew for the next view
-            if not alone:
-                return None
-        record = _failed(batch, task, error)
         if isinstance(error, DeviceLostError):        # where it then fails again, this worker has none
             if _lost:
                 _lost.clear()

@@ -6,7 +6,6 @@ frees, and views of one size need the same ones again.
 
 import os
 from collections import defaultdict, deque
-from threading import RLock
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +29,6 @@ class Memory:
     def __init__(self, title: str, limit: int, spare: float = 0.0):
         self.title, self.limit, self.spare = title, limit, spare
         self.held = self.peak = self.waiting = self._planned = 0
-        self._lock = RLock()        # views may be refined by two threads
         self._kept: defaultdict[tuple[str, int], deque[_Counted]] = defaultdict(deque)      # never an empty one
 
     def buffer(self, context: cl.Context, nbytes: int, role: str = "") -> "_Counted":
@@ -39,10 +37,6 @@ class Memory:
         One that has served in the `role` is taken again, so that kernels find it where it was. DeviceMemoryError where
         it would exceed the limit, or the driver refuses it.
         """
-        with self._lock:
-            return self._buffer(context, nbytes, role)
-
-    def _buffer(self, context: cl.Context, nbytes: int, role: str) -> "_Counted":
         if self.held + nbytes > self.limit:
             raise DeviceMemoryError(f"{self.title} may hold {_mb(self.limit)} MB, {_mb(self.held)} MB are taken and "
                                     f"{_mb(nbytes)} MB more are needed")
@@ -63,29 +57,25 @@ class Memory:
 
     def begin(self, planned: int) -> None:
         """Count the peak from here on; `planned` bytes in all will do, what waits included."""
-        with self._lock:
-            self.peak, self._planned = self.held, min(self.limit, planned)
-            self._free(self._most)
+        self.peak, self._planned = self.held, min(self.limit, planned)
+        self._free(self._most)
 
     @property
     def _most(self) -> int:
         return max(self._planned, int(self.spare * self.limit))
 
     def count(self, nbytes: int) -> None:
-        with self._lock:
-            self.held += nbytes
-            self.peak = max(self.peak, self.held)
+        self.held += nbytes
+        self.peak = max(self.peak, self.held)
 
     def keep(self, buffer: "_Counted") -> None:
         """Take back a buffer that nothing enqueued later will use."""
-        with self._lock:
-            self._kept[buffer.role, buffer.size].append(buffer)
-            self.waiting += buffer.size
+        self._kept[buffer.role, buffer.size].append(buffer)
+        self.waiting += buffer.size
 
     def clear(self) -> None:
         """Let the driver have every buffer that waits."""
-        with self._lock:
-            self._free(0)
+        self._free(0)
 
     def _pop(self, role: str, nbytes: int) -> "_Counted":
         kept = self._kept[role, nbytes]

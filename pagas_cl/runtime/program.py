@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from threading import Lock
 from types import MappingProxyType
 from typing import Any, Protocol
 
@@ -76,7 +75,6 @@ def _parameter(declaration: str) -> tuple[str, str]:
     return words[-1], "" if "*" in declaration else words[-2]
 
 
-_one_builds = Lock()
 _programs: dict[tuple[int, str, tuple[str, ...]], Program] = {}
 
 
@@ -86,23 +84,18 @@ def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
     mention must not make another program of it."""
     defines = _mentioned(name, defines)
     key = (device.context.int_ptr, name, defines)
-    with _one_builds:
-        if key not in _programs:
-            _programs[key] = _built(device, name, defines)
+    if key not in _programs:
+        options = [*OPTIONS, *(f"-D{define}" for define in defines)]
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", cl.CompilerWarning)
+                built = cl.Program(device.context, source(name)).build(options)
+        except cl.RuntimeError as error:
+            raise KernelBuildError(f"{name} does not compile on {device.info.title}: {_first_line(str(error))}; "
+                                   "update the driver, or choose another device (pagas-cl devices)",
+                                   log=str(error), options=" ".join(options), source=source(name)) from error
+        _programs[key] = Program(built, signatures(source(name)))
     return _programs[key]
-
-
-def _built(device: Device, name: str, defines: tuple[str, ...]) -> Program:
-    options = [*OPTIONS, *(f"-D{define}" for define in defines)]
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", cl.CompilerWarning)
-            built = cl.Program(device.context, source(name)).build(options)
-    except cl.RuntimeError as error:
-        raise KernelBuildError(f"{name} does not compile on {device.info.title}: {_first_line(str(error))}; "
-                               "update the driver, or choose another device (pagas-cl devices)",
-                               log=str(error), options=" ".join(options), source=source(name)) from error
-    return Program(built, signatures(source(name)))
 
 
 def _first_line(log: str) -> str:
@@ -263,10 +256,7 @@ def bind(program: Program, name: str, global_size: Sequence[int], local_size: Se
         raise TypeError(f"kernel {name} takes {', '.join(signature)}: missing {sorted(missing)}, unknown "
                         f"{sorted(unknown)}")
     source = (program.built.int_ptr, name)
-    try:
-        kernel = _idle[source].popleft()
-    except IndexError:
-        kernel = _Kernel(program, name)
+    kernel = _idle[source].popleft() if _idle[source] else _Kernel(program, name)
     kernel.set({argument: arguments[argument] if argument in arguments else known[argument] for argument in signature})
     group = tuple(local_size) if local_size else usual_group(global_size)
     if group:

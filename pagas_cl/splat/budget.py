@@ -2,7 +2,6 @@
 what the device has: with all photos there, or with one at a time."""
 
 import gc
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pagas_cl.config import Config
@@ -10,7 +9,6 @@ from pagas_cl.errors import DeviceMemoryError, log
 from pagas_cl.runtime.arena import total_bytes
 from pagas_cl.runtime.device import translate_cl_errors
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.choice import MOST_HELD_OUT
 from pagas_cl.splat import mismatch
 from pagas_cl.splat.buffers import EvidenceBuffers, LevelBuffers, Size, dimensions, level_size
 from pagas_cl.splat.evidence import HISTOGRAM
@@ -86,13 +84,6 @@ def _photos(full: list[Size], sizes: list[Size], streamed: bool) -> int:
         return photo_bytes(sizes[0].pixels) + place + 2 * shrunk
     return sum(photo_bytes(size.pixels) for size in full) + sum(
         photo_bytes(small.pixels) for small, size in zip(sizes, full) if small != size)
-
-
-def largest_plan(cameras: Sequence[Camera], config: Config) -> Plan:
-    """Of the view of `cameras` that takes most."""
-    some = sorted(cameras, key=lambda camera: -camera.width * camera.height)
-    contexts = min(config.context.number, len(some) - 1)
-    return plan_for(some[:1 + contexts + MOST_HELD_OUT], contexts, config)
 
 
 def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoStore, *, held_out=()):

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
-from threading import RLock
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,6 @@ class PhotoStore:
     def __init__(self, device, limit_bytes: int | None = None):
         self.device, self.on_host = device, device.info.kind == "CPU"
         self.limit = limit_bytes or min(device.memory.limit // 4, _ON_A_CPU if self.on_host else device.memory.limit)
-        self._lock = RLock()        # two threads may ask
         self._held: dict[Hashable, tuple] = {}        # by owner: what is on the device, bytes
 
     def photo(self, view, pixels: np.ndarray | None = None) -> cl.Buffer:
@@ -43,13 +41,12 @@ class PhotoStore:
 
     def held(self, owner: Hashable, nbytes: int, send: Callable[[], Any]) -> Any:
         """What `send()` brings to the device for `owner`, `nbytes` of it: kept as long as photos are."""
-        with self._lock:
-            found = self._held.pop(owner, None)
-            if found is None:
-                self._make_room(nbytes)
-                found = send(), nbytes
-            self._held[owner] = found            # last in the order of use
-            return found[0]
+        found = self._held.pop(owner, None)
+        if found is None:
+            self._make_room(nbytes)
+            found = send(), nbytes
+        self._held[owner] = found            # last in the order of use
+        return found[0]
 
     def replace(self, views, others) -> None:
         """What is held for each of `views` serves the one of `others` in its place."""
@@ -80,20 +77,17 @@ class PhotoStore:
 
     def clear(self) -> None:
         """Forget every photo, and the buffers that wait for another view."""
-        with self._lock:
-            self._held.clear()
+        self._held.clear()
         self.device.memory.clear()
 
     def beside(self, views) -> int:
         """Bytes of what is here and is not of `views`."""
-        with self._lock:
-            return sum(self._held[owner][1] for owner in self._held.keys() - set(views))
+        return sum(self._held[owner][1] for owner in self._held.keys() - set(views))
 
     def trim(self, nbytes: int):
         """Keep no more photos than leave room for `nbytes` of other buffers."""
-        with self._lock:
-            self.limit = max(0, min(self.limit, self.device.memory.limit - nbytes))
-            self._make_room(0)
+        self.limit = max(0, min(self.limit, self.device.memory.limit - nbytes))
+        self._make_room(0)
 
     def _make_room(self, nbytes: int):
         while self._held and sum(size for _, size in self._held.values()) + nbytes > self.limit:

@@ -237,8 +237,8 @@ class _Sweep:
         self.parallax = self._parallax()
 
     def best(self, start: float, span: float, bent: float) -> float:
-        """Where photos agree best within `span` of `start`, which stays where nothing can be compared. Where patches
-        are many, and some of them agree somewhere, all are asked around there alone."""
+        """Where photos agree best within `span` of `start`, which stays where nothing can be compared. Where patches are
+        many, and some of them agree somewhere, all are asked around there alone."""
         step = max(_STEP * self.parallax, 2 * span / (_MOST - 1))
         tried = np.union1d(np.arange(start - span, start + span + step / 2, step), [start])
         every = min(_SPARSE, sum(len(self.patches[i].depth) for i, _ in self.pairs) // _ENOUGH)
@@ -293,8 +293,7 @@ class _Sweep:
         """Correlation, at least 0, of the `good` patches of view i (of each `every`-th) with what view j shows at u,
         v."""
         u, v = u[good].astype(np.float32), v[good].astype(np.float32)
-        other = _unit(bilinear(self.greys[j], u, v))[0]
-        return np.maximum((other * self.patches[i].grey[::every][good]).sum(axis=1), 0)
+        return np.maximum((_unit(bilinear(self.greys[j], u, v))[0] * self.patches[i].grey[::every][good]).sum(axis=1), 0)
 
     def across(self, i: int, j: int, moves: np.ndarray, log_scale: float = 0.0,
                bent: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
