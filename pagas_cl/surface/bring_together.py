@@ -18,7 +18,8 @@ from pagas_cl.scene.depthmap import depth_down
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.view import View
 from pagas_cl.surface import depth_alignment as alignment
-from pagas_cl.surface.common_scale import AGREE, CommonScale, Greys, cameras_off, find_common_scale, find_unit
+from pagas_cl.surface.common_scale import CommonScale, cameras_off, find_common_scale, find_unit
+from pagas_cl.surface.photo_sweep import AGREE, Greys
 
 _HELD, _FEW = 400, 200        # pixels of the longer side of the maps that are kept in memory, of so many views
 _BETTER = 0.7                 # disagreement must fall to this share of it
