@@ -17,7 +17,7 @@ import json
 import shutil
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -27,7 +27,6 @@ from pagas_cl.errors import InputError, OutputError, log
 from pagas_cl.jobs.store import translate_os_errors, written
 from pagas_cl.jobs.task import Record, ViewTask
 from pagas_cl.result import DepthResult, in_short, normals_of
-from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import confidence_of, load_depth
 from pagas_cl.scene.digest import digest_of
@@ -80,15 +79,6 @@ def claim_names(folder: Path, stems: list[str]) -> None:
     if not known.issuperset(stems):
         with written(_names_file(folder), _parts(folder)) as file:
             file.write(json.dumps(sorted(known.union(stems))).encode())
-
-
-def remove_rounds(folder: Path) -> None:
-    """Remove what rounds before the last one have left in `folder`, of killed runs with other settings too."""
-    places = list(work_folder(folder).glob("round_*"))
-    with suppress(OSError):       # gigabytes: a system takes its time for each
-        side_by_side(Path.unlink, [file for place in places for file in place.rglob("*.npz")], 8)
-    for place in places:
-        shutil.rmtree(place, ignore_errors=True)
 
 
 def remove_run(folder: Path) -> None:

@@ -4,7 +4,6 @@ from collections.abc import Collection
 from contextlib import suppress
 from copy import copy
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -79,13 +78,11 @@ class Planner:
 
     def hash_inputs(self, indices: Collection[int]) -> None:
         """Read what the tasks of these views will ask hashes of; who asks is told of what cannot be read."""
-        def ask(hashed, index: int) -> None:
+        def ask(index: int) -> None:
             with suppress(InputError):
-                hashed(index)
+                self.digest(index), getattr(self._depths[index], "digest", None)
 
-        side_by_side(partial(ask, self.digest), {k for index in indices for k in self.partners(index).all}, _THREADS)
-        if self._earlier is None:
-            side_by_side(partial(ask, lambda index: self._depths[index].digest), indices, _THREADS)
+        side_by_side(ask, {k for index in indices for k in self.partners(index).all}, _THREADS)
 
     def digest(self, index: int) -> str:
         """Hash of a view's photo, mask and camera; read once."""

@@ -3,6 +3,7 @@
 import shutil
 import tempfile
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,6 @@ from pagas_cl.jobs.finished import (
     find_finished,
     one_run,
     records_in,
-    remove_rounds,
     round_folder,
     work_folder,
 )
@@ -120,7 +120,8 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
         close_worker_contexts()
     results = collect.results()
     if not any(record.error for record in collect.records.values()):
-        remove_rounds(folder)
+        side_by_side(partial(shutil.rmtree, ignore_errors=True),
+                     work_folder(folder).glob("round_*"))      # of killed runs with other settings, too
     warn_of_nothing(views, depths, results)     # which may read the depth maps
     shutil.rmtree(store.folder, ignore_errors=True)
     return results

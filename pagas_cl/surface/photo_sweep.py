@@ -22,7 +22,6 @@ THREADS = 8             # pairs that are worked on at a time
 _PATCHES, _HALF = 200, 3
 _FLAT = 2.0             # grey levels of 255: patches of less texture are not compared
 _MOST = 241             # values of s in a sweep
-_SPARSE, _ENOUGH, _AROUND = 4, 600, 4   # each so many-th patch is asked first, where so many are; values asked of all
 _AT_ONCE = 1 << 16      # samples looked up at a time: a thread holds the others up between two looks, not in one
 
 
@@ -75,16 +74,9 @@ class Sweep:
         self.parallax = self._parallax()
 
     def best(self, start: float, span: float, bent: float) -> float:
-        """Where photos agree best within `span` of `start`, which stays where nothing can be compared. Where patches
-        are many, and some of them agree somewhere, all are asked around there alone."""
+        """Where photos agree best within `span` of `start`, which stays where nothing can be compared."""
         step = max(STEP * self.parallax, 2 * span / (_MOST - 1))
         tried = np.union1d(np.arange(start - span, start + span + step / 2, step), [start])
-        every = min(_SPARSE, sum(len(self.patches[i].depth) for i, _ in self.pairs) // _ENOUGH)
-        if every > 1 and len(tried) > 2 * _AROUND:
-            rough = self.scores(tried, bent, every)
-            if (rough >= AGREE).any():
-                top = int(np.nanargmax(rough))
-                tried = tried[max(0, top - _AROUND):top + _AROUND + 1]
         scores = self.scores(tried, bent)
         return float(peaks(tried, scores[None])[0]) if np.isfinite(scores).any() else start
 
@@ -97,8 +89,8 @@ class Sweep:
             changes.append(1e-3 / max(float(np.nanmedian(moved)) if moved.size else 0.0, 1e-6))
         return float(np.median(changes))
 
-    def _place(self, i: int, j: int, tried: np.ndarray, bent: float = 0.0,
-               every: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _place(self, i: int, j: int, tried: np.ndarray,
+               bent: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where view j has the patches of view i, for each log factor (k,): u and v (k, n, p), and whether all of a
         patch is inside (k, n)."""
         patches, camera = self.patches[i], self.cameras[j]
@@ -106,8 +98,8 @@ class Sweep:
             rotation, tau = camera.relative_to(patches.camera)
             self._turned[i, j] = np.ascontiguousarray(np.moveaxis(patches.rays @ rotation.T, -1, 0)), tau
         rays, tau = self._turned[i, j]
-        depth = np.exp(tried)[:, None, None] * self.bent(patches, bent)[::every]
-        x, y, z = (ray[::every] * depth + t for ray, t in zip(rays, tau))
+        depth = np.exp(tried)[:, None, None] * self.bent(patches, bent)
+        x, y, z = (ray * depth + t for ray, t in zip(rays, tau))
         with np.errstate(divide="ignore", invalid="ignore"):
             u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
             good = ((z > 0) & (u > 1) & (v > 1) & (u < camera.width - 1) & (v < camera.height - 1)).all(axis=2)
@@ -117,29 +109,28 @@ class Sweep:
         """Depths whose distance from the middle is stretched by 1 + `bent`."""
         return patches.depth + bent * (patches.depth - self.middle) if bent else patches.depth
 
-    def scores(self, tried: np.ndarray, bent: float = 0.0, every: int = 1) -> np.ndarray:
-        """Mean correlation (at least 0) of all patches (each `every`-th) that stay inside, over all pairs, for each log
-        factor; NaN where hardly any do."""
+    def scores(self, tried: np.ndarray, bent: float = 0.0) -> np.ndarray:
+        """Mean correlation (at least 0) of all patches that stay inside, over all pairs, for each log factor; NaN where
+        hardly any do."""
         def of_pair(pair: tuple[int, int]) -> np.ndarray:
-            found = np.concatenate([self._correlations(*pair, *self._place(*pair, some, bent, every), every)
-                                    for some in self.parts(pair[0], tried, every)])
+            found = np.concatenate([self._correlations(*pair, *self._place(*pair, some, bent))
+                                    for some in self.parts(pair[0], tried)])
             return np.stack([np.nansum(found, axis=1), np.isfinite(found).sum(axis=1)])
 
         total, count = np.sum(side_by_side(of_pair, self.pairs, THREADS), axis=0)
         return np.where(count >= LEAST, total / np.maximum(count, 1), np.nan)
 
-    def parts(self, i: int, tried: np.ndarray, every: int = 1) -> list[np.ndarray]:
+    def parts(self, i: int, tried: np.ndarray) -> list[np.ndarray]:
         """`tried` in parts of as many as are looked up at a time."""
-        size = max(1, _AT_ONCE * every // max(1, self.patches[i].depth.size))
+        size = max(1, _AT_ONCE // max(1, self.patches[i].depth.size))
         return [tried[k:k + size] for k in range(0, len(tried), size)]
 
-    def _correlations(self, i: int, j: int, u: np.ndarray, v: np.ndarray, good: np.ndarray,
-                      every: int = 1) -> np.ndarray:
-        """Correlation (k, n), at least 0, of the patches of view i (of each `every`-th) with what view j shows at u, v;
-        NaN of those that are not `good`."""
+    def _correlations(self, i: int, j: int, u: np.ndarray, v: np.ndarray, good: np.ndarray) -> np.ndarray:
+        """Correlation (k, n), at least 0, of the patches of view i with what view j shows at u, v; NaN of those that
+        are not `good`."""
         found, which = np.full(good.shape, np.nan), np.nonzero(good)[1]
         other = _unit(bilinear(self.greys[j], u[good].astype(np.float32), v[good].astype(np.float32)))[0]
-        found[good] = np.maximum((other * self.patches[i].grey[::every][which]).sum(axis=1), 0)
+        found[good] = np.maximum((other * self.patches[i].grey[which]).sum(axis=1), 0)
         return found
 
     def across(self, i: int, j: int, moves: np.ndarray, tried: np.ndarray,
