@@ -18,14 +18,13 @@ from pagas_cl.scene.depthmap import depth_down
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.view import View
 from pagas_cl.surface import depth_alignment as alignment
-from pagas_cl.surface.common_scale import CommonScale, cameras_off, find_common_scale, find_unit
+from pagas_cl.surface.common_scale import WELL, CommonScale, cameras_off, find_common_scale, find_unit
 from pagas_cl.surface.photo_sweep import AGREE, Greys
 
 _HELD, _FEW = 400, 200        # pixels of the longer side of the maps that are kept in memory, of so many views
 _BETTER = 0.7                 # disagreement must fall to this share of it
 _MATTERS = 0.004              # and change some depth by so much
 _SAME = 0.1 * _MATTERS        # maps that disagree by less are not asked what would mend it
-_LOOKED_AT = 0.8              # photos that agree better are not off by much
 ALONE, REACH = 0.5, 4.0       # pixels that a refinement bridges while cameras stay, and where they are refined first
 _STILL = 0.05                 # a view that disagrees by more afterwards is named
 
@@ -95,7 +94,7 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
         said.append(f"all depths are multiplied by {common.factor:.4f}{more}: photos agree {common.agreement:.2f} over "
                     f"them then, {common.given:.2f} before")
         held = [None if map is None else adjusted(map, common.factor, common.shift) for map in held]
-    off = cameras_off(views, cameras, held, greys) if common.agreement < _LOOKED_AT else 0.0
+    off = cameras_off(views, cameras, held, greys) if common.agreement < WELL else 0.0
     said += _doubts([views[have[k]].name for k in left], common, off)
     return Together(factors, shifts, unit, (before, after), common.agreement, off, tuple(said))
 

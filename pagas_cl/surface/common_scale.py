@@ -22,6 +22,8 @@ from pagas_cl.surface.photo_sweep import AGREE, LEAST, SIDES, STEP, THREADS, Gre
 
 RANGE = 0.35            # largest |log s|
 _VIEWS, _OTHERS = 8, 3
+_FIRST, _MANY = 4, 20   # each so many-th pair is asked first, where they are so many
+WELL = 0.8              # correlation of photos that are not off by much
 _FINER = 3.0            # steps to each side that the finer sweep covers
 _BENDABLE = 0.3         # largest stretch of depths about their middle
 CLEAR = 0.02            # by so much patches must correlate better than under the depths as given
@@ -50,13 +52,17 @@ def find_common_scale(views: Sequence[View], cameras: Sequence[Camera], depths: 
     pairs, greys = _pairs(cameras, depths), Greys(views) if greys is None else greys
     if not pairs:
         return CommonScale(1.0, 0.0, float("nan"), float("nan"))
-    best, bent, span = 0.0, 0.0, RANGE
-    for side in SIDES:
-        sweep = Sweep(views, depths, pairs, side, greys)
-        best = sweep.best(best, span, bent)
-        best, bent = _by_patches(sweep, best, bent)
-        span = _FINER * STEP * sweep.parallax
-    given, found = (float(sweep.scores(np.array([s]), b)[0]) for s, b in ((0.0, 0.0), (best, bent)))
+    few = pairs[::_FIRST] if known and len(pairs) >= _MANY else []
+    for some in (few, pairs) if few else (pairs,):
+        best, bent, span = 0.0, 0.0, RANGE
+        for side in SIDES:
+            sweep = Sweep(views, depths, some, side, greys)
+            best = sweep.best(best, span, bent)
+            best, bent = _by_patches(sweep, best, bent)
+            span = _FINER * STEP * sweep.parallax
+        given, found = (float(sweep.scores(np.array([s]), b)[0]) for s, b in ((0.0, 0.0), (best, bent)))
+        if given > WELL and found < given + CLEAR / 2:       # nothing to mend: a few pairs say as much as all
+            break
     if not found > given + (CLEAR if known else 0.0) or abs(best) > 0.98 * RANGE or abs(bent) > _BENDABLE:
         return CommonScale(1.0, 0.0, given, given)
     factor = float(np.exp(best))
