@@ -155,7 +155,7 @@ def find_finished(folder: Path, task: ViewTask, extras: bool) -> Record | None:
         record = _read_record(path)
         if record.key != task.key or (extras and f"{OWN}/views/{task.stem}.npz" not in record.digests):
             return None
-        other = [name for name, digest in record.digests.items() if not _as_written(Path(folder) / name, digest)]
+        other = [name for name, digest in record.digests.items() if sum_of(Path(folder) / name) != digest]
     except FileNotFoundError:
         return None
     except (*DAMAGE, TypeError, AttributeError) as error:
@@ -164,15 +164,6 @@ def find_finished(folder: Path, task: ViewTask, extras: bool) -> Record | None:
     if other:
         log.warning("%s is not as it was written: view %s is refined again", other[0], task.name)
     return None if other else record
-
-
-def _as_written(path: Path, digest: str) -> bool:
-    try:
-        return sum_of(path) == digest
-    except FileNotFoundError:
-        raise
-    except DAMAGE:
-        return False
 
 
 def records_in(folder: Path) -> list[Record]:

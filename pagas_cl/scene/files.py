@@ -136,12 +136,10 @@ def write_arrays(file: BinaryIO, arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def sum_of(path: Path) -> str:
-    """Names, sizes and CRCs of the arrays in a .npz, all of which are read; one of DAMAGE where one is not as it was
-    written."""
+    """Names, sizes and CRCs of the arrays in a .npz, all of which are read: something else where one is damaged, an
+    error of DAMAGE where it is no archive."""
     with opened(path) as file, zipfile.ZipFile(file) as archive:
-        if (damaged := archive.testzip()) is not None:
-            raise ValueError(f"{damaged} is damaged")
-        return _sum(archive)
+        return f"{archive.testzip() or ''}{_sum(archive)}"
 
 
 def _sum(archive: zipfile.ZipFile) -> str:
