@@ -10,6 +10,7 @@ import pyopencl as cl
 
 from pagas_cl.cameras.adjust import Adjuster, Frame
 from pagas_cl.config import Config
+from pagas_cl.runtime.host import side_by_side
 from pagas_cl.runtime.memory import upload
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.inputs import depth_array
@@ -27,8 +28,8 @@ def depths_of(given, device=None) -> tuple[Depths, bool]:
     do, others stay with their views."""
     if not is_mesh(given):
         def stay(cameras: Sequence[Camera]) -> list[np.ndarray]:
-            return [np.zeros((camera.height, camera.width), np.float32) if depth is None else depth_array(depth)
-                    for camera, depth in zip(cameras, given)]
+            return side_by_side(lambda k: np.zeros((cameras[k].height, cameras[k].width), np.float32)
+                                if given[k] is None else depth_array(given[k]), range(len(given)), 8)
         return stay, False
     surface: Surface = to_surface(given)
 

@@ -13,9 +13,9 @@
 Nothing else in FOLDER is written, replaced or removed.
 """
 
-import io
 import json
 import shutil
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -29,8 +29,8 @@ from pagas_cl.jobs.task import Record, ViewTask
 from pagas_cl.result import DepthResult, in_short, normals_of
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import confidence_of, load_depth
-from pagas_cl.scene.digest import digest_of, in_chunks
-from pagas_cl.scene.files import DAMAGE, opened, read_bytes
+from pagas_cl.scene.digest import digest_of
+from pagas_cl.scene.files import DAMAGE, opened, read_bytes, read_member, sum_of, write_arrays
 from pagas_cl.scene.locks import locked
 from pagas_cl.scene.names import OWN
 
@@ -120,21 +120,19 @@ def _parts(folder: Path) -> Path:
 
 
 def write_finished(folder: Path, task: ViewTask, result: DepthResult, extras: bool, about: dict) -> Record:
-    """Write a view's files; the record comes last."""
+    """Write a view's files; the record comes last. It knows what they must be: only what is not ours alone has to be on
+    the disk before it."""
     digests = {}
     arrays = {f"{task.stem}.npz": {"depth": result.depth}}
     if extras:
         arrays[f"{OWN}/views/{task.stem}.npz"] = {name: getattr(result, name) for name in _EXTRAS}
     for name, content in arrays.items():
-        with written(Path(folder) / name, _parts(folder)) as file:
-            packed = io.BytesIO()
-            np.savez(packed, **content)
-            digests[name] = digest_of([packed.getbuffer()])
-            file.write(packed.getbuffer())
+        with written(Path(folder) / name, _parts(folder), OWN not in (Path(folder) / name).parts) as file:
+            digests[name] = write_arrays(file, content)
     record = Record(task.name, task.stem, task.key, result.reason, result.counts, {**result.report, **about}, digests)
     # as it will be read: tuples are lists then, and NumPy's numbers plain ones
     known = json.loads(json.dumps(asdict(record), default=float))
-    with written(_view_file(folder, task.stem, ".json"), _parts(folder)) as file:
+    with written(_view_file(folder, task.stem, ".json"), _parts(folder), False) as file:
         file.write(json.dumps({"seal": _seal(known), **known}).encode())
     return record
 
@@ -157,8 +155,7 @@ def find_finished(folder: Path, task: ViewTask, extras: bool) -> Record | None:
         record = _read_record(path)
         if record.key != task.key or (extras and f"{OWN}/views/{task.stem}.npz" not in record.digests):
             return None
-        other = [name for name, digest in record.digests.items()
-                 if digest_of(in_chunks(Path(folder) / name)) != digest]
+        other = [name for name, digest in record.digests.items() if sum_of(Path(folder) / name) != digest]
     except FileNotFoundError:
         return None
     except (*DAMAGE, TypeError, AttributeError) as error:
@@ -259,7 +256,8 @@ class StoredResult:
         path = _view_file(self.folder, self.record.stem, ".npz")
         try:
             with opened(path) as file:
-                return np.load(file, allow_pickle=False)[name]
+                archive = zipfile.ZipFile(file)
+                return read_member(archive, archive.getinfo(f"{name}.npy"))
         except DAMAGE as error:
             raise InputError(f"{str(path)!r} cannot be read ({error}): start the same command again, which makes it "
                              "anew") from error

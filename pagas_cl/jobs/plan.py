@@ -1,6 +1,7 @@
 """Which views go together, and in what order: neighbours share photos."""
 
 from collections.abc import Collection
+from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -8,15 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.config import Config
+from pagas_cl.errors import InputError
 from pagas_cl.jobs.finished import EarlierResults
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch, ViewTask, task_key, view_digest
+from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.view import View
 
 _BATCH = 16      # most views in a batch
 _HERE = 32       # views in a batch of this process: between two of them the device waits
+_THREADS = 8     # that choose partners and hash files at a time
 _SHARES = 8      # batches for each worker, so that a slow one leaves its share to others
 
 
@@ -38,8 +42,7 @@ class Planner:
 
     def settle(self, asked: Collection[int]) -> None:
         """Choose the partners of all views `asked` at once, and forget the depth maps."""
-        for index in asked:
-            self.partners(index)
+        side_by_side(self.partners, asked, _THREADS)
         self._chooser = None
 
     def after(self, folder: Path, refined: Collection[int], work) -> "Planner":
@@ -72,6 +75,14 @@ class Planner:
         if index not in self._keys:
             self._keys[index] = self.task(index).key
         return self._keys[index]
+
+    def hash_inputs(self, indices: Collection[int]) -> None:
+        """Read what the tasks of these views will ask hashes of; who asks is told of what cannot be read."""
+        def ask(index: int) -> None:
+            with suppress(InputError):
+                self.digest(index), getattr(self._depths[index], "digest", None)
+
+        side_by_side(ask, {k for index in indices for k in self.partners(index).all}, _THREADS)
 
     def digest(self, index: int) -> str:
         """Hash of a view's photo, mask and camera; read once."""

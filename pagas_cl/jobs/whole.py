@@ -3,6 +3,7 @@
 import shutil
 import tempfile
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -119,8 +120,8 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
         close_worker_contexts()
     results = collect.results()
     if not any(record.error for record in collect.records.values()):
-        for place in work_folder(folder).glob("round_*"):      # of killed runs with other settings, too
-            shutil.rmtree(place, ignore_errors=True)
+        side_by_side(partial(shutil.rmtree, ignore_errors=True),
+                     work_folder(folder).glob("round_*"))      # of killed runs with other settings, too
     warn_of_nothing(views, depths, results)     # which may read the depth maps
     shutil.rmtree(store.folder, ignore_errors=True)
     return results
@@ -173,6 +174,7 @@ def _unfinished(planner: Planner, parts, template: Batch, collect: "_Collect", o
 def _todo(planner: Planner, part, template: Batch, collect: "_Collect") -> list:
     """The tasks of a part of the views, without those that are finished, which are collected."""
     todo = []
+    planner.hash_inputs(part)
     for index in part:
         try:
             task = planner.task(index)

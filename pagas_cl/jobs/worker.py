@@ -24,7 +24,7 @@ from pagas_cl.scene.view import View
 
 STOP = "stop"              # a file of this name in the work folder asks every worker to end after its present view
 _READERS = min(6, os.cpu_count() or 6)      # photos that are decoded at a time
-_WRITERS = 3               # results that are written at a time, beside a device with memory of its own
+_WRITERS = 3               # results that are written, and views that are read, at a time, beside a device with memory
 _PHOTO_BYTES = 1 << 30     # most memory for decoded photos
 _one_at_a_time = Lock()    # tasks of one process share a device's queue
 _worker_contexts: dict = {}
@@ -153,16 +153,17 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
         context = _worker_context(batch.device)
         waiting = 1 if context.photos.on_host else _WRITERS
         views, photos, ended, ahead = context.views(batch), context.photos if batch.photos else None, [], {}
-        for task, following in zip(batch.tasks, [*batch.tasks[1:], None]):
+        for number, task in enumerate(batch.tasks):
             if (work_folder(batch.folder) / STOP).exists():
                 break
             record = find_finished(batch.folder, task, batch.extras)
             if record is not None:
                 ended.append(record)
                 continue
-            depth = ahead.pop(task.name, None) or _read_ahead(readers, task, views, photos)
-            if following is not None:
-                ahead[following.name] = _read_ahead(readers, following, views, photos)
+            for one in batch.tasks[number:number + 1 + waiting]:
+                if one.name not in ahead:
+                    ahead[one.name] = _read_ahead(readers, one, views, photos)
+            depth, ahead[task.name] = ahead[task.name], None
             ended.append(_attempt(batch, task, views, depth, writer, inside and inside(len(ended))))
             if len(ended) > waiting and isinstance(ended[-1 - waiting], Future):
                 ended[-1 - waiting] = ended[-1 - waiting].result()     # no more than these wait to be written

@@ -138,14 +138,12 @@ class ContextChooser:
 
     def _hidden(self, which: np.ndarray, uv: np.ndarray, depth: np.ndarray, inside: np.ndarray) -> np.ndarray:
         """Points that lie behind the other view's own surface."""
-        hidden = np.zeros(inside.shape, bool)
-        for k, j in enumerate(which):
-            own = self.depths[j]
+        behind, at = np.zeros(inside.shape), np.where(inside[..., None], uv, 0).astype(np.intp)
+        for row, places, own in zip(behind, at, (self.depths[j] for j in which)):
             if own is not None:
                 farthest, cell = (own.farthest, own.cell) if isinstance(own, DepthSample) else (own, 1)
-                at = uv[k][inside[k]].astype(np.intp) // cell
-                surface = farthest[at[:, 1], at[:, 0]]
-                hidden[k, inside[k]] = (surface > 0) & (depth[k][inside[k]] > _HIDDEN * surface)
+                row[:] = _HIDDEN * farthest[places[:, 1] // cell, places[:, 0] // cell]
+        hidden: np.ndarray = inside & (behind > 0) & (depth > behind)
         return hidden
 
     def _reason(self, found: int, inside: np.ndarray, seen: np.ndarray, useful: np.ndarray, angle: np.ndarray) -> str:

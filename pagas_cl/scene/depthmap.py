@@ -14,7 +14,7 @@ import numpy.typing as npt
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.exr import read_exr
-from pagas_cl.scene.files import is_file, opened, read_first, read_npy, replaced, translated
+from pagas_cl.scene.files import is_file, opened, read_first, read_npy, replaced, translated, write_arrays
 from pagas_cl.scene.images import open_image
 from pagas_cl.scene.names import file_stems
 
@@ -120,7 +120,7 @@ def clean_depth(values: npt.ArrayLike, who: str = "depth map") -> npt.NDArray[np
 def save_depth(path: str | Path, depth: npt.ArrayLike) -> None:
     """Write an .npz with one array, "depth", float32; beside the final name first, then renamed."""
     with replaced(path) as beside, open(beside, "wb") as file:
-        np.savez(file, depth=np.ascontiguousarray(depth, np.float32))
+        write_arrays(file, {"depth": np.ascontiguousarray(depth, np.float32)})
 
 
 def resize_depth(depth: npt.ArrayLike, width: int, height: int) -> npt.NDArray[np.float32]:
@@ -145,6 +145,8 @@ def depth_down(depth: np.ndarray, width: int, height: int) -> np.ndarray:
     if depth.shape == (height, width):
         return depth
     valid = depth > 0
+    if valid.all():
+        return _shrunk(depth, width, height).astype(np.float32)
     weight = _shrunk(valid, width, height)
     total = _shrunk(np.where(valid, depth, 0), width, height)
     some = weight > 1e-9

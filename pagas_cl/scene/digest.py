@@ -3,7 +3,7 @@
 import hashlib
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 
@@ -41,10 +41,5 @@ def digest_file(path: str | Path) -> str:
 
 @lru_cache(maxsize=1 << 17)
 def _digest_file(path: str, size: int, changed: int) -> str:
-    return digest_of(in_chunks(path))
-
-
-def in_chunks(path: str | Path) -> Iterator[bytes]:
-    """A file's bytes, some at a time."""
     with opened(path, sys.maxsize) as file:
-        yield from iter(lambda: file.read(_CHUNK), b"")
+        return digest_of(iter(lambda: file.read(_CHUNK), b""))

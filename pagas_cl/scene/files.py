@@ -15,7 +15,7 @@ import tempfile
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
@@ -110,22 +110,48 @@ def read_first(path: str | Path) -> np.ndarray:
 
 def read_member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
     """One array of an archive, nothing unpickled; one of DAMAGE where it is none."""
-    raw = io.BytesIO(archive.read(entry))
+    content = archive.read(entry)
+    raw = io.BytesIO(content)       # the same bytes, as the next array is
     header = np.lib.format
     with _one_header:
         read = header.read_array_header_1_0 if header.read_magic(raw) == (1, 0) else header.read_array_header_2_0
         shape, fortran, dtype = read(raw)
-    count, left = math.prod(shape), len(raw.getbuffer()) - raw.tell()
+    count, left = math.prod(shape), len(content) - raw.tell()
     if dtype.hasobject or count * dtype.itemsize > left:     # NumPy would take memory for the claim first
         raise ValueError(f"its header says {shape} of {dtype}, expected no more than the {left} bytes that follow")
-    return np.frombuffer(raw.read(), dtype, count).reshape(shape, order="F" if fortran else "C")
+    return np.frombuffer(content, dtype, count, raw.tell()).reshape(shape, order="F" if fortran else "C")
+
+
+def write_arrays(file: BinaryIO, arrays: Mapping[str, np.ndarray]) -> str:
+    """Write a .npz, byte for byte as numpy.savez does, but without copies, which no other thread could work beside; its
+    `sum_of`."""
+    header = np.lib.format
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, array in arrays.items():
+            array = np.asarray(array, order="C")
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                header.write_array_header_1_0(member, header.header_data_from_array_1_0(array))
+                member.write(array.reshape(-1).view(np.uint8).data)
+        return _sum(archive)
+
+
+def sum_of(path: Path) -> str:
+    """Names, sizes and CRCs of the arrays in a .npz, all of which are read: something else where one is damaged, an
+    error of DAMAGE where it is no archive."""
+    with opened(path) as file, zipfile.ZipFile(file) as archive:
+        return f"{archive.testzip() or ''}{_sum(archive)}"
+
+
+def _sum(archive: zipfile.ZipFile) -> str:
+    return " ".join(f"{entry.filename} {entry.file_size} {entry.CRC:08x}" for entry in archive.infolist())
 
 
 @contextmanager
 def replaced(path: str | Path, suffix: str = "", parts: Path | None = None,
-             advice: str = "make room, or choose another place") -> Iterator[Path]:
+             advice: str = "make room, or choose another place", durable: bool = True) -> Iterator[Path]:
     """Context: a new file to write to, in the folder `parts` (by default beside `path`), its name ending in `suffix`;
-    when all of it is on the disk it gets the name `path`. Folders are made.
+    when all of it is on the disk it gets the name `path` (unless `durable`, when it is written: who reads it has to
+    find out whether a crash has lost it). Folders are made.
 
     OutputError, with `advice`, where the disk does not take it.
     """
@@ -138,7 +164,7 @@ def replaced(path: str | Path, suffix: str = "", parts: Path | None = None,
         os.close(os.open(name, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         beside = name
         yield beside
-        _rename(beside, path)
+        _rename(beside, path, durable)
     except PagasError:
         raise
     except OSError as error:
@@ -170,10 +196,11 @@ def replaced_with_others(path: str | Path) -> Iterator[Path]:
             _rename(file, path.with_name(file.name))
 
 
-def _rename(file: Path, name: Path) -> None:
+def _rename(file: Path, name: Path, durable: bool = True) -> None:
     """Only when its bytes are on the disk: the name would survive a crash without them."""
-    with open(file, "r+b") as opened_again:
-        os.fsync(opened_again.fileno())
+    if durable:
+        with open(file, "r+b") as opened_again:
+            os.fsync(opened_again.fileno())
     os.replace(file, name)
 
 

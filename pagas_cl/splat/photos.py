@@ -12,7 +12,7 @@ from pagas_cl.runtime.device import elsewhere, open_device
 from pagas_cl.splat.buffers import Size
 
 PHOTO_MARGIN = 16         # pixels behind a photo that may be read
-_READERS, _READ = 4, 1 << 24      # photos read at a time, and most pixels of them
+_READERS, _READ = 8, 1 << 24      # photos read at a time, and most pixels of them
 _ON_A_CPU = 256 << 20     # bytes kept of what other views may want, where the device's memory is the host's
 
 

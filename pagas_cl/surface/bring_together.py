@@ -18,12 +18,13 @@ from pagas_cl.scene.depthmap import depth_down
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.view import View
 from pagas_cl.surface import depth_alignment as alignment
-from pagas_cl.surface.common_scale import AGREE, CommonScale, cameras_off, find_common_scale, find_unit
+from pagas_cl.surface.common_scale import WELL, CommonScale, cameras_off, find_common_scale, find_unit
+from pagas_cl.surface.photo_sweep import AGREE, Greys
 
 _HELD, _FEW = 400, 200        # pixels of the longer side of the maps that are kept in memory, of so many views
 _BETTER = 0.7                 # disagreement must fall to this share of it
 _MATTERS = 0.004              # and change some depth by so much
-_LOOKED_AT = 0.8              # photos that agree better are not off by much
+_SAME = 0.1 * _MATTERS        # maps that disagree by less are not asked what would mend it
 ALONE, REACH = 0.5, 4.0       # pixels that a refinement bridges while cameras stay, and where they are refined first
 _STILL = 0.05                 # a view that disagrees by more afterwards is named
 
@@ -57,14 +58,16 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
     `unit_is_known`: whether their unit is not to be asked for. Deterministic; a few maps are loaded at a time.
     """
     held = side_by_side(lambda k: None if (depth := depths[k]) is None else
-                        _small(views[k], depth_array(depth), len(views)), range(len(views)))
+                        _small(views[k], depth_array(depth), len(views)), range(len(views)), 8)
     cameras = [view.camera if map is None else view.camera.resized(map.shape[1], map.shape[0])
                for view, map in zip(views, held)]
     have = [k for k, map in enumerate(held) if map is not None and (map > 0).any()]
+    greys = Greys(views)
     factors, shifts, said = np.ones(len(views)), np.zeros(len(views)), list[str]()
     if not have or len(views) < 2:
         return Together(factors, shifts)
-    unit, agreement, given = (1.0, float("nan"), float("nan")) if unit_is_known else find_unit(views, cameras, held)
+    unit, agreement, given = (1.0, float("nan"), float("nan")) if unit_is_known else find_unit(views, cameras, held,
+                                                                                                     greys)
     if unit != 1:
         said.append(f"depths are {unit:g} times as large as the cameras' positions ask for{_name(unit)}: photos agree "
                     f"{agreement:.2f} over the depths divided by that, {given:.2f} over them as they are; they are "
@@ -83,7 +86,7 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
                     f"the depth, a pair a view, bring them to {after:.1%}")
         for k, a, b in zip(have, own, shift):
             held[k] = adjusted(held[k], float(a), float(b))       # type: ignore[arg-type]
-    common = find_common_scale(views, cameras, held, known=x is None)      # maps that disagreed know no scale
+    common = find_common_scale(views, cameras, held, x is None, greys)      # maps that disagreed know no scale
     if common.factor != 1:
         factors[have] *= common.factor
         shifts[have] = shifts[have] * common.factor + common.shift
@@ -91,7 +94,7 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
         said.append(f"all depths are multiplied by {common.factor:.4f}{more}: photos agree {common.agreement:.2f} over "
                     f"them then, {common.given:.2f} before")
         held = [None if map is None else adjusted(map, common.factor, common.shift) for map in held]
-    off = cameras_off(views, cameras, held) if common.agreement < _LOOKED_AT else 0.0
+    off = cameras_off(views, cameras, held, greys) if common.agreement < WELL else 0.0
     said += _doubts([views[have[k]].name for k in left], common, off)
     return Together(factors, shifts, unit, (before, after), common.agreement, off, tuple(said))
 
@@ -107,9 +110,11 @@ def _aligned(small: list[alignment.Reduced]) -> tuple[np.ndarray | None, float, 
     views that disagree still."""
     pairs = alignment.pairs_of(small)
     judges = [replace(view, rays=view.rays[1::2], samples=view.samples[1::2]) for view in small]
-    x = alignment.solve([replace(view, rays=view.rays[::2], samples=view.samples[::2]) for view in small], pairs)
-    none = np.zeros_like(x)
-    before, after = (_disagreement(judges, pairs, y) for y in (none, x))
+    x = np.zeros((len(small), 2))
+    before = after = _disagreement(judges, pairs, x)
+    if pairs and not np.nanmedian(before) < _SAME:
+        x = alignment.solve([replace(view, rays=view.rays[::2], samples=view.samples[::2]) for view in small], pairs)
+        after = _disagreement(judges, pairs, x)
     sizes = np.abs(np.exp(x[:, 0]) - 1 + x[:, 1])
     called = np.nanmedian(after) < _BETTER * np.nanmedian(before) and sizes.max() > _MATTERS if pairs else False
     now = after if called else before

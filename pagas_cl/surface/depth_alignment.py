@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from pagas_cl.config import Context
+from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import depth_down
@@ -66,7 +67,8 @@ def pairs_of(views: Sequence[Reduced], number: int = _NEIGHBOURS) -> list[tuple[
     """(i, j): views j that see much of what view i sees."""
     settings = Context(number=number, min_angle=0.0)
     chooser = ContextChooser([view.camera for view in views], [view.depth for view in views], settings)
-    return [(i, j) for i, view in enumerate(views) if len(view.samples) for j in chooser.choose(i).indices]
+    seen = [i for i, view in enumerate(views) if len(view.samples)]
+    return [(i, j) for i, choice in zip(seen, side_by_side(chooser.choose, seen)) for j in choice.indices]
 
 
 def carried(view: Reduced, other: Reduced, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -154,16 +154,16 @@ def test_disk_full_while_writing(scene, wanted, tmp_path, monkeypatch):
     """The third depth map does not fit: the run ends with one sentence, two views stay, nothing is half there."""
     import pagas_cl.jobs.finished as finished
 
-    whole, count = np.savez, []
+    whole, count = finished.write_arrays, []
 
-    def full(file, **arrays):
+    def full(file, arrays):
         count.append(1)
         if len(count) > 4:  # depth and extras of two views
             file.write(b"PK half an archive")
             raise OSError(28, "No space left on device")
-        whole(file, **arrays)
+        return whole(file, arrays)
 
-    monkeypatch.setattr(finished.np, "savez", full)
+    monkeypatch.setattr(finished, "write_arrays", full)
     with pytest.raises(OutputError, match=r"cannot write .*npz': No space left on device; finished views are kept"):
         refine(scene, tmp_path)
     assert len(bytes_of(tmp_path)) == 2 and not list(tmp_path.rglob("*.part"))

@@ -6,6 +6,7 @@ from PIL import Image
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.depthmap import clean_depth, find_depth, load_depth, resize_depth, save_depth
+from pagas_cl.scene.files import sum_of, write_arrays
 
 
 @pytest.fixture
@@ -124,3 +125,15 @@ def test_real_sensor_depth(data_dir):
     path = find_depth(data_dir / "hololens_rgbd" / "depth", "00010.png")
     depth = load_depth(path, (540, 360), scale=1000)
     assert depth.shape == (360, 540) and 0.5 < np.median(depth[depth > 0]) < 8 and 0.3 < (depth > 0).mean() < 0.9
+
+
+def test_archives_are_those_of_numpy_and_show_damage(tmp_path):
+    arrays = {"depth": np.arange(12, dtype=np.float32).reshape(3, 4), "none": np.zeros((0, 2)), "one": np.array(3.0)}
+    np.savez(tmp_path / "numpy.npz", **arrays)
+    with open(tmp_path / "ours.npz", "wb") as file:
+        found = write_arrays(file, arrays)
+    whole = (tmp_path / "ours.npz").read_bytes()
+    assert whole == (tmp_path / "numpy.npz").read_bytes() and found == sum_of(tmp_path / "ours.npz")
+    at = whole.index(arrays["depth"].tobytes()) + 5
+    (tmp_path / "ours.npz").write_bytes(whole[:at] + b"?" + whole[at + 1:])
+    assert found != sum_of(tmp_path / "ours.npz")

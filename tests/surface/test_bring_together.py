@@ -11,7 +11,7 @@ from support.scenes import relief_scene
 from pagas_cl.scene.depth_mesh import mesh_of_depths
 from pagas_cl.scene.depth_source import Adjusted
 from pagas_cl.scene.exr import read_exr
-from pagas_cl.surface import depth_alignment
+from pagas_cl.surface import common_scale, depth_alignment
 from pagas_cl.surface.bring_together import bring_together
 from pagas_cl.surface.common_scale import find_common_scale
 from pagas_cl.synthetic.examples import as_network, frames_of
@@ -103,6 +103,18 @@ def test_cameras_that_are_off_are_told(made, coarse, pixels, words):
         off.append(replace(view, camera=replace(view.camera, world_to_camera=pose)))
     found = bring_together(off, coarse)
     assert re.search(words, found.said[-1]) and "bundle" in found.said[-1]
+
+
+@pytest.mark.parametrize("factor, asked", [(1.0, {6}), (1.03, {6, 24})])
+def test_a_few_pairs_say_whether_all_are_asked(monkeypatch, factor, asked):
+    made, number = relief_scene(96, 72, 9, held_out=0), []
+    make = common_scale.Sweep
+    monkeypatch.setattr(common_scale, "Sweep", lambda views, depths, pairs, *more: (
+        number.append(len(pairs)), make(views, depths, pairs, *more))[1])
+    depths = [made.initial_depth(view.camera) * np.float32(factor) for view in made.views]
+    found = find_common_scale(made.views, made.cameras[:len(depths)], depths)
+    wrong = found.factor * factor + found.shift * factor / np.median(depths[0]) - 1
+    assert abs(wrong) < 1e-3 and set(number) == asked
 
 
 def test_adjusted_depth_is_a_file_still(coarse):
