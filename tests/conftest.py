@@ -1,13 +1,17 @@
 """Fixtures that several test files share, and what the choices of tests `make quick` and `make kernels` mean."""
 
+import gc
 import os
 import re
 import sys
 import tempfile
 from pathlib import Path
 
-import numpy as np
 import pytest
+
+if "PYTEST_XDIST_WORKER" in os.environ:      # several at a time: threads that wait for one another's cores burn them
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+import numpy as np
 
 from pagas_cl.scene.camera import Camera
 
@@ -35,6 +39,12 @@ def pytest_ignore_collect(collection_path, config):
     if chosen == "kernels":
         return True if not any("kernels" in line for line in marks) else None
     return True if any("mark.slow" in line for line in marks) else None
+
+
+def pytest_collection_finish():
+    """What collecting has made lives to the end: no collection of garbage need look at it again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items):
