@@ -23,6 +23,20 @@
 #define HALF 2
 #define LEAST_PIXELS 15
 #define MOVES (SHIFTS + OFFSETS)
+#ifndef SIDE_BY_SIDE
+#define SIDE_BY_SIDE 1           // moves of a patch that a work-item handles: one, or a native vector on a CPU
+#endif
+#if SIDE_BY_SIDE == 1
+typedef float moves_t;
+typedef int whole_t;
+#define TO_MOVES(v) convert_float(v)
+#define WHOLE(v) convert_int(v)
+#else
+typedef JOIN(float, SIDE_BY_SIDE) moves_t;
+typedef JOIN(int, SIDE_BY_SIDE) whole_t;
+#define TO_MOVES(v) JOIN(convert_float, SIDE_BY_SIDE)(v)
+#define WHOLE(v) JOIN(convert_int, SIDE_BY_SIDE)(v)
+#endif
 #define UNDEFINED 2.0f
 #define TEXTURED 1.5f            // costs above this are of patches without texture: nothing is read from them
 #define SQUARE(x) ((x) * (x))
@@ -69,56 +83,86 @@ float2 across_depth(const Camera target, const Camera context, int column, int r
 }
 
 // 1 - correlation of the 5x5 patch around a target pixel with the context photo; depths moved by `shift` pixels of
-// parallax, the photo by `epipolar_offset` pixels.
-float moved_cost(__global const float *depth, __global const float *depth_per_parallax, const Camera target,
-                 const Camera context, __global const uchar4 *target_photo, __global const uchar4 *photo, int2 at,
-                 float shift, float2 epipolar_offset)
+// parallax, the photo by `off_x`, `off_y` pixels.
+moves_t moved_cost(__global const float *depth, __global const float *depth_per_parallax, const Camera target,
+                   const Camera context, __global const uchar4 *target_photo, __global const uchar4 *photo, int2 at,
+                   moves_t shift, moves_t off_x, moves_t off_y)
 {
-    float n = 0.0f, w = 0.0f, t = 0.0f, ww = 0.0f, tt = 0.0f, wt = 0.0f;
+    const moves_t none = 0.0f;
+    moves_t n = none, w = none, t = none, ww = none, tt = none, wt = none, cost;
+    const int next[4] = {0, context.width > 1, context.height > 1 ? context.width : 0,
+                         context.width > 1 && context.height > 1 ? context.width + 1 : 0};
     for (int y = max(at.y - HALF, 0); y <= min(at.y + HALF, target.height - 1); ++y)
         for (int x = max(at.x - HALF, 0); x <= min(at.x + HALF, target.width - 1); ++x) {
             const int i = y * target.width + x;
-            const float d = depth[i] + shift * depth_per_parallax[i];
-            float3 color;
-            if (!(depth[i] > 0.0f && d > NEAR))
+            const float3 q = turned_ray(target, context, x, y), own = rgb_of(target_photo[i]);
+            const moves_t d = depth[i] + shift * depth_per_parallax[i], z = d * q.z + context.t.z, over_z = 1.0f / z;
+            const moves_t u = context.fx * (d * q.x + context.t.x) * over_z + context.cx + off_x - 0.5f;
+            const moves_t v = context.fy * (d * q.y + context.t.y) * over_z + context.cy + off_y - 0.5f;
+            whole_t seen = (d > NEAR) & (z > NEAR) & (u >= 0.0f) & (v >= 0.0f) & (u < (float)(context.width - 1))
+                         & (v < (float)(context.height - 1));
+            if (!(depth[i] > 0.0f) || (SIDE_BY_SIDE == 1 && LANE(int, seen, 0) == 0))
                 continue;
-            const float3 m = project_mean(target, context, x, y, d);
-            if (!(m.z > NEAR) || !look_up(photo, context, m.xy + epipolar_offset, &color))
-                continue;
-            const float3 own = rgb_of(target_photo[i]);
-            const float a = LUMA(color.x, color.y, color.z), b = LUMA(own.x, own.y, own.z);
-            n += 1.0f;
-            w += a;
-            t += b;
-            ww += a * a;
-            tt += b * b;
-            wt += a * b;
+            const whole_t column = WHOLE(select(none, u, seen)), row = WHOLE(select(none, v, seen));
+            const whole_t place = row * context.width + column;
+            const moves_t a = u - TO_MOVES(column), b = v - TO_MOVES(row);
+            moves_t corner[4][3], color[3];
+            for (int k = 0; k < 4; ++k) {                   // as look_up has it
+                whole_t pixel;
+                for (int j = 0; j < SIDE_BY_SIDE; ++j)
+                    ((int *)&pixel)[j] = as_int(photo[LANE(int, place, j) + next[k]]);
+                seen = seen & ((pixel & (int)0xff000000) != 0);
+                for (int c = 0; c < 3; ++c)
+                    corner[k][c] = TO_MOVES((pixel >> 8 * c) & 255) * (1.0f / 255.0f);
+            }
+            for (int c = 0; c < 3; ++c)
+                color[c] = (1 - b) * ((1 - a) * corner[0][c] + a * corner[1][c])
+                         + b * ((1 - a) * corner[2][c] + a * corner[3][c]);
+            const moves_t other = select(none, LUMA(color[0], color[1], color[2]), seen);
+            const moves_t here = select(none, none + LUMA(own.x, own.y, own.z), seen);
+            n += select(none, none + 1.0f, seen);
+            w += other;
+            t += here;
+            ww += other * other;
+            tt += here * here;
+            wt += other * here;
         }
-    const float noise = 1.5e-5f, inverse = 1.0f / fmax(n, 1.0f);
-    const float var_w = ww * inverse - w * w * inverse * inverse, var_t = tt * inverse - t * t * inverse * inverse;
-    if (n < LEAST_PIXELS || var_t < 4.0f * noise)
-        return UNDEFINED;
-    return 1.0f - (wt * inverse - w * t * inverse * inverse) / sqrt((fmax(var_w, 0.0f) + noise) * (var_t + noise));
+    for (int k = 0; k < SIDE_BY_SIDE; ++k) {
+        const float noise = 1.5e-5f, inverse = 1.0f / fmax(LANE(float, n, k), 1.0f);
+        const float of_w = LANE(float, w, k), of_t = LANE(float, t, k);
+        const float var_w = LANE(float, ww, k) * inverse - of_w * of_w * inverse * inverse;
+        const float var_t = LANE(float, tt, k) * inverse - of_t * of_t * inverse * inverse;
+        const float both = LANE(float, wt, k) * inverse - of_w * of_t * inverse * inverse;
+        ((float *)&cost)[k] = LANE(float, n, k) < LEAST_PIXELS || var_t < 4.0f * noise
+            ? UNDEFINED : 1.0f - both / sqrt((fmax(var_w, 0.0f) + noise) * (var_t + noise));
+    }
+    return cost;
 }
 
-// Work-items (sample, move).
+// Work-items (sample, SIDE_BY_SIDE moves).
 __kernel void match_moved(__global const float *depth, __global const float *depth_per_parallax,
                           __constant float *cameras, int view, __global const uchar4 *target_photo,
                           __global const uchar4 *photo, int stride, int across, int count,
                           __global float *values, __global float *costs)               // [MOVES, samples]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    EACH_PIXEL(k, move, i, count, MOVES)
-    float cost = UNDEFINED;
+    const int k = get_global_id(0), first = SIDE_BY_SIDE * get_global_id(1);
+    if (k >= count || first >= MOVES)
+        return;
+    moves_t cost = UNDEFINED, shift, off_x, off_y;
     if (row_of(values, view, HIDDEN, count)[k] == 0.0f) {
         const int2 at = sample_place(k, stride, across, target);
-        float2 epipolar_offset = 0.0f;
-        if (move >= SHIFTS)
-            epipolar_offset = MOVE[move] * across_depth(target, context, at.x, at.y);
-        cost = moved_cost(depth, depth_per_parallax, target, context, target_photo, photo, at,
-                          move < SHIFTS ? MOVE[move] : 0.0f, epipolar_offset);
+        const float2 across_it = across_depth(target, context, at.x, at.y);
+        for (int j = 0; j < SIDE_BY_SIDE; ++j) {
+            const int move = min(first + j, MOVES - 1);
+            ((float *)&shift)[j] = move < SHIFTS ? MOVE[move] : 0.0f;
+            ((float *)&off_x)[j] = move < SHIFTS ? 0.0f : MOVE[move] * across_it.x;
+            ((float *)&off_y)[j] = move < SHIFTS ? 0.0f : MOVE[move] * across_it.y;
+        }
+        cost = moved_cost(depth, depth_per_parallax, target, context, target_photo, photo, at, shift, off_x, off_y);
     }
-    costs[move * count + k] = cost;
+    for (int j = 0; j < min(SIDE_BY_SIDE, MOVES - first); ++j)
+        costs[(first + j) * count + k] = LANE(float, cost, j);
 }
 
 // Where five costs, at -2, -1, 0, 1, 2 pixels, are least; NaN where one is not defined or none of them matches.

@@ -1,13 +1,17 @@
 """Fixtures that several test files share, and what the choices of tests `make quick` and `make kernels` mean."""
 
+import gc
 import os
 import re
 import sys
 import tempfile
 from pathlib import Path
 
-import numpy as np
 import pytest
+
+if "PYTEST_XDIST_WORKER" in os.environ:      # several at a time: threads that wait for one another's cores burn them
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+import numpy as np
 
 from pagas_cl.scene.camera import Camera
 
@@ -37,9 +41,21 @@ def pytest_ignore_collect(collection_path, config):
     return True if any("mark.slow" in line for line in marks) else None
 
 
+def pytest_collection_finish():
+    """What collecting has made lives to the end: no collection of garbage need look at it again."""
+    gc.collect()
+    gc.freeze()
+
+
+# Begun side by side by three workers: the first compiles what refining takes while the others compile nothing, so that
+# nobody compiles it a second time.
+FIRST = ["test_acceptance.py", "test_reference.py", "test_bring_together.py"]
+
+
 def pytest_collection_modifyitems(items):
     """Slow files first: short ones at the end keep all workers busy until it."""
-    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+    items.sort(key=lambda item: (FIRST.index(item.path.name) if item.path.name in FIRST else len(FIRST),
+                                 item.get_closest_marker("slow") is None))
 
 
 @pytest.fixture(autouse=True, scope="session")

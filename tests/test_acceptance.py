@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support.acceptance_scenes import figures, moving, textureless, turned, wrong_poses
 
+from pagas_cl.errors import NothingRefinedWarning
 from pagas_cl.refine import refine_depth, refine_views
 from pagas_cl.result import KEPT, NO_SURFACE, REJECTED
 
@@ -44,7 +45,8 @@ def test_moving_content_costs_only_its_own_part(device):
 def test_a_view_that_is_returned_says_why(device):
     made, views = wrong_poses()
     depths = [made.initial_depth(made.cameras[0]), *[None] * (len(views) - 1)]
-    result, = refine_views(views, depths, device=device)
+    with pytest.warns(NothingRefinedWarning):
+        result, = refine_views(views, depths, device=device)
     assert result.reason and (result.depth == depths[0]).all() and result.counts["refined"] == 0
 
 

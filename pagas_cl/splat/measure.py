@@ -15,6 +15,7 @@ from pagas_cl.splat import exposure, project
 from pagas_cl.splat.buffers import ExposureBuffers, MaybeBuffer, SampleGrid, SurfaceBuffers, dimensions
 from pagas_cl.splat.constants import MEAN, NUMBER, OFFSETS, QUANTILE, SHARED, SHIFTS, SUMMARY_GROUP, define
 from pagas_cl.splat.options import Programs
+from pagas_cl.splat.tile import columns_of
 
 _MOVES = SHIFTS + OFFSETS
 # Rows of a context view: (name, lowest, highest, quantile's share).
@@ -139,8 +140,9 @@ class Probe:
         self.device, config = device, probe_config(config)
         self.target, *views = given.views(config)
         self.views, self.grid = views[:given.contexts], SampleGrid.over(self.target.size)
+        self.columns = columns_of(device, self.target.size.width)
         self.programs = Programs(device, config.with_settings(loss__exposure=False), given.cameras,
-                                 {"measure.cl": _ROW_NUMBERS})
+                                 {"measure.cl": (*_ROW_NUMBERS, f"SIDE_BY_SIDE={self.columns}")})
         number, count = len(self.views), self.grid.count
         self.view_samples = Rows(device, [rule for _, *rule in _ROWS] * number, count)
         self.samples = Rows(device, [(0, 1, 0.5)] * 3, count)
@@ -174,7 +176,7 @@ class Probe:
         """Samples of the context view, by the nearest surfaces that buffers.z_first holds for it."""
         count, given = self.grid.count, {**self.grid.arguments, "values": self.view_samples.values}
         return [self._bind("sample_view", (count,), view, **given),
-                self._bind("match_moved", (count, _MOVES), view, **given),
+                self._bind("match_moved", (count, -(-_MOVES // self.columns)), view, **given),
                 self._bind("judge_view", (count,), view, **given)]
 
     def _judge(self) -> list:
@@ -186,7 +188,7 @@ class Probe:
                 self.view_samples.summarize(), self.samples.summarize()]
 
     def _bind(self, kernel: str, grid, view=None, **arguments):
-        group = (64, 1) if len(grid) == 2 else None          # rows are moves or views: none is added
+        group = (64 if self.columns == 1 else 1, 1) if len(grid) == 2 else None      # no row is added: moves, views
         return self.programs.bind("measure.cl", kernel, grid, self.buffers, view, group, **arguments)
 
     def release(self):

@@ -142,6 +142,7 @@ def test_what_cannot_be_told_stays_with_a_reason(relief, device):
         refine_cameras(relief.views, relief.depths[:3], device=device)
 
 
+@pytest.mark.filterwarnings("ignore:nothing was refined")      # with cameras as given
 def test_the_effect_moves_cameras_before_views_are_refined(relief, off_by_one, device):
     from pagas_cl.refine import refine_views
 

@@ -68,6 +68,7 @@ def with_values(stage: str, values: dict):
     return BALANCED.with_settings(pyramid__steps=(3,), **{f"{stage}__{key}": value for key, value in values.items()})
 
 
+@pytest.mark.filterwarnings("ignore:nothing was refined")
 @pytest.mark.parametrize("name", CONTEXT)
 def test_context_at_its_limit(device, made, name):
     views, depths = made

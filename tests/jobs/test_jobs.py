@@ -26,7 +26,8 @@ from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.view import View
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_locks")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_locks"),
+              pytest.mark.filterwarnings("ignore:nothing was refined")]      # workers that only copy
 
 
 @pytest.fixture(scope="module")

@@ -83,6 +83,7 @@ def named(scene, names):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:nothing was refined")
 def test_every_view_gets_its_own_depth_back(scene, tmp_path):
     """One Camera object serves several photos here, too."""
     views, depths = named(scene, AWKWARD)

@@ -81,6 +81,7 @@ def test_no_depth_map_photo_or_list_of_points_is_waited_for(tmp_path, kind):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:nothing was refined")
 def test_a_run_does_not_wait_for_pipes_among_its_finished_views(tmp_path):
     from support import job_scenes as work
 
