@@ -1,6 +1,7 @@
 """Cameras that are off: errors with the true cameras, with those given, and with refined ones.
 
     python tests/bench/cameras.py OUT                                    # made scenes: relief, bar, closed
+    python tests/bench/cameras.py OUT --closed closed.pkl                # the last without Open3D, where that file is
     python tests/bench/cameras.py OUT --real dtu_scan24 --mesh dtu_scan24/derived/mesh_coarse.ply --share 0.5
 
 Made scenes: cameras turned and moved at random so that photos move by 0, 0.5, 1, 3, 6 pixels (root mean square, with
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import pickle
 import sys
 import time
 from pathlib import Path
@@ -30,35 +32,42 @@ SCENES = {"relief": {}, "bar": {"bar": 8.0, "seed": 1}, "closed": None}
 
 class Closed:
     """mesh_scenes.closed with what errors are measured against; one footprint is a unit, neighbours are 24 degrees
-    apart."""
+    apart. Photos and depth maps are drawn by Open3D, once: `Closed.kept` needs it no more."""
 
     def __init__(self, width: int):
         from mesh_scenes import closed
 
         from pagas_cl.scene.mesh import to_surface
         from pagas_cl.scene.view import View
+        from pagas_cl.surface.raster import each_depth
 
         made = closed(width)
-        self.cameras, self._true, self._given = made.cameras, to_surface(made.true), to_surface(made.given)
+        self.cameras = made.cameras
+        self._true, self._given = (dict(zip((c.name for c in made.cameras), each_depth(
+            to_surface(mesh), made.cameras, None))) for mesh in (made.true, made.given))
         self.all_views = [View(camera, photo, name=camera.name) for camera, photo in zip(made.cameras, made.photos)]
         self.distance, self.parallax = float(np.linalg.norm(made.cameras[0].center)), 1 / np.tan(np.radians(24))
 
+    @classmethod
+    def kept(cls, width: int, file: Path | None) -> Closed:
+        """The one that is in `file`; one made anew where there is no such file, which gets it."""
+        if file is not None and file.exists():
+            return pickle.loads(file.read_bytes())
+        made = cls(width)
+        if file is not None:
+            file.write_bytes(pickle.dumps(made))
+        return made
+
     def initial_depth(self, camera):
-        return self._drawn(self._given, camera)
+        return self._given[camera.name]
 
     def true_depth(self, camera):
-        return self._drawn(self._true, camera)
+        return self._true[camera.name]
 
     def true_normals(self, camera):
         from pagas_cl.result import normals_of
 
         return normals_of(self.true_depth(camera), camera)
-
-    @staticmethod
-    def _drawn(surface, camera):
-        from pagas_cl.surface.raster import each_depth
-
-        return next(each_depth(surface, [camera], None))
 
 
 def refined(views, depths, config, device, names):
@@ -100,14 +109,15 @@ def errors(scene, parallax, cameras, results, depths=None) -> dict:
     return dict(zip(("raw", "detrended", "normals"), np.mean(rows, axis=0).tolist()))
 
 
-def made(name: str, width: int, height: int, contexts: int, config, device, tell, levels=LEVELS) -> list[dict]:
+def made(name: str, width: int, height: int, contexts: int, config, device, tell, levels=LEVELS,
+         closed: Path | None = None) -> list[dict]:
     """A row a level of noise."""
     from pagas_cl.cameras.refine import refine_cameras
     from pagas_cl.scene.view import View
     from pagas_cl.synthetic import relief_scene
 
     own = SCENES[name]
-    scene = Closed(width) if own is None else relief_scene(width, height, contexts, held_out=0, **own)
+    scene = Closed.kept(width, closed) if own is None else relief_scene(width, height, contexts, held_out=0, **own)
     true, parallax = scene.cameras, scene.parallax if own is None else scene.relief.parallax
     depths = [scene.initial_depth(camera) for camera in true]
     names = [true[k].name for k in (0, len(true) // 2, len(true) - 1)]
@@ -250,6 +260,8 @@ def main() -> int:
     parse.add_argument("--judges", type=int, default=4, help="held-out photos of a real view, the nearest")
     parse.add_argument("--scenes", nargs="*", default=list(SCENES))
     parse.add_argument("--width", type=int, default=388)
+    parse.add_argument("--closed", type=Path, help="file that keeps the closed object, of one width: made with Open3D "
+                       "where it is not there, read without it elsewhere")
     parse.add_argument("--contexts", type=int, default=6)
     parse.add_argument("--levels", type=float, nargs="*", default=LEVELS)
     parse.add_argument("--preset", default="balanced")
@@ -271,7 +283,7 @@ def main() -> int:
         text = real_table(rows)
     else:
         rows = [row for name in ask.scenes for row in made(name, ask.width, round(ask.width * 290 / 388), ask.contexts,
-                                                            config, device, tell, ask.levels)]
+                                                            config, device, tell, ask.levels, ask.closed)]
         text = made_table(rows)
     (ask.out / "figures.json").write_text(json.dumps(rows, indent=1))
     (ask.out / "table.md").write_text(text + "\n")
