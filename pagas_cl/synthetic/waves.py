@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-_CHUNK = 32768      # points at a time: the temporaries stay in the processor's cache
+_CHUNK = 8192       # points at a time: the temporaries stay in the processor's cache
 _TOGETHER = 16384   # values of waves and points at a time, where points are few
 
 
