@@ -6,9 +6,7 @@ frees, and views of one size need the same ones again.
 
 import os
 from collections import defaultdict, deque
-from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from math import prod
 
 import numpy as np
 import numpy.typing as npt
@@ -139,16 +137,9 @@ _touching = ThreadPoolExecutor(1)
 
 
 def room(shape: tuple[int, ...], *dtypes: npt.DTypeLike) -> Future[list[np.ndarray]]:
-    """Arrays of `shape` for what a device will leave, of one piece, promised: the system takes longer to give memory
-    that nobody has touched than the device to fill it, and does so meanwhile."""
-    return _touching.submit(_touched, shape, dtypes)
-
-
-def _touched(shape: tuple[int, ...], dtypes: Sequence[npt.DTypeLike]) -> list[np.ndarray]:
-    ends = np.cumsum([prod(shape) * np.dtype(dtype).itemsize for dtype in dtypes])
-    block = np.empty(ends[-1], np.uint8)
-    block.fill(0)
-    return [part.view(dtype).reshape(shape) for part, dtype in zip(np.split(block, ends[:-1]), dtypes)]
+    """Arrays of `shape` for what a device will leave, promised: the system takes longer to give memory that nobody has
+    touched than the device to fill it, and does so meanwhile."""
+    return _touching.submit(lambda: [np.full(shape, 0, dtype) for dtype in dtypes])
 
 
 def limit_of(total: int, processes: int = 1) -> int:

@@ -49,6 +49,7 @@ def inside() -> None:
     from pagas_cl.selftest import BLENDS
     from pagas_cl.selftest import scenes as make
     from pagas_cl.splat import composite, options, refine_levels
+    from pagas_cl.splat.units import Start
     from pagas_cl.surface.agree import counts
 
     devices.try_device = claim.try_device = lambda *_: Trial(lanes=1)     # it would take minutes here
@@ -74,7 +75,8 @@ def inside() -> None:
                          config=config.with_settings(effects__mismatch="on"))
         else:
             on = replace(device, lanes=4) if "lanes" in name else device        # as on a CPU
-            start = upload(device, np.float32(scene.depth)) if "grey, L1" in name else None    # as rounds have it
+            start = None if "grey, L1" not in name else Start(      # as rounds have it
+                upload(device, np.float32(scene.depth)), lambda *found: found, 0)
             refine_levels(scene.target, scene.contexts, scene.depth, config, on, start=start)
     scene = make.base(size=(17, 12))
     adjust_cameras(scene, device)
