@@ -12,7 +12,7 @@ Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 
 
-def side_by_side(work: Callable[[Item], Answer], items: Iterable[Item], threads: int = 4) -> list[Answer]:
+def side_by_side(work: Callable[[Item], Answer], items: Iterable[Item], threads: int = 8) -> list[Answer]:
     """`work` of each, in their order, so many at a time: for what decoders and NumPy do, which let other threads on."""
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(work, items))
