@@ -207,7 +207,8 @@ def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mes
                              "replaced, and the next run would refine the refined; choose another name")
     if output is not None:
         check_mesh_path(output)
-        need("open3d", "mesh", "fusing depth maps to a mesh (--output)")
+    if output is not None and not keep_mesh:
+        need("open3d", "mesh", "fusing depth maps to a mesh (--output without --keep-mesh)")
     for name, folder in (("--save-depth", save_depth), ("--report", report)):
         if folder is not None and folder.exists() and not folder.is_dir():
             raise InputError(f"{name} {str(folder)!r} is a file, expected a folder")
