@@ -66,7 +66,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         "tsdf": a new mesh, fused from the refined depth maps. "mesh": the given mesh with as many triangles as the
         detail that photos show needs, nearer to the truth; what no photo sees stays, and so do texture coordinates and
         attributes; at most 300 MB of host memory. "displace": the same with the given triangles; a path gives an Open3D
-        mesh with its textures.
+        mesh with its textures, that of a .ply a Surface.
     subdivide : float, optional
         First split edges longer than this many pixel footprints; with "mesh" (1.5 where it is left out) only those that
         depth maps lie off.
@@ -78,8 +78,8 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
 
     Returns
     -------
-    A mesh of the kind that came in (a path gives a Surface, with "displace" an Open3D mesh); with "tsdf", new colours
-    and normals, else the vertices' "deviation" (scene units) and "views" where the kind has attributes.
+    A mesh of the kind that came in (a path gives a Surface, see `output`); with "tsdf", new colours and normals, else
+    the vertices' "deviation" (scene units) and "views" where the kind has attributes.
 
     Raises
     ------
