@@ -18,6 +18,7 @@ import json
 import pickle
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -222,8 +223,11 @@ def real(scene: Path, mesh, depth_dir, share: float, number: int, judges: int, c
         tell({"neighbours differ by, share within half a pixel": disagreement(
             given, *((cameras, initial, [results[view.name].depth for view in own]) for cameras, initial, results in
                      ((given, maps, without), (found.cameras, drawn, with_them))))})
-        draw_meshes(out / "meshes.jpg", config, *((those, [results[view.name].depth for view in own]) for those, results
-                                                  in ((own, without), (moved, with_them))))
+        if find_spec("open3d") is None:
+            tell("no picture of the meshes: Open3D is missing")
+        else:
+            draw_meshes(out / "meshes.jpg", config, *((those, [results[view.name].depth for view in own]) for those,
+                                                      results in ((own, without), (moved, with_them))))
     rows = []
     for view, depth in zip(own, maps):
         if view.name not in names:
