@@ -23,7 +23,6 @@ from pagas_cl.resemblance import views_to_ask
 from pagas_cl.result import DepthResult, OnDisk, joined
 from pagas_cl.rounds import later_rounds
 from pagas_cl.runtime.device import Device, Devices, open_device
-from pagas_cl.runtime.host import trim
 from pagas_cl.scene.check import check_seen
 from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth, depth_array, depth_maps
@@ -223,7 +222,6 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     view_progress.at(len(asked))
     for number, later_round in enumerate(later, start=1):
         view_progress, before = ViewProgress(progress, len(asked), f"agree, round {number}"), dict(zip(asked, results))
-        trim()
         for done, index in enumerate(asked):
             view_progress.at(done)
             given = [before[k] for k in partners[index].refined(before)]

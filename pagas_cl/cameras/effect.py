@@ -36,7 +36,6 @@ def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     (None where none was called for). Arguments as in refine_cameras; `photos`, on the one device, serve whoever works
     on the views after it."""
     from pagas_cl.runtime.device import one_of, open_device
-    from pagas_cl.runtime.host import trim
 
     settled = replace(config, effects=replace(config.effects, cameras="set"))
     choice = config.effects.cameras
@@ -52,7 +51,6 @@ def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     if choice == "auto":
         start = time.perf_counter()
         decision, off = decide_cameras(views, depths_or_mesh, config, here, photos)
-        trim()
         if progress:
             progress("measure the cameras", 1, 1)
         log.info("%s", decision)
