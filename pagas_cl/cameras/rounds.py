@@ -208,19 +208,22 @@ class Rounds:
 
     def _rescale(self, frames: Sequence[Frame], initial, state: State) -> None:
         """Let the surface be as large as it was given, as far as it tells that better than the cameras: these are off
-        by `spread`, each depth map by what it was changed by on the whole. The scale of depth
-        maps that is not the cameras' at all is put into `state.maps` instead."""
-        ratios, sizes = [], []
+        by `spread`, each depth map by what it was changed by on the whole, all of them alike perhaps by a third of
+        what one differs within itself. The scale of depth maps that is not the cameras' at all is put into `state.maps`
+        instead."""
+        ratios, within, sizes = [], [], []
         for frame, buffer in zip(frames, initial):
             now, then = self.adjuster.read(frame, frame.depth), self.adjuster.read(frame, buffer)
             valid = (now > 0) & (then > 0)
             if valid.any():
-                ratios.append(float(np.log(then[valid].astype(np.float64) / now[valid]).mean()))
+                ratio = np.log(then[valid].astype(np.float64) / now[valid])
+                ratios.append(float(np.median(ratio)))
+                within.append(float(np.median(abs(ratio - ratios[-1]))))
                 sizes.append(int(valid.sum()))
         if not ratios:
             return
         wanted = float(np.average(ratios, weights=sizes))
-        by_surface = float(np.var(ratios)) / len(ratios) + 1e-12
+        by_surface = float(np.var(ratios)) / len(ratios) + (float(np.median(within)) / 3) ** 2 + 1e-12
         centers, first = (np.array([camera.center for camera in those]) for those in (state.cameras, state.given))
         middle = centers.mean(axis=0)
         around, size = centers - middle, max(float(((centers - middle) ** 2).sum()), 1e-300)
