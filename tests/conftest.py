@@ -16,6 +16,8 @@ import numpy as np
 from pagas_cl.scene.camera import Camera
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.dont_write_bytecode = False      # what one process has compiled the others read: workers, and every child of a test
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 os.environ.setdefault("PAGAS_CL_TRIAL", "known")     # whoever edits a kernel hears from its test, not from the trial
 if "PYTEST_XDIST_WORKER" in os.environ:      # `make test` runs two at a time: each its own locks of devices
     os.environ["TMPDIR"] = tempfile.tempdir = tempfile.mkdtemp(prefix="pagas_cl-tests-")
