@@ -1,6 +1,8 @@
 """Fixtures that several test files share, and what the choices of tests `make quick` and `make kernels` mean."""
 
+import contextlib
 import gc
+import importlib
 import os
 import re
 import sys
@@ -41,6 +43,17 @@ def pytest_ignore_collect(collection_path, config):
     if chosen == "kernels":
         return True if not any("kernels" in line for line in marks) else None
     return True if any("mark.slow" in line for line in marks) else None
+
+
+def pytest_collection():
+    """Each worker takes the test files from another place on: what one has compiled by then, the others only read."""
+    number, workers = (os.environ.get(f"PYTEST_XDIST_WORKER{end}", "") for end in ("", "_COUNT"))
+    files = sorted(Path(__file__).parent.rglob("test_*.py")) if number else []
+    for path in files[int(number[2:])::int(workers)] if files else ():
+        if str(path.parent) not in sys.path:
+            sys.path.append(str(path.parent))
+        with contextlib.suppress(pytest.skip.Exception):      # of a whole file: it is told when pytest imports it
+            importlib.import_module(path.stem)
 
 
 def pytest_collection_finish():
