@@ -45,11 +45,15 @@ def pytest_ignore_collect(collection_path, config):
     return True if any("mark.slow" in line for line in marks) else None
 
 
-def pytest_collection():
+def pytest_collection(session):
     """Each worker takes the test files from another place on: what one has compiled by then, the others only read."""
     number, workers = (os.environ.get(f"PYTEST_XDIST_WORKER{end}", "") for end in ("", "_COUNT"))
-    files = sorted(Path(__file__).parent.rglob("test_*.py")) if number else []
-    for path in files[int(number[2:])::int(workers)] if files else ():
+    if not number:
+        return
+    folders = [path for path in map(Path, session.config.args) if path.is_dir()]
+    files = sorted(path for folder in folders for path in folder.rglob("test_*.py")
+                   if not pytest_ignore_collect(path, session.config))
+    for path in files[int(number[2:])::int(workers)]:
         if str(path.parent) not in sys.path:
             sys.path.append(str(path.parent))
         with contextlib.suppress(pytest.skip.Exception):      # of a whole file: it is told when pytest imports it
