@@ -1,6 +1,8 @@
 """Fixtures that several test files share, and what the choices of tests `make quick` and `make kernels` mean."""
 
+import contextlib
 import gc
+import importlib
 import os
 import re
 import sys
@@ -16,6 +18,8 @@ import numpy as np
 from pagas_cl.scene.camera import Camera
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.dont_write_bytecode = False      # what one process has compiled the others read: workers, and every child of a test
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 os.environ.setdefault("PAGAS_CL_TRIAL", "known")     # whoever edits a kernel hears from its test, not from the trial
 if "PYTEST_XDIST_WORKER" in os.environ:      # `make test` runs two at a time: each its own locks of devices
     os.environ["TMPDIR"] = tempfile.tempdir = tempfile.mkdtemp(prefix="pagas_cl-tests-")
@@ -39,6 +43,21 @@ def pytest_ignore_collect(collection_path, config):
     if chosen == "kernels":
         return True if not any("kernels" in line for line in marks) else None
     return True if any("mark.slow" in line for line in marks) else None
+
+
+def pytest_collection(session):
+    """Each worker takes the test files from another place on: what one has compiled by then, the others only read."""
+    number, workers = (os.environ.get(f"PYTEST_XDIST_WORKER{end}", "") for end in ("", "_COUNT"))
+    if not number:
+        return
+    folders = [path for path in map(Path, session.config.args) if path.is_dir()]
+    files = sorted(path for folder in folders for path in folder.rglob("test_*.py")
+                   if not pytest_ignore_collect(path, session.config))
+    for path in files[int(number[2:])::int(workers)]:
+        if str(path.parent) not in sys.path:
+            sys.path.append(str(path.parent))
+        with contextlib.suppress(pytest.skip.Exception):      # of a whole file: it is told when pytest imports it
+            importlib.import_module(path.stem)
 
 
 def pytest_collection_finish():

@@ -1,5 +1,7 @@
 """Twin of splat/loss: how a rendered view is compared with its photo (method section 5)."""
 
+from functools import cache
+
 import numpy as np
 
 from pagas_cl.config import Loss
@@ -76,11 +78,12 @@ def l1(color: np.ndarray, coverage: np.ndarray, photo: np.ndarray, weight: np.nd
     return float((w * per_pixel).sum()), v_color, v_coverage
 
 
-def window() -> np.ndarray:
-    """The 1D Gaussian of SSIM, shape (11,), sum 1; the 2D window is its outer product."""
+@cache
+def window() -> tuple[float, ...]:
+    """The 1D Gaussian of SSIM, 11 numbers, sum 1; the 2D window is its outer product."""
     x = np.arange(WINDOW) - WINDOW // 2
     g = np.exp(-0.5 * (x / WINDOW_SIGMA) ** 2)
-    return g / g.sum()
+    return tuple(g / g.sum())
 
 
 def blur(image: np.ndarray) -> np.ndarray:
@@ -111,7 +114,7 @@ def ssim(x: np.ndarray, y: np.ndarray, robust: float = 0.0, structure: bool = Fa
     """
     if min(x.shape[:2]) < WINDOW:
         return 1.0, np.zeros_like(x)
-    mx, my, xx, yy, xy = blur(x), blur(y), blur(x * x), blur(y * y), blur(x * y)
+    mx, my, xx, yy, xy = np.moveaxis(blur(np.stack([x, y, x * x, y * y, x * y], axis=-1)), -1, 0)
     luminance = 0.0 if structure else 1.0
     a1, a2 = luminance * (2 * mx * my + C1 - 1) + 1, 2 * (xy - mx * my) + C2
     b1, b2 = luminance * (mx**2 + my**2 + C1 - 1) + 1, (xx - mx**2) + (yy - my**2) + C2
@@ -122,7 +125,8 @@ def ssim(x: np.ndarray, y: np.ndarray, robust: float = 0.0, structure: bool = Fa
     if robust > 0:
         kept = value >= 1 - robust
         value, v_mx, v_xx, v_xy = np.maximum(value, 1 - robust), kept * v_mx, kept * v_xx, kept * v_xy
-    gradient = blur_vjp(v_mx) + 2 * x * blur_vjp(v_xx) + y * blur_vjp(v_xy)
+    by_mx, by_xx, by_xy = np.moveaxis(blur_vjp(np.stack([v_mx, v_xx, v_xy], axis=-1)), -1, 0)
+    gradient = by_mx + 2 * x * by_xx + y * by_xy
     return float(value.mean()), gradient / value.size
 
 

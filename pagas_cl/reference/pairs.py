@@ -52,15 +52,13 @@ def candidates(projected: Projected, width: int, height: int, splatting: Splatti
     m = projected.m
     inside = projected.valid & (m > -reach - 1).all(axis=1) & (m < np.array([width, height]) + reach + 1).all(axis=1)
     g = np.flatnonzero(inside)
-    columns, rows = ([(at, at + 0.5 - mean, (at >= 0) & (at < side)) for at in (
-        np.floor(mean).astype(np.int64) + step for step in range(-reach, reach + 1))]
-        for mean, side in zip(m[g].T, (width, height)))
-    found = []
-    for y, v, in_rows in rows:
-        for x, u, in_columns in columns:
-            hit = np.flatnonzero(in_rows & in_columns & (np.hypot(u, v) <= radius))
-            found.append((g[hit], y[hit] * width + x[hit], np.stack([u[hit], v[hit]], axis=-1)))
-    gaussian, pixel, Delta = (np.concatenate(part) for part in zip(*found))
+    steps = np.arange(-reach, reach + 1)[:, None]
+    x, y = (np.floor(mean).astype(np.int64) + steps for mean in m[g].T)       # (2 reach + 1, len(g)) each
+    (u, in_columns), (v, in_rows) = ((at + 0.5 - mean, (at >= 0) & (at < side))
+                                     for at, mean, side in zip((x, y), m[g].T, (width, height)))
+    row, column, which = np.nonzero(in_rows[:, None] & in_columns & (np.hypot(u, v[:, None]) <= radius))
+    gaussian, pixel = g[which], y[row, which] * width + x[column, which]
+    Delta = np.stack([u[column, which], v[row, which]], axis=-1)
     raw, log_d = _weight(projected, gaussian, Delta)
     if splatting.blend == "alpha":
         alpha, alpha_d = np.minimum(ALPHA_MAX, raw), np.where(raw < ALPHA_MAX, raw * log_d, 0.0)

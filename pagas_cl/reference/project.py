@@ -50,12 +50,6 @@ def is_valid(depth: np.ndarray) -> np.ndarray:
     return np.isfinite(depth) & (np.nan_to_num(depth, posinf=0.0) > 0)
 
 
-def gaussian_radius(camera: Camera) -> np.ndarray:
-    """sigma_i = 1 / (2 sqrt(fx fy) |rho_i|), float64 of shape (height, width); the radius is s_i = d_i sigma_i
-    (paper eq. 3 and 4)."""
-    return 1 / (2 * np.sqrt(camera.fx * camera.fy) * np.linalg.norm(camera.rays(), axis=-1))
-
-
 def project(depth: np.ndarray, target: Camera, context: Camera, low_pass: float = 0.0,
             scene_scale: float = 1.0) -> Projected:
     """Project the Gaussians of `target` into `context` (method section 3).
@@ -67,8 +61,9 @@ def project(depth: np.ndarray, target: Camera, context: Camera, low_pass: float 
     d = np.where(valid, depth.ravel(), 1.0)
     R, tau = context.relative_to(target)
     tau = tau / scene_scale
-    q = target.rays().reshape(-1, 3) @ R.T
-    sigma = gaussian_radius(target).ravel()
+    rays = target.rays().reshape(-1, 3)
+    q = rays @ R.T
+    sigma = 1 / (2 * np.sqrt(target.fx * target.fy) * np.linalg.norm(rays, axis=-1))    # of s_i = d_i sigma_i
     z = d * q[:, 2] + tau[2]
     valid = valid & (z > NEAR)
     z = np.where(valid, z, 1.0)

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 @pytest.mark.parametrize("depth, pixels, seed", [("good", 0.5, 3), ("good", 14.0, 0), ("network", 10.0, 1),
                                                  ("network", 30.0, 0)])
 def test_what_is_accepted_is_right(device, depth, pixels, seed):
-    row = far(depth, pixels, seed, width=128)
+    row = far(depth, pixels, seed, width=128, contexts=4)
     before, after = row["given"][0], row["left"][0]
     assert after < 0.15 and not row["left_out"] if row["accepted"] else after == before
     assert row["accepted"] or depth != "good", "good depth brings cameras back from here"

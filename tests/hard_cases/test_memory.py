@@ -167,7 +167,8 @@ def test_every_allocation_that_can_fail(device, limited, monkeypatch):
 @pytest.mark.parametrize("name", CONFIGS)
 def test_refused_with_a_setting_or_a_size_that_fits(device, limited, name):
     """What is refused before it starts names what fits; that, too, is true."""
-    target, contexts, judge, depth = scene_of()
+    size = 60, 48       # small: what it names makes programs of its own, which then are those of narrow tiles
+    target, contexts, judge, depth = scene_of(size)
     cameras = [view.camera for view in (target, *contexts, judge)]
     config = CONFIGS[name]
     for share in (0.9, 0.6, 0.1):
@@ -179,7 +180,7 @@ def test_refused_with_a_setting_or_a_size_that_fits(device, limited, name):
             pairs = [word.split("=") for word in told.split() if "=" in word]
             leaner = config.with_settings(**{key.replace(".", "__"): {"true": True}.get(value, value)
                                              for key, value in pairs})
-            refined(device, leaner)
+            refined(device, leaner, size)
         else:
             width, height = (int(word) for word in told.split("photos of ")[1].split(" (")[0].split(" x "))
             small = [camera.resized(width, height) for camera in cameras]

@@ -1,4 +1,4 @@
-"""A real Dask cluster: a scheduler and three workers, each a process with an address of its own (loopback)."""
+"""A real Dask cluster: a scheduler and up to three workers, each a process with an address of its own (loopback)."""
 
 import os
 import signal
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.slow
 
 distributed = pytest.importorskip("distributed")
 
-VIEWS = 16
+VIEWS = 10
 
 
 @pytest.fixture(scope="module")
@@ -88,9 +88,9 @@ def test_a_worker_is_killed_and_another_joins(scene, cluster, tmp_path):
     views, depths = load_small_scene(scene)
     alone = tmp_path / "alone"
     refine_all(refine_one, views, depths, range(VIEWS), QUICK, folder=alone)
-    for host in ("127.0.0.2", "127.0.0.3", "127.0.0.4"):
+    for host in ("127.0.0.2", "127.0.0.3"):
         cluster.add(host)
-    cluster.ready(3)
+    cluster.ready(2)
     happened = []
 
     def progress(stage, done, total):

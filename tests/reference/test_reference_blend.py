@@ -149,6 +149,6 @@ def test_order_free_image_is_continuous_in_the_depth():
     for blend in ("order_free", "alpha"):
         config = BASE.with_settings(**{f"splatting__{k}": v for k, v in settings.items()}, splatting__blend=blend)
         depth, target, contexts, state = prepared(11, config)
-        colors = [render(depth + 5e-7 * k * (depth > 0), target, contexts[0], config, state).color for k in range(1500)]
+        colors = [render(depth + 1e-6 * k * (depth > 0), target, contexts[0], config, state).color for k in range(750)]
         jumps = np.abs(np.diff(colors, axis=0)).max(axis=(1, 2, 3))
         assert (jumps.max() < 1e-3) == (blend == "order_free"), blend

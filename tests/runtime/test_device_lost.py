@@ -7,6 +7,8 @@ does, once or for ever.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from itertools import count as count_up
 from types import SimpleNamespace
 
 import pyopencl as cl
@@ -31,11 +33,29 @@ def driver_error(code: int, routine: str = "clEnqueueNDRangeKernel"):
     return kind(cl._cl._ErrorRecord(routine, code, ""))
 
 
+@pytest.fixture(scope="module")
+def another():
+    """Opens a device in a context other than the last one: one of two in turn, so that the programs of each are built
+    once and not anew for each of a hundred openings."""
+    plain_open, contexts, turn = devices.opened, {}, count_up()
+
+    def opened(info, cl_device, lanes, profiling=False):
+        if profiling:
+            return plain_open(info, cl_device, lanes, profiling)
+        kept = next(turn) % 2
+        if kept not in contexts:
+            contexts[kept] = plain_open(info, cl_device, lanes).context
+        return replace(plain_open(info, cl_device, lanes), context=contexts[kept],
+                       queue=cl.CommandQueue(contexts[kept], cl_device))
+
+    return opened
+
+
 @pytest.fixture
-def failing(monkeypatch):
+def failing(monkeypatch, another):
     """A function: launches number `first` to `last` (counted from now) fail with `code`; `opens`: whether the device
     can be opened again."""
-    plain, plain_open = program.Launch.enqueue, devices.opened
+    plain = program.Launch.enqueue
 
     def install(first: int, last: float = float("inf"), code: int = -5, opens: bool = True):
         count = [0]
@@ -49,7 +69,7 @@ def failing(monkeypatch):
         def opened(*arguments):
             if not opens and count[0] >= first:
                 raise driver_error(-2, "clCreateContext")
-            return plain_open(*arguments)
+            return another(*arguments)
 
         monkeypatch.setattr(program.Launch, "enqueue", enqueue)
         monkeypatch.setattr(devices, "opened", opened)

@@ -114,5 +114,5 @@ def test_real_photos_and_command(data_dir, capsys):
     from pagas_cl.scene.readers import read_scene
 
     sphere = read_scene(scene, "neus", frame="sphere")
-    report = check_cameras(mesh, sphere.cameras, [v.image for v in sphere.views])
+    report = check_cameras(mesh, sphere.cameras[:4], [v.image for v in sphere.views[:4]])
     assert "different coordinate frames" in report.sentence

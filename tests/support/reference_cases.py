@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
+from functools import cache
 from itertools import cycle, repeat
 
 import numpy as np
@@ -11,9 +12,9 @@ from support.random_scenes import exposed, random_scene
 from twins.units import depth_threshold, median_depth
 
 from pagas_cl.config import Config, Loss, Pyramid, Smoothness, Solver, Splatting
-from pagas_cl.reference import composite, smooth
+from pagas_cl.reference import composite, level, smooth
 from pagas_cl.reference import loss as losses
-from pagas_cl.reference.level import loss_and_gradient, prepare, render
+from pagas_cl.reference.level import loss_and_gradient, prepare
 from pagas_cl.reference.pairs import ALPHA_MAX
 from pagas_cl.reference.project import is_valid, project
 
@@ -62,11 +63,11 @@ def prepared(seed, config, **scene):
     return np.where(initial > 0, moved, 0.0), target, contexts, state
 
 
-def structure(depth, target, contexts, config, state):
-    """Everything discrete about a loss: equal on both sides of a step, the loss is smooth between them."""
+def structure(rendered, depth, target, contexts, config, state):
+    """Everything discrete about a loss: equal on both sides of a step, the loss is smooth between them. `rendered`: the
+    views as they were rendered for it, in order."""
     parts = []
-    for context in contexts + [target] * config.loss.target_view:
-        r = render(depth, target, context, config, state)
+    for context, r in zip(contexts + [target] * config.loss.target_view, rendered, strict=True):
         photo = losses.comparable(context.image, config.loss)
         residual = r.color - photo
         parts += [r.pairs.gaussian, r.pairs.pixel, r.pairs.raw < ALPHA_MAX, r.covered, r.total < 1,
@@ -108,6 +109,22 @@ def participation_held(run):
         composite.shares, composite.filled = shares, filled
 
 
+@contextmanager
+def renders_noted():
+    """A list, to which the views that are rendered inside are appended."""
+    noted, plain = [], level.render
+
+    def render(*given):
+        noted.append(plain(*given))
+        return noted[-1]
+
+    try:
+        level.render = render
+        yield noted
+    finally:
+        level.render = plain
+
+
 def central(f, step):
     """Derivative of f at 0 from f(+-step), f(+-2 step), error of order step^4."""
     return (8 * (f(step) - f(-step)) - (f(2 * step) - f(-2 * step))) / (12 * step)
@@ -125,22 +142,29 @@ def measured_gradient(config, seed, count=24, share=3e-4, **scene):
                              (project(depth, target.camera, c.camera,
                                       scene_scale=state.scene_scale) for c in contexts)], axis=0)
     got, want, skipped = [], [], 0
-    with participation_held(lambda: loss_and_gradient(depth, target, contexts, config, state)):
-        here = structure(depth, target, contexts, config, state)
+    with participation_held(lambda: loss_and_gradient(depth, target, contexts, config, state)), \
+            renders_noted() as rendered:
+        def loss_at(changed):
+            """The loss, and everything discrete about it."""
+            rendered.clear()
+            value, _ = loss_and_gradient(changed, target, contexts, config, state)
+            return value, structure(rendered, changed, target, contexts, config, state)
+
+        _, here = loss_at(depth)
         for i in rng.permutation(np.flatnonzero((depth.ravel() > 0) & (gradient.ravel() != 0))):
             step = share / fastest[i]
 
+            @cache
             def moved(by, i=i):
                 other = depth.copy()
                 other.ravel()[i] += by
-                return other
+                return loss_at(other)
 
-            if any(structure(moved(s * step), target, contexts, config, state) != here for s in (-2, 2)):
+            if any(moved(s * step)[1] != here for s in (-2, 2)):
                 skipped += 1
                 continue
             got.append(gradient.ravel()[i])
-            want.append(depth.size * central(
-                lambda by: loss_and_gradient(moved(by), target, contexts, config, state)[0], step))
+            want.append(depth.size * central(lambda by, moved=moved: moved(by)[0], step))
             if len(got) == count:
                 break
     return np.array(got), np.array(want), skipped
