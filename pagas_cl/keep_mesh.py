@@ -22,7 +22,7 @@ from pagas_cl.scene.mesh_losses import losses
 from pagas_cl.scene.view import View
 from pagas_cl.surface.agree import comparison_device
 from pagas_cl.surface.fuse import available_mb
-from pagas_cl.surface.mesh_evidence import Observed
+from pagas_cl.surface.mesh_evidence import Observed, sent
 from pagas_cl.surface.mesh_faults import without_new
 from pagas_cl.surface.mesh_levels import TRIANGLE_BYTES, fit_mesh
 from pagas_cl.surface.mesh_solve import solve_mesh, unlike
@@ -30,8 +30,9 @@ from pagas_cl.surface.on_vertices import footprints, vertex_confidence
 from pagas_cl.surface.subdivide import subdivide as split_edges
 from pagas_cl.surface.subdivide import undivided
 
-DETAIL, FLAT = 1.5, 0.04     # footprints: edges that hold what photos show; how flat is flat
+DETAIL, FLAT = 1.5, 0.045     # footprints: edges that hold what photos show; how flat is flat
 _MEMORY = 300.0              # MB for the mesh, where more is free: 660 000 triangles
+POST = 1
 _POLISH = 1                  # rounds of the solve on a fused mesh, which lies on the depth maps
 
 
@@ -79,14 +80,15 @@ def detailed_mesh(mesh, views: list[View], depths, results, config: Config, deta
     mesh, used = load_whole(mesh), [result for _, result in joined(views, results)]
     given, device = to_surface(mesh), solve_device(device)
     most = int((memory_mb or min(available_mb() / 4, _MEMORY)) * 1e6 / TRIANGLE_BYTES)
-    division, solved, place = fit_mesh(given, Observations(used), device,
-                                       _finest(given, views, depths, results), flat=flat, detail=detail,
-                                       least_views=_least_views(config), most=most)
+    observed = sent(Observations(used), device)
+    division, solved, place = fit_mesh(given, observed, device, _finest(given, views, depths, results), flat=flat,
+                                       detail=detail, least_views=_least_views(config), most=most)
     if flat > 0:
-        within = flat * solved.unit
+        within = flat * detail * solved.unit**2
         count = len(division.faces)
         division, keep = undivided(division, solved.vertices, np.where(np.isfinite(within), within, 0), place)
-        solved = solved.at(keep)
+        solved = solve_mesh(Surface(solved.vertices[keep], division.faces), observed, device, rounds=POST,
+                            least_views=_least_views(config))
         log.info("mesh: %d of %d triangles are needed to be true within %g footprints", len(division.faces), count,
                  flat)
     return _with_solved(mesh, given, solved, division, used, device, tell)
