@@ -20,7 +20,7 @@ from pagas_cl.scene.mesh_attributes import load_whole, with_vertices
 from pagas_cl.scene.mesh_file import write_mesh
 from pagas_cl.scene.mesh_losses import losses
 from pagas_cl.scene.view import View
-from pagas_cl.surface.agree import comparison_device
+from pagas_cl.surface.agree import array_of, comparison_device
 from pagas_cl.surface.fuse import available_mb
 from pagas_cl.surface.mesh_evidence import Observed, sent
 from pagas_cl.surface.mesh_faults import without_new
@@ -31,8 +31,7 @@ from pagas_cl.surface.subdivide import subdivide as split_edges
 from pagas_cl.surface.subdivide import undivided
 
 DETAIL, FLAT = 1.5, 0.045     # footprints: edges that hold what photos show; how flat is flat
-_MEMORY = 300.0              # MB for the mesh, where more is free: 660 000 triangles
-POST = 1
+_MEMORY, _SHARE = 300.0, 14e-6   # MB for the mesh, where more is free: 660 000 triangles; the same a pixel of all views
 _POLISH = 1                  # rounds of the solve on a fused mesh, which lies on the depth maps
 
 
@@ -76,10 +75,11 @@ def detailed_mesh(mesh, views: list[View], depths, results, config: Config, deta
                   device=None, memory_mb: float | None = None, tell: Callable[[str], Any] | None = None):
     """displaced_mesh with as many triangles as the depth maps show detail (surface.mesh_levels): edges longer than
     `detail` footprints are split where depth maps lie off them; afterwards splits are undone where the surface is flat
-    within `flat` footprints. In `memory_mb` of host memory; by default a quarter of what is free, at most 300 MB."""
+    within `flat` footprints, and the rest is solved once more. In `memory_mb` of host memory; by default a quarter of
+    what is free, at most 300 MB or 14 bytes a pixel of all views."""
     mesh, used = load_whole(mesh), [result for _, result in joined(views, results)]
     given, device = to_surface(mesh), solve_device(device)
-    most = int((memory_mb or min(available_mb() / 4, _MEMORY)) * 1e6 / TRIANGLE_BYTES)
+    most = int((memory_mb or mesh_mb([result.camera for result in used])) * 1e6 / TRIANGLE_BYTES)
     observed = sent(Observations(used), device)
     division, solved, place = fit_mesh(given, observed, device, _finest(given, views, depths, results), flat=flat,
                                        detail=detail, least_views=_least_views(config), most=most)
@@ -87,11 +87,16 @@ def detailed_mesh(mesh, views: list[View], depths, results, config: Config, deta
         within = flat * detail * solved.unit**2
         count = len(division.faces)
         division, keep = undivided(division, solved.vertices, np.where(np.isfinite(within), within, 0), place)
-        solved = solve_mesh(Surface(solved.vertices[keep], division.faces), observed, device, rounds=POST,
+        solved = solve_mesh(Surface(solved.vertices[keep], division.faces), observed, device, rounds=1,
                             least_views=_least_views(config))
         log.info("mesh: %d of %d triangles are needed to be true within %g footprints", len(division.faces), count,
                  flat)
     return _with_solved(mesh, given, solved, division, used, device, tell)
+
+
+def mesh_mb(cameras) -> float:
+    """MB of host memory that the mesh of these views may take: more for more pixels."""
+    return min(available_mb() / 4, max(_MEMORY, _SHARE * sum(camera.width * camera.height for camera in cameras)))
 
 
 def _least_views(config: Config) -> int:
@@ -101,7 +106,8 @@ def _least_views(config: Config) -> int:
 def _finest(surface: Surface, views, depths, results) -> np.ndarray:
     """Footprint of each vertex in the view that sees it finest, infinite where none does."""
     pairs = joined(views, results)
-    return footprints(surface.vertices, [result.camera for _, result in pairs], [depths[place] for place, _ in pairs])
+    return footprints(surface.vertices, [result.camera for _, result in pairs],
+                      (array_of(depths[place]) for place, _ in pairs))
 
 
 def _with_solved(mesh, given: Surface, solved, division, results, device, tell):
@@ -170,6 +176,8 @@ def check_kept(path, mesh, allow_loss: bool = False) -> None:
     if lost and not allow_loss:
         raise InputError(f"--keep-mesh would lose of mesh {str(mesh)!r}: {', '.join(lost)}; pass --allow-loss to go on "
                          "without them" + (", or write an .obj file" if lost == ["texture coordinates"] else ""))
+    if lost:
+        log.warning("%s will not have of %s: %s", path, mesh, ", ".join(lost))
     path = Path(path)
     if path.suffix.lower() == ".obj" and any(path.parent.glob(f"{glob.escape(path.stem)}[._]*")):
         whole = load_whole(mesh)
