@@ -13,8 +13,7 @@
 #define STILL 0.02f                      // footprints
 #define DETAIL 1.5f                      // footprints: longer edges (mean around a vertex, `reach`) are smoothed less
 
-#define LOOSE 0.01f                      // share of a triangle's word that a vertex on a crease does not move,
-#define WORDLESS 0.2f                       // the same where no other corner has a word of its own
+#define LOOSE 0.01f                      // share of a triangle's word that a vertex on a crease does not move
 #define SHARP 0.85f                      // flatness below which a vertex lies on a crease
 
 #define EACH_IN_GROUP(i) \
@@ -171,15 +170,15 @@ float3 way_of(int i, __global const float *normals, __global const float *delta,
 // On creases, where normals have no sense, the way that takes the planes of the triangles around along with their other
 // corners (least squares). With `last` it becomes direction and length: normals and delta.
 __kernel void follow_planes(__global const float *positions, __global const int *first, __global const int2 *pairs,
-                            __global const float *flatness, __global const float *weight, __global const float *before,
-                            int count, int last, __global float *ways, __global float *normals, __global float *delta)
+                            __global const float *flatness, __global const float *before, int count, int last,
+                            __global float *ways, __global float *normals, __global float *delta)
 {
     EACH(i, count)
     if (!(flatness[i] < SHARP))
         return;
     const float3 p = vload3(i, positions);
     float3 r0 = 0.0f, r1 = 0.0f, r2 = 0.0f, b = 0.0f;
-    float stay = 0.0f;
+    float total = 0.0f;
     for (int k = first[i]; k < first[i + 1]; ++k) {
         const int2 j = pairs[k];
         const float3 to_a = vload3(j.x, positions) - p, to_b = vload3(j.y, positions) - p, n = cross(to_a, to_b);
@@ -192,11 +191,11 @@ __kernel void follow_planes(__global const float *positions, __global const int 
         r2 += weighed.z * unit;
         b += weighed * (0.5f * dot(unit, way_of(j.x, normals, delta, flatness, before)
                                          + way_of(j.y, normals, delta, flatness, before)));
-        stay += angle * (weight[i] > 0.0f ? LOOSE : WORDLESS);
+        total += angle;
     }
-    r0.x += stay;
-    r1.y += stay;
-    r2.z += stay;
+    r0.x += LOOSE * total;
+    r1.y += LOOSE * total;
+    r2.z += LOOSE * total;
     const float3 c = cross(r1, r2);
     const float size = dot(r0, c);
     const float3 way = size > 0.0f ? (b.x * c + b.y * cross(r2, r0) + b.z * cross(r0, r1)) / size : (float3)(0.0f);

@@ -136,8 +136,8 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
         _displace_layer(meshes, surface, views, depths, results, asked, matrix)
     else:
         made = (fuse_results(views, results, config, progress, device=device or asked.device)
-                if asked.output == "tsdf" else detailed_mesh(surface, views, depths, results, config,
-                                                             asked.subdivide or DETAIL, device=device or asked.device))
+                if asked.output == "tsdf" else detailed_mesh(
+                    surface, views, results, config, asked.subdivide or DETAIL, device=device or asked.device))
         _add_layer(meshes, made, results, f"{label} refined", matrix)
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
 

@@ -20,17 +20,18 @@ from pagas_cl.scene.mesh_attributes import load_whole, with_vertices
 from pagas_cl.scene.mesh_file import write_mesh
 from pagas_cl.scene.mesh_losses import losses
 from pagas_cl.scene.view import View
-from pagas_cl.surface.agree import array_of, comparison_device
+from pagas_cl.surface.agree import comparison_device
 from pagas_cl.surface.fuse import available_mb
 from pagas_cl.surface.mesh_evidence import Observed, sent
 from pagas_cl.surface.mesh_faults import without_new
 from pagas_cl.surface.mesh_levels import TRIANGLE_BYTES, fit_mesh
 from pagas_cl.surface.mesh_solve import solve_mesh, unlike
 from pagas_cl.surface.on_vertices import footprints, vertex_confidence
+from pagas_cl.surface.raster import each_depth
 from pagas_cl.surface.subdivide import subdivide as split_edges
 from pagas_cl.surface.subdivide import undivided
 
-DETAIL, FLAT = 1.5, 0.045     # footprints: edges that hold what photos show; how flat is flat
+DETAIL, FLAT = 1.5, 0.04      # footprints: edges that hold what photos show; how flat is flat
 _MEMORY, _SHARE = 300.0, 14e-6   # MB for the mesh, where more is free: 660 000 triangles; the same a pixel of all views
 _POLISH = 1                  # rounds of the solve on a fused mesh, which lies on the depth maps
 
@@ -50,28 +51,27 @@ def check_flat(flat) -> None:
         raise InputError(f"flat is {flat!r}, expected a distance from 0 to 100 pixel footprints")
 
 
-def displaced_mesh(mesh, views: list[View], depths, results, config: Config, subdivide: float | None = None,
-                   device=None, tell: Callable[[str], Any] | None = None):
+def displaced_mesh(mesh, views: list[View], results, config: Config, subdivide: float | None = None, device=None,
+                   tell: Callable[[str], Any] | None = None):
     """A mesh of the kind of `mesh` with the same topology (or split edges) and everything that sits on it, its vertices
     where the refined depth maps say (surface.mesh_solve).
 
-    `mesh` is anything that refine_mesh takes; a path comes back as an Open3D legacy mesh. `depths` and `results` are
-    what refine_views took and gave. First, edges are split that are longer than `subdivide` pixel footprints (of the
-    finest view that sees them). `tell(text)` is told what is wrong with triangles, before and after.
+    `mesh` is anything that refine_mesh takes; a path comes back as an Open3D legacy mesh. `results` are what
+    refine_views gave. First, edges are split that are longer than `subdivide` pixel footprints (of the finest view that
+    sees them). `tell(text)` is told what is wrong with triangles, before and after.
     """
     check_subdivide(subdivide)
     mesh = load_whole(mesh)
     surface = given = to_surface(mesh)
-    division, device = None, solve_device(device)
+    division, device, used = None, solve_device(device), [result for _, result in joined(views, results)]
     if subdivide is not None:
-        division = split_edges(given.vertices, given.faces, subdivide * _finest(given, views, depths, results))
+        division = split_edges(given.vertices, given.faces, subdivide * _finest(given, used, device))
         surface = Surface(division.vertices(given.vertices), division.faces)
-    used = [result for _, result in joined(views, results)]
     solved = solve_mesh(surface, Observations(used), device, least_views=_least_views(config))
     return _with_solved(mesh, given, solved, division, used, device, tell)
 
 
-def detailed_mesh(mesh, views: list[View], depths, results, config: Config, detail: float = DETAIL, flat: float = FLAT,
+def detailed_mesh(mesh, views: list[View], results, config: Config, detail: float = DETAIL, flat: float = FLAT,
                   device=None, memory_mb: float | None = None, tell: Callable[[str], Any] | None = None):
     """displaced_mesh with as many triangles as the depth maps show detail (surface.mesh_levels): edges longer than
     `detail` footprints are split where depth maps lie off them; afterwards splits are undone where the surface is flat
@@ -81,7 +81,7 @@ def detailed_mesh(mesh, views: list[View], depths, results, config: Config, deta
     given, device = to_surface(mesh), solve_device(device)
     most = int((memory_mb or mesh_mb([result.camera for result in used])) * 1e6 / TRIANGLE_BYTES)
     observed = sent(Observations(used), device)
-    division, solved, place = fit_mesh(given, observed, device, _finest(given, views, depths, results), flat=flat,
+    division, solved, place = fit_mesh(given, observed, device, _finest(given, used, device), flat=flat,
                                        detail=detail, least_views=_least_views(config), most=most)
     if flat > 0:
         within = flat * detail * solved.unit**2
@@ -103,11 +103,10 @@ def _least_views(config: Config) -> int:
     return max(1, config.fusion.agree_views) + 1
 
 
-def _finest(surface: Surface, views, depths, results) -> np.ndarray:
+def _finest(surface: Surface, results, device) -> np.ndarray:
     """Footprint of each vertex in the view that sees it finest, infinite where none does."""
-    pairs = joined(views, results)
-    return footprints(surface.vertices, [result.camera for _, result in pairs],
-                      (array_of(depths[place]) for place, _ in pairs))
+    cameras = [result.camera for result in results]
+    return footprints(surface.vertices, cameras, each_depth(surface, cameras, device))
 
 
 def _with_solved(mesh, given: Surface, solved, division, results, device, tell):

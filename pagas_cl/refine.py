@@ -97,10 +97,10 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     results = refine_views(views, depths, config=config, device=device, progress=progress, executor=executor,
                            folder=folder, photos=photos)
     if output == "displace":
-        return displaced_mesh(mesh, views, depths, results, config, subdivide, device=device)
+        return displaced_mesh(mesh, views, results, config, subdivide, device)
     if output == "mesh":
         given = surface if isinstance(mesh, (str, Path)) else mesh
-        return detailed_mesh(given, views, depths, results, config, subdivide or DETAIL, flat, device)
+        return detailed_mesh(given, views, results, config, subdivide or DETAIL, flat, device)
     fused = fuse_results(views, results, config, progress, executor=executor, folder=folder, device=device)
     return from_surface(fused, like=mesh)
 

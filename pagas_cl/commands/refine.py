@@ -148,7 +148,7 @@ def command(
                                    progress=progress, on_view=drawn)
         made = None
         if kept:
-            on = found.views, depths, results, config
+            on = found.views, results, config
             made = (displaced_mesh(mesh, *on, subdivide, place["device"], page and page.note) if keep_mesh else
                     detailed_mesh(mesh if output.suffix.lower() == ".obj" else to_surface(mesh), *on,
                                   subdivide or DETAIL, device=place["device"], memory_mb=memory,

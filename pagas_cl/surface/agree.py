@@ -123,20 +123,19 @@ def contradicted(cameras: list[Camera], depths, pixels: float, device=None) -> f
     `depths` are arrays (H, W), or have a load() or a .depth."""
     seen, refused = 0, 0
     for k in np.unique(np.linspace(0, len(cameras) - 1, _SAMPLED).astype(int)):
-        depth, place = array_of(depths[k]), np.s_[_EVERY // 2::_EVERY, _EVERY // 2::_EVERY]
+        depth, place = _array(depths[k]), np.s_[_EVERY // 2::_EVERY, _EVERY // 2::_EVERY]
         sample = np.zeros_like(depth)
         sample[place] = depth[place]
         away = [float(np.linalg.norm(camera.center - cameras[k].center)) for camera in cameras]
         nearest = [j for j in np.argsort(away, kind="stable") if j != k][:_ASKED]
-        near, maps = [cameras[j] for j in nearest], [array_of(depths[j]) for j in nearest]
+        near, maps = [cameras[j] for j in nearest], [_array(depths[j]) for j in nearest]
         confirmed_by, expected = counts(cameras[k], sample, near, maps, pixels, device)
         seen += int((expected > 0).sum())
         refused += int(((expected > 0) & (confirmed_by == 0)).sum())
     return refused / seen if seen else 0.0
 
 
-def array_of(depth) -> np.ndarray:
-    """The array of a depth map, or of what stands for it."""
+def _array(depth) -> np.ndarray:
     return np.asarray(depth.load() if hasattr(depth, "load") else getattr(depth, "depth", depth))
 
 

@@ -16,7 +16,7 @@ from pagas_cl.surface.mesh_evidence import Observed, Words
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
 
-LAMBDA, STAY, CREASE, JUMP = 2.0, 0.15, 0.1, 0.5
+LAMBDA, STAY, CREASE, JUMP = 3.0, 0.15, 0.1, 0.5
 ROUNDS, LINKINGS, STEPS = 3, 2, 30      # of evidence, of links between neighbours, of conjugate gradients
 _HOLDS = 8                              # times that ways are halved where triangles would turn over
 _FOLLOWS = 16                           # times that vertices on creases follow the planes there
@@ -235,7 +235,7 @@ def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> in
     move = {name: known[name] for name in ("positions", "normals", "unit", "weight", "flatness", "delta", "moved")}
     hold = {name: known[name] for name in ("positions", "moved", "first", "pairs", "delta", "held")}
     ways, follow = (known["moved"], known["words"]), {name: known[name] for name in (
-        "positions", "first", "pairs", "flatness", "weight", "normals", "delta")}
+        "positions", "first", "pairs", "flatness", "normals", "delta")}
     cl.enqueue_fill_buffer(device.queue, ways[0], np.float32(0), 0, 12 * count)
     run_once(device.queue, [bind(program, "follow_planes", (count,), None, follow, count=count,
                                  before=ways[turn & 1], ways=ways[1 - (turn & 1)], last=int(turn == _FOLLOWS - 1))

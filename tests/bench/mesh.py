@@ -104,10 +104,10 @@ def outputs(scene, preset: str):
     fused = fuse_results(views, results, plain)
     yield "tsdf, not polished", fused, time.perf_counter() - start
     for name, make in (("tsdf", lambda: polished(fused, results, config, solve_device(None))),
-                       ("mesh, all splits", lambda: displaced_mesh(given, views, depths, results, config, 1.5)),
-                       ("mesh", lambda: detailed_mesh(given, views, depths, results, config)),
-                       ("mesh, flat=0.1", lambda: detailed_mesh(given, views, depths, results, config, flat=0.1)),
-                       ("displace", lambda: displaced_mesh(given, views, depths, results, config))):
+                       ("mesh, all splits", lambda: displaced_mesh(given, views, results, config, 1.5)),
+                       ("mesh", lambda: detailed_mesh(given, views, results, config)),
+                       ("mesh, flat=0.1", lambda: detailed_mesh(given, views, results, config, flat=0.1)),
+                       ("displace", lambda: displaced_mesh(given, views, results, config))):
         start = time.perf_counter()
         mesh = make()
         yield name, mesh, time.perf_counter() - start
