@@ -106,7 +106,7 @@ def outputs(scene, preset: str):
     for name, make in (("tsdf", lambda: polished(fused, results, config, solve_device(None))),
                        ("mesh, all splits", lambda: displaced_mesh(given, views, results, config, 1.5)),
                        ("mesh", lambda: detailed_mesh(given, views, results, config)),
-                       ("mesh, flat=0.1", lambda: detailed_mesh(given, views, results, config, flat=0.1)),
+                       ("mesh, flat=0.3", lambda: detailed_mesh(given, views, results, config, flat=0.3)),
                        ("displace", lambda: displaced_mesh(given, views, results, config))):
         start = time.perf_counter()
         mesh = make()
