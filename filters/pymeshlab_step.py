@@ -16,7 +16,7 @@ from pagas_cl.errors import InputError, need
 from pagas_cl.filters.filter_script import restore_history, saved_history
 from pagas_cl.filters.names import CALL, HINT, METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
-from pagas_cl.keep_mesh import DETAIL, Observations, detailed_mesh, solve_device
+from pagas_cl.keep_mesh import Observations, kept_mesh, solve_device
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import from_surface, to_surface
 from pagas_cl.scene.readers import read_scene
@@ -136,8 +136,8 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
         _displace_layer(meshes, surface, views, depths, results, asked, matrix)
     else:
         made = (fuse_results(views, results, config, progress, device=device or asked.device)
-                if asked.output == "tsdf" else detailed_mesh(
-                    surface, views, results, config, asked.subdivide or DETAIL, device=device or asked.device))
+                if asked.output == "tsdf" else
+                kept_mesh(surface, views, results, config, subdivide=asked.subdivide, device=device or asked.device))
         _add_layer(meshes, made, results, f"{label} refined", matrix)
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
 

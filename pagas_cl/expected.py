@@ -67,16 +67,12 @@ class Expected:
         self.scale = seconds / sum(expected for _, expected in self._refining())
         self.rounds(pictures=False)
 
-    def fused(self, shown: bool) -> None:
-        for stage, seconds in (("plan the mesh", _PLAN), ("fuse", _FUSE), ("extract the mesh", _EXTRACT)):
-            self._host(stage, seconds)
-        self._shown(shown)
-
-    def solved(self, shown: bool) -> None:
-        self._device("solve the mesh", _SOLVE * self.pixels)
-        self._shown(shown)
-
-    def _shown(self, shown: bool) -> None:
+    def made(self, shown: bool, solved: bool) -> None:
+        if solved:
+            self._device("solve the mesh", _SOLVE * self.pixels)
+        else:
+            for stage, seconds in (("plan the mesh", _PLAN), ("fuse", _FUSE), ("extract the mesh", _EXTRACT)):
+                self._host(stage, seconds)
         if shown:
             self._host("show the mesh", _SHOW + _VIEWER / self.pixels)
 

@@ -15,7 +15,7 @@ from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide_consistency, decide_mismatch, settle
 from pagas_cl.errors import InputError, log
-from pagas_cl.keep_mesh import DETAIL, FLAT, check_flat, check_subdivide, detailed_mesh, displaced_mesh, polished
+from pagas_cl.keep_mesh import FLAT, check_flat, check_subdivide, kept_mesh, polished
 from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
@@ -96,11 +96,9 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     depths = initial_depths(surface, views, progress, device=device)
     results = refine_views(views, depths, config=config, device=device, progress=progress, executor=executor,
                            folder=folder, photos=photos)
-    if output == "displace":
-        return displaced_mesh(mesh, views, results, config, subdivide, device)
-    if output == "mesh":
-        given = surface if isinstance(mesh, (str, Path)) else mesh
-        return detailed_mesh(given, views, results, config, subdivide or DETAIL, flat, device)
+    if output != "tsdf":
+        given = surface if output == "mesh" and isinstance(mesh, (str, Path)) else mesh
+        return kept_mesh(given, views, results, config, output, subdivide, flat, device)
     fused = fuse_results(views, results, config, progress, executor=executor, folder=folder, device=device)
     return from_surface(fused, like=mesh)
 

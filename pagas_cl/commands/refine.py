@@ -26,12 +26,12 @@ from pagas_cl.commands._start import (
 from pagas_cl.errors import InputError, PagasError, log, need
 from pagas_cl.expected import Expected
 from pagas_cl.jobs.finished import one_run, remove_run
-from pagas_cl.keep_mesh import DETAIL, check_kept, check_subdivide, detailed_mesh, displaced_mesh, write_whole
+from pagas_cl.keep_mesh import check_kept, check_subdivide, kept_mesh, write_whole
 from pagas_cl.report import Report, picture_files
 from pagas_cl.result import joined
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.mesh import to_surface
-from pagas_cl.scene.mesh_file import check_mesh_path, write_mesh
+from pagas_cl.scene.mesh_file import check_mesh_path
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.surface.agree import comparison_device
 from pagas_cl.surface.raster import each_depth
@@ -129,7 +129,7 @@ def command(
             expected.probed()
         expected.rounds(page is not None)
         if output is not None:
-            (expected.solved if kept else expected.fused)(page is not None)
+            expected.made(page is not None, kept)
         found, config = _settled_cameras(found, mesh, config, place, folder, progress, page)
         if mesh is not None:
             depths = initial_depths(found, mesh, None, None, progress, folder, names, place["device"])
@@ -148,19 +148,16 @@ def command(
                                    progress=progress, on_view=drawn)
         made = None
         if kept:
-            on = found.views, results, config
-            made = (displaced_mesh(mesh, *on, subdivide, place["device"], page and page.note) if keep_mesh else
-                    detailed_mesh(mesh if output.suffix.lower() == ".obj" else to_surface(mesh), *on,
-                                  subdivide or DETAIL, device=place["device"], memory_mb=memory,
-                                  tell=page and page.note))
-            write_whole(output, made)
+            made = kept_mesh(mesh if keep_mesh or output.suffix.lower() == ".obj" else to_surface(mesh), found.views,
+                             results, config, "displace" if keep_mesh else "mesh", subdivide, device=place["device"],
+                             memory_mb=memory, tell=page and page.note)
             progress("solve the mesh", 1, 1)
         elif output is not None:
             made = fuse_results(found.views, results, config, progress, memory, page and page.note,
                                 device=place["device"])
-            write_mesh(output, made)
-            trim()
         if output is not None:
+            write_whole(output, made)
+            trim()
             log.info("mesh: %s", output)
         if page is not None and made is not None:
             _show_mesh(page, found.views, mesh, made, results, place["device"])

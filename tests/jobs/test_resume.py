@@ -217,7 +217,7 @@ def test_a_photo_deleted_during_the_run(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("what, more", [("surface.blocks.fuse_within", ["--fuse"]),
-                                        ("commands.refine.detailed_mesh", [])])
+                                        ("commands.refine.kept_mesh", [])])
 def test_mesh_output_goes_on_too_and_leaves_nothing_beside(scene, tmp_path, monkeypatch, what, more):
     pytest.importorskip("open3d")
     arguments = ["refine", str(scene), "--mesh", str(scene / "mesh_coarse.ply"), "--output", str(tmp_path / "fine.ply"),
