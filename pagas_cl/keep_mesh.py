@@ -51,7 +51,7 @@ def check_flat(flat) -> None:
 
 def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdivide: float | None = None,
               flat: float = FLAT, device=None, memory_mb: float | None = None, tell: Callable | None = None):
-    """A mesh of the kind of `mesh` (anything that refine_mesh takes; a path comes back as an Open3D legacy mesh) with
+    """A mesh of the kind of `mesh` (anything that refine_mesh takes; a path as load_whole reads it) with
     everything that sits on it, its vertices where the refined depth maps say. `results` are what refine_views gave.
 
     "mesh": with as many triangles as the depth maps show detail (surface.mesh_levels): edges longer than `subdivide`

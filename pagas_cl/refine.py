@@ -67,7 +67,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         and so do texture coordinates and attributes; in 300 MB of host memory, or 14 bytes a pixel of all photos.
         "tsdf": a new mesh, fused from the refined depth maps, of what photos see: where the given one has another
         topology than the truth. "displace": as "mesh" with the given triangles; a path gives an Open3D mesh with its
-        textures.
+        textures, that of a .ply a Surface.
     subdivide : float, optional
         First split edges longer than this many pixel footprints; with "mesh" (1.5 where it is left out) only those that
         depth maps lie off.
@@ -79,8 +79,8 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
 
     Returns
     -------
-    A mesh of the kind that came in (a path gives a Surface, with "displace" an Open3D mesh); with "tsdf", new colours
-    and normals, else the vertices' "deviation" (scene units) and "views" where the kind has attributes.
+    A mesh of the kind that came in (a path gives a Surface, see `output`); with "tsdf", new colours and normals, else
+    the vertices' "deviation" (scene units) and "views" where the kind has attributes.
 
     Raises
     ------

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from pagas_cl.cameras.rounds import Rounds, Stage, State
@@ -10,6 +12,7 @@ from pagas_cl.cameras.rounds import Rounds, Stage, State
 LEAST_GAIN = 0.03         # of the held-back pairs' cost: less may be chance
 LEAST_FALL = 1e-4         # of that cost itself: photos that show nothing cost next to nothing
 WRONG = 2.0               # a view whose pairs agree so many times worse than the others' has a wrong camera
+STRAY, ODD = 1.3, 8.0     # so many times worse it may be elsewhere, if that is so many times what views differ by
 UNLIKE = 0.1              # and so badly: photos of different things have a cost of 0.18
 REACH = 0.125             # of a photo's width: farther off cameras were rarely brought back
 WIDE_LOSS = 0.01          # of the wide pairs' cost: less may be chance
@@ -72,9 +75,19 @@ def bent(costs: np.ndarray, seen_before: float, seen_after: float) -> str:
 
 def wrong_views(rounds: Rounds, state: State, stage: Stage) -> set[int]:
     """Views that agree with none of the others, which agree among themselves."""
+    return _dear(rounds, state, stage, lambda usual, _: max(WRONG * usual, UNLIKE))
+
+
+def strays(rounds: Rounds, state: State) -> set[int]:
+    """Views that agree with others clearly worse than these do among themselves: they may be elsewhere still."""
+    return _dear(rounds, state, Stage(0.5, 0.7, 0), lambda usual, spread: max(STRAY * usual, usual + ODD * spread))
+
+
+def _dear(rounds: Rounds, state: State, stage: Stage, most: Callable[[float, float], float]) -> set[int]:
+    """Views of which pairs cost more than `most(usual cost, median difference from it)`."""
     costs = rounds.agreement(state.cameras, state.maps, stage)
     known = np.isfinite(costs)
     if known.sum() < 4:
         return set()
     usual = float(np.median(costs[known]))
-    return {int(k) for k in np.flatnonzero(known & (costs > max(WRONG * usual, UNLIKE)))}
+    return {int(k) for k in np.flatnonzero(known & (costs > most(usual, float(np.median(abs(costs[known] - usual))))))}

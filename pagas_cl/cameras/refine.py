@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pagas_cl.cameras.accept import bent, beyond, lost, no_gain, wrong_views
+from pagas_cl.cameras.accept import bent, beyond, lost, no_gain, strays, wrong_views
 from pagas_cl.cameras.adjust import Adjuster
 from pagas_cl.cameras.blocks import blocks_by
 from pagas_cl.cameras.frames import Frames, depths_of
@@ -187,16 +187,23 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     first, outliers = state.copy(), wrong_views(rounds, state, Stage(0.25, 0.7, 0))
     coarse = bool(measured > FAR or elsewhere > FAR_OFF or state.map_numbers or outliers)
     wrong, beside = _run(rounds, COARSE if coarse else FINE, state, given), 0.0
-    if lost(rounds, state) or wrong - outliers:        # farther off than coarse photos reach
+    left = _left(rounds, state, wrong)
+    far = left[0] or bool(wrong - outliers)
+    if far or left[-1]:                                # farther off than coarse photos reach
         again = Rounds(frames, pairs, finest, typical, progress, make_blocks)
-        first.cameras, beside = again.turned(first.cameras, first.maps, Stage(0.25, 0.7, 0))
-        others = _run(again, COARSE, first, given)
-        if (lost(again, first), len(others)) < (lost(rounds, state), len(wrong)):
+        first.cameras, way = again.turned(first.cameras, first.maps, Stage(0.25, 0.7, 0))
+        others, beside = _run(again, COARSE, first, given), way if far else 0.0
+        if _left(again, first, others) < left:
             rounds, state, wrong = again, first, others
     found = _judged(views, given, rounds, state, wrong, samples, {
         "off": measured, "matches_elsewhere": elsewhere, "coarse": coarse, "beside": beside, "rounds": state.log})
     found.report["seconds"] = time.perf_counter() - start
     return found
+
+
+def _left(rounds: Rounds, state: State, wrong: set[int]) -> tuple[bool, int, int]:
+    """What is not in its place yet, the worst first."""
+    return lost(rounds, state), len(wrong), len(strays(rounds, state))
 
 
 def _run(rounds: Rounds, stages: Sequence[Stage], state: State, given: Sequence[Camera]) -> set[int]:

@@ -12,6 +12,7 @@ from pagas_cl.scene.camera import Camera
 
 _ALIKE = 0.3              # correlation of whole photos from which the way between them is believed
 _OVERLAP = 0.3            # share of what one sees that the other has to show
+_FARTHEST = 0.25          # of a photo's width: what lies farther beside looks alike by chance
 _ROUNDS = 10              # of weights, which leave out pairs that others contradict
 _HOLD = 1e-3              # of what photos do not see, such as the roll: it stays
 
@@ -82,6 +83,8 @@ def _way(camera: Camera, other: Camera, own: np.ndarray, others: np.ndarray, dep
     squares = at_all_shifts(theirs**2, known) * at_all_shifts(known_there, ours**2)
     alike = at_all_shifts(theirs, ours) / np.sqrt(np.maximum(squares, 1e-6))
     alike[number < max(_OVERLAP * known_there.sum(), 1)] = -1
+    far = int(_FARTHEST * width)
+    alike[far:-far], alike[:, far:-far] = -1, -1
     best = int(alike.argmax())
     if alike.flat[best] < _ALIKE:
         return None

@@ -104,6 +104,8 @@ def command(
     kept = None not in (output, mesh) and not fuse
     if kept:
         check_kept(output, mesh, allow_loss or not keep_mesh)
+    elif output is not None:
+        need("open3d", "mesh", "fusing depth maps to a mesh (--output without --mesh, or with --fuse)")
     as_given, cameras = found.views, {view.name: view.camera for view in found.views}
     for view in as_given:
         view.check_files()
@@ -210,7 +212,6 @@ def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mes
                              "replaced, and the next run would refine the refined; choose another name")
     if output is not None:
         check_mesh_path(output)
-        need("open3d", "mesh", "fusing depth maps to a mesh (--output)")
     for name, folder in (("--save-depth", save_depth), ("--report", report)):
         if folder is not None and folder.exists() and not folder.is_dir():
             raise InputError(f"{name} {str(folder)!r} is a file, expected a folder")

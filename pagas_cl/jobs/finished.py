@@ -127,12 +127,13 @@ def write_finished(folder: Path, task: ViewTask, result: DepthResult, extras: bo
     if extras:
         arrays[f"{OWN}/views/{task.stem}.npz"] = {name: getattr(result, name) for name in _EXTRAS}
     for name, content in arrays.items():
-        with written(Path(folder) / name, _parts(folder), OWN not in (Path(folder) / name).parts) as file:
+        path = Path(folder) / name
+        with written(path, _parts(folder), durable=OWN not in path.parts) as file:
             digests[name] = write_arrays(file, content)
     record = Record(task.name, task.stem, task.key, result.reason, result.counts, {**result.report, **about}, digests)
     # as it will be read: tuples are lists then, and NumPy's numbers plain ones
     known = json.loads(json.dumps(asdict(record), default=float))
-    with written(_view_file(folder, task.stem, ".json"), _parts(folder), False) as file:
+    with written(_view_file(folder, task.stem, ".json"), _parts(folder), durable=False) as file:
         file.write(json.dumps({"seal": _seal(known), **known}).encode())
     return record
 

@@ -20,7 +20,6 @@ from pagas_cl.scene.view import View
 
 _BATCH = 16      # most views in a batch
 _HERE = 32       # views in a batch of this process: between two of them the device waits
-_THREADS = 8     # that choose partners and hash files at a time
 _SHARES = 8      # batches for each worker, so that a slow one leaves its share to others
 
 
@@ -42,7 +41,7 @@ class Planner:
 
     def settle(self, asked: Collection[int]) -> None:
         """Choose the partners of all views `asked` at once, and forget the depth maps."""
-        side_by_side(self.partners, asked, _THREADS)
+        side_by_side(self.partners, asked)
         self._chooser = None
 
     def after(self, folder: Path, refined: Collection[int], work) -> "Planner":
@@ -82,7 +81,7 @@ class Planner:
             with suppress(InputError):
                 self.digest(index), getattr(self._depths[index], "digest", None)
 
-        side_by_side(ask, {k for index in indices for k in self.partners(index).all}, _THREADS)
+        side_by_side(ask, {k for index in indices for k in self.partners(index).all})
 
     def digest(self, index: int) -> str:
         """Hash of a view's photo, mask and camera; read once."""

@@ -252,7 +252,7 @@ def _sampled(depths, asked) -> tuple[list, list[int]]:
     def sample(depth):
         return for_planning(depth.load() if hasattr(depth, "load") else depth, len(depths))
 
-    samples = side_by_side(sample, depths, 8)      # no more than these are in memory at a time
+    samples = side_by_side(sample, depths)      # no more than these are in memory at a time
     valid = [k for k in asked if samples[k] is not None and (getattr(samples[k], "depth", samples[k]) > 0).any()]
     if not valid:
         raise InputError("no view has a depth map with a valid pixel: nothing to refine")

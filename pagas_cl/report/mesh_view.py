@@ -16,7 +16,7 @@ from pagas_cl.report.pictures import MAPS, css_gradient
 from pagas_cl.report.simplify import simplify
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.files import write_text
-from pagas_cl.scene.mesh import to_surface
+from pagas_cl.scene.mesh import to_surface, vertex_normals
 
 MOST_TRIANGLES = 200_000   # of each mesh in a page: up to 3 MB
 SCRIPTS = ["viewer.js"]
@@ -145,12 +145,6 @@ def _octahedral(vertices, faces) -> np.ndarray:
     n = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), 1e-300)
     folded = (1 - np.abs(n[:, 1::-1])) * np.where(n[:, :2] < 0, -1, 1)
     return np.rint((np.where(n[:, 2:] < 0, folded, n[:, :2]) + 1) * 511.5)
-
-
-def vertex_normals(vertices, faces) -> np.ndarray:
-    """Sum of the normals of the triangles around each vertex, as long as twice their area: float64 (V, 3)."""
-    across = np.cross(*(vertices[faces[:, k]] - vertices[faces[:, 0]] for k in (1, 2)))
-    return np.stack([np.bincount(faces.T.ravel(), np.tile(across[:, k], 3), len(vertices)) for k in range(3)], axis=1)
 
 
 def _packed(numbers, kind) -> bytes:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, NoDeviceError, log
 from pagas_cl.runtime import icd, listing
+from pagas_cl.runtime.host import return_large
 from pagas_cl.runtime.info import DeviceInfo, number_in
 from pagas_cl.runtime.trial import Trial, try_device
 from pagas_cl.runtime.vendors import check_process, import_pyopencl
@@ -69,8 +70,8 @@ def open_device(name: str | Device | None = None, *, profiling: bool = False) ->
     if isinstance(name, Device):
         check_process()
         return name
-    cl = import_pyopencl()
-    faults = []
+    cl, faults = import_pyopencl(), []
+    return_large()
     for info, cl_device in candidates(find_devices(cl), name):
         trial = try_device(info)
         try:

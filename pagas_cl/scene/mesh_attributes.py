@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import log, need
-from pagas_cl.scene.mesh import Mesh, Surface, eight_bits, mesh_kind, positions
-from pagas_cl.scene.mesh_file import read_open3d
+from pagas_cl.scene.mesh import Mesh, Surface, eight_bits, mesh_kind, positions, vertex_normals
+from pagas_cl.scene.mesh_file import read_mesh, read_open3d
 
 
 def load_whole(mesh: Mesh) -> Mesh:
-    """A path as an Open3D legacy mesh with its textures; anything else as it is."""
-    return read_open3d(mesh, textures=True) if isinstance(mesh, (str, Path)) else mesh
+    """A path as an Open3D legacy mesh with its textures, a .ply as a Surface; anything else as it is."""
+    if not isinstance(mesh, (str, Path)):
+        return mesh
+    return read_mesh(mesh) if Path(mesh).suffix.lower() == ".ply" else read_open3d(mesh, textures=True)
 
 
 def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, quality: np.ndarray | None = None,
@@ -30,8 +32,12 @@ def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, qua
     """
     carry: Any = subdivision or _Same
     if isinstance(mesh, Surface):
-        return Surface(vertices, mesh.faces if carry.faces is None else carry.faces, None,
-                       None if mesh.colors is None else carry.vertices(mesh.colors),
+        faces = mesh.faces if carry.faces is None else carry.faces
+        normals = None
+        if mesh.normals is not None:
+            normals = vertex_normals(vertices, faces)
+            normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+        return Surface(vertices, faces, normals, None if mesh.colors is None else carry.vertices(mesh.colors),
                        quality if quality is not None or mesh.quality is None else carry.vertices(mesh.quality),
                        {**{name: carry.vertices(value) for name, value in mesh.attributes.items()}, **attributes})
     kind = mesh_kind(mesh)

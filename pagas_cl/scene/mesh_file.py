@@ -1,27 +1,27 @@
-"""Mesh files: read through Open3D; .ply written by NumPy alone with everything that a Surface has, others by Open3D."""
+"""Mesh files: binary .ply of triangles by NumPy alone, with all that a Surface has (ply.py), others by Open3D."""
 
 import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.files import replaced, replaced_with_others
 from pagas_cl.scene.mesh import Surface, from_legacy, to_legacy
+from pagas_cl.scene.ply import CORNERS, HEADER, TYPES, read_ply, write_ply
 from pagas_cl.scene.readers.mesh_parts import check_parts
 
 SUFFIXES = (".ply", ".obj", ".stl", ".off")
-_HEADER = 1 << 16         # bytes of a file in which its header must end
-_BYTES = {"char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2, "int": 4,
-          "uint": 4, "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8}
 
 
 def read_mesh(path: str | Path) -> Surface:
-    """Read a mesh file (.ply, .obj, .stl, .off, .glb ...) through Open3D."""
-    mesh = read_open3d(path)
+    """Read a mesh file: a binary .ply of triangles with all numbers of its vertices, others (.ply, .obj, .stl, .off,
+    .glb ...) through Open3D."""
+    path = Path(path)
+    _check_file(path)
+    fields = read_ply(path) if path.suffix.lower() == ".ply" else None
+    mesh = read_open3d(path) if fields is None else None
     try:
-        return from_legacy(mesh)
+        return from_legacy(mesh) if fields is None else Surface(**fields)
     except InputError as error:
         raise InputError(f"{str(path)!r}: {error}") from error
 
@@ -29,11 +29,8 @@ def read_mesh(path: str | Path) -> Surface:
 def read_open3d(path: str | Path, textures: bool = False) -> Any:
     """A mesh file as an Open3D legacy TriangleMesh; InputError where it is none, or claims more than it holds."""
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"mesh {str(path)!r} "
-                         + ("is a folder, expected a file" if path.is_dir() else "does not exist"))
-    o3d = need("open3d", "mesh", "reading a mesh file")
-    _check_claims(path)
+    _check_file(path)
+    o3d = need("open3d", "mesh", "reading a mesh file that is no binary .ply of triangles")
     check_parts(path)
     try:
         with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
@@ -46,11 +43,15 @@ def read_open3d(path: str | Path, textures: bool = False) -> Any:
     return mesh
 
 
-def _check_claims(path: Path) -> None:
-    """InputError where a .ply or .off file claims more elements than it has bytes, or a binary .ply is cut off."""
+def _check_file(path: Path) -> None:
+    """InputError where there is none, a .ply or .off file claims more elements than it has bytes, or a binary .ply is
+    cut off."""
+    if not path.is_file():
+        raise InputError(f"mesh {str(path)!r} "
+                         + ("is a folder, expected a file" if path.is_dir() else "does not exist"))
     size = path.stat().st_size
     with open(path, "rb") as file:
-        head = file.read(_HEADER)
+        head = file.read(HEADER)
     claimed, least = _claims(head)
     if claimed > size:
         raise InputError(f"mesh {str(path)!r} claims {claimed} vertices and faces but has {size} bytes: is the file "
@@ -73,11 +74,15 @@ def _claims(head: bytes) -> tuple[int, int]:
             count = int(words[2][:20])
             claimed += count
         elif words[:2] == ["property", "list"] and len(words) == 5:
-            corners = 3 if words[4] in ("vertex_indices", "vertex_index") else 0
-            least += count * (_BYTES.get(words[2], 0) + corners * _BYTES.get(words[3], 0))
+            corners = 3 if words[4] in CORNERS else 0
+            least += count * (_bytes(words[2]) + corners * _bytes(words[3]))
         elif words[:1] == ["property"] and len(words) == 3:
-            least += count * _BYTES.get(words[1], 0)
+            least += count * _bytes(words[1])
     return claimed, least if end and b"format binary" in header else 0
+
+
+def _bytes(kind: str) -> int:
+    return int(TYPES.get(kind, "f0")[1:])
 
 
 def check_mesh_path(path: str | Path) -> None:
@@ -94,43 +99,17 @@ def check_mesh_path(path: str | Path) -> None:
 def write_mesh(path: str | Path, surface: Surface) -> None:
     """Write `surface`; folders are made, and the final name never holds half of it.
 
-    .ply: binary, vertices as double, normals, quality and attributes as float, colours as 8 bit; of other kinds what
-    Open3D writes.
+    .ply as write_ply; of other kinds what Open3D writes.
     """
     path = Path(path)
     check_mesh_path(path)
     # what is not NumPy's work may write the file's name into it, or other files beside it
     with replaced(path) if path.suffix.lower() == ".ply" else replaced_with_others(path) as beside:
         if path.suffix.lower() == ".ply":
-            _write_ply(beside, surface)
+            write_ply(beside, surface)
             return
         o3d, mesh = need("open3d", "mesh", f"writing {path.suffix} files"), to_legacy(surface)
         if path.suffix.lower() == ".stl":
             mesh.compute_triangle_normals()  # the format is made of them
         if not o3d.io.write_triangle_mesh(str(beside), mesh):
             raise OSError(f"Open3D could not write {str(path)!r}")
-
-
-def _write_ply(path: Path, surface: Surface) -> None:
-    columns: list[tuple[str, str, str, np.ndarray]]  # name, dtype, type in the header, values
-    columns = [(axis, "<f8", "double", surface.vertices[:, i]) for i, axis in enumerate("xyz")]
-    if surface.normals is not None:
-        columns += [("n" + axis, "<f4", "float", surface.normals[:, i]) for i, axis in enumerate("xyz")]
-    if surface.colors is not None:
-        rgb = np.rint(np.clip(surface.colors, 0, 1) * 255).astype(np.uint8)
-        columns += [(name, "u1", "uchar", rgb[:, i]) for i, name in enumerate(("red", "green", "blue"))]
-    if surface.quality is not None:
-        columns.append(("quality", "<f4", "float", surface.quality))
-    columns += [(name, "<f4", "float", value) for name, value in surface.attributes.items()]
-    vertices = np.empty(len(surface.vertices), np.dtype([(name, kind) for name, kind, _, _ in columns]))
-    for name, _, _, values in columns:
-        vertices[name] = values
-    faces = np.empty(len(surface.faces), np.dtype([("count", "u1"), ("face", "<i4", 3)]))
-    faces["count"], faces["face"] = 3, surface.faces
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}",
-              *(f"property {ply_type} {name}" for name, _, ply_type, _ in columns), f"element face {len(faces)}",
-              "property list uchar int vertex_indices", "end_header"]
-    with open(path, "wb") as file:
-        file.write(("\n".join(header) + "\n").encode("ascii"))
-        vertices.tofile(file)
-        faces.tofile(file)

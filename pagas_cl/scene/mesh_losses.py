@@ -6,6 +6,7 @@ The tables are what scene.mesh_attributes and scene.mesh_file carry along; who t
 from pathlib import Path
 
 from pagas_cl.scene.files import opened
+from pagas_cl.scene.ply import keeps_numbers
 
 _KEPT = {"vertex": {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"},
          "face": {"vertex_indices", "vertex_index"}}
@@ -16,7 +17,7 @@ def losses(mesh: str | Path, output: str | Path) -> list[str]:
     """In words, what the .ply or .obj file `mesh` has and `output` would not have; of other kinds nothing is known."""
     mesh, kind = Path(mesh), Path(output).suffix.lower()
     if mesh.suffix.lower() == ".ply":
-        lost, has = _of_ply(mesh)
+        lost, has = _of_ply(mesh, kind == ".ply" and keeps_numbers(mesh))
     elif mesh.suffix.lower() == ".obj":
         lost, has = _of_obj(mesh)
     else:
@@ -28,8 +29,9 @@ def losses(mesh: str | Path, output: str | Path) -> list[str]:
     return lost
 
 
-def _of_ply(path: Path) -> tuple[list[str], set[str]]:
-    """What is lost in any case, and what is there for kinds of files that have it."""
+def _of_ply(path: Path, numbers: bool) -> tuple[list[str], set[str]]:
+    """What is lost in any case, and what is there for kinds of files that have it; all `numbers` of vertices may be
+    kept."""
     lost, has, element = [], set(), ""
     with opened(path, 1 << 40) as file:
         header = file.read(1 << 16).partition(b"end_header")[0].decode("ascii", "replace")
@@ -38,7 +40,8 @@ def _of_ply(path: Path) -> tuple[list[str], set[str]]:
             element = words[1]
             if element not in _KEPT and words[2] != "0":
                 lost.append(f"elements {element!r}")
-        elif words[:1] == ["property"] and element in _KEPT and words[-1] not in _KEPT[element]:
+        elif (words[:1] == ["property"] and element in _KEPT and words[-1] not in _KEPT[element]
+              and not (numbers and element == "vertex")):
             lost.append(f"{element} property {words[-1]!r}")
         elif words[:1] == ["property"] and words[-1] == "red":
             has.add("vertex colours")

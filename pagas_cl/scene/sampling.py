@@ -66,9 +66,8 @@ def scene_scale_of(depth: np.ndarray, mask: np.ndarray | None) -> float:
         sample = _valid_of(depth, mask, 1)
     if not sample.size:
         return 1.0
-    half = np.partition(sample, sample.size // 2)[:sample.size // 2 + 1]      # np.median in the sample's own precision
-    below = half[:-1].max() if sample.size % 2 == 0 else half[-1]
-    return (float(below) + float(half[-1])) / 2
+    middle = [(sample.size - 1) // 2, sample.size // 2]        # np.median, but for copies in another precision
+    return float(np.partition(sample, middle)[middle].mean(dtype=np.float64))
 
 
 def _valid_of(depth: np.ndarray, mask: np.ndarray | None, every: int) -> np.ndarray:

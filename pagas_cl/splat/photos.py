@@ -61,9 +61,8 @@ class PhotoStore:
     def forget(self, owners) -> None:
         """Let go of what is held for `owners`, and so of them; what else may serve is given back."""
         for owner in owners:
-            found, _ = self._held.pop(owner, (None, 0))
-            if hasattr(found, "release"):
-                found.release()
+            if owner in self._held:
+                self._held.pop(owner)[0].release()
 
     def level(self, views, sizes: list[Size], resampler):
         """Photos of `views` at `sizes`, all on the device; none on the host (see StreamedPhotos). Several are read at a

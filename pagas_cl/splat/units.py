@@ -38,7 +38,7 @@ class NormalizedDepth:
         depth = np.ascontiguousarray(depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32))
         mask = target.load_mask()
         self.scene_scale = scene_scale if scene_scale and mask is None else scene_scale_of(depth, mask)
-        self._device, self._own, self._start = device, given is None, None
+        self._device, self._own = device, given is None
         with np.errstate(over="ignore"):
             self.given = upload(device, depth.astype(np.float32, copy=False)) if given is None else given
         doubles = depth.dtype == np.float64          # rounded once, after the division
@@ -59,15 +59,15 @@ class NormalizedDepth:
         for buffer in filter(None, (visible, bounds)):
             buffer.release()
 
-    def start_from(self, start: Start, depth, count: int):
+    def start_from(self, start: cl.Buffer, depth, count: int):
         """Put into `depth`, a buffer in units, what `start` has in scene units, where both have one."""
-        self._start = start
         run_once(self._device.queue, [
-            bind(build(self._device, "units.cl", SHARED), "start_from", (count,), start=start.depth, count=count,
+            bind(build(self._device, "units.cl", SHARED), "start_from", (count,), start=start, count=count,
                  scene_scale=self._device_scale(), depth=depth)])
 
-    def denormalize(self, refined, parallax, status, deviation, shape):
-        """(depth, parallax, deviation, status) on the host, scene units, from the buffers of `shape` in units; once.
+    def denormalize(self, refined, parallax, status, deviation, shape, start: Start | None = None):
+        """(depth, parallax, deviation, status) on the host, scene units, from the buffers of `shape` in units; what
+        `start` makes of them where it is given. Once.
 
         A depth that was not refined comes back with the bits that it came with; a surface without a Gaussian counts as
         kept.
@@ -79,7 +79,7 @@ class NormalizedDepth:
                  deviation=deviation)])
         found = (refined, parallax, deviation, status)
         arrays = self._room.result() if self._room else [np.empty(shape, dtype) for dtype in _LEFT]
-        for array, buffer in zip(arrays, self._start.agreed(*found) if self._start else found):
+        for array, buffer in zip(arrays, start.agreed(*found) if start else found):
             cl.enqueue_copy(self._device.queue, array, buffer)
         return arrays
 

@@ -75,7 +75,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
             del level            # its photos too, before those of the next one
     if progress and done[-1] < steps:                # the schedule has ended it
         progress(total, total)
-    return run.finish(level, EvidencePrior.of(measured), tuple(done), losses, planned.nbytes, start is None)
+    return run.finish(level, EvidencePrior.of(measured), tuple(done), losses, planned.nbytes, start)
 
 
 def full_level(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None) -> Level:
@@ -122,7 +122,8 @@ class _Run:
     def write_initial(self, out: cl.Buffer, size: Size):
         self.resampler.shrink_depth(self.normalized.buffer, self.full, out, size)
 
-    def level(self, scale: float, before: tuple[cl.Buffer, Size] | None = None, start=None) -> Level:
+    def level(self, scale: float, before: tuple[cl.Buffer, Size] | None = None,
+              start: Start | None = None) -> Level:
         """The level at `scale`, ready for its first step from the initial depth, or from that of the level `before`, of
         its size."""
         level = Level(self.device, self.config, self.at(scale))
@@ -134,17 +135,18 @@ class _Run:
             self.write_initial(at_size, size)
             self.resampler.enlarge_depth(*before, at_size, out, size)
         if start is not None:
-            self.normalized.start_from(start, out, size.pixels)
+            self.normalized.start_from(start.depth, out, size.pixels)
         level.start()
         return level
 
-    def finish(self, level: Level, prior: EvidencePrior, steps, losses, planned: int, told: bool) -> Refinement:
+    def finish(self, level: Level, prior: EvidencePrior, steps, losses, planned: int,
+               start: Start | None) -> Refinement:
         programs, buffers, initial = level.programs, level.hand_over(), self.normalized.buffer
         contexts, held_out = Evidence(programs, buffers, level.views, initial, prior), [
             Evidence(programs, buffers, [view], initial, prior) for view in level.judges]
-        decision = contexts.decide(held_out, told)
+        decision = contexts.decide(held_out, start is None)
         depth, parallax, deviation, status = self.normalized.denormalize(
-            buffers.depth, buffers.depth_per_parallax, decision.status, decision.deviation, self.depth.shape)
+            buffers.depth, buffers.depth_per_parallax, decision.status, decision.deviation, self.depth.shape, start)
         for held in (buffers, contexts, decision, self.normalized):
             held.release()
         return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out, decision.silent, steps,

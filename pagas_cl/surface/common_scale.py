@@ -18,7 +18,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.patches import evenly
 from pagas_cl.scene.view import View
-from pagas_cl.surface.photo_sweep import AGREE, LEAST, SIDES, STEP, THREADS, Greys, Sweep, peaks
+from pagas_cl.surface.photo_sweep import AGREE, LEAST, SIDES, STEP, Greys, Sweep, peaks
 
 RANGE = 0.35            # largest |log s|
 _VIEWS, _OTHERS = 8, 3
@@ -89,7 +89,7 @@ def _by_patches(sweep: Sweep, start: float, bent: float) -> tuple[float, float]:
         middle = sweep.middle / sweep.bent(sweep.patches[pair[0]], bent)[good].mean(axis=1)
         return (np.stack([np.ones(len(best)), 1 - middle], -1), best, pixels[good]) if len(best) >= LEAST else None
 
-    told = [found for found in side_by_side(of_pair, sweep.pairs, THREADS) if found]
+    told = [found for found in side_by_side(of_pair, sweep.pairs) if found]
     for unknowns in (2, 1) if told else ():
         each = [_fitted(rows[:, :unknowns], best, pixels) for rows, best, pixels in told]
         values, errors = np.array(each).swapaxes(0, 1)
@@ -119,7 +119,7 @@ def _pairs(cameras: Sequence[Camera], depths: Sequence[np.ndarray | None]) -> li
     usable = [k for k, depth in enumerate(depths) if depth is not None]
     asked = [usable[k] for k in evenly(len(usable), _VIEWS)] if usable else []
     chooser = ContextChooser(cameras, depths)
-    return [(i, j) for i, choice in zip(asked, side_by_side(chooser.choose, asked, THREADS))
+    return [(i, j) for i, choice in zip(asked, side_by_side(chooser.choose, asked))
             for j in choice.indices[:_OTHERS]]
 
 
@@ -167,7 +167,7 @@ def cameras_off(views: Sequence[View], cameras: Sequence[Camera], depths: Sequen
         return float("nan")
     sweep = Sweep(views, depths, pairs, SIDES[0], greys)
     tried, found, gains = np.arange(-_ACROSS, _ACROSS + 0.25, 0.5), [], []
-    for pair, scores in zip(pairs, side_by_side(lambda pair: sweep.scores_across(*pair, tried), pairs, THREADS)):
+    for pair, scores in zip(pairs, side_by_side(lambda pair: sweep.scores_across(*pair, tried), pairs)):
         if np.isfinite(scores).all() and scores.max() > _SOME:
             wider = views[pair[0]].camera.width / sweep.cameras[pair[0]].width
             found.append(float(peaks(tried, scores[None])[0]) * wider)

@@ -16,7 +16,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import clean_depth, load_depth
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
-from pagas_cl.surface.grid import Grid, block_resolution, grid_shift
+from pagas_cl.surface.grid import Grid, Union, block_resolution, grid_shift
 from pagas_cl.surface.pieces import in_order, without_small_pieces
 
 _VOXEL_BYTES = 20 * 1.1 + 16  # tsdf, weight, colour, with the grid's spare room; and what extracting the mesh adds
@@ -26,7 +26,6 @@ _SURFACE_BYTES = 72           # the same in the mesh that comes out
 _VERTICES = 0.7               # vertices in a block, as a share of the voxels in one of its faces (measured)
 _FAR = 100.0                  # pixels wider than this many voxels make flecks, not a surface
 _WEIGHT_STEPS = 3             # Open3D integrates with weight 1; weights are made by integrating up to 3 times
-_KEYS_HELD = 1 << 21          # keys of blocks that are collected before doubles are dropped
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +72,7 @@ def plan_with_blocks(views, depths, settings: Fusion, of_views, progress=None) -
         raise InputError(f"there are {len(cameras)} views and {len(depths)} depth maps, expected one each")
     footprint, grid_scale, middle, low, high = _measured(cameras, depths)
     plan = FusionPlan(settings, settings.voxel * footprint, (low, high), middle, grid_scale, of_views)
-    grid, union = plan.grid(1, colour=False), _Union()
+    grid, union = plan.grid(1, colour=False), Union()
     for camera, depth in zip(cameras, depths):
         depth, blocks = _in_grid(plan, camera, depth), np.zeros((0, 3), np.int32)
         if depth is not None:
@@ -288,26 +287,3 @@ def _shares(depth: np.ndarray, weight, name: str):
         share = np.where(weight > step / _WEIGHT_STEPS, depth, np.float32(0))
         if (share > 0).any():
             yield share
-
-
-class _Union:
-    """Different blocks of many views; doubles are dropped now and then, so that memory follows the surface."""
-
-    def __init__(self):
-        self._keys, self._waiting, self._held = np.zeros(0, np.int64), [], 0
-
-    def add(self, blocks: np.ndarray) -> None:
-        part = blocks.astype(np.int64) + (1 << 20)
-        self._waiting.append((part[:, 0] << 42) | (part[:, 1] << 21) | part[:, 2])
-        self._held += len(blocks)
-        if self._held > max(_KEYS_HELD, len(self._keys) // 2):
-            self._merge()
-
-    def blocks(self) -> np.ndarray:
-        self._merge()
-        parts = [((self._keys >> shift) & ((1 << 21) - 1)) - (1 << 20) for shift in (42, 21, 0)]
-        return np.stack(parts, axis=1).astype(np.int32)
-
-    def _merge(self) -> None:
-        self._keys = np.unique(np.concatenate([self._keys, *self._waiting]))
-        self._waiting, self._held = [], 0

@@ -12,6 +12,7 @@ _FEW = ((0, 1), (1, 3), (2, 0), (3, 2))
 _REACH = 10.0    # Open3D looks at 4 depths across the truncation band: blocks must not fit between two of them
 _ROOM = 10       # a tenth of the blocks is spare room, see Grid.integrate
 _ALL = tuple((r, c) for r in range(_STRIDE) for c in range(_STRIDE))
+_KEYS_HELD = 1 << 21     # keys of blocks that are collected before doubles are dropped
 _NORMAL = np.array([0.3, 0.2, -0.93]) / np.linalg.norm([0.3, 0.2, -0.93])
 _TILT = np.array([[0.96, 0.0, 0.28], [0.0, 1.0, 0.0], [-0.28, 0.0, 0.96]])  # a rotation: 0.28^2 + 0.96^2 = 1
 
@@ -128,3 +129,26 @@ def _plane_error(shift: float) -> float:
         raise PagasError(f"this Open3D ({o3d.__version__}) fuses a plane to {len(vertices)} vertices; install open3d "
                          "0.19 or 0.20")
     return float((vertices @ _NORMAL).mean()) / (0.5 * 2.0 / focal)
+
+
+class Union:
+    """Different blocks of many views; doubles are dropped now and then, so that memory follows the surface."""
+
+    def __init__(self):
+        self._keys, self._waiting, self._held = np.zeros(0, np.int64), [], 0
+
+    def add(self, blocks: np.ndarray) -> None:
+        part = blocks.astype(np.int64) + (1 << 20)
+        self._waiting.append((part[:, 0] << 42) | (part[:, 1] << 21) | part[:, 2])
+        self._held += len(blocks)
+        if self._held > max(_KEYS_HELD, len(self._keys) // 2):
+            self._merge()
+
+    def blocks(self) -> np.ndarray:
+        self._merge()
+        parts = [((self._keys >> shift) & ((1 << 21) - 1)) - (1 << 20) for shift in (42, 21, 0)]
+        return np.stack(parts, axis=1).astype(np.int32)
+
+    def _merge(self) -> None:
+        self._keys = np.unique(np.concatenate([self._keys, *self._waiting]))
+        self._waiting, self._held = [], 0

@@ -18,7 +18,6 @@ SIDES = 160, 400        # pixels of the longer side of the photos compared, coar
 AGREE = 0.5             # mean correlation from which on photos are said to agree over the depth
 STEP = 0.5              # pixels of parallax between two factors that are tried
 LEAST = 30              # patches that say something
-THREADS = 8             # pairs that are worked on at a time
 _PATCHES, _HALF = 200, 3
 _FLAT = 2.0             # grey levels of 255: patches of less texture are not compared
 _MOST = 241             # values of s in a sweep
@@ -45,7 +44,7 @@ class Greys:
     def at(self, side: int, chosen: Sequence[int]) -> list[np.ndarray]:
         """float32 (h, w) of the views `chosen`, each of the longer side `side`."""
         new = [k for k in chosen if k not in self._small]
-        self._small.update(zip(new, side_by_side(self._read, new, THREADS)))
+        self._small.update(zip(new, side_by_side(self._read, new)))
         return [self._small[k][side] for k in chosen]
 
     def _read(self, k: int) -> dict[int, np.ndarray]:
@@ -117,7 +116,7 @@ class Sweep:
                                     for some in self.parts(pair[0], tried)])
             return np.stack([np.nansum(found, axis=1), np.isfinite(found).sum(axis=1)])
 
-        total, count = np.sum(side_by_side(of_pair, self.pairs, THREADS), axis=0)
+        total, count = np.sum(side_by_side(of_pair, self.pairs), axis=0)
         return np.where(count >= LEAST, total / np.maximum(count, 1), np.nan)
 
     def parts(self, i: int, tried: np.ndarray) -> list[np.ndarray]:

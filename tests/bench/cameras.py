@@ -18,6 +18,7 @@ import json
 import pickle
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from support.camera_noise import after_similarity, noisy, rms_motion
 
 LEVELS = (0.0, 0.5, 1.0, 3.0, 6.0)
+JUDGED = 7          # views of a made scene whose depths are compared with the truth
 SCENES = {"relief": {}, "bar": {"bar": 8.0, "seed": 1}, "closed": None}
 
 
@@ -110,8 +112,8 @@ def errors(scene, parallax, cameras, results, depths=None) -> dict:
 
 
 def made(name: str, width: int, height: int, contexts: int, config, device, tell, levels=LEVELS,
-         closed: Path | None = None) -> list[dict]:
-    """A row a level of noise."""
+         closed: Path | None = None, draws: int = 1) -> list[dict]:
+    """A row a level of noise and draw of it."""
     from pagas_cl.cameras.refine import refine_cameras
     from pagas_cl.scene.view import View
     from pagas_cl.synthetic import relief_scene
@@ -120,7 +122,7 @@ def made(name: str, width: int, height: int, contexts: int, config, device, tell
     scene = Closed.kept(width, closed) if own is None else relief_scene(width, height, contexts, held_out=0, **own)
     true, parallax = scene.cameras, scene.parallax if own is None else scene.relief.parallax
     depths = [scene.initial_depth(camera) for camera in true]
-    names = [true[k].name for k in (0, len(true) // 2, len(true) - 1)]
+    names = [true[k].name for k in np.unique(np.linspace(0, len(true) - 1, JUDGED).astype(int))]
     photos = scene.all_views
 
     def through(cameras):
@@ -129,15 +131,16 @@ def made(name: str, width: int, height: int, contexts: int, config, device, tell
     best = errors(scene, parallax, true, refined(through(true), depths, config, device, names))
     start = errors(scene, parallax, true, dict.fromkeys(names), {c.name: d for c, d in zip(true, depths)})
     rows = []
-    for level in levels:
-        cameras = noisy(true, level, 0, getattr(scene, "distance", 650.0))
+    for level, draw in [(noise, number) for noise in levels for number in range(draws if noise else 1)]:
+        cameras = noisy(true, level, draw, getattr(scene, "distance", 650.0))
         clock = time.process_time()
         found = refine_cameras(through(cameras), depths, config=config, device=device)
         clock = time.process_time() - clock
         given = refined(through(cameras), depths, config, device, names)
         now = refined(through(found.cameras), depths, config, device, names)
-        rows.append({"scene": name, "noise": level, "off": found.report.get("off"), "accepted": found.accepted,
-                     "reason": found.reason, "cpu": clock, "largest_move": float(np.nanmax(found.moved)),
+        rows.append({"scene": name, "noise": level, "draw": draw, "off": found.report.get("off"),
+                     "accepted": found.accepted, "reason": found.reason, "cpu": clock,
+                     "largest_move": float(np.nanmax(found.moved)),
                      "given": rms_motion(true, after_similarity(cameras, true), depths),
                      "after": rms_motion(true, after_similarity(found.cameras, true), depths),
                      "input": start, "true": best, "as_given": errors(scene, parallax, true, given),
@@ -148,13 +151,22 @@ def made(name: str, width: int, height: int, contexts: int, config, device, tell
 
 
 def made_table(rows) -> str:
+    """A row a level: means over the draws, and the draw that is worst against the true cameras."""
     lines = ["| scene | noise, px | cameras off: given, refined | depth, raw: input, true cameras, as given, refined |"
-             " the same, detrended | normals | |", "|" + "---|" * 7]
-    for row in rows:
-        parts = [", ".join(f"{row[who][what]:.3f}" for who in ("input", "true", "as_given", "refined"))
+             " the same, detrended | normals | worst of the draws, times the true cameras': detrended, normals;"
+             " times the input's: raw | |", "|" + "---|" * 8]
+    for scene, level in dict.fromkeys((row["scene"], row["noise"]) for row in rows):
+        of_level = [row for row in rows if (row["scene"], row["noise"]) == (scene, level)]
+        parts = [", ".join(f"{np.mean([row[who][what] for row in of_level]):.3g}"
+                           for who in ("input", "true", "as_given", "refined"))
                  for what in ("raw", "detrended", "normals")]
-        lines.append(f"| {row['scene']} | {row['noise']:g} | {row['given']:.3f}, {row['after']:.3f} | "
-                     + " | ".join(parts) + f" | {'' if row['accepted'] else 'stay as given'} |")
+        worst = [max(row["refined"][what] / row[who][what] for row in of_level)
+                 for who, what in (("true", "detrended"), ("true", "normals"), ("input", "raw"))]
+        off = [np.mean([row[when] for row in of_level]) for when in ("given", "after")]
+        stay = sum(not row["accepted"] for row in of_level)
+        lines.append(f"| {scene} | {level:g} | {off[0]:.3g}, {off[1]:.3f} | " + " | ".join(parts)
+                     + f" | {worst[0]:.3f}, {worst[1]:.3f}; {worst[2]:.3f} | "
+                     + (f"{stay} of {len(of_level)} stay as given |" if stay else "|"))
     return "\n".join(lines)
 
 
@@ -222,8 +234,11 @@ def real(scene: Path, mesh, depth_dir, share: float, number: int, judges: int, c
         tell({"neighbours differ by, share within half a pixel": disagreement(
             given, *((cameras, initial, [results[view.name].depth for view in own]) for cameras, initial, results in
                      ((given, maps, without), (found.cameras, drawn, with_them))))})
-        draw_meshes(out / "meshes.jpg", config, *((those, [results[view.name].depth for view in own]) for those, results
-                                                  in ((own, without), (moved, with_them))))
+        if find_spec("open3d") is None:
+            tell("no picture of the meshes: Open3D is missing")
+        else:
+            draw_meshes(out / "meshes.jpg", config, *((those, [results[view.name].depth for view in own]) for those,
+                                                      results in ((own, without), (moved, with_them))))
     rows = []
     for view, depth in zip(own, maps):
         if view.name not in names:
@@ -264,6 +279,7 @@ def main() -> int:
                        "where it is not there, read without it elsewhere")
     parse.add_argument("--contexts", type=int, default=6)
     parse.add_argument("--levels", type=float, nargs="*", default=LEVELS)
+    parse.add_argument("--draws", type=int, default=1, help="of each level of noise")
     parse.add_argument("--preset", default="balanced")
     parse.add_argument("--set", nargs="*", default=[], metavar="STAGE.FIELD=VALUE")
     parse.add_argument("--device")
@@ -283,7 +299,8 @@ def main() -> int:
         text = real_table(rows)
     else:
         rows = [row for name in ask.scenes for row in made(name, ask.width, round(ask.width * 290 / 388), ask.contexts,
-                                                            config, device, tell, ask.levels, ask.closed)]
+                                                            config, device, tell, ask.levels, ask.closed,
+                                                            ask.draws)]
         text = made_table(rows)
     (ask.out / "figures.json").write_text(json.dumps(rows, indent=1))
     (ask.out / "table.md").write_text(text + "\n")

@@ -69,16 +69,18 @@ def given_results(views, depths, deviation: float):
 
 
 class Watch:
-    """Prints what each stage took, and the most memory that this process has had so far."""
+    """Prints what each stage took, and the memory that this process has, and the most that it has had so far."""
 
     def __init__(self):
         self.start, self.last = (time.perf_counter(), time.process_time()), (time.perf_counter(), time.process_time())
 
     def tell(self, stage: str, since=None) -> None:
+        from pagas_cl.runtime.host import resident_mb
+
         now, since = (time.perf_counter(), time.process_time()), since or self.last
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        print(f"{stage:28} {now[0] - since[0]:8.2f} s, {now[1] - since[1]:8.2f} s of CPU; peak so far {peak:6.0f} MB",
-              flush=True)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+        print(f"{stage:28} {now[0] - since[0]:8.2f} s, {now[1] - since[1]:8.2f} s of CPU; now {resident_mb():6.0f}, at "
+              f"most so far {peak:6.0f} MB", flush=True)
         self.last = now
 
 

@@ -11,6 +11,7 @@ from twins import mesh_solve as solve_twin
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_attributes import load_whole, with_vertices
+from pagas_cl.scene.mesh_file import read_mesh, write_mesh
 from pagas_cl.surface.mesh_evidence import Observed
 from pagas_cl.surface.mesh_levels import fit_mesh
 from pagas_cl.surface.mesh_solve import solve_mesh
@@ -346,12 +347,13 @@ def test_wrong_settings():
         pagas_cl.refine_mesh((VERTICES, FACES), [], [], output="displace", subdivide=0)
 
 
-def test_mesh_to_mesh_needs_no_open3d(device, monkeypatch):
+def test_mesh_to_mesh_needs_no_open3d(device, monkeypatch, tmp_path):
     import sys
 
     from pagas_cl import preset, refine_mesh
 
-    monkeypatch.setitem(sys.modules, "open3d", None)
+    for name in ("open3d", "scipy"):
+        monkeypatch.setitem(sys.modules, name, None)
     scene = relief_scene(64, 48, contexts=4, held_out=0)
     photos = [view.load_image() for view in scene.views]
     for cameras in ("auto", "on"):
@@ -359,6 +361,11 @@ def test_mesh_to_mesh_needs_no_open3d(device, monkeypatch):
         vertices, faces = refine_mesh(scene.initial_mesh(), scene.cameras, photos, config=config, device=device,
                                       output="mesh")[:2]
         assert len(vertices) and len(faces) and np.isfinite(vertices).all()
+    vertices, faces = scene.initial_mesh()
+    write_mesh(tmp_path / "coarse.ply", Surface(vertices, faces, attributes={"part": np.arange(len(vertices))}))
+    fine = refine_mesh(tmp_path / "coarse.ply", scene.cameras, photos, config=config, device=device, output="displace")
+    write_mesh(tmp_path / "fine.ply", fine)
+    assert set(read_mesh(tmp_path / "fine.ply").attributes) == {"part", "deviation", "views"}
 
 
 @pytest.mark.parametrize("most", [100_000, 12_000])
