@@ -34,10 +34,10 @@ class Parameter:
 
 PARAMETERS = (
     Parameter("preset", "RichString", "balanced", None, "Settings to start from"),
-    Parameter("output", "RichString", "tsdf", None,
-              "tsdf: a new mesh fused from the refined depths; displace: the layer's own vertices move"),
+    Parameter("output", "RichString", "mesh", None, "mesh: the layer's mesh refined, as a new layer; tsdf: a new mesh "
+              "fused from the refined depths; displace: the layer's own vertices move"),
     Parameter("subdivide", "RichFloat", "0", None,
-              "With displace: first split edges longer than this many pixel footprints (0: split none)"),
+              "First split edges longer than this many pixel footprints (0: with displace none, with mesh 1.5)"),
     Parameter("device", "RichString", "", None, "Part of an OpenCL device's name (empty: the best one)"),
     Parameter("contextViews", "RichInt", None, "context.number", "Most context views of a view"),
     Parameter("radius", "RichFloat", None, "splatting.radius", "Radius threshold, pixels"),
@@ -102,8 +102,8 @@ def request(values: dict[str, str], where: str) -> Request:
         check_value(TYPES[name], value, f"{where}: {name}")
     values = {**{p.name: p.default for p in PARAMETERS if p.default is not None}, **values}
     assignments = [f"{p.setting}={values[p.name]}" for p in PARAMETERS if p.setting and p.name in values]
-    if values["output"] not in ("tsdf", "displace"):
-        raise InputError(f"{where}: output is {values['output']!r}, expected 'tsdf' or 'displace'")
+    if values["output"] not in ("mesh", "tsdf", "displace"):
+        raise InputError(f"{where}: output is {values['output']!r}, expected 'mesh', 'tsdf' or 'displace'")
     subdivide = float(values["subdivide"]) or None
     if subdivide is not None and subdivide < 0.25:
         raise InputError(f"{where}: subdivide is {subdivide:g}, expected 0 or at least 0.25 pixel footprints")

@@ -16,7 +16,7 @@ from pagas_cl.errors import InputError, need
 from pagas_cl.filters.filter_script import restore_history, saved_history
 from pagas_cl.filters.names import CALL, HINT, METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
-from pagas_cl.keep_mesh import Observations, solve_device
+from pagas_cl.keep_mesh import Observations, kept_mesh, solve_device
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import from_surface, to_surface
 from pagas_cl.scene.readers import read_scene
@@ -47,7 +47,7 @@ def register(meshes=None):
     return kind
 
 
-def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", output: str = "tsdf", subdivide: float = 0.0,
+def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", output: str = "mesh", subdivide: float = 0.0,
                                  context_views: int | None = None, radius: float | None = None,
                                  smoothness: float | None = None, max_move: float | None = None,
                                  voxel: float | None = None, agree_views: int | None = None, effects: str = "",
@@ -61,10 +61,12 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
     preset : str
         Settings to start from; those below that are None keep the preset's value.
     output : str
-        "tsdf": a new layer, fused from the refined depths, becomes the current one. "displace": the vertices of the
-        current layer move; its topology, textures and attributes stay.
+        "mesh": a new layer, the current one's mesh refined, becomes the current one, without textures. "tsdf": the
+        same, fused from the refined depths. "displace": the vertices of the current layer move; its topology, textures
+        and attributes stay.
     subdivide : float
-        With "displace": first split edges longer than this many pixel footprints; 0 splits none.
+        First split edges longer than this many pixel footprints: with "displace" all of them, 0 none; with "mesh"
+        those that depths lie off, 0 for 1.5.
     context_views, radius, smoothness, max_move, voxel, agree_views
         Most context views; radius threshold (pixels); smoothness weight; largest move (pixels of parallax); voxel edge
         (pixel footprints); how many other views must confirm a depth.
@@ -133,8 +135,10 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
     if asked.output == "displace":
         _displace_layer(meshes, surface, views, depths, results, asked, matrix)
     else:
-        fused = fuse_results(views, results, config, progress, device=device or asked.device)
-        _add_layer(meshes, fused, results, f"{label} refined", matrix)
+        made = (fuse_results(views, results, config, progress, device=device or asked.device)
+                if asked.output == "tsdf" else
+                kept_mesh(surface, views, results, config, subdivide=asked.subdivide, device=device or asked.device))
+        _add_layer(meshes, made, results, f"{label} refined", matrix)
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
 
 
@@ -144,7 +148,7 @@ def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 
 def _add_layer(meshes, surface, results, label: str, matrix: np.ndarray) -> None:
-    """The fused mesh as a new current layer with the old one's matrix, confidence as quality, unit normals."""
+    """The made mesh as a new current layer with the old one's matrix, confidence as quality, unit normals."""
     quality = vertex_confidence(surface.vertices, results)
     surface = replace(surface, vertices=_local(surface.vertices, matrix), quality=quality, normals=None)
     meshes.add_mesh(from_surface(surface, like=meshes.current_mesh()), label)

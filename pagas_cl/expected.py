@@ -17,6 +17,7 @@ _GREY = Cost(photo=0.03, setup=8e-8, per_step=1.5e-8, per_view_step=1.5e-8)
 _GPU, _KERNELS, _VIEWER = 0.01, 0.5, 0.8        # seconds to load kernels, of the first page with a mesh
 _AVERAGE, _MEASURE, _MEASURED = 3e-7, 3.5e-7, 6     # seconds a pixel; views that are measured for the cameras
 _RENDER, _PICTURES, _PLAN, _FUSE, _EXTRACT, _SHOW = 3e-8, 1.4e-6, 1.6e-7, 4.6e-7, 1e-7, 3e-7      # a pixel
+_SOLVE = 7e-7
 
 
 class Expected:
@@ -66,9 +67,12 @@ class Expected:
         self.scale = seconds / sum(expected for _, expected in self._refining())
         self.rounds(pictures=False)
 
-    def fused(self, shown: bool) -> None:
-        for stage, seconds in (("plan the mesh", _PLAN), ("fuse", _FUSE), ("extract the mesh", _EXTRACT)):
-            self._host(stage, seconds)
+    def made(self, shown: bool, solved: bool) -> None:
+        if solved:
+            self._device("solve the mesh", _SOLVE * self.pixels)
+        else:
+            for stage, seconds in (("plan the mesh", _PLAN), ("fuse", _FUSE), ("extract the mesh", _EXTRACT)):
+                self._host(stage, seconds)
         if shown:
             self._host("show the mesh", _SHOW + _VIEWER / self.pixels)
 

@@ -6,7 +6,6 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,19 +18,19 @@ from pagas_cl.scene.mesh import Surface, to_surface
 from pagas_cl.scene.mesh_attributes import load_whole, with_vertices
 from pagas_cl.scene.mesh_file import write_mesh
 from pagas_cl.scene.mesh_losses import losses
-from pagas_cl.scene.view import View
 from pagas_cl.surface.agree import comparison_device
 from pagas_cl.surface.fuse import available_mb
-from pagas_cl.surface.mesh_evidence import Observed
+from pagas_cl.surface.mesh_evidence import Observed, sent
 from pagas_cl.surface.mesh_faults import without_new
 from pagas_cl.surface.mesh_levels import TRIANGLE_BYTES, fit_mesh
-from pagas_cl.surface.mesh_solve import solve_mesh, unlike
+from pagas_cl.surface.mesh_solve import ROUNDS, solve_mesh, unlike
 from pagas_cl.surface.on_vertices import footprints, vertex_confidence
+from pagas_cl.surface.raster import each_depth
 from pagas_cl.surface.subdivide import subdivide as split_edges
 from pagas_cl.surface.subdivide import undivided
 
-DETAIL, FLAT = 1.5, 0.04     # footprints: edges that hold what photos show; how flat is flat
-_MEMORY = 300.0              # MB for the mesh, where more is free: 660 000 triangles
+_DETAIL, FLAT = 1.5, 0.04     # footprints: edges that hold what photos show; how flat is flat
+_MEMORY, _SHARE = 300.0, 14e-6   # MB for the mesh, where more is free: 660 000 triangles; the same a pixel of all views
 _POLISH = 1                  # rounds of the solve on a fused mesh, which lies on the depth maps
 
 
@@ -50,61 +49,36 @@ def check_flat(flat) -> None:
         raise InputError(f"flat is {flat!r}, expected a distance from 0 to 100 pixel footprints")
 
 
-def displaced_mesh(mesh, views: list[View], depths, results, config: Config, subdivide: float | None = None,
-                   device=None, tell: Callable[[str], Any] | None = None):
-    """A mesh of the kind of `mesh` with the same topology (or split edges) and everything that sits on it, its vertices
-    where the refined depth maps say (surface.mesh_solve).
+def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdivide: float | None = None,
+              flat: float = FLAT, device=None, memory_mb: float | None = None, tell: Callable | None = None):
+    """A mesh of the kind of `mesh` (anything that refine_mesh takes; a path as load_whole reads it) with
+    everything that sits on it, its vertices where the refined depth maps say. `results` are what refine_views gave.
 
-    `mesh` is anything that refine_mesh takes; a path comes back as an Open3D legacy mesh. `depths` and `results` are
-    what refine_views took and gave. First, edges are split that are longer than `subdivide` pixel footprints (of the
-    finest view that sees them). `tell(text)` is told what is wrong with triangles, before and after.
+    "mesh": with as many triangles as the depth maps show detail (surface.mesh_levels): edges longer than `subdivide`
+    (1.5) pixel footprints are split where depth maps lie off them; afterwards splits are undone where the surface is
+    flat within `flat` footprints, and the rest is solved once more. In `memory_mb` of host memory, or mesh_mb.
+    "displace": with the same triangles (surface.mesh_solve), or all edges split that are longer than `subdivide`.
+    `tell(text)` is told what is wrong with triangles, before and after.
     """
     check_subdivide(subdivide)
-    mesh = load_whole(mesh)
-    surface = given = to_surface(mesh)
-    division, device = None, solve_device(device)
-    if subdivide is not None:
-        division = split_edges(given.vertices, given.faces, subdivide * _finest(given, views, depths, results))
-        surface = Surface(division.vertices(given.vertices), division.faces)
-    used = [result for _, result in joined(views, results)]
-    solved = solve_mesh(surface, Observations(used), device, least_views=_least_views(config))
-    return _with_solved(mesh, given, solved, division, used, device, tell)
-
-
-def detailed_mesh(mesh, views: list[View], depths, results, config: Config, detail: float = DETAIL, flat: float = FLAT,
-                  device=None, memory_mb: float | None = None, tell: Callable[[str], Any] | None = None):
-    """displaced_mesh with as many triangles as the depth maps show detail (surface.mesh_levels): edges longer than
-    `detail` footprints are split where depth maps lie off them; afterwards splits are undone where the surface is flat
-    within `flat` footprints. In `memory_mb` of host memory; by default a quarter of what is free, at most 300 MB."""
     mesh, used = load_whole(mesh), [result for _, result in joined(views, results)]
-    given, device = to_surface(mesh), solve_device(device)
-    most = int((memory_mb or min(available_mb() / 4, _MEMORY)) * 1e6 / TRIANGLE_BYTES)
-    division, solved, place = fit_mesh(given, Observations(used), device,
-                                       _finest(given, views, depths, results), flat=flat, detail=detail,
-                                       least_views=_least_views(config), most=most)
-    if flat > 0:
-        within = flat * solved.unit
-        count = len(division.faces)
+    surface = given = to_surface(mesh)
+    division, device, least_views = None, solve_device(device), max(1, config.fusion.agree_views) + 1
+    cameras, observed = [result.camera for result in used], sent(Observations(used), device)
+    if output == "mesh" or subdivide is not None:
+        finest = footprints(given.vertices, cameras, each_depth(given, cameras, device))
+    if output == "mesh":
+        detail, most = subdivide or _DETAIL, int((memory_mb or mesh_mb(cameras)) * 1e6 / TRIANGLE_BYTES)
+        division, solved, place = fit_mesh(given, observed, device, finest, flat=flat, detail=detail,
+                                           least_views=least_views, most=most)
+        within, count = flat * detail * solved.unit**2, len(division.faces)
         division, keep = undivided(division, solved.vertices, np.where(np.isfinite(within), within, 0), place)
-        solved = solved.at(keep)
-        log.info("mesh: %d of %d triangles are needed to be true within %g footprints", len(division.faces), count,
-                 flat)
-    return _with_solved(mesh, given, solved, division, used, device, tell)
-
-
-def _least_views(config: Config) -> int:
-    return max(1, config.fusion.agree_views) + 1
-
-
-def _finest(surface: Surface, views, depths, results) -> np.ndarray:
-    """Footprint of each vertex in the view that sees it finest, infinite where none does."""
-    pairs = joined(views, results)
-    return footprints(surface.vertices, [result.camera for _, result in pairs], [depths[place] for place, _ in pairs])
-
-
-def _with_solved(mesh, given: Surface, solved, division, results, device, tell):
-    """`mesh`, split as `division` says, with its vertices where they were solved to be but for faults that it had not;
-    told how many moved."""
+        surface = Surface(solved.vertices[keep], division.faces)
+        log.info("mesh: %d of %d triangles are needed to be within %g footprints", len(division.faces), count, flat)
+    elif subdivide is not None:
+        division = split_edges(given.vertices, given.faces, subdivide * finest)
+        surface = Surface(division.vertices(given.vertices), division.faces)
+    solved = solve_mesh(surface, observed, device, least_views=least_views, rounds=1 if output == "mesh" else ROUNDS)
     before = given.vertices if division is None else division.vertices(given.vertices)
     vertices, told = without_new(device, given, division, solved.vertices)
     moved = unlike(vertices, before)
@@ -115,9 +89,14 @@ def _with_solved(mesh, given: Surface, solved, division, results, device, tell):
         tell(f"mesh: {told}")
     if not moved.any():
         log.warning("no vertex moved: no two refined views agree on any of them (%d views were refined)",
-                    sum(not result.reason for result in results))
-    quality = np.where(moved, vertex_confidence(vertices, results), 0)
+                    sum(not result.reason for result in used))
+    quality = np.where(moved, vertex_confidence(vertices, used), 0)
     return with_vertices(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
+
+
+def mesh_mb(cameras) -> float:
+    """MB of host memory that the mesh of these views may take: more for more pixels."""
+    return min(available_mb() / 4, max(_MEMORY, _SHARE * sum(camera.width * camera.height for camera in cameras)))
 
 
 def polished(surface: Surface, results, config: Config, device) -> Surface:
@@ -125,7 +104,7 @@ def polished(surface: Surface, results, config: Config, device) -> Surface:
     has no room for it, or the results have no deviations."""
     try:
         solved = solve_mesh(surface, Observations(results), device, rounds=_POLISH,
-                            least_views=_least_views(config))
+                            least_views=max(1, config.fusion.agree_views) + 1)
     except (DeviceMemoryError, InputError) as error:      # InputError: results that were kept without their deviations
         log.warning("the fused mesh is not polished: %s", error)
         return surface
@@ -152,7 +131,7 @@ def solve_device(device):
 
 
 def write_whole(path, mesh) -> None:
-    """Write a mesh of `displaced_mesh`, with textures where the kind of file has them, under its final name at once."""
+    """Write a mesh of `kept_mesh`, with textures where the kind of file has them, under its final name at once."""
     path = Path(path)
     if not _with_textures(path, mesh):
         write_mesh(path, to_surface(mesh))
@@ -168,6 +147,8 @@ def check_kept(path, mesh, allow_loss: bool = False) -> None:
     if lost and not allow_loss:
         raise InputError(f"--keep-mesh would lose of mesh {str(mesh)!r}: {', '.join(lost)}; pass --allow-loss to go on "
                          "without them" + (", or write an .obj file" if lost == ["texture coordinates"] else ""))
+    if lost:
+        log.warning("%s will not have of %s: %s", path, mesh, ", ".join(lost))
     path = Path(path)
     if path.suffix.lower() == ".obj" and any(path.parent.glob(f"{glob.escape(path.stem)}[._]*")):
         whole = load_whole(mesh)

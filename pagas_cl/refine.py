@@ -15,7 +15,7 @@ from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide_consistency, decide_mismatch, settle
 from pagas_cl.errors import InputError, log
-from pagas_cl.keep_mesh import DETAIL, FLAT, check_flat, check_subdivide, detailed_mesh, displaced_mesh, polished
+from pagas_cl.keep_mesh import FLAT, check_flat, check_subdivide, kept_mesh, polished
 from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
@@ -39,12 +39,12 @@ from pagas_cl.surface.raster import each_depth
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
                 config: Config | None = None, device: Devices | None = None, progress: Progress | None = None,
-                output: str = "tsdf", subdivide: float | None = None, flat: float = FLAT,
+                output: str = "mesh", subdivide: float | None = None, flat: float = FLAT,
                 executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
     """Refine a mesh with calibrated photos.
 
-    mesh -> cameras, where they are off -> depth of every view -> refine each view by itself -> keep what other views
-    confirm -> TSDF -> mesh; or all vertices of the given mesh onto what views agree on (method sections 7, 9 and 10).
+    mesh -> cameras, where they are off -> depth of every view -> refine each view by itself -> all vertices of the mesh
+    onto what views agree on; or keep what other views confirm -> TSDF -> mesh (method sections 7, 9 and 10).
 
     Parameters
     ----------
@@ -63,10 +63,11 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     progress : callable of (stage, done, total), optional
         `done` is a fraction within a view.
     output : str
-        "tsdf": a new mesh, fused from the refined depth maps. "mesh": the given mesh with as many triangles as the
-        detail that photos show needs, nearer to the truth; what no photo sees stays, and so do texture coordinates and
-        attributes; at most 300 MB of host memory. "displace": the same with the given triangles; a path gives an Open3D
-        mesh with its textures, that of a .ply a Surface.
+        "mesh": the given mesh with as many triangles as the detail that photos show needs; what no photo sees stays,
+        and so do texture coordinates and attributes; in 300 MB of host memory, or 14 bytes a pixel of all photos.
+        "tsdf": a new mesh, fused from the refined depth maps, of what photos see: where the given one has another
+        topology than the truth. "displace": as "mesh" with the given triangles; a path gives an Open3D mesh with its
+        textures, that of a .ply a Surface.
     subdivide : float, optional
         First split edges longer than this many pixel footprints; with "mesh" (1.5 where it is left out) only those that
         depth maps lie off.
@@ -95,11 +96,9 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     depths = initial_depths(surface, views, progress, device=device)
     results = refine_views(views, depths, config=config, device=device, progress=progress, executor=executor,
                            folder=folder, photos=photos)
-    if output == "displace":
-        return displaced_mesh(mesh, views, depths, results, config, subdivide, device=device)
-    if output == "mesh":
-        given = surface if isinstance(mesh, (str, Path)) else mesh
-        return detailed_mesh(given, views, depths, results, config, subdivide or DETAIL, flat, device)
+    if output != "tsdf":
+        given = surface if output == "mesh" and isinstance(mesh, (str, Path)) else mesh
+        return kept_mesh(given, views, results, config, output, subdivide, flat, device)
     fused = fuse_results(views, results, config, progress, executor=executor, folder=folder, device=device)
     return from_surface(fused, like=mesh)
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from pagas_cl.config import Config
 from pagas_cl.errors import log
+from pagas_cl.keep_mesh import mesh_mb
 from pagas_cl.runtime.host import resident_mb, trim
 from pagas_cl.scene.choice import MOST_HELD_OUT
 from pagas_cl.scene.view import View
@@ -16,9 +17,9 @@ _GRID = 430              # bytes a pixel of a grid, where views overlap as littl
 
 
 def tell_memory(views: Sequence[View], config: Config, device, fused: bool,
-                memory_mb: float | None) -> dict[str, float]:
-    """Log the most MB that refining these views, and fusing them (in `memory_mb`), will take, with what this process
-    has now; gives them by stage."""
+                memory_mb: float | None, solved: bool = False) -> dict[str, float]:
+    """Log the most MB that refining these views, and fusing them or solving the mesh (in `memory_mb`), will take, with
+    what this process has now; gives them by stage."""
     from pagas_cl.splat.budget import plan_for
 
     trim()
@@ -35,6 +36,8 @@ def tell_memory(views: Sequence[View], config: Config, device, fused: bool,
     if fused:
         whole = sum(camera.width * camera.height for camera in cameras) * _GRID / 1e6
         planned["fusing"] = now + _KERNELS + min(whole, memory_mb or USUAL_MB)
+    if solved:
+        planned["the mesh"] = now + _KERNELS + (memory_mb or mesh_mb(cameras))
     log.info("host memory: %s MB are planned (%s)", f"{max(planned.values()):,.0f}",
              ", ".join(f"{stage} {mb:,.0f}" for stage, mb in planned.items()))
     return planned

@@ -26,12 +26,12 @@ from pagas_cl.commands._start import (
 from pagas_cl.errors import InputError, PagasError, log, need
 from pagas_cl.expected import Expected
 from pagas_cl.jobs.finished import one_run, remove_run
-from pagas_cl.keep_mesh import check_kept, check_subdivide, displaced_mesh, write_whole
+from pagas_cl.keep_mesh import check_kept, check_subdivide, kept_mesh, write_whole
 from pagas_cl.report import Report, picture_files
 from pagas_cl.result import joined
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.mesh import to_surface
-from pagas_cl.scene.mesh_file import check_mesh_path, write_mesh
+from pagas_cl.scene.mesh_file import check_mesh_path
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.surface.agree import comparison_device
 from pagas_cl.surface.raster import each_depth
@@ -70,25 +70,25 @@ def command(
                                 "small ones."),
     align: bool = typer.Option(True, "--align/--no-align", help="Bring depth maps together that disagree, in scale and "
                                "shift, before they are refined."),
-    keep_mesh: bool = typer.Option(False, "--keep-mesh",
-                                   help="Move the vertices of --mesh instead of fusing a new one."),
+    fuse: bool = typer.Option(False, "--fuse", help="Fuse a new mesh from the depth maps, not --mesh refined."),
+    keep_mesh: bool = typer.Option(False, "--keep-mesh", help="Move the vertices of --mesh and keep its triangles."),
     allow_loss: bool = typer.Option(False, "--allow-loss",
                                     help="With --keep-mesh: go on though the new file cannot keep all of the mesh."),
     subdivide: float = typer.Option(None, "--subdivide", metavar="PIXELS",
-                                    help="With --keep-mesh: first split edges longer than this many pixels."),
+                                    help="Split edges of --mesh down to so many pixels (1.5); with "
+                                    "--keep-mesh all (none)."),
     devices: str = typer.Option(None, "--devices", metavar="all|NAME,...",
                                 help="One process on each of these devices."),
     scheduler: str = typer.Option(None, "--scheduler", metavar="tcp://HOST:PORT", help="A running Dask cluster; "
                                   "one that you trust, since it may run any program here."),
     memory: float = typer.Option(None, "--memory", metavar="MB",
-                                 help="Most host memory for fusing; what is free by default."),
+                                 help="Most host memory for the mesh; what is free by default."),
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
-    """Refine the depth of every view of SCENE with the other photos, and fuse the result to a mesh."""
+    """Refine the depth of every view of SCENE with the other photos, and with it the mesh; or fuse a new one."""
     from pagas_cl.refine import fuse_results, refine_views
 
-    _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide, allow_loss,
-                   outside)
+    _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide, fuse, outside)
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
     settings = [*settings, *effect_settings(effects)]
     more = {} if context is None else {"context__number": context}
@@ -101,6 +101,11 @@ def command(
     if mesh is None and given.depths is None:
         raise InputError(f"{str(scene)!r} holds neither depth maps nor a mesh: expected either --mesh or --depth-dir "
                          "(where the refinement starts), got neither")
+    kept = None not in (output, mesh) and not fuse
+    if kept:
+        check_kept(output, mesh, allow_loss or not keep_mesh)
+    elif output is not None:
+        need("open3d", "mesh", "fusing depth maps to a mesh (--output without --mesh, or with --fuse)")
     as_given, cameras = found.views, {view.name: view.camera for view in found.views}
     for view in as_given:
         view.check_files()
@@ -125,12 +130,11 @@ def command(
         if time_per_view is not None or time_budget is not None:
             expected.probed()
         expected.rounds(page is not None)
-        if output is not None and not keep_mesh:
-            expected.fused(page is not None)
+        if output is not None:
+            expected.made(page is not None, kept)
         found, config = _settled_cameras(found, mesh, config, place, folder, progress, page)
         if mesh is not None:
-            depths = initial_depths(found, mesh, None, None, progress, None if keep_mesh else folder, names,
-                                    place["device"])
+            depths = initial_depths(found, mesh, None, None, progress, folder, names, place["device"])
             more["effects__cameras"] = "set"
         else:
             depths = together(given, align)
@@ -139,22 +143,23 @@ def command(
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
                                     lambda config: apply_settings(config, settings, **more), expected)
             config = config.with_settings(effects__cameras="set" if mesh else config.effects.cameras)
-        tell_memory(found.views, config, place["device"], output is not None and not keep_mesh, memory)
+        tell_memory(found.views, config, place["device"], output is not None and not kept, memory, kept)
         with noted(page and page.note):
             drawn = page and partial(_add_pictures, page, cameras, count(1), len(names or found.views), progress)
             results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
                                    progress=progress, on_view=drawn)
         made = None
-        if output is not None and keep_mesh:
-            made = displaced_mesh(mesh, found.views, depths, results, config, subdivide, place["device"],
-                                  page and page.note)
-            write_whole(output, made)
+        if kept:
+            made = kept_mesh(mesh if keep_mesh or output.suffix.lower() == ".obj" else to_surface(mesh), found.views,
+                             results, config, "displace" if keep_mesh else "mesh", subdivide, device=place["device"],
+                             memory_mb=memory, tell=page and page.note)
+            progress("solve the mesh", 1, 1)
         elif output is not None:
             made = fuse_results(found.views, results, config, progress, memory, page and page.note,
                                 device=place["device"])
-            write_mesh(output, made)
-            trim()
         if output is not None:
+            write_whole(output, made)
+            trim()
             log.info("mesh: %s", output)
         if page is not None and made is not None:
             _show_mesh(page, found.views, mesh, made, results, place["device"])
@@ -188,8 +193,8 @@ def _save_cameras(folder: Path, views, results) -> None:
             folder, [replace(views[place], camera=result.camera, mask=None) for place, result in pairs]))
 
 
-def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh: bool, subdivide,
-                   allow_loss: bool, outside: bool) -> None:
+def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh: bool, subdivide, fuse: bool,
+                   outside: bool) -> None:
     """Refuse what cannot end well before any work is done."""
     if mesh is not None:
         check_source(mesh, depth_dir, "where the refinement starts", outside)
@@ -207,18 +212,16 @@ def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mes
                              "replaced, and the next run would refine the refined; choose another name")
     if output is not None:
         check_mesh_path(output)
-    if output is not None and not keep_mesh:
-        need("open3d", "mesh", "fusing depth maps to a mesh (--output without --keep-mesh)")
     for name, folder in (("--save-depth", save_depth), ("--report", report)):
         if folder is not None and folder.exists() and not folder.is_dir():
             raise InputError(f"{name} {str(folder)!r} is a file, expected a folder")
     check_subdivide(subdivide)
     if keep_mesh and mesh is None:
         raise InputError("--keep-mesh needs --mesh: it moves that mesh's vertices")
-    if keep_mesh and output is not None:
-        check_kept(output, mesh, allow_loss)
-    if subdivide is not None and not keep_mesh:
-        raise InputError("--subdivide needs --keep-mesh: a fused mesh has the voxel's fineness "
+    if keep_mesh and fuse:
+        raise InputError("--keep-mesh and --fuse do not go together: give one of them")
+    if subdivide is not None and (mesh is None or fuse):
+        raise InputError("--subdivide needs --mesh without --fuse: a fused mesh has the voxel's fineness "
                          "(--set fusion.voxel=...)")
 
 

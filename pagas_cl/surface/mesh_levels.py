@@ -10,7 +10,7 @@ import numpy as np
 from pagas_cl.errors import log
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.surface.edges import Edges
-from pagas_cl.surface.mesh_evidence import Observed, Words, sent
+from pagas_cl.surface.mesh_evidence import Observed, Words
 from pagas_cl.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded, welded, with_area
 from pagas_cl.surface.raster import Drawing
 from pagas_cl.surface.subdivide import Subdivision, spread, with_middles
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
 
 COARSE, DETAIL = 6.0, 1.5   # footprints: edges to begin with, and the longest that are never split
-_OFF = 2.0                  # times `flat` that the middle of an edge lies off, for which it is split
+_OFF = 0.5                  # times `flat` that the middle of an edge lies off, for which it is split
 _LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
 TRIANGLE_BYTES = 450        # of host and device memory together, at the peak (measured)
 _FULL = 0.9                 # of the triangles that the memory is for, from which on nothing more is split
@@ -33,7 +33,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     `unit` (V,) is the footprint at each vertex, infinite where no view sees it. Gives how the mesh was split, where
     its vertices are, and which of them are at one place (V',).
     """
-    mesh, views = _Splitting(surface, unit), sent(views, device)
+    mesh = _Splitting(surface, unit)
     mesh.split_longer(max(COARSE, detail), most // 2)
     orientation = orientation_of(surface, Drawing(device, surface), views)
     for level in range(_LEVELS + 1):

@@ -16,7 +16,7 @@ from pagas_cl.surface.mesh_evidence import Observed, Words
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
 
-LAMBDA, STAY, CREASE, JUMP = 4.0, 0.15, 0.1, 0.5
+LAMBDA, STAY, CREASE, JUMP = 3.0, 0.15, 0.1, 0.5
 ROUNDS, LINKINGS, STEPS = 3, 2, 30      # of evidence, of links between neighbours, of conjugate gradients
 _HOLDS = 8                              # times that ways are halved where triangles would turn over
 _FOLLOWS = 16                           # times that vertices on creases follow the planes there

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from pagas_cl.scene.camera import Camera
@@ -11,7 +13,7 @@ _PART = 1 << 14   # vertices at a time: what is made of them stays in the cache
 _ON_MAP = 30.0   # footprints between a vertex and a depth map that it is said to lie on
 
 
-def footprints(vertices: np.ndarray, cameras: list[Camera], depths: list[np.ndarray]) -> np.ndarray:
+def footprints(vertices: np.ndarray, cameras: list[Camera], depths: Iterable[np.ndarray]) -> np.ndarray:
     """Size of a pixel at each vertex in the view that sees it finest, scene units; infinite where no view does."""
     finest = np.full(len(vertices), np.inf)
     for camera, depth in zip(cameras, depths):

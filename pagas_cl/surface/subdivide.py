@@ -101,7 +101,8 @@ def undivided(division: Subdivision, vertices: np.ndarray, within: np.ndarray,
         a, along = vertices[pairs[:, 0]], vertices[pairs[:, 1]] - vertices[pairs[:, 0]]
         to_middle = vertices[middle] - a
         share = (to_middle * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-300)
-        needed[middle] |= np.linalg.norm(to_middle - np.clip(share, 0, 1)[:, None] * along, axis=1) > within[middle]
+        off = np.linalg.norm(to_middle - np.clip(share, 0, 1)[:, None] * along, axis=1)
+        needed[middle] |= off * np.linalg.norm(along, axis=1) > within[middle]
         if place is not None:
             needed[middle] = np.isin(place[middle], place[middle][needed[middle]])
         needed[pairs[needed[middle]]] = True

@@ -15,7 +15,7 @@ import mesh_scenes
 import numpy as np
 
 from pagas_cl.evaluate.clouds import sample_surface
-from pagas_cl.keep_mesh import detailed_mesh, displaced_mesh, polished, solve_device
+from pagas_cl.keep_mesh import kept_mesh, polished, solve_device
 from pagas_cl.presets import settings_of
 from pagas_cl.refine import fuse_results, initial_depths, refine_views
 from pagas_cl.scene.inputs import as_views
@@ -104,10 +104,10 @@ def outputs(scene, preset: str):
     fused = fuse_results(views, results, plain)
     yield "tsdf, not polished", fused, time.perf_counter() - start
     for name, make in (("tsdf", lambda: polished(fused, results, config, solve_device(None))),
-                       ("mesh, all splits", lambda: displaced_mesh(given, views, depths, results, config, 1.5)),
-                       ("mesh", lambda: detailed_mesh(given, views, depths, results, config)),
-                       ("mesh, flat=0.1", lambda: detailed_mesh(given, views, depths, results, config, flat=0.1)),
-                       ("displace", lambda: displaced_mesh(given, views, depths, results, config))):
+                       ("mesh, all splits", lambda: kept_mesh(given, views, results, config, "displace", 1.5)),
+                       ("mesh", lambda: kept_mesh(given, views, results, config)),
+                       ("mesh, flat=0.3", lambda: kept_mesh(given, views, results, config, flat=0.3)),
+                       ("displace", lambda: kept_mesh(given, views, results, config, "displace"))):
         start = time.perf_counter()
         mesh = make()
         yield name, mesh, time.perf_counter() - start

@@ -127,10 +127,8 @@ def run(cameras, folder: Path, ask, watch: Watch) -> None:
     else:
         results = refine.refine_views(views, depths, config=config, device=device, photos=photos)
     watch.tell("refine the views")
-    if ask.output == "mesh":
-        made = keep_mesh.detailed_mesh(surface, views, depths, results, config, device=device)
-    elif ask.output == "displace":
-        made = keep_mesh.displaced_mesh(surface, views, depths, results, config, device=device)
+    if ask.output != "tsdf":
+        made = keep_mesh.kept_mesh(surface, views, results, config, ask.output, device=device)
     else:
         made = refine.fuse_results(views, results, config, device=device)
     watch.tell(f"make the mesh ({ask.output})")

@@ -69,17 +69,20 @@ def test_refine_from_depth_maps(scene, tmp_path):
     assert (tmp_path / "page" / "target_change.png").is_file()
 
 
-def test_refine_from_a_mesh_to_a_mesh(scene, tmp_path):
+@pytest.mark.parametrize("more", [[], ["--fuse"]])
+def test_refine_from_a_mesh_to_a_mesh(scene, tmp_path, more):
     pytest.importorskip("open3d")
     assert command_line.run(refine(scene, "--mesh", scene / "mesh_coarse.ply", "--output",
-                                   tmp_path / "a" / "fine.ply", "--report", tmp_path / "page")) == 0
+                                   tmp_path / "a" / "fine.ply", "--report", tmp_path / "page", *more)) == 0
     page = (tmp_path / "page" / "index.html").read_text()
     assert "<canvas" in page and "mesh_shaded_before.png" in page and "<dt>version</dt>" in page
     assert f"<code>pagas-cl refine {scene} " in page
     from pagas_cl.scene.mesh_file import read_mesh
 
     fine, coarse = read_mesh(tmp_path / "a" / "fine.ply"), read_mesh(scene / "mesh_coarse.ply")
-    assert len(fine.faces) > 100 and fine.normals is not None and fine.colors is not None
+    assert len(fine.faces) > 100
+    assert (fine.normals is not None and fine.colors is not None) == bool(more)
+    assert bool(more) or np.isfinite(fine.vertices[:len(coarse.vertices)] - coarse.vertices).all()
     assert (np.abs(fine.vertices.mean(axis=0) - coarse.vertices.mean(axis=0)) < np.ptp(coarse.vertices, axis=0)).all()
 
 

@@ -91,7 +91,7 @@ def test_the_shipped_script_is_right():
     from importlib.resources import files
 
     (step,) = check_script(files("pagas_cl.filters") / "refine.mlx")
-    assert step.request.output == "tsdf" and step.request.config.context.number == 10
+    assert step.request.output == "mesh" and step.request.config.context.number == 10
 
 
 def test_mixed_script_runs_and_is_saved_and_runs_again(tmp_path, made):
@@ -187,7 +187,7 @@ def project(tmp_path, made):
     return write_project(tmp_path / "p.mlp", views, [MeshLayer("coarse", tmp_path / "coarse.ply", matrix)])
 
 
-@pytest.mark.parametrize("output", ["tsdf", "displace"])
+@pytest.mark.parametrize("output", ["mesh", "tsdf", "displace"])
 def test_command_with_project(project, output, made):
     """The result lies where the truth is once its layer's matrix is applied."""
     from pagas_cl.__main__ import run
@@ -198,7 +198,7 @@ def test_command_with_project(project, output, made):
     assert run(["script", str(script(folder, body)), "--project", str(project), "--output", str(folder / "out.mlp"),
                 "--quiet"]) == 0
     layers = read_project(folder / "out.mlp").meshes
-    assert [layer.label for layer in layers] == (["coarse", "coarse refined"] if output == "tsdf" else ["coarse"])
+    assert [layer.label for layer in layers] == (["coarse"] if output == "displace" else ["coarse", "coarse refined"])
     assert np.array_equal(layers[-1].matrix, layers[0].matrix)
     meshes = pymeshlab.MeshSet()
     meshes.load_project(str(folder / "out.mlp"))

@@ -57,7 +57,7 @@ def layer(made, tmp_path=None):
 def test_signature_is_a_real_one():
     signature = inspect.signature(getattr(Meshes, METHOD))
     assert list(signature.parameters)[:3] == ["self", "scene", "preset"]
-    assert signature.parameters["output"].default == "tsdf" and "pixel" in getattr(Meshes, METHOD).__doc__
+    assert signature.parameters["output"].default == "mesh" and "pixel" in getattr(Meshes, METHOD).__doc__
 
 
 def test_register_takes_class_object_or_nothing():
@@ -121,7 +121,8 @@ def test_displaced_layer_keeps_all_that_sits_on_it(made, tmp_path, subdivide):
         assert len(saved_history(meshes)) == 2
 
 
-def test_same_as_refine_mesh(made):
+@pytest.mark.parametrize("output", ["mesh", "tsdf"])
+def test_same_as_refine_mesh(made, output):
     """The step is refine_mesh, in the layer's frame."""
     import pagas_cl
     from pagas_cl.filters.parameters import request
@@ -130,14 +131,14 @@ def test_same_as_refine_mesh(made):
     meshes.add_mesh(pymeshlab.Mesh(*made.initial_mesh(3.0)), "wall")
     config = request({"settings": FAST, "voxel": "2"}, "test").config
     photos = [v.image for v in made.views]
-    expected = pagas_cl.refine_mesh(meshes.current_mesh(), made.cameras[:3], photos, config=config, output="tsdf")
-    meshes.apply_pagas_depth_refinement(made.views, settings=FAST, voxel=2.0)
+    expected = pagas_cl.refine_mesh(meshes.current_mesh(), made.cameras[:3], photos, config=config, output=output)
+    meshes.apply_pagas_depth_refinement(made.views, settings=FAST, voxel=2.0, output=output)
     assert np.array_equal(meshes.current_mesh().vertex_matrix(), expected.vertex_matrix())
     assert np.array_equal(meshes.current_mesh().face_matrix(), expected.face_matrix())
 
 
 @pytest.mark.parametrize("arguments, sentence", [
-    ({"preset": "best"}, "unknown preset"), ({"output": "both"}, "expected 'tsdf' or 'displace'"),
+    ({"preset": "best"}, "unknown preset"), ({"output": "both"}, "expected 'mesh', 'tsdf' or 'displace'"),
     ({"radius": "1"}, "radius is '1', expected a number"), ({"voxel": -1}, "fusion.voxel is -1"),
     ({"context_views": 1.5}, "whole number"), ({"settings": "a.b=1"}, "unknown setting"),
     ({"preset": 3}, "expected text"),

@@ -216,23 +216,22 @@ def test_a_photo_deleted_during_the_run(tmp_path, capsys):
     assert bytes_of(out) == bytes_of(tmp_path / "undisturbed")
 
 
-def test_mesh_output_goes_on_too_and_leaves_nothing_beside(scene, tmp_path, monkeypatch):
+@pytest.mark.parametrize("what, more", [("surface.blocks.fuse_within", ["--fuse"]),
+                                        ("commands.refine.kept_mesh", [])])
+def test_mesh_output_goes_on_too_and_leaves_nothing_beside(scene, tmp_path, monkeypatch, what, more):
     pytest.importorskip("open3d")
-    import pagas_cl.surface.blocks as blocks
-
     arguments = ["refine", str(scene), "--mesh", str(scene / "mesh_coarse.ply"), "--output", str(tmp_path / "fine.ply"),
-                 "--quiet", "--set", "pyramid.steps=3", *NOT_MEASURED]
+                 "--quiet", "--set", "pyramid.steps=3", *NOT_MEASURED, *more]
 
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    whole = blocks.fuse_within
-    monkeypatch.setattr(blocks, "fuse_within", interrupted)
-    assert command_line.run(arguments) == 130
+    with monkeypatch.context() as patch:
+        patch.setattr(f"pagas_cl.{what}", interrupted)
+        assert command_line.run(arguments) == 130
     kept = tmp_path / ".fine.ply.views" / ".pagas_cl" / "views"
     records = [json.loads(path.read_text()) for path in kept.glob("*.json")]
     assert len(records) == 8 and not (tmp_path / "fine.ply").exists()
-    monkeypatch.setattr(blocks, "fuse_within", whole)
     monkeypatch.setattr("pagas_cl.jobs.worker._attempt", lambda *_: 1 / 0)  # nothing is left to refine
     assert command_line.run(arguments) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["fine.ply"]

@@ -62,6 +62,7 @@ def commands(scene, out, depths) -> dict:
         "depth": ("refine", str(scene), *from_depths, "--save-depth", str(out), *SETTINGS, *views),
         "report": ("refine", str(scene), *from_depths, "--report", str(out), *SETTINGS, "--views", "target"),
         "mesh": ("refine", str(scene), *mesh, "--output", str(out / "fine.ply"), *SETTINGS, *views),
+        "fused": ("refine", str(scene), *mesh, "--output", str(out / "fine.ply"), "--fuse", *SETTINGS, *views),
         "object": ("refine", str(scene), *mesh, "--output", str(out / "fine.obj"), *SETTINGS, *views),
         "kept": ("refine", str(scene), *mesh, "--output", str(out / "fine.ply"), "--keep-mesh", *SETTINGS, *views),
         "demo": ("demo", "--output", str(out), "--width", "64", "--context", "2", "--quiet"),
@@ -72,7 +73,7 @@ def commands(scene, out, depths) -> dict:
     }
 
 
-@pytest.mark.parametrize("name", ["depth", "report", "mesh", "object", "kept", "demo", "analyze", "cameras",
+@pytest.mark.parametrize("name", ["depth", "report", "mesh", "fused", "object", "kept", "demo", "analyze", "cameras",
                                   "evaluate"])
 def test_strangers_files_stay_as_they_are(scene, tmp_path, name):
     pytest.importorskip("open3d")
@@ -271,7 +272,8 @@ def test_what_is_missing_is_made_and_what_is_there_is_kept(scene, tmp_path, caps
     command = ["refine", str(scene), "--mesh", str(scene / "mesh_coarse.ply"), "--save-depth", str(out), *SETTINGS]
     assert command_line.run(command) == 0 and len(said(out, "began")) == 8
     before = bytes_of(out)
-    for more in (["--report", "page"], ["--output", "fused.ply"], ["--output", "kept.ply", "--keep-mesh"],
+    for more in (["--report", "page"], ["--output", "fused.ply", "--fuse"], ["--output", "fine.ply"],
+                 ["--output", "kept.ply", "--keep-mesh"],
                  ["--output", "split.ply", "--keep-mesh", "--subdivide", "4", "--report", "more"]):
         given = [str(tmp_path / word) if word[0] != "-" and not word.isdigit() else word for word in more]
         assert command_line.run([*command, *given]) == 0

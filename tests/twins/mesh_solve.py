@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.sparse.linalg import spsolve
 
-LAMBDA, STAY, CREASE, JUMP, LINKINGS, STILL, DETAIL = 4.0, 0.15, 0.1, 0.5, 2, 0.02, 1.5
+LAMBDA, STAY, CREASE, JUMP, LINKINGS, STILL, DETAIL = 3.0, 0.15, 0.1, 0.5, 2, 0.02, 1.5
 SHARP, LOOSE, FOLLOWS = 0.85, 0.01, 16
 
 
