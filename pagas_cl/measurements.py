@@ -103,9 +103,10 @@ def measure(target, contexts, depth, config: Config, device, photos=None, *, nor
         smallest=_number(np.min(samples["size"][:, QUANTILE], initial=np.inf,
                                 where=samples["size"][:, NUMBER] > 0), 0.5),
         textureless=found.textureless, noise=max(found.noise, _QUANTISATION),
-        far_off=_number(found.far[MEAN]) if found.far[NUMBER] >= _LEAST else 0.0, misaligned=_misaligned(samples),
+        far_off=_number(found.far[MEAN]) if found.far[NUMBER] >= _LEAST else 0.0, misaligned=float(
+            np.sqrt(np.mean(_medians(np.concatenate([samples[f"epipolar_offset {k}"] for k in range(4)]))**2))),
         masked=target.mask is not None or any(view.mask is not None for view in contexts),
-        mismatched=_mismatched(samples["explained"]),
+        mismatched=float(1 - np.median(_medians(samples["explained"], 1.0))),
         gains=tuple(tuple(tuple(float(v) for v in channel) for channel in gain) for gain in found.gains),
         local_specularity=found.local_specularity)
 
@@ -127,12 +128,6 @@ def _unseen(found, contexts) -> float:
     return float(np.maximum(0.0, 1 - area / pixels).mean())
 
 
-def _mismatched(explained) -> float:
-    known = explained[explained[:, NUMBER] > 0, QUANTILE]
-    return float(1 - np.median(known)) if known.size else 0.0
-
-
-def _misaligned(samples) -> float:
-    epipolar_offset = np.stack([samples[f"epipolar_offset {k}"] for k in range(4)])
-    known = epipolar_offset[..., QUANTILE][epipolar_offset[..., NUMBER] >= _LEAST]
-    return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+def _medians(rows, otherwise: float = 0.0):
+    """Of all rows with enough samples."""
+    return rows[rows[:, NUMBER] >= _LEAST, QUANTILE] if (rows[:, NUMBER] >= _LEAST).any() else np.array([otherwise])

@@ -72,7 +72,8 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     `results`: of the round before, the view's own first, then those of others, in memory or on disk (StoredResult),
     from where they are read when the device has to have them. The others are as in refine.refine_one.
     """
-    own, *others = _loaded(results[0]), *(result for result in results[1:] if not result.reason)
+    own, *others = results[0], *(result for result in results[1:] if not result.reason)
+    own = own if isinstance(own, DepthResult) else own.loaded()         # it may be on disk
     start, found = time.perf_counter(), {}
     if own.reason or not others:
         return own
@@ -167,15 +168,10 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
 
 
 def _left(others: int, measured: Measurements | None) -> float:
-    """What smoothness has left to do where each depth is a mean with so many others: the share of its variance that such
-    an average leaves (agreement.cl), times what photos do not explain, where it was measured anew."""
+    """What smoothness has left to do in a mean with so many others: the share of its variance that such an average
+    leaves (agreement.cl), times what photos do not explain, where it was measured anew."""
     mismatched = 0.0 if measured is None or measured.local_specularity is None else measured.mismatched
     return (0.3 + 0.7 * min(1.0, 2 / (others + 1))) * max(1.0, mismatched / _MATCHED)
-
-
-def _loaded(result: Any) -> DepthResult:
-    """A result that may be on disk, in memory."""
-    return result if isinstance(result, DepthResult) else result.loaded()
 
 
 def _pixels(result: DepthResult) -> int:
