@@ -156,11 +156,10 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
         normalized = NormalizedDepth(target, result.depth, device, comparison.told.depth, result.scene_scale)
         settled, decisions, measured = settle(target, contexts, result.depth, config, device, photos,
                                               normalized=normalized, known=result.report.get("measured"))
-        if not any(decision.effect == "noise" and decision.on for decision in decisions):
-            settled = settled.with_settings(smoothness__weight=min(
-                MOST_WEIGHT, settled.smoothness.weight * _left(len(comparison.others), measured)))
-        if len(settled.pyramid.scales) > 1:      # asked for by noise, for a depth that is far off
-            settled = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps)
+        raised = any(decision.effect == "noise" and decision.on for decision in decisions)
+        settled = settled.with_settings(         # at full size, whatever noise asks for, or a depth that is far off
+            pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps, smoothness__weight=min(MOST_WEIGHT, (
+                1.0 if raised else _left(len(comparison.others), measured)) * settled.smoothness.weight))
         return refine_levels(target, contexts, result.depth, settled, device, photos, progress=told, measured=measured,
                              normalized=normalized, start=start, held_out=held_out)
 
