@@ -14,9 +14,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from pagas_cl.config import MOST_WEIGHT, Config
-from pagas_cl.effects import agreement_rounds, between_rounds, decide_agreement, settle
+from pagas_cl.effects import agreement_rounds, between_rounds, decide_agreement, left_to_smooth, settle
 from pagas_cl.errors import DeviceMemoryError
-from pagas_cl.measurements import Measurements
 from pagas_cl.progress import Progress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import Partners
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from pagas_cl.splat import PhotoStore
 
 _BYTES = 64     # a pixel: more than a comparison takes beside the photos that wait on the device
-_MATCHED = 0.03  # share of a patch's variance that photos do not explain which the default smoothness is made for
 _LONGER = 1.4   # steps of a few: as far as half as many again would
 
 
@@ -156,21 +154,14 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
         normalized = NormalizedDepth(target, result.depth, device, comparison.told.depth, result.scene_scale)
         settled, decisions, measured = settle(target, contexts, result.depth, config, device, photos,
                                               normalized=normalized, known=result.report.get("measured"))
-        raised = any(decision.effect == "noise" and decision.on for decision in decisions)
+        share = left_to_smooth(decisions, len(comparison.others), measured)
         settled = settled.with_settings(         # at full size, whatever noise asks for, or a depth that is far off
-            pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps, smoothness__weight=min(MOST_WEIGHT, (
-                1.0 if raised else _left(len(comparison.others), measured)) * settled.smoothness.weight))
+            pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps,
+            smoothness__weight=min(MOST_WEIGHT, share * settled.smoothness.weight))
         return refine_levels(target, contexts, result.depth, settled, device, photos, progress=told, measured=measured,
                              normalized=normalized, start=start, held_out=held_out)
 
     return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out), left[0]
-
-
-def _left(others: int, measured: Measurements | None) -> float:
-    """What smoothness has left to do in a mean with so many others: the share of its variance that such an average
-    leaves (agreement.cl), times what photos do not explain, where it was measured anew."""
-    mismatched = 0.0 if measured is None or measured.local_specularity is None else measured.mismatched
-    return (0.3 + 0.7 * min(1.0, 2 / (others + 1))) * max(1.0, mismatched / _MATCHED)
 
 
 def _pixels(result: DepthResult) -> int:
