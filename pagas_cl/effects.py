@@ -23,8 +23,10 @@ if TYPE_CHECKING:
 DIFFERENT = 0.02         # pixels of parallax by which refined depth maps differ, from which on they are averaged: less
                          # no photo resolves
 AGREEMENT_ROUNDS = 2     # each averages; between them, and not after the last, the photos have some steps
+MATCHED = 0.03           # share of a patch's variance that photos may leave unexplained for the default smoothness
 CONTRADICTED = 0.04      # share of depths that others contradict, above which those are left out of a fusion
 SHINY_DISCONTINUITY = 0.6  # smoothness.discontinuity at least: what a highlight bends is no discontinuity
+WIDE_FILTER = 4          # solver.gradient_filter at least where photos are off: what they disagree on averages out
 LOW_PASS = 0.06          # px^2: about what a photo's own pixel blurs; more than that blurs what is to be compared
 
 
@@ -74,10 +76,12 @@ def _pyramid(config, decision, _):
 
 def _noise(config, decision, measured):
     """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree, around what
-    specularity there is, or everywhere; and where the photos are noisy, a first level of half size, where noise
-    averages out."""
+    specularity there is, or everywhere, and the more of them move together; and where the photos are noisy, a first
+    level of half size, where noise averages out."""
     if not decision.on:
         return config
+    if config.solver.gradient_filter:
+        config = config.with_settings(solver__gradient_filter=max(config.solver.gradient_filter, WIDE_FILTER))
     if (measured is None or measured.relative_noise > decision.threshold) and len(config.pyramid.scales) == 1:
         config = config.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=2 * config.pyramid.steps)
     if config.smoothness.kind == "none":
@@ -180,6 +184,15 @@ def between_rounds(config: Config) -> Config | None:
     share = config.agreement.steps
     return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(
         max(1, round(share * config.pyramid.steps[-1])),)) if share else None
+
+
+def left_to_smooth(decisions: Sequence[Decision], others: int, measured: Measurements | None) -> float:
+    """What smoothness has left to do in a mean with so many others, unless noise has set it: the share of its variance
+    that such an average leaves (agreement.cl), times what photos do not explain, where it was measured anew."""
+    if any(decision.effect == "noise" and decision.on for decision in decisions):
+        return 1.0
+    mismatched = 0.0 if measured is None or measured.local_specularity is None else measured.mismatched
+    return (0.3 + 0.7 * min(1.0, 2 / (others + 1))) * max(1.0, mismatched / MATCHED)
 
 
 def decide_agreement(spread: float, config: Config) -> Decision:

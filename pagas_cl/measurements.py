@@ -12,6 +12,8 @@ from pagas_cl.splat.constants import MEAN, MEAN_SQUARE, NUMBER, QUANTILE
 FAR_OFF = 0.15           # share of samples that match elsewhere, beyond which the depth as a whole is too far off
 _BY_CAMERAS = 0.2        # of far_off, a squared pixel that photos are off: what a right depth shows then (made scenes)
 _QUANTISATION = 0.0012   # noise that rounding to 8 bits alone leaves
+_INCOMPARABLE = 2 / 7    # share, as far_off: half of 4/7, which a depth leaves that is wrong everywhere (any of seven
+                         # moves may match best, four are far); below, most samples can be compared
 _MISALIGNED = 0.4        # pixels by which cameras may be off for colours to be compared through them
 _LEAST = 50              # samples from which a share or a median is taken
 
@@ -37,6 +39,7 @@ class Measurements:
     """How far the context photos are off across the direction that depth moves a point in, pixels: root mean square
     over views and quadrants of the target. No depth explains it: cameras, or lenses, are off by about as much."""
     masked: bool                # whether masks were given
+    mismatched: float = 0.0     # share of a patch's variance that context photos do not explain, median
     gains: tuple = ()           # gain and offset of each channel for each context view
     local_specularity: np.ndarray | None = field(default=None, compare=False, repr=False)
     """Residual as in `specularity`, mean over the context views, float32 (down, across) on a grid of samples over the
@@ -76,7 +79,7 @@ class Measurements:
     @property
     def residual(self) -> float:
         """specularity; 0 where depth or cameras are too far off for the photos to be compared through them."""
-        return 0.0 if self.far_off > FAR_OFF or self.misaligned > _MISALIGNED else self.specularity
+        return 0.0 if self.far_off > _INCOMPARABLE or self.misaligned > _MISALIGNED else self.specularity
 
     @property
     def depth_far_off(self) -> float:
@@ -100,8 +103,10 @@ def measure(target, contexts, depth, config: Config, device, photos=None, *, nor
         smallest=_number(np.min(samples["size"][:, QUANTILE], initial=np.inf,
                                 where=samples["size"][:, NUMBER] > 0), 0.5),
         textureless=found.textureless, noise=max(found.noise, _QUANTISATION),
-        far_off=_number(found.far[MEAN]) if found.far[NUMBER] >= _LEAST else 0.0, misaligned=_misaligned(samples),
+        far_off=_number(found.far[MEAN]) if found.far[NUMBER] >= _LEAST else 0.0, misaligned=float(
+            np.sqrt(np.mean(_medians(np.concatenate([samples[f"epipolar_offset {k}"] for k in range(4)]))**2))),
         masked=target.mask is not None or any(view.mask is not None for view in contexts),
+        mismatched=float(1 - np.median(_medians(samples["explained"], 1.0))),
         gains=tuple(tuple(tuple(float(v) for v in channel) for channel in gain) for gain in found.gains),
         local_specularity=found.local_specularity)
 
@@ -123,7 +128,6 @@ def _unseen(found, contexts) -> float:
     return float(np.maximum(0.0, 1 - area / pixels).mean())
 
 
-def _misaligned(samples) -> float:
-    epipolar_offset = np.stack([samples[f"epipolar_offset {k}"] for k in range(4)])
-    known = epipolar_offset[..., QUANTILE][epipolar_offset[..., NUMBER] >= _LEAST]
-    return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+def _medians(rows, otherwise: float = 0.0):
+    """Of all rows with enough samples."""
+    return rows[rows[:, NUMBER] >= _LEAST, QUANTILE] if (rows[:, NUMBER] >= _LEAST).any() else np.array([otherwise])

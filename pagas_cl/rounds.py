@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from pagas_cl.config import Config
-from pagas_cl.effects import agreement_rounds, between_rounds, decide_agreement, settle
+from pagas_cl.config import MOST_WEIGHT, Config
+from pagas_cl.effects import agreement_rounds, between_rounds, decide_agreement, left_to_smooth, settle
 from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.progress import Progress
 from pagas_cl.result import DepthResult
@@ -70,7 +70,8 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     `results`: of the round before, the view's own first, then those of others, in memory or on disk (StoredResult),
     from where they are read when the device has to have them. The others are as in refine.refine_one.
     """
-    own, *others = _loaded(results[0]), *(result for result in results[1:] if not result.reason)
+    own, *others = results[0], *(result for result in results[1:] if not result.reason)
+    own = own if isinstance(own, DepthResult) else own.loaded()         # it may be on disk
     start, found = time.perf_counter(), {}
     if own.reason or not others:
         return own
@@ -151,19 +152,16 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
 
     def attempt(photos: PhotoStore) -> Any:
         normalized = NormalizedDepth(target, result.depth, device, comparison.told.depth, result.scene_scale)
-        settled, _, measured = settle(target, contexts, result.depth, config, device, photos, normalized=normalized,
-                                      known=result.report.get("measured"))
-        if len(settled.pyramid.scales) > 1:      # asked for by noise, for a depth that is far off
-            settled = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps)
+        settled, decisions, measured = settle(target, contexts, result.depth, config, device, photos,
+                                              normalized=normalized, known=result.report.get("measured"))
+        share = left_to_smooth(decisions, len(comparison.others), measured)
+        settled = settled.with_settings(         # at full size, whatever noise asks for, or a depth that is far off
+            pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps,
+            smoothness__weight=min(MOST_WEIGHT, share * settled.smoothness.weight))
         return refine_levels(target, contexts, result.depth, settled, device, photos, progress=told, measured=measured,
                              normalized=normalized, start=start, held_out=held_out)
 
     return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out), left[0]
-
-
-def _loaded(result: Any) -> DepthResult:
-    """A result that may be on disk, in memory."""
-    return result if isinstance(result, DepthResult) else result.loaded()
 
 
 def _pixels(result: DepthResult) -> int:

@@ -11,7 +11,7 @@ from support.effects import EFFECTS as CASES
 from twins import exposure
 
 from pagas_cl.config import Effects
-from pagas_cl.effects import EFFECTS, LOW_PASS, decide
+from pagas_cl.effects import EFFECTS, LOW_PASS, decide, left_to_smooth
 from pagas_cl.errors import InputError
 from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import BALANCED, PAPER
@@ -101,7 +101,24 @@ def test_photos_that_are_off_match_elsewhere_whatever_the_depth():
 
 def test_gloss_is_not_judged_through_a_depth_that_is_far_off():
     assert replace(CALM, specularity=0.5, far_off=0.5).residual == 0
+    assert replace(CALM, specularity=0.5, far_off=0.25).residual == 0.5
     assert decide(BALANCED, replace(CALM, smallest=0.2))[0].splatting.low_pass == LOW_PASS
+
+
+def test_photos_that_are_off_are_averaged_wider_where_they_are_averaged():
+    loud = replace(CALM, specularity=0.02)
+    for given, wanted in ((0, 0), (2, 4), (6, 6)):
+        config = BALANCED.with_settings(solver__gradient_filter=given)
+        assert decide(config, loud)[0].solver.gradient_filter == wanted
+        assert decide(config, CALM)[0].solver.gradient_filter == given
+
+
+def test_between_rounds_smoothness_weighs_what_averages_leave_and_photos_do_not_explain():
+    anew = replace(CALM, mismatched=0.09, local_specularity=np.zeros((2, 2), np.float32))
+    clear, near = left_to_smooth([], 5, CALM), replace(anew, mismatched=0.02)
+    assert clear == pytest.approx(0.3 + 0.7 / 3) == left_to_smooth([], 5, near) and left_to_smooth([], 1, None) == 1
+    assert left_to_smooth([], 5, anew) == pytest.approx(3 * clear)
+    assert left_to_smooth(decide(BALANCED, replace(anew, specularity=0.02))[1], 5, anew) == 1
 
 
 def test_unknown_choice_is_refused():
