@@ -59,10 +59,10 @@ def own_reason(target, depth, refined, photos, measured, device, store) -> str:
     before, after = np.mean(costs, axis=0) if costs else (np.inf, 0)
     if after < before:
         return ""
-    return (f"its photo and the others are off by {measured.misaligned:.1f} pixels across the direction of depth, and "
-            f"depths moved by {moved:.1f} only; with a pose fitted to each, {len(costs)} photos match worse through the "
-            f"refined depth (1 - correlation {before:.4f} before, {after:.4f} after): is its own photo blurred, or was "
-            "its shutter rolling?")
+    return (f"its photo and the others are off by {measured.misaligned:.1f} pixels across the direction of depth, more "
+            f"than depths moved ({moved:.1f}), and with a pose fitted to each, {len(costs)} photos match no better "
+            f"through the refined depth (1 - correlation {before:.4f} before, {after:.4f} after): is its own photo "
+            "blurred, or was its shutter rolling?")
 
 
 def _likely_reason(refined, depth, contexts: int, measured) -> str:
