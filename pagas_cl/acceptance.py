@@ -11,6 +11,7 @@ LEAST_GAIN = 0.01        # of 1 - correlation in photos that took no part: less 
 MISALIGNED = 0.2         # pixels; only photos that are off by more raise the question whether the cameras are right
 ENOUGH = 3               # photos that took no part: cameras that are off agree by chance, n of them one time in 2^n
 SEEN = 1000              # pixels of a view that a photo sees, of which a median says something
+LARGEST = 2_000_000      # pixels of a view whose own photo is doubted: more take longer, and more memory, than they tell
 
 
 def nothing_reason(refined) -> str:
@@ -50,7 +51,8 @@ def own_reason(target, depth, refined, photos, measured, device, store) -> str:
     Asked where photos are off by more than depths moved, which may be all that moved them. Each of the `photos` is then
     given the pose that fits it best to either depth, and their patches must match better through the refined one.
     """
-    if not measured or measured.misaligned < max(MISALIGNED, moved := _moved(refined, depth)):
+    doubted = measured and measured.misaligned > MISALIGNED and depth.size <= LARGEST
+    if not doubted or measured.misaligned < (moved := _moved(refined, depth)):
         return ""
     both = depth, refined.depth
     fitted = ([fitted_pose(view, target, one, device=device, photos=store) for one in both] for view in photos)
