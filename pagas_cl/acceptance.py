@@ -11,7 +11,7 @@ LEAST_GAIN = 0.01        # of 1 - correlation in photos that took no part: less 
 MISALIGNED = 0.2         # pixels; only photos that are off by more raise the question whether the cameras are right
 ENOUGH = 3               # photos that took no part: cameras that are off agree by chance, n of them one time in 2^n
 SEEN = 1000              # pixels of a view that a photo sees, of which a median says something
-LARGEST = 2_000_000      # pixels of a view whose own photo is doubted: more take longer, and more memory, than they tell
+LARGEST = 2_000_000      # pixels of a view whose own photo is doubted: more take more time and memory than it is worth
 
 
 def nothing_reason(refined) -> str:
