@@ -2,12 +2,16 @@
 
 import numpy as np
 
+from pagas_cl.cameras.judge import fitted_pose
+from pagas_cl.evaluate.predict import compare_predictions
 from pagas_cl.result import REFINED, REJECTED
 
 MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not to be trusted as a whole
 LEAST_GAIN = 0.01        # of 1 - correlation in photos that took no part: less may be chance
 MISALIGNED = 0.2         # pixels; only photos that are off by more raise the question whether the cameras are right
 ENOUGH = 3               # photos that took no part: cameras that are off agree by chance, n of them one time in 2^n
+SEEN = 1000              # pixels of a view that a photo sees, of which a median says something
+LARGEST = 2_000_000      # pixels of a view whose own photo is doubted: more take more time and memory than it is worth
 
 
 def nothing_reason(refined) -> str:
@@ -38,6 +42,29 @@ def rejection_reason(refined, depth, contexts: int, held_out, measured) -> str:
     if seen and before - after < LEAST_GAIN * before:
         return f"{judges} do not match clearly better {through}"
     return ""
+
+
+def own_reason(target, depth, refined, photos, measured, device, store) -> str:
+    """Why the target's own photo is not to be trusted: what is wrong with it, motion blur or rows read one after the
+    other, is in every pair that it is part of, so that photos that took no part gain by it as the others do.
+
+    Asked where photos are off by more than depths moved, which may be all that moved them. Each of the `photos` is then
+    given the pose that fits it best to either depth, and their patches must match better through the refined one.
+    """
+    doubted = measured and measured.misaligned > MISALIGNED and depth.size <= LARGEST
+    if not doubted or measured.misaligned < (moved := _moved(refined, depth)):
+        return ""
+    both = depth, refined.depth
+    fitted = ([fitted_pose(view, target, one, device=device, photos=store) for one in both] for view in photos)
+    told = [compare_predictions(target, both, views) for views in fitted]
+    costs = [[1 - one.median for one in pair] for pair in told if pair[0].pixels >= SEEN]
+    before, after = np.mean(costs, axis=0) if costs else (np.inf, 0)
+    if after < before:
+        return ""
+    return (f"its photo and the others are off by {measured.misaligned:.1f} pixels across the direction of depth, more "
+            f"than depths moved ({moved:.1f}), and with a pose fitted to each, {len(costs)} photos match no better "
+            f"through the refined depth (1 - correlation {before:.4f} before, {after:.4f} after): is its own photo "
+            "blurred, or was its shutter rolling?")
 
 
 def _likely_reason(refined, depth, contexts: int, measured) -> str:

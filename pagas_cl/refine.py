@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.acceptance import nothing_reason, rejection_reason
+from pagas_cl.acceptance import nothing_reason, own_reason, rejection_reason
 from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide_consistency, decide_mismatch, settle
@@ -143,16 +143,16 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
                                 held_out=held_out, measured=measured, normalized=normalized)
         return refined, decisions, measured
 
-    refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos or PhotoStore(device),
-                                              held_out=held_out)
-    if refined.mismatch == refined.mismatch:
-        decisions.append(decide_mismatch(refined.mismatch, config))
+    photos = photos or PhotoStore(device)
+    refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)
+    decisions += [decide_mismatch(refined.mismatch, config)] if refined.mismatch == refined.mismatch else []
+    reason = (rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined)
+              or own_reason(target, depth, refined, [*contexts, *held_out], measured, device, photos))
     report = {"contexts": [view.name for view in contexts], "held_out": [view.name for view in held_out],
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
-              "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
-              "planned_bytes": refined.planned_bytes, "measured": measured.figures if measured else {},
+              "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes, "planned_bytes":
+              refined.planned_bytes, "measured": measured.figures if measured else {},
               "seconds": time.perf_counter() - start}
-    reason = rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined)
     if reason:
         log.warning("view %s is kept as it came: %s", target.name, reason)
         return DepthResult.unrefined(target.camera, depth, reason, report, target.name)

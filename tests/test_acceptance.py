@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support.acceptance_scenes import figures, moving, textureless, turned, wrong_poses
 
+from pagas_cl.acceptance import own_reason
 from pagas_cl.errors import NothingRefinedWarning
 from pagas_cl.refine import refine_depth, refine_views
-from pagas_cl.result import KEPT, NO_SURFACE, REJECTED
+from pagas_cl.result import KEPT, NO_SURFACE, REFINED, REJECTED
+from pagas_cl.splat import PhotoStore
 
 pytestmark = pytest.mark.slow
 
@@ -102,6 +105,23 @@ def test_photos_that_took_no_part_leave_a_good_result_alone(device):
     before, after = figures(made, initial), figures(made, result.depth)
     assert result.report["held_out"] == [view.name for view in others[4:]]
     assert after["mean"] < 0.3 * before["mean"] and result.counts["refined"] > 0.9 * initial.size
+
+
+def test_photos_with_poses_of_their_own_judge_where_the_target_is_off_by_more_than_its_depths_moved(device):
+    made, (target, *others) = wrong_poses(1e-9)
+    camera, photos = made.cameras[0], PhotoStore(device)
+    right, wrong = made.true_depth(camera), made.initial_depth(camera)
+    parallax = np.full_like(right, made.relief.parallax)
+    status = np.where(right > 0, REFINED, NO_SURFACE)
+    moved = np.sqrt(np.mean((wrong - right)[status == REFINED] ** 2)) / made.relief.parallax
+
+    def told(before, after, off, judges=others):
+        refined = SimpleNamespace(depth=after, status=status, parallax=parallax)
+        return own_reason(target, before, refined, judges, SimpleNamespace(misaligned=off), device, photos)
+
+    assert "its own photo" in told(right, wrong, 2 * moved)
+    assert not told(wrong, right, 2 * moved)
+    assert not told(right, wrong, 0.5 * moved, None) and not told(right, wrong, 2 * moved, [])
 
 
 def test_what_is_masked_out_keeps_its_depth_and_is_told_so(device):

@@ -13,7 +13,10 @@ own map (`evaluate` counts so), and one of 3 %, as cameras are refined: sensors'
 from __future__ import annotations
 
 import argparse
+import json
 import sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -43,22 +46,27 @@ def _median(values, weights) -> float:
     return values[order][np.searchsorted(upto, upto[-1] / 2)] if upto[-1] else np.nan
 
 
-def rows_of(view, given, candidates, judges, depths, device, least, photos) -> list[tuple | None]:
+def rows_of(view, given, candidates, judges, depths, device, least) -> tuple[list[tuple | None], dict]:
     """For each tolerance: number of judges, median of the pixels that they see, means of their medians for each
     candidate, gain of the last over the first, its error; `judges` are views, `depths` theirs; None where no judge sees
-    `least` pixels."""
+    `least` pixels. And the judges' poses (candidates, 4, 4), fitted to each candidate, by name."""
     from pagas_cl.cameras.judge import fitted_pose
     from pagas_cl.evaluate import compare_predictions, predict_photo
+    from pagas_cl.runtime.device import open_device
+    from pagas_cl.splat import PhotoStore
 
+    device = open_device(device)
+    photos, poses = PhotoStore(device), {}
     told: list[list] = [[] for _ in TOLERANCES]
     for judge, depth in zip(judges, depths):
         seen = [predict_photo(view, given, judge, depth, tolerance=one).pixels >= least for one in TOLERANCES]
         if any(seen):
             fitted = [fitted_pose(judge, view, one, depth, device, photos) for one in candidates]
+            poses[judge.name] = np.array([one.camera.world_to_camera for one in fitted])
             for those, tolerance, counts in zip(told, TOLERANCES, seen):
                 found = compare_predictions(view, candidates, fitted, depth, tolerance=tolerance)
                 those.extend([found] if counts and found[0].pixels >= least else ())
-    return [_row(those) if those else None for those in told]
+    return [_row(those) if those else None for those in told], poses
 
 
 def _row(told) -> tuple:
@@ -67,6 +75,29 @@ def _row(told) -> tuple:
     pairs = [[one.correlation[::EVERY, ::EVERY] for one in (those[0], those[-1])] for those in told]
     pixels = int(np.median([those[0].pixels for those in told]))
     return len(told), pixels, *medians, gain, error_of_gain(pairs) if gain else 0.0
+
+
+def keep(folder: Path, given, drawn, found, own, without, with_them, rows, poses) -> None:
+    """What it takes to judge, and to try a rule, without refining anew: for each view the depth as it came, times what
+    cameras ask for and refined both ways as changes in 2^-16 of that, status and parallax; cameras, poses of judges."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, results in (("without", without), ("with", with_them)):
+        arrays, told = {}, {}
+        for view, depth in zip(own, given if name == "without" else drawn):
+            result = results[view.name]
+            change = np.divide(result.depth, depth, out=np.ones_like(depth), where=depth > 0) - 1
+            arrays[f"{view.stem} change"] = np.rint(change.clip(-0.49, 0.49) * 2**16).astype(np.int16)
+            arrays[f"{view.stem} status"] = result.status
+            arrays[f"{view.stem} parallax"] = result.parallax[::8, ::8].astype(np.float32)
+            told[view.name] = {"reason": result.reason, "report": result.report}
+        np.savez_compressed(folder / f"{name}.npz", **arrays)
+        (folder / f"{name}.json").write_text(json.dumps(told, default=str))
+    scales = None if found.depth_scales is None else [found.depth_scales.tolist(), found.depth_shifts.tolist()]
+    (folder / "cameras.json").write_text(json.dumps({
+        "names": [view.name for view in own], "cameras": [c.world_to_camera.tolist() for c in found.cameras],
+        "scales": scales, "found": found.as_dict(), "rows": rows,
+        "poses": {name: {judge: those.tolist() for judge, those in told.items()} for name, told in poses.items()},
+    }, default=str))
 
 
 def table(rows: dict) -> str:
@@ -94,27 +125,38 @@ def main() -> int:
     parse.add_argument("--judges", type=int, default=1000, help="the nearest held-out photos of a view")
     parse.add_argument("--pixels", type=int, default=1000)
     parse.add_argument("--preset", default="balanced")
+    parse.add_argument("--set", nargs="*", default=[], metavar="STAGE.FIELD=VALUE")
     parse.add_argument("--device")
+    parse.add_argument("--workers", type=int, default=1, help="processes that judge")
+    parse.add_argument("--keep", type=Path, help="a folder for depth maps, cameras and poses")
     ask = parse.parse_args()
     from cameras import refined
     from real import nearest_held, with_cameras
 
-    from pagas_cl.presets import preset
+    from pagas_cl.commands._settings import build_config
     from pagas_cl.runtime.device import open_device
-    from pagas_cl.splat import PhotoStore
 
-    config, device = preset(ask.preset), open_device(ask.device)
+    config, device = build_config(ask.preset, ask.set), open_device(ask.device)
     views, depths, held, (own, maps), found, (moved, drawn) = with_cameras(
         ask.scene, ask.mesh, ask.depth_dir, ask.share, config, device)
     sys.stderr.write(f"{found}\n")
-    names, tables, photos = [view.name for view in own], [{} for _ in TOLERANCES], PhotoStore(device)
+    names, tables, poses = [view.name for view in own], [{} for _ in TOLERANCES], {}
     without, with_them = (refined(*those, config, device, names) for those in ((own, maps), (moved, drawn)))
-    for view, depth, first in zip(own, maps, drawn):
-        judges = nearest_held(views, held, view, ask.judges)
-        told = rows_of(view, depth, [first, without[view.name].depth, with_them[view.name].depth],
-                       [views[k] for k in judges], [depths[k] for k in judges], device, ask.pixels, photos)
-        for rows, found in zip(tables, told):
-            rows.update({view.name: found} if found else {})
+    if ask.keep:
+        keep(ask.keep, maps, drawn, found, own, without, with_them, tables, poses)
+    with ProcessPoolExecutor(ask.workers, get_context("spawn")) as pool:
+        asked = []
+        for view, depth, first in zip(own, maps, drawn):
+            judges = nearest_held(views, held, view, ask.judges)
+            asked.append(pool.submit(
+                rows_of, view, depth, [first, without[view.name].depth, with_them[view.name].depth],
+                [views[k] for k in judges], [depths[k] for k in judges], ask.device, ask.pixels))
+        for view, future in zip(own, asked):
+            told, poses[view.name] = future.result()
+            for rows, row in zip(tables, told):
+                rows.update({view.name: row} if row else {})
+    if ask.keep:
+        keep(ask.keep, maps, drawn, found, own, without, with_them, tables, poses)
     ask.out.mkdir(parents=True, exist_ok=True)
     text = "\n".join(f"Within {tolerance:.0%} of the judges' depth maps:\n\n{table(rows)}\n"
                      for tolerance, rows in zip(TOLERANCES, tables) if rows)

@@ -1,12 +1,13 @@
 """A made RGB-D recording by a moving camera, in the form of hololens_rgbd (real.py and cameras.py read it).
 
-    python tests/bench/recording.py OUT [--frames 32] [--width 540] [--off 1]
+    python tests/bench/recording.py OUT [--frames 32] [--width 540] [--off 1] [--rows 0]
     python tests/bench/cameras.py TABLE --real OUT --views 24
 
 A relief in metres, seen on a sweep from side to side that comes nearer and goes back; photos with sensor noise and an
 exposure each of its own (15 %); poses that drift (a random walk whose end is `--off` pixels away, and a tenth of that
-each by itself). Depth as a time-of-flight sensor leaves it: half the photos' size, 0.2 % of the depth that neighbours
-share, 2 mm a pixel, whole millimetres, none within two pixels of a depth edge.
+each by itself); with `--rows` the rows of every eighth photo moved by up to so many pixels, in waves, as by a camera
+that shakes while it reads them out. Depth as a time-of-flight sensor leaves it: half the photos' size, 0.2 % of the
+depth that neighbours share, 2 mm a pixel, whole millimetres, none within two pixels of a depth edge.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from PIL import Image
+from scipy.ndimage import map_coordinates
 
 from pagas_cl.cameras.motion import moved
 from pagas_cl.scene.camera import Camera
@@ -64,7 +66,18 @@ def sensed(depth: np.ndarray, rng) -> np.ndarray:
     return whole.repeat(2, 0).repeat(2, 1)[:depth.shape[0], :depth.shape[1]]
 
 
-def write(folder: Path, frames: int, width: int, off: float, seed: int) -> None:
+def shaken(photo: np.ndarray, pixels: float, rng) -> np.ndarray:
+    """The photo with its rows moved along both axes, by sums of two waves whose largest is `pixels`."""
+    height, width = photo.shape[:2]
+    at = np.arange(height) / height
+    waves = np.sin(2 * np.pi * (np.outer(rng.uniform(0.5, 1.5, 4), at) + rng.uniform(size=(4, 1))))
+    moves = waves[:2] + 0.5 * waves[2:]
+    moves *= pixels / np.hypot(*moves).max()
+    rows, columns = np.mgrid[:height, :width] + moves[::-1, :, None]
+    return np.stack([map_coordinates(photo[..., k], (rows, columns), mode="nearest") for k in range(3)], -1)
+
+
+def write(folder: Path, frames: int, width: int, off: float, seed: int, rows: float = 0.0) -> None:
     """images, depth, depth_true (metres), K.txt and poses.txt (camera to world, integer pixel centres)."""
     made = relief_scene(width, round(width * 2 / 3), 1, held_out=0, seed=seed, noise=2.0)
     made = replace(made, cameras=track(made.cameras[0], frames))
@@ -74,7 +87,10 @@ def write(folder: Path, frames: int, width: int, off: float, seed: int) -> None:
     poses = []
     for k, (camera, given) in enumerate(zip(made.cameras, drifted(made.cameras, off, rng))):
         truth = made.true_depth(camera)
-        photo = (made.image(k) * np.exp(rng.uniform(-0.15, 0.15))).clip(0, 255).round().astype(np.uint8)
+        photo = made.image(k) * np.exp(rng.uniform(-0.15, 0.15))
+        if rows and k % 8 == 4:
+            photo = shaken(photo, rows, np.random.default_rng([seed, 12, k]))
+        photo = photo.clip(0, 255).round().astype(np.uint8)
         Image.fromarray(photo).save(folder / "images" / f"{camera.name}.png")
         Image.fromarray(sensed(truth, rng)).save(folder / "depth" / f"{camera.name}.png")
         np.savez_compressed(folder / "depth_true" / f"{camera.name}.npz", depth=truth * np.float32(METRES))
@@ -93,8 +109,9 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=540)
     parser.add_argument("--off", type=float, default=1.0, help="pixels that the last pose is off by")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--rows", type=float, default=0.0, help="pixels that rows of every eighth photo are moved by")
     given = parser.parse_args()
-    write(given.out, given.frames, given.width, given.off, given.seed)
+    write(given.out, given.frames, given.width, given.off, given.seed, given.rows)
 
 
 if __name__ == "__main__":
