@@ -26,7 +26,6 @@ AGREEMENT_ROUNDS = 2     # each averages; between them, and not after the last, 
 MATCHED = 0.03           # share of a patch's variance that photos may leave unexplained for the default smoothness
 CONTRADICTED = 0.04      # share of depths that others contradict, above which those are left out of a fusion
 SHINY_DISCONTINUITY = 0.6  # smoothness.discontinuity at least: what a highlight bends is no discontinuity
-WIDE_FILTER = 4          # solver.gradient_filter at least where photos are off: what they disagree on averages out
 LOW_PASS = 0.06          # px^2: about what a photo's own pixel blurs; more than that blurs what is to be compared
 
 
@@ -76,12 +75,10 @@ def _pyramid(config, decision, _):
 
 def _noise(config, decision, measured):
     """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree, around what
-    specularity there is, or everywhere, and the more of them move together; and where the photos are noisy, a first
-    level of half size, where noise averages out."""
+    specularity there is, or everywhere; and where the photos are noisy, a first level of half size, where noise
+    averages out."""
     if not decision.on:
         return config
-    if config.solver.gradient_filter:
-        config = config.with_settings(solver__gradient_filter=max(config.solver.gradient_filter, WIDE_FILTER))
     if (measured is None or measured.relative_noise > decision.threshold) and len(config.pyramid.scales) == 1:
         config = config.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=2 * config.pyramid.steps)
     if config.smoothness.kind == "none":

@@ -105,14 +105,6 @@ def test_gloss_is_not_judged_through_a_depth_that_is_far_off():
     assert decide(BALANCED, replace(CALM, smallest=0.2))[0].splatting.low_pass == LOW_PASS
 
 
-def test_photos_that_are_off_are_averaged_wider_where_they_are_averaged():
-    loud = replace(CALM, specularity=0.02)
-    for given, wanted in ((0, 0), (2, 4), (6, 6)):
-        config = BALANCED.with_settings(solver__gradient_filter=given)
-        assert decide(config, loud)[0].solver.gradient_filter == wanted
-        assert decide(config, CALM)[0].solver.gradient_filter == given
-
-
 def test_between_rounds_smoothness_weighs_what_averages_leave_and_photos_do_not_explain():
     anew = replace(CALM, mismatched=0.09, local_specularity=np.zeros((2, 2), np.float32))
     clear, near = left_to_smooth([], 5, CALM), replace(anew, mismatched=0.02)
