@@ -1,17 +1,21 @@
 """Whether a refined view is to be trusted as a whole, or returned as it came."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from pagas_cl.cameras.judge import fitted_pose
 from pagas_cl.evaluate.predict import compare_predictions
 from pagas_cl.result import REFINED, REJECTED
+from pagas_cl.runtime.host import side_by_side
 
 MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not to be trusted as a whole
 LEAST_GAIN = 0.01        # of 1 - correlation in photos that took no part: less may be chance
 MISALIGNED = 0.2         # pixels; only photos that are off by more raise the question whether the cameras are right
 ENOUGH = 3               # photos that took no part: cameras that are off agree by chance, n of them one time in 2^n
 SEEN = 1000              # pixels of a view that a photo sees, of which a median says something
-LARGEST = 2_000_000      # pixels of a view whose own photo is doubted: more take more time and memory than it is worth
+LARGEST = 500_000        # pixels of a view whose own photo is doubted: more take more time and memory than it is worth
+_ASKED, _TOGETHER = 8, 4   # photos that are asked then, and compared at a time
 
 
 def nothing_reason(refined) -> str:
@@ -49,14 +53,18 @@ def own_reason(target, depth, refined, photos, measured, device, store) -> str:
     other, is in every pair that it is part of, so that photos that took no part gain by it as the others do.
 
     Asked where photos are off by more than depths moved, which may be all that moved them. Each of the `photos` is then
-    given the pose that fits it best to either depth, and their patches must match better through the refined one.
+    given the pose that fits it best to either depth, and their patches must match better through the refined one. Some
+    photos will do, the first.
     """
     doubted = measured and measured.misaligned > MISALIGNED and depth.size <= LARGEST
     if not doubted or measured.misaligned < (moved := _moved(refined, depth)):
         return ""
-    both = depth, refined.depth
-    fitted = ([fitted_pose(view, target, one, device=device, photos=store) for one in both] for view in photos)
-    told = [compare_predictions(target, both, views) for views in fitted]
+    both, fitted = (depth, refined.depth), []
+    for view in photos[:_ASKED]:
+        poses = [fitted_pose(view, target, one, device=device, photos=store) for one in both]
+        fitted.append([replace(pose, image=image) for image in [view.load_image()] for pose in poses])      # read once
+    target = replace(target, image=target.load_image())
+    told = side_by_side(lambda views: compare_predictions(target, both, views), fitted, _TOGETHER)
     costs = [[1 - one.median for one in pair] for pair in told if pair[0].pixels >= SEEN]
     before, after = np.mean(costs, axis=0) if costs else (np.inf, 0)
     if after < before:

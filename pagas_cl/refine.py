@@ -147,7 +147,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)
     decisions += [decide_mismatch(refined.mismatch, config)] if refined.mismatch == refined.mismatch else []
     reason = (rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined)
-              or own_reason(target, depth, refined, [*contexts, *held_out], measured, device, photos))
+              or own_reason(target, depth, refined, [*held_out, *contexts], measured, device, photos))
     report = {"contexts": [view.name for view in contexts], "held_out": [view.name for view in held_out],
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes, "planned_bytes":
