@@ -23,7 +23,7 @@ ALLOWED = {
     "scene": set(), "reference": {"scene"}, "runtime": {"scene", "cl_kernels"},
     "surface": {"scene", "runtime", "reference"}, "splat": {"scene", "runtime"}, "result": {"scene"},
     "jobs": {"scene", "runtime", "splat", "result", "progress"},
-    "acceptance": {"result", "cameras", "evaluate"},
+    "acceptance": {"result", "cameras", "evaluate", "runtime"},
     "cameras": {"scene", "runtime", "surface", "splat", "measurements", "effects", "progress", "jobs"},
     "effects": {"measurements", "runtime", "scene", "splat", "surface"}, "measurements": {"splat"},
     "rounds": {"scene", "runtime", "surface", "splat", "result", "effects", "progress"},
