@@ -1,5 +1,5 @@
 // Refined depth maps of other views as evidence for one another (method section 8.1). Lengths in units; `scale` is
-// units per scene unit, in which the maps come.
+// units per scene unit, in which the maps come; IN_COMMON the share of their variance that views have in common.
 //   invert              what of a map the others are told
 //   count_differences   how far one other view's surface is from the target's, counted in bins
 //   add_view            what that view says of each depth, weighted by deviations
@@ -11,7 +11,6 @@
 #define EDGE 3.0f                        // pixels of parallax: corners of a cell that differ by more are two surfaces
 #define MOST_UNSURE 0.5f                 // pixels of parallax: more than that a deviation does not count
 #define LENIENCE 2.0f                    // of `spread`: weights know no smaller deviation
-#define IN_COMMON 0.3f                   // share of their variance that views have in common and no average takes out
 #define TWICE 2.0f                       // of each pair of photos two views tell
 #define AROUND 2                         // half the width of the surroundings that a scatter is taken from
 

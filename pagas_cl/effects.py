@@ -14,6 +14,7 @@ from pagas_cl.config import MOST_RAISED, MOST_WEIGHT, Config
 from pagas_cl.errors import log
 from pagas_cl.measurements import FAR_OFF, Measurements, measure
 from pagas_cl.splat.constants import NOISY_DETAIL, SPECULAR_VIEW
+from pagas_cl.surface.agreement import IN_COMMON
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
@@ -189,7 +190,7 @@ def left_to_smooth(decisions: Sequence[Decision], others: int, measured: Measure
     if any(decision.effect == "noise" and decision.on for decision in decisions):
         return 1.0
     mismatched = 0.0 if measured is None or measured.local_specularity is None else measured.mismatched
-    return (0.3 + 0.7 * min(1.0, 2 / (others + 1))) * max(1.0, mismatched / MATCHED)
+    return (IN_COMMON + (1 - IN_COMMON) * min(1.0, 2 / (others + 1))) * max(1.0, mismatched / MATCHED)
 
 
 def decide_agreement(spread: float, config: Config) -> Decision:

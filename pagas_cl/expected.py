@@ -17,7 +17,7 @@ _GREY = Cost(photo=0.03, setup=8e-8, per_step=1.5e-8, per_view_step=1.5e-8)
 _GPU, _KERNELS, _VIEWER = 0.01, 0.5, 0.8        # seconds to load kernels, of the first page with a mesh
 _AVERAGE, _MEASURE, _MEASURED = 3e-7, 3.5e-7, 6     # seconds a pixel; views that are measured for the cameras
 _RENDER, _PICTURES, _PLAN, _FUSE, _EXTRACT, _SHOW = 3e-8, 1.4e-6, 1.6e-7, 4.6e-7, 1e-7, 3e-7      # a pixel
-_SOLVE = 7e-7
+_SOLVE = 7e-7           # a pixel, where the device solves the mesh
 
 
 class Expected:

@@ -63,22 +63,18 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
     check_subdivide(subdivide)
     mesh, used = load_whole(mesh), [result for _, result in joined(views, results)]
     surface = given = to_surface(mesh)
-    division, device, least_views = None, solve_device(device), max(1, config.fusion.agree_views) + 1
-    cameras, observed = [result.camera for result in used], sent(Observations(used), device)
+    division, device, cameras = None, solve_device(device), [result.camera for result in used]
+    observed, least_views, rounds = sent(Observations(used), device), _least_views(config), ROUNDS
     if output == "mesh" or subdivide is not None:
         finest = footprints(given.vertices, cameras, each_depth(given, cameras, device))
     if output == "mesh":
-        detail, most = subdivide or _DETAIL, int((memory_mb or mesh_mb(cameras)) * 1e6 / TRIANGLE_BYTES)
-        division, solved, place = fit_mesh(given, observed, device, finest, flat=flat, detail=detail,
-                                           least_views=least_views, most=most)
-        within, count = flat * detail * solved.unit**2, len(division.faces)
-        division, keep = undivided(division, solved.vertices, np.where(np.isfinite(within), within, 0), place)
-        surface = Surface(solved.vertices[keep], division.faces)
-        log.info("mesh: %d of %d triangles are needed to be within %g footprints", len(division.faces), count, flat)
+        most = int((memory_mb or mesh_mb(cameras)) * 1e6 / TRIANGLE_BYTES)
+        division, surface = _detailed(given, observed, device, finest, subdivide or _DETAIL, flat, least_views, most)
+        rounds = 1
     elif subdivide is not None:
         division = split_edges(given.vertices, given.faces, subdivide * finest)
         surface = Surface(division.vertices(given.vertices), division.faces)
-    solved = solve_mesh(surface, observed, device, least_views=least_views, rounds=1 if output == "mesh" else ROUNDS)
+    solved = solve_mesh(surface, observed, device, least_views=least_views, rounds=rounds)
     before = given.vertices if division is None else division.vertices(given.vertices)
     vertices, told = without_new(device, given, division, solved.vertices)
     moved = unlike(vertices, before)
@@ -94,6 +90,20 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
     return with_vertices(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
 
 
+def _detailed(given: Surface, observed, device, finest, detail: float, flat: float, least_views: int, most: int):
+    """How `given` is divided as the depth maps show detail, and that mesh, solved but for what undoing splits left."""
+    division, solved, place = fit_mesh(given, observed, device, finest, flat=flat, detail=detail,
+                                       least_views=least_views, most=most)
+    within, count = flat * detail * solved.unit**2, len(division.faces)
+    division, keep = undivided(division, solved.vertices, np.where(np.isfinite(within), within, 0), place)
+    log.info("mesh: %d of %d triangles are needed to be within %g footprints", len(division.faces), count, flat)
+    return division, Surface(solved.vertices[keep], division.faces)
+
+
+def _least_views(config: Config) -> int:
+    return max(1, config.fusion.agree_views) + 1
+
+
 def mesh_mb(cameras) -> float:
     """MB of host memory that the mesh of these views may take: more for more pixels."""
     return min(available_mb() / 4, max(_MEMORY, _SHARE * sum(camera.width * camera.height for camera in cameras)))
@@ -104,7 +114,7 @@ def polished(surface: Surface, results, config: Config, device) -> Surface:
     has no room for it, or the results have no deviations."""
     try:
         solved = solve_mesh(surface, Observations(results), device, rounds=_POLISH,
-                            least_views=max(1, config.fusion.agree_views) + 1)
+                            least_views=_least_views(config))
     except (DeviceMemoryError, InputError) as error:      # InputError: results that were kept without their deviations
         log.warning("the fused mesh is not polished: %s", error)
         return surface

@@ -129,5 +129,6 @@ def _unseen(found, contexts) -> float:
 
 
 def _medians(rows, otherwise: float = 0.0):
-    """Of all rows with enough samples."""
-    return rows[rows[:, NUMBER] >= _LEAST, QUANTILE] if (rows[:, NUMBER] >= _LEAST).any() else np.array([otherwise])
+    """Of all rows with enough samples; `otherwise` where there are none."""
+    found = rows[rows[:, NUMBER] >= _LEAST, QUANTILE]
+    return found if found.size else np.array([otherwise])

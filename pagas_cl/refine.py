@@ -145,13 +145,14 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
 
     photos = photos or PhotoStore(device)
     refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)
-    decisions += [decide_mismatch(refined.mismatch, config)] if refined.mismatch == refined.mismatch else []
+    if refined.mismatch == refined.mismatch:
+        decisions.append(decide_mismatch(refined.mismatch, config))
     reason = (rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined)
               or own_reason(target, depth, refined, [*held_out, *contexts], measured, device, photos))
     report = {"contexts": [view.name for view in contexts], "held_out": [view.name for view in held_out],
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
-              "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes, "planned_bytes":
-              refined.planned_bytes, "measured": measured.figures if measured else {},
+              "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
+              "planned_bytes": refined.planned_bytes, "measured": measured.figures if measured else {},
               "seconds": time.perf_counter() - start}
     if reason:
         log.warning("view %s is kept as it came: %s", target.name, reason)

@@ -12,8 +12,8 @@ from pagas_cl.cameras.rounds import Rounds, Stage, State
 LEAST_GAIN = 0.03         # of the held-back pairs' cost: less may be chance
 LEAST_FALL = 1e-4         # of that cost itself: photos that show nothing cost next to nothing
 WRONG = 2.0               # a view whose pairs agree so many times worse than the others' has a wrong camera
-STRAY, ODD = 1.3, 8.0     # so many times worse it may be elsewhere, if that is so many times what views differ by
 UNLIKE = 0.1              # and so badly: photos of different things have a cost of 0.18
+STRAY, ODD = 1.3, 8.0     # so many times worse it may be elsewhere, if that is so many times what views differ by
 REACH = 0.125             # of a photo's width: farther off cameras were rarely brought back
 WIDE_LOSS = 0.01          # of the wide pairs' cost: less may be chance
 LOST = 0.6                # of the cost beside its place: a photo that costs more is not in its place

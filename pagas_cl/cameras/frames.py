@@ -29,7 +29,7 @@ def depths_of(given, device=None) -> tuple[Depths, bool]:
     if not is_mesh(given):
         def stay(cameras: Sequence[Camera]) -> list[np.ndarray]:
             return side_by_side(lambda k: np.zeros((cameras[k].height, cameras[k].width), np.float32)
-                                if given[k] is None else depth_array(given[k]), range(len(given)), 8)
+                                if given[k] is None else depth_array(given[k]), range(len(given)))
         return stay, False
     surface: Surface = to_surface(given)
 

@@ -24,6 +24,7 @@ STILL = 0.01              # pixels of a size: a round that moves cameras by less
 INFLATION = 40.0          # residuals that say the same, within a window
 LEAST_VARIANCE = 1e-6     # of a residual: photos of 8 bits leave more, what rounding alone leaves says nothing
 STRANGE = 0.01            # by so much more than cameras and maps are off the scale of maps is taken to be their own
+COMMON = 3.0              # maps may all be off alike by what one differs by within itself, over this
 ASIDE = 9.0               # so many pixels beside its place a photo says as much of another as any other photo does
 WAYS = ((0.0, 0.0), (ASIDE, 0.0), (-ASIDE, 0.0), (0.0, ASIDE), (0.0, -ASIDE))
 SETTLE = 3                # steps of the depths alone before pairs are judged
@@ -223,7 +224,7 @@ class Rounds:
         if not ratios:
             return
         wanted = float(np.average(ratios, weights=sizes))
-        by_surface = float(np.var(ratios)) / len(ratios) + (float(np.median(within)) / 3) ** 2 + 1e-12
+        by_surface = float(np.var(ratios)) / len(ratios) + (float(np.median(within)) / COMMON) ** 2 + 1e-12
         centers, first = (np.array([camera.center for camera in those]) for those in (state.cameras, state.given))
         middle = centers.mean(axis=0)
         around, size = centers - middle, max(float(((centers - middle) ** 2).sum()), 1e-300)

@@ -110,7 +110,7 @@ class _Kernel:
     def __init__(self, program: Program, name: str):
         self.cl_kernel, self.name = cl.Kernel(program.built, name), name
         self.places = {argument: (index, kind) for index, (argument, kind) in
-                        enumerate(program.signatures[name].items())}
+                       enumerate(program.signatures[name].items())}
         # set_arg takes a number for four other things first, by exceptions: 10 us each, more than a launch
         self._set_number = getattr(self.cl_kernel, "_set_arg_buf", self.cl_kernel.set_arg)
         self._numbers: dict[str, Any] = {}

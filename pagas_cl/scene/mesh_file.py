@@ -1,13 +1,14 @@
 """Mesh files: binary .ply of triangles by NumPy alone, with all that a Surface has (ply.py), others by Open3D."""
 
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.files import replaced, replaced_with_others
 from pagas_cl.scene.mesh import Surface, from_legacy, to_legacy
-from pagas_cl.scene.ply import CORNERS, HEADER, TYPES, read_ply, write_ply
+from pagas_cl.scene.ply import CORNERS, HEADER, TYPES, header_of, read_ply, write_ply
 from pagas_cl.scene.readers.mesh_parts import check_parts
 
 SUFFIXES = (".ply", ".obj", ".stl", ".off")
@@ -16,12 +17,13 @@ SUFFIXES = (".ply", ".obj", ".stl", ".off")
 def read_mesh(path: str | Path) -> Surface:
     """Read a mesh file: a binary .ply of triangles with all numbers of its vertices, others (.ply, .obj, .stl, .off,
     .glb ...) through Open3D."""
-    path = Path(path)
-    _check_file(path)
-    fields = read_ply(path) if path.suffix.lower() == ".ply" else None
-    mesh = read_open3d(path) if fields is None else None
+    path, fields = Path(path), None
+    if path.suffix.lower() == ".ply":
+        _check_file(path)
+        fields = read_ply(path)
+    made = partial(from_legacy, read_open3d(path)) if fields is None else partial(Surface, **fields)
     try:
-        return from_legacy(mesh) if fields is None else Surface(**fields)
+        return made()
     except InputError as error:
         raise InputError(f"{str(path)!r}: {error}") from error
 
@@ -67,22 +69,18 @@ def _claims(head: bytes) -> tuple[int, int]:
     if head[:3] != b"ply":
         off = re.match(rb"\s*(?:ST|C|N|4|n)*OFF\s*(?:#[^\n]*\n\s*)*(\d{1,20})\s+(\d{1,20})", head)
         return sum(int(n) for n in off.groups()) if off else 0, 0
-    header, end, _ = head.partition(b"end_header")
-    claimed, count, least = 0, 0, len(header) + len(end) + 1  # its line's end
-    for words in (line.split() for line in header.decode("ascii", "replace").splitlines()):
-        if words[:1] == ["element"] and len(words) > 2 and words[2].isdecimal():
-            count = int(words[2][:20])
-            claimed += count
-        elif words[:2] == ["property", "list"] and len(words) == 5:
-            corners = 3 if words[4] in CORNERS else 0
-            least += count * (_bytes(words[2]) + corners * _bytes(words[3]))
-        elif words[:1] == ["property"] and len(words) == 3:
-            least += count * _bytes(words[1])
-    return claimed, least if end and b"format binary" in header else 0
+    kind, elements, start = header_of(head)
+    least = start + sum(count * _bytes(words) for _, count, properties in elements for words in properties)
+    return sum(count for _, count, _ in elements), least if start and kind.startswith("binary") else 0
 
 
-def _bytes(kind: str) -> int:
-    return int(TYPES.get(kind, "f0")[1:])
+def _bytes(words: list[str]) -> int:
+    """Fewest that a property takes, its words those of the header."""
+    if words[:1] == ["list"] and len(words) == 4:
+        kinds = [words[1], *[words[2]] * (3 if words[3] in CORNERS else 0)]
+    else:
+        kinds = words[:1] if len(words) == 2 else []
+    return sum(int(TYPES.get(kind, "f0")[1:]) for kind in kinds)
 
 
 def check_mesh_path(path: str | Path) -> None:

@@ -6,10 +6,10 @@ The tables are what scene.mesh_attributes and scene.mesh_file carry along; who t
 from pathlib import Path
 
 from pagas_cl.scene.files import opened
-from pagas_cl.scene.ply import keeps_numbers
+from pagas_cl.scene.ply import CORNERS, HEADER, header_of, keeps_numbers
 
 _KEPT = {"vertex": {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"},
-         "face": {"vertex_indices", "vertex_index"}}
+         "face": {*CORNERS}}
 _MANY = {b"usemtl": "materials", b"g": "groups", b"o": "objects"}      # one of each is a name, several are parts
 
 
@@ -32,18 +32,17 @@ def losses(mesh: str | Path, output: str | Path) -> list[str]:
 def _of_ply(path: Path, numbers: bool) -> tuple[list[str], set[str]]:
     """What is lost in any case, and what is there for kinds of files that have it; all `numbers` of vertices may be
     kept."""
-    lost, has, element = [], set(), ""
+    lost, has = [], set()
     with opened(path, 1 << 40) as file:
-        header = file.read(1 << 16).partition(b"end_header")[0].decode("ascii", "replace")
-    for words in (line.split() for line in header.splitlines()):
-        if words[:1] == ["element"] and len(words) == 3:
-            element = words[1]
-            if element not in _KEPT and words[2] != "0":
-                lost.append(f"elements {element!r}")
-        elif (words[:1] == ["property"] and element in _KEPT and words[-1] not in _KEPT[element]
-              and not (numbers and element == "vertex")):
-            lost.append(f"{element} property {words[-1]!r}")
-        elif words[:1] == ["property"] and words[-1] == "red":
+        _, elements, _ = header_of(file.read(HEADER))
+    for element, count, properties in elements:
+        if element not in _KEPT:
+            lost += [f"elements {element!r}"] * bool(count)
+            continue
+        names = [words[-1] for words in properties if words]
+        if not (numbers and element == "vertex"):
+            lost += [f"{element} property {name!r}" for name in names if name not in _KEPT[element]]
+        if element == "vertex" and "red" in names:
             has.add("vertex colours")
     return lost, has
 

@@ -1,6 +1,5 @@
 """Binary .ply files of triangles, by NumPy alone: all that a Surface has, further numbers of vertices among it."""
 
-import re
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -23,10 +22,10 @@ def read_ply(path: Path) -> dict[str, Any] | None:
     """Fields of a Surface from a binary .ply whose faces are triangles; None of another one. InputError where it is
     damaged."""
     with opened(path, 1 << 40) as file, translated(f"mesh {str(path)!r} cannot be read: "):
-        elements = _elements(file)
-        if not elements:
+        layouts = _layouts(file)
+        if not layouts:
             return None
-        (numbers, count), (corners, faces) = elements
+        (numbers, count), (corners, faces) = layouts
         vertices, triangles = np.fromfile(file, numbers, count), np.fromfile(file, corners, faces)
         if not faces or len(triangles) < faces or (triangles["count"] != 3).any():
             return None
@@ -35,35 +34,48 @@ def read_ply(path: Path) -> dict[str, Any] | None:
 
 def keeps_numbers(path: Path) -> bool:
     """Whether read_ply keeps all numbers of its vertices, if its faces are triangles."""
-    with opened(path, 1 << 40) as file:
-        return bool(_elements(file))
+    with opened(path, 1 << 40) as file, translated(f"mesh {str(path)!r} cannot be read: "):
+        return bool(_layouts(file))
 
 
-def _elements(file: BinaryIO) -> list[tuple[np.dtype, int]]:
+def header_of(head: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]], int]:
+    """What the first bytes of a .ply say: its format; of each element the name, the number and the words of its
+    properties; and where what they describe begins, 0 where the header does not end."""
+    header, end, rest = head.partition(b"end_header")
+    lines = [line.split() for line in header.decode("ascii", "replace").splitlines()]
+    kind = next((words[1] for words in lines if words[:1] == ["format"] and len(words) > 1), "")
+    elements: list[tuple[str, int, list[list[str]]]] = []
+    for words in lines:
+        if words[:1] == ["element"] and len(words) > 2 and words[2].isdecimal():
+            elements.append((words[1], int(words[2][:20]), []))
+        elif words[:1] == ["property"] and elements:
+            elements[-1][2].append(words[1:])
+    return kind, elements, len(header) + len(end) + (2 if rest[:2] == b"\r\n" else 1) if end else 0
+
+
+def _layouts(file: BinaryIO) -> list[tuple[np.dtype, int]]:
     """Layout and number of vertices and of faces, taken for triangles, which the file stands before then; nothing where
     it is none of ours."""
-    header, end, rest = file.read(HEADER).partition(b"end_header")
-    if b"element vertex" in header and not all(re.search(rb"property \w+ %c\s" % axis, header) for axis in b"xyz"):
+    kind, elements, start = header_of(file.read(HEADER))
+    if any(name == "vertex" and not {*_PLACES} <= {words[-1] for words in properties if words}
+           for name, _, properties in elements):
         raise InputError(f"mesh {file.name!r}: its vertices have no x, y and z")      # others end the process on it
-    lines = [line.split() for line in header.decode("ascii", "replace").splitlines()]
-    order = next((_ORDERS.get(words[1]) for words in lines if words[:1] == ["format"] and len(words) > 1), None)
-    if not end or order is None:
+    order = _ORDERS.get(kind)
+    if not start or order is None or [name for name, _, _ in elements[:2]] != ["vertex", "face"]:
         return []
-    elements: list[tuple[str, int, list[tuple[Any, ...]]]] = []
-    for words in lines:
-        if words[:1] == ["element"] and len(words) == 3 and words[2].isdecimal():
-            elements.append((words[1], int(words[2]), []))
-        elif words[:1] == ["property"] and elements and words[1] in TYPES and len(words) == 3:
-            elements[-1][2].append((words[2], order + TYPES[words[1]]))
-        elif words[:2] == ["property", "list"] and elements and len(words) == 5 and words[4] in CORNERS:
-            elements[-1][2].extend([("count", order + TYPES[words[2]]), ("corners", order + TYPES[words[3]], 3)])
-        elif words[:1] == ["property"]:
-            return []
-    file.seek(len(header) + len(end) + (2 if rest[:2] == b"\r\n" else 1))
-    layouts = [(np.dtype(fields), count) for _, count, fields in elements[:2]]
-    ours = [name for name, _, _ in elements[:2]] == ["vertex", "face"]
-    has = [{*(layout.names or ())} for layout, _ in layouts]
-    return layouts if ours and {*_PLACES} <= has[0] and "corners" in has[1] else []
+    layouts = []
+    for _, count, properties in elements:
+        fields: list[tuple[Any, ...]] = []
+        for words in properties:
+            if len(words) == 2 and words[0] in TYPES:
+                fields.append((words[1], order + TYPES[words[0]]))
+            elif words[:1] == ["list"] and len(words) == 4 and words[3] in CORNERS and {*words[1:3]} <= TYPES.keys():
+                fields += [("count", order + TYPES[words[1]]), ("corners", order + TYPES[words[2]], 3)]
+            else:
+                return []
+        layouts.append((np.dtype(fields), count))
+    file.seek(start)
+    return layouts[:2] if "corners" in (layouts[1][0].names or ()) else []
 
 
 def _of_vertices(vertices: np.ndarray) -> dict[str, Any]:

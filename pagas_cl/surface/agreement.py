@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
     from pagas_cl.runtime.program import Program
 
+IN_COMMON = 0.3                      # share of their variance that views have in common and no average takes out
+OWN_DEFINES = (f"IN_COMMON={IN_COMMON!r}f",)
 _BINS, _PER_PIXEL = 4096, 1024.0     # differences up to 4 pixels of parallax
 _LEAST = 100                         # differences that tell anything of a view
 _SAMPLES = 20000                     # pixels of a view, about, in whole rows, that they are taken at
@@ -64,7 +66,7 @@ def send(result: Any, device: Device, whole: bool = False) -> Told:
 def _program(device: Device, columns: int = 1) -> Program:
     from pagas_cl.runtime.program import build
 
-    return build(device, "agreement.cl", (f"NEAR={NEAR!r}f", f"REFINED={REFINED}", f"COLUMNS={columns}"))
+    return build(device, "agreement.cl", (f"NEAR={NEAR!r}f", f"REFINED={REFINED}", f"COLUMNS={columns}", *OWN_DEFINES))
 
 
 class Agreement:

@@ -20,7 +20,7 @@ from pagas_cl.runtime import arena, program
 from pagas_cl.selftest import BLENDS, device_gradient, normalized
 from pagas_cl.selftest import scenes as make
 from pagas_cl.splat import measure, options, tile
-from pagas_cl.surface import mesh_evidence, mesh_solve
+from pagas_cl.surface import agreement, mesh_evidence, mesh_solve
 
 KERNELS = Path(program.files("pagas_cl.cl_kernels").joinpath("loss.cl")).parent
 FILES = sorted(path.name for path in KERNELS.glob("*.cl"))
@@ -29,7 +29,8 @@ VARIANTS = {
     "grey": dict(loss__grey=True, loss__robust=0.5, loss__structure=True, loss__exposure=True),
 }
 TILE_OF = {"ssim.cl": tile.SCALAR[0], "loss.cl": tile.SCALAR[1]}
-MORE = {"measure.cl": measure._ROW_NUMBERS}        # of a file alone, beside those of the settings
+# of a file alone, beside those of the settings
+MORE = {"measure.cl": measure._ROW_NUMBERS, "agreement.cl": agreement.OWN_DEFINES}
 OWN = {"adjust.cl": adjust.DEFINES, "normalize.cl": normalize.DEFINES, "mesh_evidence.cl": mesh_evidence.DEFINES,
        "mesh_solve.cl": mesh_solve.DEFINES}        # no others
 NEWER = r"\bdouble|\bhalf\b|atomic_fetch|work_group_(?:all|any|reduce|scan|broadcast|barrier)|generic\b"
