@@ -116,10 +116,10 @@ def dilate(mask, radius: int) -> np.ndarray:
 def project_depth(camera, other, depth) -> tuple[np.ndarray, np.ndarray]:
     """Where `other` sees the points of a depth map (H, W) of `camera`: pixel positions (H, W, 2) and z there (H, W)."""
     rotation, tau = other.relative_to(camera)
-    point = depth[..., None] * (camera.rays() @ rotation.T) + tau
-    z = point[..., 2]
+    rays = camera.rays()
+    x, y, z = (depth * (rays @ row) + shift for row, shift in zip(rotation, tau))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return point[..., :2] / z[..., None] * (other.fx, other.fy) + (other.cx, other.cy), z
+        return np.stack([x / z * other.fx + other.cx, y / z * other.fy + other.cy], axis=-1), z
 
 
 def depth_per_parallax(depth, target, contexts) -> np.ndarray:

@@ -98,11 +98,9 @@ def box_sum(image, size) -> np.ndarray:
     h, w = image.shape
     if min(h, w) < size:
         return out
-    total = np.zeros((h + 1, w + 1))
-    total[1:, 1:] = image.cumsum(0).cumsum(1)
-    half = size // 2
-    out[half:h - half, half:w - half] = (total[size:, size:] - total[:-size, size:] - total[size:, :-size]
-                                         + total[:-size, :-size])
+    half, image = size // 2, np.asarray(image, np.float64)
+    across = sum(image[:, k:w - size + 1 + k] for k in range(size))
+    out[half:h - half, half:w - half] = sum(across[k:h - size + 1 + k] for k in range(size))
     return out
 
 
