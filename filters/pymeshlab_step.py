@@ -137,7 +137,8 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
     else:
         made = (fuse_results(views, results, config, progress, device=device or asked.device)
                 if asked.output == "tsdf" else
-                kept_mesh(surface, views, results, config, subdivide=asked.subdivide, device=device or asked.device))
+                kept_mesh(surface, views, results, config, subdivide=asked.subdivide, device=device or asked.device,
+                          progress=progress))
         _add_layer(meshes, made, results, f"{label} refined", matrix)
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
 

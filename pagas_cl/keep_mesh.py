@@ -11,6 +11,7 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.errors import DeviceMemoryError, InputError, log
+from pagas_cl.progress import Progress, ViewProgress
 from pagas_cl.result import joined
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.files import differing, replaced_with_others
@@ -50,7 +51,8 @@ def check_flat(flat) -> None:
 
 
 def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdivide: float | None = None,
-              flat: float = FLAT, device=None, memory_mb: float | None = None, tell: Callable | None = None):
+              flat: float = FLAT, device=None, memory_mb: float | None = None, tell: Callable | None = None,
+              progress: Progress | None = None):
     """A mesh of the kind of `mesh` (anything that refine_mesh takes; a path as load_whole reads it) with
     everything that sits on it, its vertices where the refined depth maps say. `results` are what refine_views gave.
 
@@ -60,6 +62,8 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
     "displace": with the same triangles (surface.mesh_solve), or all edges split that are longer than `subdivide`.
     `tell(text)` is told what is wrong with triangles, before and after.
     """
+    solving = ViewProgress(progress, 1, "solve the mesh")
+    solving.at(0)
     check_subdivide(subdivide)
     mesh, used = load_whole(mesh), [result for _, result in joined(views, results)]
     surface = given = to_surface(mesh)
@@ -69,31 +73,33 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
         finest = footprints(given.vertices, cameras, each_depth(given, cameras, device))
     if output == "mesh":
         most = int((memory_mb or mesh_mb(cameras)) * 1e6 / TRIANGLE_BYTES)
-        division, surface = _detailed(given, observed, device, finest, subdivide or _DETAIL, flat, least_views, most)
+        division, surface = _detailed(given, observed, device, finest, subdivide or _DETAIL, flat, least_views, most,
+                                      solving.at)
         rounds = 1
     elif subdivide is not None:
         division = split_edges(given.vertices, given.faces, subdivide * finest)
         surface = Surface(division.vertices(given.vertices), division.faces)
     solved = solve_mesh(surface, observed, device, least_views=least_views, rounds=rounds)
     before = given.vertices if division is None else division.vertices(given.vertices)
-    vertices, told = without_new(device, given, division, solved.vertices)
+    vertices, faults = without_new(device, given, division, solved.vertices)
     moved = unlike(vertices, before)
     log.info("mesh: %d of %d vertices moved; %d were held back, since a triangle would have turned over", moved.sum(),
              len(moved), solved.held)
-    log.info("mesh: %s", told)
+    log.info("mesh: %s", faults)
     if tell:
-        tell(f"mesh: {told}")
+        tell(f"mesh: {faults}")
     if not moved.any():
         log.warning("no vertex moved: no two refined views agree on any of them (%d views were refined)",
                     sum(not result.reason for result in used))
     quality = np.where(moved, vertex_confidence(vertices, used), 0)
+    solving.at(1)
     return with_vertices(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
 
 
-def _detailed(given: Surface, observed, device, finest, detail: float, flat: float, least_views: int, most: int):
+def _detailed(given: Surface, observed, device, finest, detail: float, flat: float, least_views: int, most: int, at):
     """How `given` is divided as the depth maps show detail, and that mesh, solved but for what undoing splits left."""
     division, solved, place = fit_mesh(given, observed, device, finest, flat=flat, detail=detail,
-                                       least_views=least_views, most=most)
+                                       least_views=least_views, most=most, at=at)
     within, count = flat * detail * solved.unit**2, len(division.faces)
     division, keep = undivided(division, solved.vertices, np.where(np.isfinite(within), within, 0), place)
     log.info("mesh: %d of %d triangles are needed to be within %g footprints", len(division.faces), count, flat)

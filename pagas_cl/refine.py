@@ -98,7 +98,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
                            folder=folder, photos=photos)
     if output != "tsdf":
         given = surface if output == "mesh" and isinstance(mesh, (str, Path)) else mesh
-        return kept_mesh(given, views, results, config, output, subdivide, flat, device)
+        return kept_mesh(given, views, results, config, output, subdivide, flat, device, progress=progress)
     fused = fuse_results(views, results, config, progress, executor=executor, folder=folder, device=device)
     return from_surface(fused, like=mesh)
 

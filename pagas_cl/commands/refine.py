@@ -152,8 +152,7 @@ def command(
         if kept:
             made = kept_mesh(mesh if keep_mesh or output.suffix.lower() == ".obj" else to_surface(mesh), found.views,
                              results, config, "displace" if keep_mesh else "mesh", subdivide, device=place["device"],
-                             memory_mb=memory, tell=page and page.note)
-            progress("solve the mesh", 1, 1)
+                             memory_mb=memory, tell=page and page.note, progress=progress)
         elif output is not None:
             made = fuse_results(found.views, results, config, progress, memory, page and page.note,
                                 device=place["device"])
@@ -162,6 +161,7 @@ def command(
             trim()
             log.info("mesh: %s", output)
         if page is not None and made is not None:
+            progress("show the mesh", 0, 1)
             _show_mesh(page, found.views, mesh, made, results, place["device"])
             progress("show the mesh", 1, 1)
         if save_depth is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,17 +26,20 @@ _FULL = 0.9                 # of the triangles that the memory is for, from whic
 
 
 def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, *, flat: float,
-             detail: float = DETAIL, least_views: int = 2, most: int) -> tuple[Subdivision, Solved, np.ndarray]:
+             detail: float = DETAIL, least_views: int = 2, most: int,
+             at: Callable[[float], object] = lambda share: None) -> tuple[Subdivision, Solved, np.ndarray]:
     """Move the vertices of `surface` as solve_mesh does, its edges split where the depth maps lie off their middles by
     more than twice `flat` footprints, at most to `most` triangles: the largest deviations first.
 
-    `unit` (V,) is the footprint at each vertex, infinite where no view sees it. Gives how the mesh was split, where
-    its vertices are, and which of them are at one place (V',).
+    `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` hears how much is
+    done: a level takes twice as long as the one before it, what the caller has yet to do as long as the last. Gives how
+    the mesh was split, where its vertices are, and which of them are at one place (V',).
     """
     mesh = _Splitting(surface, unit)
     mesh.split_longer(max(COARSE, detail), most // 2)
     orientation = orientation_of(surface, Drawing(device, surface), views)
     for level in range(_LEVELS + 1):
+        at((2 ** level - 1) / (2 ** (_LEVELS + 2) - 1))
         now = OnDevice(device, Surface(mesh.points, with_area(mesh.edges.faces)))
         last = level == _LEVELS or len(mesh.edges) > _FULL * most
         solved = solve_welded(now, views, least_views=least_views, orientation=orientation,
@@ -52,8 +55,8 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
         wanted, count = off > _OFF * flat, len(mesh.edges)
         number, done = np.count_nonzero(wanted), mesh.split_longest_with(long, wanted, off, lengths, most)
         if done < number:
-            log.warning("mesh: %d edges are not split though depth maps show detail there: %d triangles are all that "
-                        "the memory is for", number - done, most)
+            log.warning("mesh: %d edges are not split though depth maps show detail there: memory is set aside for "
+                        "%d triangles (--memory gives it more)", number - done, most)
         log.info("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
                  number, len(long), _OFF * flat, count, len(mesh.edges))
     division = Subdivision(len(surface.vertices), surface.faces, mesh.own.faces, mesh.own.table[6], mesh.rounds)

@@ -358,8 +358,11 @@ def test_mesh_to_mesh_needs_no_open3d(device, monkeypatch, tmp_path):
     photos = [view.load_image() for view in scene.views]
     for cameras in ("auto", "on"):
         config = preset("fast").with_settings(pyramid__steps=(5,), effects__cameras=cameras)
+        heard = []
         vertices, faces = refine_mesh(scene.initial_mesh(), scene.cameras, photos, config=config, device=device,
-                                      output="mesh")[:2]
+                                      output="mesh", progress=lambda *told: heard.append(told))[:2]
+        solving = [done / total for stage, done, total in heard if stage == "solve the mesh"]
+        assert solving[0] == 0 and solving[-1] == 1 and len(solving) > 3 and (np.diff(solving) > 0).all()
         assert len(vertices) and len(faces) and np.isfinite(vertices).all()
     vertices, faces = scene.initial_mesh()
     write_mesh(tmp_path / "coarse.ply", Surface(vertices, faces, attributes={"part": np.arange(len(vertices))}))
