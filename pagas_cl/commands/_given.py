@@ -3,7 +3,6 @@ three lines."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from pagas_cl.errors import InputError, log
 from pagas_cl.scene.depthmap import find_depth
 from pagas_cl.scene.files import opened
 from pagas_cl.scene.mesh_file import SUFFIXES
+from pagas_cl.scene.ply import HEADER, header_of
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.readers.mesh_parts import check_parts
 from pagas_cl.surface.bring_together import bring_together
@@ -123,9 +123,7 @@ def _meshes(folder: Path) -> list[Path]:
 
 def _has_faces(path: Path) -> bool:
     with opened(path, 1 << 40) as file:
-        head = file.read(1 << 14) or b""
-    match = re.search(rb"element face (\d+)", head.partition(b"end_header")[0])
-    return match is not None and int(match[1]) > 0
+        return any(name == "face" and count for name, count, _ in header_of(file.read(HEADER))[1])
 
 
 def together(given: Given, align: bool) -> list:

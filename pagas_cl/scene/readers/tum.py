@@ -48,7 +48,7 @@ def read(folder: Path, *, outside: bool = False) -> Scene:
         if abs(times[k] - time) > _APART:
             lost += 1
             continue
-        pose = rgbd.pose_from_quaternion(numbers[k, [4, 5, 6, 7, 1, 2, 3]], f"{trajectory}, time {poses[k][0]}")
+        pose = untrusted.pose(numbers[k, 4:8], numbers[k, 1:4], f"{trajectory}, time {poses[k][0]}")
         image = photos.existing(photos.inside(folder, photo, f"{folder}: photo", outside=outside), str(folder))
         file = depth and photos.existing(photos.inside(folder, depth, f"{folder}: depth", outside=outside), str(folder))
         frames.append(rgbd.Frame(image, pose, _K(folder, image), file or None, pixel_center=0.0))
