@@ -1,7 +1,5 @@
 """Refined cameras as a COLMAP model, for other tools."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from collections.abc import Sequence

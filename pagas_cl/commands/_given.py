@@ -1,8 +1,6 @@
 """What a command was given: the scene's format, photos and cameras, and where its surface is; found by looking, told in
 three lines."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -50,7 +48,7 @@ class Given:
                 f"cameras: {len(views)}, focal length {focal[0]:.0f}"
                 + (f" to {focal[-1]:.0f}" if focal[-1] - focal[0] > 1 else "") + f" pixels{near}", surface]
 
-    def without(self, hold_out: list[str], asked: list[str]) -> Given:
+    def without(self, hold_out: list[str], asked: list[str]) -> "Given":
         """The same without the views `hold_out`, none of which is `asked` for."""
         kept = without(self.scene, hold_out, asked)
         names, views = {view.name for view in kept.views}, self.scene.views

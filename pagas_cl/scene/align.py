@@ -5,8 +5,6 @@ A depth that moves a patch along its ray moves the surface along its normal: sli
 left out of the fit where that is all that an offset does (a plane).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -42,7 +40,7 @@ class Alignment:
         """The samples of the mesh as it lies then."""
         return replace(samples, points=self(samples.points))
 
-    def then(self, scale: float, offset: np.ndarray) -> Alignment:
+    def then(self, scale: float, offset: np.ndarray) -> "Alignment":
         """This one and another one after it."""
         return Alignment(scale * self.scale, scale * self.offset + offset)
 

@@ -10,8 +10,6 @@ Gauss-Newton with iterated weights. The priors also hold what such pairs hardly 
 the mean of the given depths stays, but for what photos say (see surface.common_scale).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property

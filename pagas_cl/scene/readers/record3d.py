@@ -14,8 +14,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import FLIP, intrinsics
-from pagas_cl.scene.digest import digest_file
-from pagas_cl.scene.files import translated
+from pagas_cl.scene.files import digest_file, translated
 from pagas_cl.scene.readers import photos, rgbd, untrusted
 from pagas_cl.scene.view import Scene
 
