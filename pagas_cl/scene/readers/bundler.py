@@ -18,14 +18,14 @@ FILES = ("bundle.out", "bundle.rd.out", "bundle/bundle.out")
 LISTS = ("list.txt", "bundle.out.list.txt", "bundle.rd.out.list.txt", "bundle/list.txt")
 
 
-def detect(folder: Path) -> bool:
-    """Whether `folder` holds a bundle.out."""
-    return photos.first_file(folder, FILES) is not None
+def detect(folder: Path) -> Path | None:
+    """The bundle.out, or None."""
+    return photos.first_file(folder, FILES)
 
 
 def read(folder: Path, *, outside: bool = False) -> Scene:
     """Read the scene without the cameras that Bundler did not place; `outside`: also photos outside `folder`."""
-    path = photos.first_file(folder, FILES) or folder / FILES[0]
+    path = detect(folder) or folder / FILES[0]
     cameras, points = read_bundle(path)
     images = _images(folder, path, len(cameras), outside)
     views = []

@@ -243,7 +243,7 @@ def write_project(path: Path, views: list[View], meshes: Sequence[MeshLayer] = (
     for layer in meshes:
         rows += [f"  <MLMesh label={quoteattr(layer.label)} filename={_name(path, layer.path)} "
                  f'visible="{int(layer.visible)}" idInFile="-1">', "   <MLMatrix44>",
-                 *(_row(row) for row in np.asarray(layer.matrix, np.float64)), "</MLMatrix44>", "  </MLMesh>"]
+                 *map(row, np.asarray(layer.matrix, np.float64)), "</MLMatrix44>", "  </MLMesh>"]
     rows += [" </MeshGroup>", " <RasterGroup>"]
     for view in views:
         rows += [f"  <MLRaster label={quoteattr(view.name)}>", f"   <VCGCamera {_camera(view.camera)}/>",
@@ -258,11 +258,12 @@ def _camera(camera: Camera) -> str:
         "FocalMm": [camera.fx], "PixelSizeMm": [1.0, camera.fx / camera.fy],
         "CenterPx": [camera.cx, camera.height - camera.cy], "LensDistortion": [0.0, 0.0],
         "RotationMatrix": rotation.ravel(), "TranslationVector": [*(-camera.center), 1.0]}
-    written = " ".join(f'{key}="{_row(value)}"' for key, value in values.items())
+    written = " ".join(f'{key}="{row(value)}"' for key, value in values.items())
     return f'CameraType="0" BinaryData="0" ViewportPx="{camera.width} {camera.height}" {written}'
 
 
-def _row(values: Iterable[float]) -> str:
+def row(values: Iterable[float]) -> str:
+    """Numbers of a text file, every digit."""
     return " ".join(repr(float(value)) for value in values)
 
 
