@@ -10,6 +10,7 @@ from pagas_cl.errors import InputError, InterruptedRunError, log
 from pagas_cl.jobs.executors import check_address
 from pagas_cl.jobs.finished import begun_in, records_in, work_folder
 from pagas_cl.jobs.store import Store
+from pagas_cl.report import pictures_in
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.depthmap import find_depths
@@ -64,8 +65,6 @@ def check_writable(option: str, folder: Path | None) -> None:
 def check_report(folder: Path | None, beside: str, pictures: Collection[str] = ()) -> None:
     """The same of the folder of a page, which has the file `beside` and `pictures`: none is replaced that is not
     ours."""
-    from pagas_cl.report import pictures_in
-
     check_writable("--report", folder)
     if folder is None:
         return

@@ -20,7 +20,7 @@ from pagas_cl.scene.camera import FLIP, Camera, inverse_pose
 from pagas_cl.scene.depthmap import depth_down
 from pagas_cl.scene.fit import GOOD, Fit, Reading, fitted
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_cameras, as_views, depth_array
-from pagas_cl.scene.mesh import Mesh, Surface, to_surface
+from pagas_cl.scene.mesh import Mesh, Surface, grid_faces, to_surface
 from pagas_cl.scene.view import View
 
 _SAMPLES = 20_000
@@ -224,9 +224,7 @@ def mesh_of_depths(cameras: Sequence[Camera], depths: Sequence[Depth | None]) ->
         camera = cameras[k].resized(max(2, round(full.shape[1] * scale)), max(2, round(full.shape[0] * scale)))
         depth = depth_down(full, camera.width, camera.height).astype(np.float64)
         points = (camera.rays() * depth[..., None] - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
-        number = np.arange(depth.size).reshape(depth.shape)
-        a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
-        found = np.concatenate([np.stack([a, c, b], -1).reshape(-1, 3), np.stack([b, c, d], -1).reshape(-1, 3)])
+        found = grid_faces(camera.width, camera.height)
         at = depth.ravel()[found]
         kept = found[(at > 0).all(axis=1) & (at.max(axis=1) < (1 + _EDGE) * at.min(axis=1))]
         used, renumbered = np.unique(kept, return_inverse=True)
