@@ -25,6 +25,7 @@ from pagas_cl.scene.view import View
 
 _SAMPLES = 20_000
 _WORK = 20_000_000   # camera-point pairs of one reading of the poses
+_PHOTOS = 10         # that are compared
 _CHANCE = 0.0005     # share of the mesh that a wrong reading may have in an image by chance; a city's view has more
 _MUCH = 0.1          # share of the mesh that images show on the average where its unit is right
 _FOUND = 0.8         # correlation at which no other place of the mesh is tried
@@ -180,14 +181,14 @@ def check_cameras(mesh: Mesh, cams: Cameras, images: Images | None = None) -> Ca
     return check_views(mesh, [view.camera for view in views], views)
 
 
-def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None, most: int = 10) -> CameraReport:
-    """The same for a scene's views; at most `most` photos, evenly chosen, are decoded."""
+def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None) -> CameraReport:
+    """The same for a scene's views; at most _PHOTOS of their photos, evenly chosen, are decoded."""
     if not cams:
         raise InputError("no cameras were given, expected at least one")
     samples = patches.sample_surface(to_surface(mesh))
     if not samples.few:
         raise InputError("the mesh has no area: all its triangles are degenerate")
-    keep = patches.evenly(len(cams), most)
+    keep = patches.evenly(len(cams), _PHOTOS)
     greys = None if views is None else [patches.grey_of(views[k].load_image()) for k in keep]
     given = _Trial(POSES[0], cams, keep, greys, samples)
     trials = [given, *(_Trial(way, cams, keep, greys, samples) for way in POSES[1:])]
