@@ -12,7 +12,7 @@ from pagas_cl.cameras.motion import moved, placed, twist_between
 from pagas_cl.cameras.onto import onto_mesh
 from pagas_cl.cameras.pairs import Pairs
 from pagas_cl.cameras.solve import Term, Unknowns, assemble, pixel_scales, solve
-from pagas_cl.cameras.turns import first_turns
+from pagas_cl.cameras.turns import first_turns, turned
 from pagas_cl.progress import Progress
 from pagas_cl.scene.camera import Camera
 
@@ -262,8 +262,8 @@ class Rounds:
         release(frames)
         pairs = sorted({(min(one, k), max(one, k)) for one, others in enumerate(self.pairs.used) for k in others})
         turns, way = first_turns([frame.camera for frame in frames], normals, depths, pairs)
-        return ([placed(camera, camera.world_to_camera[:3, :3] @ turn.T, camera.center)
-                 for camera, turn in zip(cameras, turns)], way * cameras[0].width / frames[0].camera.width)
+        return ([turned(camera, turn) for camera, turn in zip(cameras, turns)],
+                way * cameras[0].width / frames[0].camera.width)
 
     def agreement(self, cameras: Sequence[Camera], maps: np.ndarray, stage: Stage) -> np.ndarray:
         """Of each view: the median over its pairs of the mean robust cost, as they are; NaN without any. (N,)"""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pagas_cl.cameras.motion import cross_matrix, exponential
+from pagas_cl.cameras.motion import cross_matrix, exponential, placed
 from pagas_cl.scene.camera import Camera
 
 _ALIKE = 0.3              # correlation of whole photos from which the way between them is believed
@@ -44,6 +44,11 @@ def first_turns(cameras: Sequence[Camera], normals: Sequence[np.ndarray], depths
         weights = 1 / np.maximum(1.0, np.linalg.norm(np.einsum("nij,nj->ni", A, turns[at]) - b, axis=1))
     return ([exponential(np.concatenate([turn, np.zeros(3)]))[0] for turn in turns.reshape(-1, 3)],
             float(np.median(np.linalg.norm(b, axis=1))))
+
+
+def turned(camera: Camera, turn: np.ndarray) -> Camera:
+    """The camera turned about its centre by a turn of first_turns."""
+    return placed(camera, camera.world_to_camera[:3, :3] @ turn.T, camera.center)
 
 
 def _middle(camera: Camera, depth: np.ndarray) -> np.ndarray | None:
