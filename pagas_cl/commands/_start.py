@@ -15,6 +15,7 @@ from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.depthmap import find_depths
 from pagas_cl.scene.files import read_bytes
+from pagas_cl.scene.mesh import to_surface
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.readers.mesh_parts import check_parts
 
@@ -129,7 +130,6 @@ def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, n
     which `names` must have. With a folder for the run they stay on disk, and what stands for them is given instead."""
     if mesh is not None:
         from pagas_cl import refine
-        from pagas_cl.scene.mesh import to_surface
 
         keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
         return refine.initial_depths(to_surface(mesh), found.views, progress, keep, device)
