@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.commands._start import depth_files, without
+from pagas_cl.commands._start import depth_files
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.depthmap import find_depth
 from pagas_cl.scene.files import opened
@@ -50,10 +50,18 @@ class Given:
 
     def without(self, hold_out: list[str], asked: list[str]) -> "Given":
         """The same without the views `hold_out`, none of which is `asked` for."""
-        kept = without(self.scene, hold_out, asked)
-        names, views = {view.name for view in kept.views}, self.scene.views
-        depths = self.depths and [depth for view, depth in zip(views, self.depths) if view.name in names]
-        return replace(self, scene=kept, depths=depths)
+        found, views = self.scene, self.scene.views
+        out = {found.index(name) for name in hold_out}
+        both = sorted(views[place].name for place in out & {found.index(name) for name in asked})
+        if both:
+            raise InputError(f"view {both[0]!r} is in --views and in --hold-out, expected one of them")
+        if out:
+            log.info("held out, and seen by nothing: %s", ", ".join(views[place].name for place in sorted(out)))
+        if len(out) == len(views):
+            raise InputError(f"--hold-out names all {len(out)} views, so that none is left to refine")
+        kept = [place for place in range(len(views)) if place not in out]
+        return replace(self, scene=replace(found, views=[views[place] for place in kept]),
+                       depths=self.depths and [self.depths[place] for place in kept])
 
     def _depth_line(self) -> str:
         if self.depths is None:

@@ -3,7 +3,6 @@
 import tempfile
 from collections.abc import Collection
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 from pagas_cl.errors import InputError, InterruptedRunError, log
@@ -110,19 +109,6 @@ def resumable(folder: Path | None, total: int):
                 if done else "nothing is kept, no view was finished" if folder is not None
                 else "nothing is kept but pictures; with --save-depth finished views are")
         raise InterruptedRunError(f"interrupted; {what}") from error
-
-
-def without(found, hold_out: list[str], asked: list[str]):
-    """The scene without the views `hold_out`, none of which is `asked` for."""
-    out = {found.index(name) for name in hold_out}
-    both = sorted(found.views[place].name for place in out & {found.index(name) for name in asked})
-    if both:
-        raise InputError(f"view {both[0]!r} is in --views and in --hold-out, expected one of them")
-    if out:
-        log.info("held out, and seen by nothing: %s", ", ".join(found.views[place].name for place in sorted(out)))
-    if len(out) == len(found.views):
-        raise InputError(f"--hold-out names all {len(out)} views, so that none is left to refine")
-    return replace(found, views=[view for place, view in enumerate(found.views) if place not in out])
 
 
 def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None, device=None) -> list:
