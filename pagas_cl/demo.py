@@ -9,7 +9,6 @@ from pagas_cl.errors import log
 from pagas_cl.evaluate import DepthReport, compare_depth, compare_predictions
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import ViewProgress
-from pagas_cl.refine import refine_depth
 from pagas_cl.report import Report
 from pagas_cl.scene.mesh_file import write_mesh
 from pagas_cl.surface.agree import comparison_device
@@ -89,6 +88,8 @@ def make_example(folder, format: str, width: int = 288, height: int = 216, conte
 
 
 def _refined(synthetic: SyntheticScene, config, device, progress):
+    from pagas_cl.refine import refine_depth
+
     results, view_progress = [], ViewProgress(progress, len(synthetic.views))
     for number, view in enumerate(synthetic.views):
         view_progress.at(number)
