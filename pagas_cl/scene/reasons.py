@@ -15,6 +15,7 @@ from pagas_cl.errors import InputError, NothingRefinedWarning
 from pagas_cl.scene import patches
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.check import POSES, UNITS, mesh_of_depths
+from pagas_cl.scene.depthmap import surface_depth
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.view import View
@@ -36,7 +37,8 @@ def likely_reasons(views: Sequence[View], depths: Sequence[Depth | None]) -> lis
     near = _neighbours(views, depths)
     if not near:
         return []
-    some, maps = [views[k] for k in near], [depth_array(depth) for k in near if (depth := depths[k]) is not None]
+    some = [views[k] for k in near]
+    maps = [surface_depth(depth_array(depth)) for k in near if (depth := depths[k]) is not None]
     greys = [patches.grey_of(view.load_image()) for view in some]
     flat = sum(float(grey.std()) < _FLAT for grey in greys)
     if 2 * flat > len(greys):
