@@ -8,6 +8,7 @@ between them, and the history keeps every step, so that saving the script keeps 
 import re
 import tempfile
 from dataclasses import dataclass, field
+from difflib import SequenceMatcher
 from itertools import groupby
 from pathlib import Path
 from xml.etree import ElementTree
@@ -73,7 +74,8 @@ def _place_of(element, where: str, outside: bool) -> str:
 def _checked_step(number: int, element, known: native.Known, where: str, outside: bool) -> Step:
     name, given, values = element.get("name"), [dict(e.attrib) for e in element.iter("Param")], {}
     if name == FILTER:
-        given = [{**attributes, "name": parameters.in_scripts(attributes.get("name", ""))} for attributes in given]
+        names = parameters.IN_SCRIPTS
+        given = [{**attributes, "name": names.get(said := attributes.get("name", ""), said)} for attributes in given]
     if len(given) != len(element):
         raise InputError(f"{where}: holds elements that are not <Param>")
     given = [attributes for attributes in given if name != FILTER or attributes["name"] != HINT]
@@ -107,8 +109,6 @@ def _check_runs(known: native.Known, name: str, where: str) -> None:
 
 def _nearest(name: str) -> str:
     """The filter whose name is most like `name`; empty where none is."""
-    from difflib import SequenceMatcher
-
     theirs = native.nearest(name)
     ratio, near = max((SequenceMatcher(None, name.lower(), near.lower()).ratio(), near) for near in (FILTER, theirs))
     return near if ratio > 0.5 else ""

@@ -21,7 +21,8 @@ NOTE = f"<!-- {FILTER!r} is a step of pagas_cl, which MeshLab and pymeshlab alon
 def add_name(pymeshlab, kind, step) -> None:
     """Let the functions of `pymeshlab` and the methods of `kind` (a MeshSet) know `step` by its name."""
     for where, name, instead in (
-            (pymeshlab, "filter_list", _listed), (pymeshlab, "print_filter_list", _printed),
+            (pymeshlab, "filter_list", lambda known, step: sorted([*known(), METHOD])),
+            (pymeshlab, "print_filter_list", _printed),
             (pymeshlab, "print_filter_parameter_list", _described), (pymeshlab, "search", _found),
             (kind, "apply_filter", _applied), (kind, "filter_parameter_values", _defaults),
             (kind, "apply_filter_script", _guided), (kind, "save_filter_script", _explained)):
@@ -43,10 +44,6 @@ def parameters_of(step) -> dict:
     """Name in Python -> default of each parameter of the step; `scene` has none."""
     given = inspect.signature(step).parameters.values()
     return {p.name: None if p.default is p.empty else p.default for p in given if p.name not in ("self", "progress")}
-
-
-def _listed(known, step):
-    return sorted([*known(), METHOD])
 
 
 def _printed(known, step):

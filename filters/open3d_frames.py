@@ -9,7 +9,7 @@ import numpy as np
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import clean_depth
-from pagas_cl.scene.images import as_photo, image_size, read_photo
+from pagas_cl.scene.images import as_photo, image_size, open_image, read_photo
 from pagas_cl.scene.view import View
 
 
@@ -87,8 +87,6 @@ def _parts(given) -> tuple:
 def _pixels(image, who: str) -> np.ndarray:
     """(H, W) or (H, W, C) array of a legacy or tensor Image, an array, or a file."""
     if isinstance(image, (str, Path)):
-        from pagas_cl.scene.images import open_image
-
         with open_image(Path(image)) as file:
             pixels = np.asarray(file)
         return pixels.astype(np.uint16) if pixels.dtype == np.int32 else pixels

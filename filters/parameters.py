@@ -53,11 +53,7 @@ PARAMETERS = (
               "Any other settings: stage.field=value, separated by semicolons"),
 )
 TYPES = {parameter.name: parameter.rich for parameter in PARAMETERS}
-
-
-def in_scripts(name: str) -> str:
-    """A parameter's name in .mlx, which may be spelt as in Python."""
-    return {parameter.python: parameter.name for parameter in PARAMETERS}.get(name, name)
+IN_SCRIPTS = {parameter.python: parameter.name for parameter in PARAMETERS}      # as scripts may spell them, too
 
 
 @dataclass(frozen=True)

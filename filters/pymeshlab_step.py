@@ -18,7 +18,7 @@ from pagas_cl.filters.names import CALL, HINT, METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
 from pagas_cl.keep_mesh import Observations, kept_mesh, solve_device
 from pagas_cl.scene.inputs import as_views
-from pagas_cl.scene.mesh import from_surface, to_surface
+from pagas_cl.scene.mesh import from_surface, to_surface, triangle_normals
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene, View
 from pagas_cl.surface.mesh_solve import solve_mesh
@@ -198,8 +198,7 @@ def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: 
     if not np.isfinite(finest).any():
         raise InputError("no view sees a vertex of the layer, so that its pixel footprint is unknown")
     longest = footprint_edges * float(np.median(finest[np.isfinite(finest)]))
-    a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    area = np.linalg.norm(triangle_normals(surface.vertices, surface.faces), axis=1) / 2
     faces = float((1 + area / (0.1 * longest**2)).sum())
     if faces > _MOST_FACES:
         raise InputError(f"subdividing to {footprint_edges:g} pixel footprints would make some {faces:.2g} faces, more "

@@ -6,11 +6,17 @@ from dataclasses import asdict, dataclass
 from statistics import median
 
 import numpy as np
+import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.runtime.device import open_device
+from pagas_cl.runtime.program import stage_times
+from pagas_cl.splat import PhotoStore, refine_levels
+from pagas_cl.splat.level import Schedule
+from pagas_cl.splat.options import reach
+from pagas_cl.splat.view import full_level
 
-_ROUNDS = 3
+_ROUNDS, _STEPS = 3, 5
 _COPY_BYTES = 128 * 2**20      # of a copy that measures bandwidth; less where the device allows no such buffer
 
 
@@ -69,8 +75,6 @@ class BenchResult:
 def bench(views, depth, preset: str, config: Config, device=None, repeats: int = 3) -> BenchResult:
     """Measure one preset on one view: `views` are the target, then its context views; `depth` (H, W) is its initial
     z-depth, scene units, 0 = no surface."""
-    from pagas_cl.splat import PhotoStore, refine_levels
-
     opened, profiled = open_device(device), open_device(device, profiling=True)
     target, contexts = views[0], views[1:]
     copy = copy_bandwidth(profiled)
@@ -89,8 +93,6 @@ def bench(views, depth, preset: str, config: Config, device=None, repeats: int =
 
 def copy_bandwidth(device) -> float:
     """Bytes per second of a large copy on a profiling `device`, reads and writes counted."""
-    import pyopencl as cl
-
     nbytes = min(_COPY_BYTES, device.info.max_alloc // 4, device.info.memory // 16)
     source, target = (cl.Buffer(device.context, cl.mem_flags.READ_WRITE, nbytes) for _ in range(2))
     cl.enqueue_fill_buffer(device.queue, source, np.uint32(0x3F9D70A4), 0, nbytes // 4 * 4)
@@ -104,9 +106,6 @@ def copy_bandwidth(device) -> float:
 
 def _step(device, target, contexts, depth, config, repeats, copy):
     """The Stages of one step, slowest first, and the context views in it."""
-    from pagas_cl.runtime.program import stage_times
-    from pagas_cl.splat.view import full_level
-
     level = full_level(target, contexts, depth, config, device)
     launches = [*level.step_launches(0), *level.solver().launches]
     moved = stage_bytes(config, level.target.size.pixels, max(view.size.pixels for view in level.views))
@@ -122,8 +121,6 @@ def _step(device, target, contexts, depth, config, repeats, copy):
 
 def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:
     """Bytes that one launch of each stage must move, for a target of `n` and a context view of `m` pixels."""
-    from pagas_cl.splat.options import reach
-
     channels = 1 if config.loss.grey else 3
     image = 4 * (channels + 1)  # with coverage; the same of what is passed back to it
     partials = 12 * channels if config.loss.ssim else 0
@@ -152,21 +149,18 @@ class StepTime:
         return self.seconds * sum(scale**2 * steps for scale, steps in zip(config.pyramid.scales, config.pyramid.steps))
 
 
-def time_step(target, contexts, depth: np.ndarray, config: Config, device, photos=None, steps: int = 5) -> StepTime:
-    """Time some steps of the full-size level; parameters as in refine_levels, every effect settled."""
-    from pagas_cl.splat.level import Schedule
-    from pagas_cl.splat.view import full_level
-
+def time_step(target, contexts, depth: np.ndarray, config: Config, device, photos=None) -> StepTime:
+    """Time _STEPS steps of the full-size level; parameters as in refine_levels, every effect settled."""
     # a level has room for the losses of as many steps as it is made for
-    config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,))
+    config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(_STEPS,))
     level = full_level(target, contexts, depth, config, device, photos)
-    best, settled = np.inf, Schedule.of(config, steps).settled        # fits are a few of all steps, not of these
+    best, settled = np.inf, Schedule.of(config, _STEPS).settled        # fits are a few of all steps, not of these
     for _ in range(1 + _ROUNDS):          # the first one compiles
         device.queue.finish()
         start = time.perf_counter()
-        level.run(steps, schedule=settled)
+        level.run(_STEPS, schedule=settled)
         device.queue.finish()
         best = min(best, time.perf_counter() - start)
     needed = sum(buffer.size for buffer in level.buffers.held())
     level.release()
-    return StepTime(best / steps, needed)
+    return StepTime(best / _STEPS, needed)

@@ -19,6 +19,7 @@ from pagas_cl.cameras.effect import camera_seconds
 from pagas_cl.config import Config, Context
 from pagas_cl.effects import agreement_rounds, between_rounds, decide, settle
 from pagas_cl.errors import InputError
+from pagas_cl.measurements import measure
 from pagas_cl.presets import preset
 from pagas_cl.scene.choice import MOST_HELD_OUT, ContextChooser, shared_out
 from pagas_cl.scene.inputs import depth_array
@@ -203,8 +204,6 @@ class Costs:
         return len(read) / len(self._read) if read else 1.0
 
     def _settled(self, config: Config, contexts) -> Config:
-        from pagas_cl.measurements import measure
-
         if set(vars(config.effects).values()) <= {"set", "off"}:
             return decide(config, None)[0]
         if self._measured is None:

@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Iterable
 from difflib import get_close_matches
+from importlib import import_module
 
 # what a terminal obeys, or what begins another line or direction of writing
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
@@ -103,8 +104,6 @@ class MissingLibraryError(PagasError, ImportError):
 def need(package: str, extra: str, purpose: str):
     """Import and return an optional `package`, or raise MissingExtraError naming the `extra` that brings it
     (MissingLibraryError with the apt-get command where a system library is absent)."""
-    from importlib import import_module
-
     try:
         return import_module(package)
     except ModuleNotFoundError as error:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pagas_cl.config import Config
 from pagas_cl.costs import RUNS, Cost
 from pagas_cl.effects import EFFECTS, agreement_rounds, between_rounds
-from pagas_cl.outlook import Outlook
+from pagas_cl.progress import Outlook
 from pagas_cl.scene.view import View
 
 _COLOUR = Cost(photo=0.03, setup=8e-8, per_step=2.9e-8, per_view_step=2.9e-8)

@@ -15,6 +15,7 @@ from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide_consistency, decide_mismatch, settle
 from pagas_cl.errors import InputError, log
+from pagas_cl.jobs import refine_all
 from pagas_cl.keep_mesh import FLAT, check_flat, check_subdivide, kept_mesh, polished
 from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
@@ -203,8 +204,6 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     views, config, cameras = settle_cameras(views, depths, config, device, progress, photos, executor, folder)
     depths = depths if cameras is None else cameras.scaled(depths)
     if photos is None:
-        from pagas_cl.jobs import refine_all
-
         return refine_all(refine_one, views, depths, asked, config, device=device, executor=executor, folder=folder,
                           extras=extras, progress=progress, on_view=on_view, later=later_rounds(config, len(asked)))
     opened, results, view_progress = photos.device, [], ViewProgress(progress, len(asked))

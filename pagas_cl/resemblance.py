@@ -1,24 +1,19 @@
 """Which of the views that were chosen for a target are asked: those that add to what is known of its depth, by how much
 they resemble it, and how far its depth moves in them (method section 7)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision
+from pagas_cl.runtime.device import Device
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.view import View
 from pagas_cl.splat import PhotoStore, probe_view
 from pagas_cl.splat.budget import fit_memory
 from pagas_cl.splat.constants import MEAN, NUMBER
-
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
 
 _COARSE = 64         # pixels of the longer side: at this size the depth is right, and what differs is the photos
 _TILES = 6           # along each side of the target

@@ -84,7 +84,7 @@ def test_it_is_told_before_the_work(scene, tmp_path, capsys, monkeypatch):
     mesh = textured(scene, tmp_path / "m.obj", 2)
     assert losses(mesh, "out.obj") == ["2 materials", "2 groups"]
     with monkeypatch.context() as patch:
-        patch.setattr("pagas_cl.refine.refine_views", lambda *_, **__: pytest.fail("refined"))
+        patch.setattr("pagas_cl.commands.refine.refine_views", lambda *_, **__: pytest.fail("refined"))
         assert refine(scene, mesh, tmp_path / "out.ply") == 2
     told = capsys.readouterr().err
     assert "would lose of mesh" in told and "2 materials, 2 groups, texture coordinates; pass --allow-loss" in told

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from pagas_cl.outlook import Outlook
+from pagas_cl.progress import Outlook
 
 
 class Clock:

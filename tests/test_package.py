@@ -19,7 +19,7 @@ OPTIONAL = {"open3d", "pymeshlab", "pycolmap", "matplotlib", "skimage", "scipy",
 
 # What each part may import of the others; the flow is one way (and all may import errors, config, presets).
 ALLOWED = {
-    "errors": set(), "stage": set(), "config": {"stage"}, "presets": set(), "progress": set(), "outlook": set(),
+    "errors": set(), "stage": set(), "config": {"stage"}, "presets": set(), "progress": set(),
     "scene": set(), "reference": {"scene"}, "runtime": {"scene", "cl_kernels"},
     "surface": {"scene", "runtime", "reference"}, "splat": {"scene", "runtime"}, "result": {"scene"},
     "jobs": {"scene", "runtime", "splat", "result", "progress"},

@@ -1,8 +1,6 @@
 """What speaks for refined cameras: pairs of photos that took no part, and views that agree with others (method section
 9)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Launches of adjust.cl: what the pixels of a target say of cameras, without their depths (method section 9)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

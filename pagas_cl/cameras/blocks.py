@@ -1,27 +1,25 @@
 """The blocks of all targets, in this process or through an executor: the same bytes (method section 9)."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.cameras.adjust import Adjuster, Block, Frame
 from pagas_cl.errors import PagasError, log
+from pagas_cl.jobs.executors import Workers
+from pagas_cl.jobs.finished import one_run, work_folder
+from pagas_cl.jobs.plan import groups
+from pagas_cl.jobs.run import results_of
+from pagas_cl.jobs.worker import WorkerContext, close_worker_contexts
 from pagas_cl.runtime.device import elsewhere
 from pagas_cl.runtime.memory import upload
 from pagas_cl.scene.camera import Camera
-
-if TYPE_CHECKING:
-    from pagas_cl.jobs.executors import Workers
-    from pagas_cl.jobs.worker import WorkerContext
 
 
 @dataclass(frozen=True)
@@ -67,9 +65,6 @@ class Elsewhere:
         self.workers, self.folder, self._failed = workers, folder, False
 
     def __call__(self, adjuster: Adjuster, frames: Sequence[Frame], wanted: Sequence[Wanted]) -> list[Block | None]:
-        from pagas_cl.jobs.parts import results_of
-        from pagas_cl.jobs.plan import groups
-
         if self._failed:
             return blocks(adjuster, frames, wanted)
         by_target = {one.target: one for one in wanted}
@@ -116,10 +111,6 @@ def blocks_of(part: Part, context: WorkerContext) -> dict[int, tuple[Block | Non
 @contextmanager
 def blocks_by(executor, device, folder) -> Iterator[Callable[..., list[Block | None]]]:
     """Context: `blocks`, made where these arguments of refine_views say."""
-    from pagas_cl.jobs.executors import Workers
-    from pagas_cl.jobs.finished import one_run, work_folder
-    from pagas_cl.jobs.worker import close_worker_contexts
-
     if not elsewhere(executor, device):
         yield blocks
         return

@@ -1,13 +1,11 @@
 """The effect `cameras` (method section 8): whether cameras are refined before the views are, for a whole scene."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pagas_cl.cameras.frames import depths_of
 from pagas_cl.cameras.refine import OFF, CameraRefinement, photos_off, refine_cameras
@@ -15,12 +13,11 @@ from pagas_cl.config import Config
 from pagas_cl.effects import Decision
 from pagas_cl.errors import DeviceError, log
 from pagas_cl.progress import Progress, tell
+from pagas_cl.runtime.device import one_of, open_device
 from pagas_cl.scene.inputs import Depth
 from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View
-
-if TYPE_CHECKING:
-    from pagas_cl.splat import PhotoStore
+from pagas_cl.splat import PhotoStore
 
 FEWEST = 4                # views: three to tell how far a camera is off, and one more to judge
 MOST = 300                # views for which it is decided unasked: all depth maps are in memory at once
@@ -35,8 +32,6 @@ def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     """Settle effects.cameras: the views with the cameras that follow, settings in which it is "set", and the refinement
     (None where none was called for). Arguments as in refine_cameras; `photos`, on the one device, serve whoever works
     on the views after it."""
-    from pagas_cl.runtime.device import one_of, open_device
-
     settled = replace(config, effects=replace(config.effects, cameras="set"))
     choice = config.effects.cameras
     if not _may(choice, len(views)):
@@ -70,9 +65,6 @@ def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
 def decide_cameras(views: Sequence[View], depths_or_mesh, config: Config, device,
                    photos: PhotoStore | None = None) -> tuple[Decision, tuple[float, float]]:
     """Whether a scene calls for it, and what photos_off measured."""
-    from pagas_cl.runtime.device import open_device
-    from pagas_cl.splat import PhotoStore
-
     device, choice = open_device(device), config.effects.cameras
     depths = depths_of(depths_or_mesh, device)[0]([view.camera for view in views])
     off = photos_off(views, depths, config, device, photos or PhotoStore(device))

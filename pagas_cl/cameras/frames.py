@@ -1,7 +1,5 @@
 """Photos and depth maps of all views on the device, at one size after another."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -19,6 +17,7 @@ from pagas_cl.scene.view import View
 from pagas_cl.splat.buffers import Size, level_size
 from pagas_cl.splat.photos import PhotoStore
 from pagas_cl.splat.resample import Resampler
+from pagas_cl.surface.raster import each_depth
 
 Depths = Callable[[Sequence[Camera]], "list[np.ndarray]"]
 
@@ -34,8 +33,6 @@ def depths_of(given, device=None) -> tuple[Depths, bool]:
     surface: Surface = to_surface(given)
 
     def render(cameras: Sequence[Camera]) -> list[np.ndarray]:
-        from pagas_cl.surface.raster import each_depth
-
         return list(each_depth(surface, cameras, device))
     return render, True
 

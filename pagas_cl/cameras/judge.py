@@ -1,7 +1,5 @@
 """A photo that judges, with a pose of its own fitted to the surface first: a held-out camera is off, too."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -13,6 +11,7 @@ from pagas_cl.cameras.motion import moved, twist_between
 from pagas_cl.cameras.rounds import FARTHEST_STEP, INFLATION, LOOSE, STILL, Stage
 from pagas_cl.cameras.solve import pixel_scales, solve
 from pagas_cl.errors import DeviceError, log
+from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.view import View
 from pagas_cl.splat import PhotoStore
 
@@ -37,8 +36,6 @@ def fitted_pose(judge: View, target: View, depth: np.ndarray, judge_depth: np.nd
     `judge_depth`: the judge's own depth map, by which points that are hidden there are left out. The same view where
     its photo does not see the surface.
     """
-    from pagas_cl.runtime.device import open_device
-
     device = open_device(device)
     depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
     if not depth.any():

@@ -1,7 +1,5 @@
 """Refined cameras as a COLMAP model, for other tools."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -12,7 +10,7 @@ import numpy as np
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.files import replaced, translated
-from pagas_cl.scene.readers.colmap import model_folder
+from pagas_cl.scene.readers import colmap
 from pagas_cl.scene.view import View
 
 REPORT = "cameras_report.json"      # of a model of ours, beside sparse/
@@ -40,7 +38,7 @@ def write_model(folder: str | Path, views: Sequence[View], cameras: Sequence[Cam
     their tracks stay. Else a new one, without points.
     """
     pycolmap = need("pycolmap", "colmap", "writing a COLMAP model")
-    place, out = model_folder(Path(folder)), Path(out) / "sparse" / "0"
+    place, out = colmap.detect(Path(folder)), Path(out) / "sparse" / "0"
     poses = {view.name: camera for view, camera in zip(views, cameras)}
     model = pycolmap.Reconstruction()
     if place is not None:

@@ -1,7 +1,5 @@
 """How cameras move: twists (turning first, then shift) on the left of world_to_camera, and what a photo sees of one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

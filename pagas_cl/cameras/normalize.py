@@ -1,7 +1,5 @@
 """Launches of normalize.cl: photos as they are aligned by, and smoothing (method section 9)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyopencl as cl
 

@@ -1,7 +1,5 @@
 """Where the world is, where a mesh says it: a similarity of all cameras, which no photo sees (method section 9)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

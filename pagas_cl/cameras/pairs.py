@@ -1,7 +1,5 @@
 """Which pairs of photos cameras are refined by, and which take no part and judge."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -27,7 +25,7 @@ class Pairs:
     held: tuple[tuple[int, int], ...]
     wide: tuple[tuple[int, int], ...] = ()
 
-    def without(self, views: set[int]) -> Pairs:
+    def without(self, views: set[int]) -> "Pairs":
         """The pairs without some views; a view that is left with too few constrains nothing."""
         left = [tuple(k for k in others if k not in views) if target not in views else ()
                 for target, others in enumerate(self.used)]

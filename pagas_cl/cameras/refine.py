@@ -1,13 +1,11 @@
 """Refine cameras by the photos and a first surface: `refine_cameras` (method section 9)."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Collection, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,17 +21,15 @@ from pagas_cl.errors import InputError, log
 from pagas_cl.measurements import FAR_OFF, measure
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress
+from pagas_cl.runtime.device import Device, one_of, open_device, translate_cl_errors
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.depth_source import rescaled
 from pagas_cl.scene.inputs import Depth
 from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View
+from pagas_cl.splat import PhotoStore
 from pagas_cl.surface import depth_alignment as alignment
-
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
-    from pagas_cl.splat import PhotoStore
 
 UNKNOWNS = ("pose", "focal", "principal_point", "depth_scale", "depth_shift")
 OFF = 0.13                # pixels that photos are off by across the direction of depth, from which cameras are refined
@@ -126,8 +122,6 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     ------
     InputError, DeviceError
     """
-    from pagas_cl.runtime.device import one_of, open_device, translate_cl_errors
-
     here, config = open_device(one_of(device)), settings_of(preset, config)
     with (translate_cl_errors(here, "the refinement of the cameras"),
           blocks_by(executor, device, folder) as make_blocks):
@@ -154,8 +148,6 @@ def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], confi
 
 def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, device, progress,
             photos, make_blocks) -> CameraRefinement:
-    from pagas_cl.splat import PhotoStore
-
     start, (depths, moves) = time.perf_counter(), depths_of(depths_or_mesh, device)
     _check(views, depths_or_mesh, unknowns, moves, gauge)
     given, photos = [view.camera for view in views], photos or PhotoStore(device)

@@ -1,7 +1,5 @@
 """The rounds of a refinement of cameras: frames, blocks, solution, motion; coarse to fine (method section 9)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -61,7 +59,7 @@ class State:
     residual: float = 0.0
     log: list[dict] = field(default_factory=list)
 
-    def copy(self) -> State:
+    def copy(self) -> "State":
         """Another one that stands where this does."""
         return replace(self, cameras=list(self.cameras), maps=self.maps.copy(), log=list(self.log))
 

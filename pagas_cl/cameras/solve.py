@@ -1,8 +1,6 @@
 """The small system of all cameras, float64 on the host: put together from blocks, held where photos see nothing, solved
 (method section 9)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

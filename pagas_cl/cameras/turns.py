@@ -1,8 +1,6 @@
 """First turns of cameras that are farther off than coarse photos reach: whole photos are laid upon one another (method
 section 9)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

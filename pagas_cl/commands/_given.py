@@ -1,20 +1,18 @@
 """What a command was given: the scene's format, photos and cameras, and where its surface is; found by looking, told in
 three lines."""
 
-from __future__ import annotations
-
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pagas_cl.commands._start import depth_files, without
+from pagas_cl.commands._start import depth_files
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.depthmap import find_depth
 from pagas_cl.scene.files import opened
 from pagas_cl.scene.mesh_file import SUFFIXES
+from pagas_cl.scene.ply import HEADER, header_of
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.readers.mesh_parts import check_parts
 from pagas_cl.surface.bring_together import bring_together
@@ -50,12 +48,20 @@ class Given:
                 f"cameras: {len(views)}, focal length {focal[0]:.0f}"
                 + (f" to {focal[-1]:.0f}" if focal[-1] - focal[0] > 1 else "") + f" pixels{near}", surface]
 
-    def without(self, hold_out: list[str], asked: list[str]) -> Given:
+    def without(self, hold_out: list[str], asked: list[str]) -> "Given":
         """The same without the views `hold_out`, none of which is `asked` for."""
-        kept = without(self.scene, hold_out, asked)
-        names, views = {view.name for view in kept.views}, self.scene.views
-        depths = self.depths and [depth for view, depth in zip(views, self.depths) if view.name in names]
-        return replace(self, scene=kept, depths=depths)
+        found, views = self.scene, self.scene.views
+        out = {found.index(name) for name in hold_out}
+        both = sorted(views[place].name for place in out & {found.index(name) for name in asked})
+        if both:
+            raise InputError(f"view {both[0]!r} is in --views and in --hold-out, expected one of them")
+        if out:
+            log.info("held out, and seen by nothing: %s", ", ".join(views[place].name for place in sorted(out)))
+        if len(out) == len(views):
+            raise InputError(f"--hold-out names all {len(out)} views, so that none is left to refine")
+        kept = [place for place in range(len(views)) if place not in out]
+        return replace(self, scene=replace(found, views=[views[place] for place in kept]),
+                       depths=self.depths and [self.depths[place] for place in kept])
 
     def _depth_line(self) -> str:
         if self.depths is None:
@@ -123,9 +129,7 @@ def _meshes(folder: Path) -> list[Path]:
 
 def _has_faces(path: Path) -> bool:
     with opened(path, 1 << 40) as file:
-        head = file.read(1 << 14) or b""
-    match = re.search(rb"element face (\d+)", head.partition(b"end_header")[0])
-    return match is not None and int(match[1]) > 0
+        return any(name == "face" and count for name, count, _ in header_of(file.read(HEADER))[1])
 
 
 def together(given: Given, align: bool) -> list:

@@ -8,6 +8,7 @@ from pagas_cl.keep_mesh import mesh_mb
 from pagas_cl.runtime.host import resident_mb, trim
 from pagas_cl.scene.choice import MOST_HELD_OUT
 from pagas_cl.scene.view import View
+from pagas_cl.splat.budget import plan_for
 from pagas_cl.surface.blocks import USUAL_MB
 
 _KERNELS = 60.0          # MB: compiled, and what their compiler keeps
@@ -20,8 +21,6 @@ def tell_memory(views: Sequence[View], config: Config, device, fused: bool,
                 memory_mb: float | None, solved: bool = False) -> dict[str, float]:
     """Log the most MB that refining these views, and fusing them or solving the mesh (in `memory_mb`), will take, with
     what this process has now; gives them by stage."""
-    from pagas_cl.splat.budget import plan_for
-
     trim()
     now, cameras = resident_mb(), [view.camera for view in views]
     largest = max(camera.width * camera.height for camera in cameras)

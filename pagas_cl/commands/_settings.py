@@ -1,6 +1,5 @@
 """Settings of a command line: `--set stage.field=value`, or the best for `--time-per-view` and `--time-budget`."""
 
-
 from pagas_cl.config import Config, setting_names
 from pagas_cl.errors import InputError, log
 from pagas_cl.presets import preset

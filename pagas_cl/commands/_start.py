@@ -3,17 +3,18 @@
 import tempfile
 from collections.abc import Collection
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 from pagas_cl.errors import InputError, InterruptedRunError, log
 from pagas_cl.jobs.executors import check_address
 from pagas_cl.jobs.finished import begun_in, records_in, work_folder
 from pagas_cl.jobs.store import Store
+from pagas_cl.report import pictures_in
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.depthmap import find_depths
 from pagas_cl.scene.files import read_bytes
+from pagas_cl.scene.mesh import to_surface
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.readers.mesh_parts import check_parts
 
@@ -64,8 +65,6 @@ def check_writable(option: str, folder: Path | None) -> None:
 def check_report(folder: Path | None, beside: str, pictures: Collection[str] = ()) -> None:
     """The same of the folder of a page, which has the file `beside` and `pictures`: none is replaced that is not
     ours."""
-    from pagas_cl.report import pictures_in
-
     check_writable("--report", folder)
     if folder is None:
         return
@@ -112,25 +111,11 @@ def resumable(folder: Path | None, total: int):
         raise InterruptedRunError(f"interrupted; {what}") from error
 
 
-def without(found, hold_out: list[str], asked: list[str]):
-    """The scene without the views `hold_out`, none of which is `asked` for."""
-    out = {found.index(name) for name in hold_out}
-    both = sorted(found.views[place].name for place in out & {found.index(name) for name in asked})
-    if both:
-        raise InputError(f"view {both[0]!r} is in --views and in --hold-out, expected one of them")
-    if out:
-        log.info("held out, and seen by nothing: %s", ", ".join(found.views[place].name for place in sorted(out)))
-    if len(out) == len(found.views):
-        raise InputError(f"--hold-out names all {len(out)} views, so that none is left to refine")
-    return replace(found, views=[view for place, view in enumerate(found.views) if place not in out])
-
-
 def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None, device=None) -> list:
     """Initial depth of every view, from the mesh (drawn on `device`) or from files; None for a view without a file,
     which `names` must have. With a folder for the run they stay on disk, and what stands for them is given instead."""
     if mesh is not None:
         from pagas_cl import refine
-        from pagas_cl.scene.mesh import to_surface
 
         keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
         return refine.initial_depths(to_surface(mesh), found.views, progress, keep, device)

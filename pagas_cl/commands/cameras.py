@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.cameras.model import REPORT, check_place, write_model
+from pagas_cl.cameras.refine import refine_cameras
 from pagas_cl.commands._console import shown_progress
 from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene, place_of
 from pagas_cl.errors import log, plain
@@ -36,8 +37,6 @@ def command(
 
     They stay as they are, with the reason, where pairs of photos that take no part do not agree better.
     """
-    from pagas_cl.cameras.refine import refine_cameras
-
     check_source(mesh, depth_dir, "the surface that photos are compared through", outside)
     found = load_scene(scene, format, outside)
     for view in found.views:

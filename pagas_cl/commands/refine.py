@@ -10,6 +10,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl import __version__
+from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.commands._console import noted, nothing_refined, shown_progress
 from pagas_cl.commands._given import look, together
 from pagas_cl.commands._memory import tell_memory
@@ -23,10 +24,12 @@ from pagas_cl.commands._start import (
     place_of,
     resumable,
 )
+from pagas_cl.effects import Decision
 from pagas_cl.errors import InputError, PagasError, log, need
 from pagas_cl.expected import Expected
 from pagas_cl.jobs.finished import one_run, remove_run
 from pagas_cl.keep_mesh import check_kept, check_subdivide, kept_mesh, write_whole
+from pagas_cl.refine import fuse_results, refine_views
 from pagas_cl.report import Report, picture_files
 from pagas_cl.result import joined
 from pagas_cl.runtime.host import trim
@@ -86,8 +89,6 @@ def command(
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Refine the depth of every view of SCENE with the other photos, and with it the mesh; or fuse a new one."""
-    from pagas_cl.refine import fuse_results, refine_views
-
     _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide, fuse, outside)
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
     settings = [*settings, *effect_settings(effects)]
@@ -173,8 +174,6 @@ def command(
 
 def _settled_cameras(found, mesh, config, place, folder, progress, page):
     """The scene with refined cameras, where its mesh calls for them; those of depth maps come with refine_views."""
-    from pagas_cl.cameras.effect import settle_cameras
-
     if mesh is None or config.effects.cameras in ("off", "set"):
         return found, config
     views, config, told = settle_cameras(found.views, to_surface(mesh), config, progress=progress, folder=folder,
@@ -228,8 +227,6 @@ def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mes
 def _add_pictures(page, given, number, total: int, progress, view, initial, result) -> None:
     """Put a view's pictures on the page as soon as it is done, so that an interrupted run has them; `given`: cameras by
     name, as they came."""
-    from pagas_cl.effects import Decision
-
     report = result.report
     remarks = ["context views: " + ", ".join(report["contexts"])] if report.get("contexts") else []
     for on, what in ((True, "effects simulated"), (False, "effects not called for")):

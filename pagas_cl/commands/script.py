@@ -7,6 +7,7 @@ import tempfile
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import typer
 
 from pagas_cl.commands._console import nothing_refined, shown_progress
@@ -109,8 +110,6 @@ def _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside):
 
 def load_layer(pymeshlab, meshes, path: Path, outside: bool, label: str | None = None, matrix=None) -> None:
     """A mesh file as a new layer, which becomes the current one; its matrix keeps all its digits."""
-    import numpy as np
-
     if not Path(path).is_file():
         raise InputError(f"mesh {str(path)!r} does not exist")
     check_parts(path, outside=outside)

@@ -9,6 +9,9 @@ from pagas_cl.commands._console import shown_progress
 from pagas_cl.commands._start import check_report, check_source, initial_depths, load_scene
 from pagas_cl.errors import InputError, plain
 from pagas_cl.runtime.device import open_device
+from pagas_cl.tradeoffs import tradeoff
+from pagas_cl.tradeoffs.page import ablation_table, closing, headline, markdown, notes
+from pagas_cl.tradeoffs.plan import ablation_plan
 
 MANY = ("--views", "--held-out")
 
@@ -35,10 +38,6 @@ def command(
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
     """Run a plan of settings on a sample of views: error, time and memory of each, and the front of the best."""
-    from pagas_cl.tradeoffs import tradeoff
-    from pagas_cl.tradeoffs.page import ablation_table, closing, headline, markdown, notes
-    from pagas_cl.tradeoffs.plan import ablation_plan
-
     check_source(mesh, depth_dir, "where the refinement starts", outside)
     found = load_scene(scene, format, outside)
     for view in found.views:

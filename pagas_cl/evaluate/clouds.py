@@ -11,6 +11,7 @@ import numpy as np
 from pagas_cl.errors import InputError, need
 from pagas_cl.evaluate.depth import Figures
 from pagas_cl.scene.files import DAMAGE, read_first, read_npy
+from pagas_cl.scene.mesh import to_surface
 from pagas_cl.scene.patches import area_of, spread_over
 from pagas_cl.scene.readers.mesh_parts import check_parts
 
@@ -252,8 +253,6 @@ def read_shape(source):
     elif isinstance(source, tuple) and len(source) == 2:
         points, faces = source
     else:
-        from pagas_cl.scene.mesh import to_surface
-
         surface = to_surface(source)
         points, faces = surface.vertices, surface.faces
     points = np.asarray(points, np.float64)

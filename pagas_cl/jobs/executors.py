@@ -7,7 +7,8 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor
 
 from pagas_cl.errors import DeviceError, InputError, need
 from pagas_cl.jobs.worker import follow_parent
-from pagas_cl.runtime.device import elsewhere
+from pagas_cl.runtime.claim import known_devices
+from pagas_cl.runtime.device import elsewhere, open_device, shares
 
 PATIENCE = 20  # seconds to wait for a scheduler's answer
 
@@ -22,8 +23,6 @@ class Workers:
         self.own, self.local = executor is None or isinstance(executor, str), executor is None and not self._pooled
         self.device = tuple(device) if isinstance(device, list) else device
         if self.local:
-            from pagas_cl.runtime.device import open_device
-
             self.executor, self.device = SerialExecutor(), open_device(device)
         elif self._pooled:
             self.executor = local_pool(device)
@@ -64,8 +63,6 @@ class SerialExecutor(Executor):
 
 def local_pool(devices) -> ProcessPoolExecutor:
     """One spawned process for each device that `devices` means: an OpenCL context does not survive a fork."""
-    from pagas_cl.runtime.claim import known_devices
-    from pagas_cl.runtime.device import shares
     from pagas_cl.runtime.memory import limit_of
 
     limit_of(1)      # what the environment says of memory is refused here, once, and not by each worker

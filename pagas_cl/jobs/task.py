@@ -12,7 +12,7 @@ from typing import Any
 from pagas_cl.config import Config
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import Partners
-from pagas_cl.scene.digest import digest_file, digest_of
+from pagas_cl.scene.files import digest_file, digest_of
 from pagas_cl.scene.view import View
 
 _OTHER_SETTINGS = ("context", "fusion")     # partners are named in the key; fusing comes after

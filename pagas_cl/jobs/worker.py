@@ -19,6 +19,8 @@ from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputErro
 from pagas_cl.jobs.finished import find_finished, work_folder, write_finished
 from pagas_cl.jobs.store import translate_os_errors
 from pagas_cl.jobs.task import Batch, Record, ViewTask, code_version
+from pagas_cl.runtime.claim import claim_device, give_back
+from pagas_cl.runtime.device import translate_cl_errors
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.view import View
 
@@ -128,8 +130,6 @@ def _begin(code: str) -> None:
 
 def run_part(work: Callable, part, device, code: str):
     """`work(part, context)` with this process's device, which is opened anew where that has failed."""
-    from pagas_cl.runtime.device import translate_cl_errors
-
     _begin(code)
     with _one_at_a_time:
         context = _worker_context(device)
@@ -226,16 +226,12 @@ def _failed(batch: Batch, task: ViewTask, error: Exception) -> Record:
 
 def _worker_context(device) -> WorkerContext:
     if device not in _worker_contexts:
-        from pagas_cl.runtime.claim import claim_device
-
         _worker_contexts[device] = WorkerContext(claim_device(device))
     return _worker_contexts[device]
 
 
 def close_worker_contexts() -> None:
     """Let go of everything that this process keeps between tasks, its devices too."""
-    from pagas_cl.runtime.claim import give_back
-
     with _one_at_a_time:
         for context in _worker_contexts.values():
             context.photos.clear()

@@ -1,7 +1,5 @@
 """Twin of splat/level: the loss and gradient of one step (method sections 3 to 6)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +23,7 @@ class Photo:
     exposure: np.ndarray | None = None
 
     @classmethod
-    def from_view(cls, view) -> Photo:
+    def from_view(cls, view) -> "Photo":
         return cls(view.camera, view.load_image() / 255.0, view.load_mask())
 
 

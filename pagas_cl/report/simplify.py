@@ -3,6 +3,8 @@ triangles meet best (quadric clustering), so that creases stay."""
 
 import numpy as np
 
+from pagas_cl.scene.mesh import triangle_normals
+
 _ROUNDS = 8                 # of finding the cell's size
 _MOST_CELLS = 1 << 20      # along an axis, so that a cell's number fits into 64 bits
 _PART = 1 << 18             # triangles at a time
@@ -23,7 +25,7 @@ def simplify(vertices, faces, most: int):
         return vertices, faces, owner
     corner = vertices.min(axis=0)
     local = vertices - corner
-    area = sum(np.linalg.norm(_across(local, faces[part]), axis=1).sum() for part in _parts(len(faces)))
+    area = sum(np.linalg.norm(triangle_normals(local, faces[part]), axis=1).sum() for part in _parts(len(faces)))
     cell = max(np.sqrt(area / most), local.max() / _MOST_CELLS, 1e-300)
     for _ in range(_ROUNDS):
         cells, fewer = _clustered(local, faces, cell)
@@ -36,11 +38,6 @@ def simplify(vertices, faces, most: int):
 def _parts(number: int):
     """Slices of so many triangles, so that what is computed of each stays small."""
     return (slice(start, start + _PART) for start in range(0, number, _PART))
-
-
-def _across(local, faces) -> np.ndarray:
-    """Normals of triangles, as long as twice their area."""
-    return np.cross(*(local[faces[:, k]] - local[faces[:, 0]] for k in (1, 2)))
 
 
 def _clustered(local, faces, cell):
@@ -63,7 +60,7 @@ def _placed(local, faces, cells, cell):
     mean = np.stack([np.bincount(cells, local[:, k], count) / number for k in range(3)], axis=1)
     planes, pull = np.zeros((count, 3, 3)), np.zeros((count, 3))
     for part in _parts(len(faces)):
-        normal = _across(local, faces[part])
+        normal = triangle_normals(local, faces[part])
         area = np.linalg.norm(normal, axis=1)
         normal /= np.where(area > 0, area, 1)[:, None]
         for corner in faces[part].T:

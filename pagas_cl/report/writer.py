@@ -3,7 +3,6 @@
 import json
 import time
 from contextlib import suppress
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -101,16 +100,15 @@ class Report:
         lines = [f"kept as it came: {reason}"] if reason else []
         self._sections.append((view.name, figures, [*lines, *remarks]))
 
-    def add_mesh(self, before, after, values=(), *, view=None, depths=None, remarks=()) -> None:
-        """Show two meshes, coloured by VertexValues of the mesh after (see `mesh_viewer`), at the head of the page.
+    def add_mesh(self, before, after, *, view=None, depths=None) -> None:
+        """Show two meshes (see `mesh_viewer`) at the head of the page.
 
         `view`: the View from where they are seen at first. `depths`: of both meshes, (H, W) z-depth in that view, drawn
         as shaded pictures with a slider beside its photo.
         """
-        html = mesh_viewer(before, after, values, camera=view and view.camera)
+        html = mesh_viewer(before, after, camera=view and view.camera)
         figures = self._figures(_MESH, shaded_pictures(view, *depths)) if depths is not None else []
-        lines = "".join(f"<p>{line}</p>" for line in map(escape, remarks))
-        self._mesh = f'<h2>mesh</h2>{lines}{html}<div class="pictures">{"".join(figures)}</div>'
+        self._mesh = f'<h2>mesh</h2>{html}<div class="pictures">{"".join(figures)}</div>'
 
     def note(self, text: str) -> None:
         self.notes.append(text)

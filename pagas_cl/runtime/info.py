@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -98,8 +99,5 @@ def describe(cl: Any, platform: Any, device: Any) -> DeviceInfo:
 
 def _c_version(text: str) -> tuple[int, int]:
     """(1, 2) from "OpenCL C 1.2 PoCL"; (0, 0) from what cannot be read."""
-    for word in text.split():
-        major, dot, minor = word.partition(".")
-        if dot and major.isdigit() and minor[:1].isdigit():
-            return int(major), int(minor[:1])
-    return 0, 0
+    found = re.search(r"(?:^|\s)(\d+)\.(\d)", text, re.ASCII)
+    return (int(found[1]), int(found[2])) if found else (0, 0)

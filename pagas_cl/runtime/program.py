@@ -156,10 +156,6 @@ class Launch:
     stage: str = ""
     source: tuple[int, str] = (0, "")
 
-    @property
-    def kernel(self) -> cl.Kernel:
-        return self.bound.cl_kernel
-
     def set(self, **values: Any) -> None:
         """Other values for some arguments, by name."""
         self.bound.set(values)

@@ -5,8 +5,6 @@ A depth that moves a patch along its ray moves the surface along its normal: sli
 left out of the fit where that is all that an offset does (a plane).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -15,7 +13,7 @@ import numpy.typing as npt
 
 from pagas_cl.scene import patches
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.images import bilinear
+from pagas_cl.scene.images import bilinear, photo_to
 
 _LEVELS = ((0.25, 8, 1), (0.25, 6, 1), (0.5, 4, 1), (1.0, 2, 2))    # size of the photos, pixels to search, steps each
 _LEAST_SIDE = 48     # pixels of a photo made smaller
@@ -42,7 +40,7 @@ class Alignment:
         """The samples of the mesh as it lies then."""
         return replace(samples, points=self(samples.points))
 
-    def then(self, scale: float, offset: np.ndarray) -> Alignment:
+    def then(self, scale: float, offset: np.ndarray) -> "Alignment":
         """This one and another one after it."""
         return Alignment(scale * self.scale, scale * self.offset + offset)
 
@@ -55,7 +53,7 @@ def align(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sampl
         scale = max(scale, min(1.0, _LEAST_SIDE / min(min(grey.shape) for grey in greys)))
         sizes = [(round(c.width * scale), round(c.height * scale)) for c in cameras]
         small = [camera.resized(*size) for camera, size in zip(cameras, sizes)]
-        photos = [_shrunk(grey, *size) for grey, size in zip(greys, sizes)]
+        photos = [photo_to(grey, *size) for grey, size in zip(greys, sizes)]
         rows = _matches(small, photos, found.of(samples), reach, fine)
         if rows is None:
             return None
@@ -66,15 +64,6 @@ def align(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sampl
     factors, _, which = rows
     moved = found(samples.points[which]) - start(samples.points[which])
     return replace(found, pixels=float(np.median(np.abs((factors[:, :3] * moved).sum(axis=1)))))
-
-
-def _shrunk(grey: np.ndarray, width: int, height: int) -> np.ndarray:
-    """A photo made smaller, by means over what each pixel covers."""
-    if grey.shape == (height, width):
-        return grey
-    from PIL import Image
-
-    return np.asarray(Image.fromarray(np.asarray(grey, np.float32)).resize((width, height), Image.Resampling.BOX))
 
 
 def _matches(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Samples, reach: int,

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.digest import digest_file, digest_of
-from pagas_cl.scene.files import DAMAGE, MOST_BYTES, read_member, translated
+from pagas_cl.scene.files import DAMAGE, MOST_BYTES, digest_file, digest_of, read_member, translated
 from pagas_cl.scene.images import as_photo
 
 _HELD = 3      # whole arrays that are kept: depth, confidence, photos of one file

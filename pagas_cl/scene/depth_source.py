@@ -11,8 +11,7 @@ from PIL import Image
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.depthmap import clean_depth, read_values
-from pagas_cl.scene.digest import digest_file, digest_of
-from pagas_cl.scene.files import translated
+from pagas_cl.scene.files import digest_file, digest_of, translated
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.placement import Placement, stretched
 

@@ -147,10 +147,7 @@ def depth_down(depth: np.ndarray, width: int, height: int) -> np.ndarray:
     valid = depth > 0
     if valid.all():
         return _shrunk(depth, width, height).astype(np.float32)
-    weight = _shrunk(valid, width, height)
-    total = _shrunk(np.where(valid, depth, 0), width, height)
-    some = weight > 1e-9
-    return np.where(some, total / np.where(some, weight, 1), 0).astype(np.float32)
+    return _mean(_shrunk(np.where(valid, depth, 0), width, height), _shrunk(valid, width, height))
 
 
 def depth_up(depth: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -161,9 +158,7 @@ def depth_up(depth: np.ndarray, width: int, height: int) -> np.ndarray:
     if depth.shape == (height, width):
         return depth
     x, y = (np.arange(width) + 0.5) * depth.shape[1] / width, (np.arange(height) + 0.5) * depth.shape[0] / height
-    total, weight = valid_taps(depth, x, y)
-    some = weight > 1e-9
-    return np.where(some, total / np.where(some, weight, 1), 0).astype(np.float32)
+    return valid_mean(depth, x, y)
 
 
 def confidence_of(depth: np.ndarray, deviation: np.ndarray, parallax: np.ndarray) -> npt.NDArray[np.float32]:
@@ -188,9 +183,9 @@ def central_normals(depth: npt.ArrayLike, camera: Camera, first: int = 0) -> npt
     return normals
 
 
-def valid_taps(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sum over the valid (> 0) of the four neighbours of each position of a grid `x` (w,), `y` (h,), pixels, by their
-    bilinear shares, and the sum of these: float64 (h, w)."""
+def valid_mean(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Mean of the valid (> 0) of the four neighbours of each position of a grid `x` (w,), `y` (h,), pixels, by their
+    bilinear shares: float32 (h, w), 0 where there is none."""
     total, weight = np.zeros((len(y), len(x))), np.zeros((len(y), len(x)))
     for rows, wy in _taps(y, depth.shape[0]):
         for columns, wx in _taps(x, depth.shape[1]):
@@ -198,7 +193,12 @@ def valid_taps(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndar
             share = np.where(corner > 0, wy[:, None] * wx[None, :], 0)
             total += share * np.where(corner > 0, corner, 0)
             weight += share
-    return total, weight
+    return _mean(total, weight)
+
+
+def _mean(total: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    some = weight > 1e-9
+    return np.where(some, total / np.where(some, weight, 1), 0).astype(np.float32)
 
 
 def _taps(at: np.ndarray, side: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:

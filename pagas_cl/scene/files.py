@@ -1,28 +1,33 @@
-"""Files of any kind: NumPy's, read by several threads at a time, and writing such that no name ever holds half a file.
+"""Files of any kind: NumPy's, read by several threads at a time; hashes by which inputs are told apart; and writing
+such that no name ever holds half a file.
 
 NumPy parses a header with `ast.literal_eval`, which in CPython 3.11 fails now and then when two threads are in it
 ("AST constructor recursion depth mismatch"): only one is let in. Unpacking, which takes longer, goes on beside it.
 """
 
 import filecmp
+import hashlib
 import io
 import math
 import os
 import secrets
 import stat
 import struct
+import sys
 import tempfile
 import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from threading import Lock
 from typing import BinaryIO
 from xml.parsers import expat
 
 import numpy as np
+import numpy.typing as npt
 
 from pagas_cl.errors import InputError, OutputError, PagasError
 
@@ -30,6 +35,7 @@ MOST_BYTES = 1 << 31       # of one array: a depth map of 268 megapixels of floa
 # what numpy, zipfile, Pillow, json, struct and XML parsers raise on damaged files, as fuzzing found it
 DAMAGE = (OSError, ValueError, EOFError, LookupError, SyntaxError, MemoryError, RuntimeError, OverflowError,
           zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error, expat.ExpatError)
+_CHUNK = 1 << 22            # bytes that are hashed at a time
 
 _one_header = Lock()
 
@@ -120,6 +126,35 @@ def read_member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
     if dtype.hasobject or count * dtype.itemsize > left:     # NumPy would take memory for the claim first
         raise ValueError(f"its header says {shape} of {dtype}, expected no more than the {left} bytes that follow")
     return np.frombuffer(content, dtype, count, raw.tell()).reshape(shape, order="F" if fortran else "C")
+
+
+def digest_of(parts: Iterable[bytes | npt.NDArray[np.uint8]]) -> str:
+    """Hash of bytes that come in parts."""
+    digest = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        digest.update(part)      # type: ignore[arg-type]
+    return digest.hexdigest()
+
+
+def digest_array(array: np.ndarray) -> str:
+    """Hash of an array's shape, type and values."""
+    values = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+    return digest_of([f"{array.dtype.str}{array.shape}".encode(), values])
+
+
+def digest_file(path: str | Path) -> str:
+    """Hash of a file's bytes; read once a process while size and time of change stay."""
+    try:
+        now = os.stat(path)
+        return _digest_file(str(path), now.st_size, now.st_mtime_ns)
+    except OSError as error:
+        raise InputError(f"file {str(path)!r} cannot be read: {error.strerror or error}") from error
+
+
+@lru_cache(maxsize=1 << 17)
+def _digest_file(path: str, size: int, changed: int) -> str:
+    with opened(path, sys.maxsize) as file:
+        return digest_of(iter(lambda: file.read(_CHUNK), b""))
 
 
 def write_arrays(file: BinaryIO, arrays: Mapping[str, np.ndarray]) -> str:

@@ -113,7 +113,7 @@ def bilinear(pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def photo_to(photo: np.ndarray, width: int, height: int) -> np.ndarray:
-    """A photo (H, W, 3) uint8 at another size: area average, or interpolated where a side grows."""
+    """A photo, (H, W, 3) uint8 or (H, W) float32, at another size: area average, or interpolated where a side grows."""
     if photo.shape[:2] == (height, width):
         return photo
     grows = width > photo.shape[1] or height > photo.shape[0]

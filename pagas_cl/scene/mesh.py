@@ -120,9 +120,21 @@ def _checked(vertices: Any, faces: Any) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.ascontiguousarray(faces, np.int32)
 
 
+def triangle_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Normals of the triangles, as long as twice their area: float64 (F, 3)."""
+    return np.cross(*(vertices[faces[:, k]] - vertices[faces[:, 0]] for k in (1, 2)))
+
+
+def grid_faces(across: int, down: int) -> np.ndarray:
+    """Triangles (F, 3) of a grid of `down` rows of `across` vertices."""
+    index = np.arange(across * down).reshape(down, across)
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
+    return np.concatenate([np.stack([a, c, b], axis=1), np.stack([b, c, d], axis=1)])
+
+
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Sum of the normals of the triangles around each vertex, as long as twice their area: float64 (V, 3)."""
-    across = np.cross(*(vertices[faces[:, k]] - vertices[faces[:, 0]] for k in (1, 2)))
+    across = triangle_normals(vertices, faces)
     return np.stack([np.bincount(faces.T.ravel(), np.tile(across[:, k], 3), len(vertices)) for k in range(3)], axis=1)
 
 

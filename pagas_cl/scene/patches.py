@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import bilinear
-from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh import Surface, triangle_normals
 
 _SIDE = 9            # patch of 9 x 9 samples, one pixel of the reference view apart
 _MARGIN = 6.0        # pixels that a patch's middle keeps from the border
@@ -43,23 +43,22 @@ def evenly(count: int, most: int) -> npt.NDArray[np.intp]:
 
 def area_of(vertices: np.ndarray, faces: np.ndarray) -> float:
     """Area of a mesh (V, 3), (F, 3)."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return float(np.cumsum(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))[-1]) if len(faces) else 0.0
+    return float(np.cumsum(0.5 * np.linalg.norm(triangle_normals(vertices, faces), axis=1))[-1]) if len(faces) else 0.0
 
 
 def on_faces(vertices: np.ndarray, faces: np.ndarray, along: np.ndarray, u: np.ndarray,
              v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points (N, 3) where shares `along` (N,) of a mesh's area end, at `u`, `v` (N,) in their triangles; unit normals.
     None where the mesh has no area."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    across = np.cross(b - a, c - a)
+    across = triangle_normals(vertices, faces)
     twice_area = np.linalg.norm(across, axis=1)
     ends = np.cumsum(twice_area)
     if not len(ends) or not ends[-1] > 0:
         return np.zeros((0, 3)), np.zeros((0, 3))
     face = np.searchsorted(ends, along * ends[-1], side="right").clip(max=len(ends) - 1)
     u, v = np.where(u + v > 1, (1 - u, 1 - v), (u, v))[..., None]      # the parallelogram's far half, folded back
-    return (a[face] + u * (b - a)[face] + v * (c - a)[face],
+    a, b, c = (vertices[faces[face, k]] for k in range(3))
+    return (a + u * (b - a) + v * (c - a),
             across[face] / np.maximum(twice_area[face, None], 1e-300))
 
 
@@ -75,27 +74,19 @@ def sample_surface(surface: Surface, count: int = 20000, few: int = 1500) -> Sam
     return Samples(points, normals, min(few, len(points)))
 
 
-def inside(camera: Camera, points: np.ndarray, margin: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Which points (N, 3) lie in front of the camera, and which inside its image too: two bool arrays (N,)."""
-    uv, z = camera.project(points)
-    return z > 0, camera.holds(uv, z, margin)
-
-
 def shares(cameras: Sequence[Camera], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Shares of the points (N, 3) in front of each camera, and inside its image: two float64 arrays (cameras,)."""
-    front, within = np.array([[part.mean() for part in inside(camera, points)] for camera in cameras]).T
-    return front, within
+    found = [(camera, *camera.project(points)) for camera in cameras]
+    return (np.array([(z > 0).mean() for _, _, z in found]),
+            np.array([camera.holds(uv, z).mean() for camera, uv, z in found]))
 
 
 def visible(camera: Camera, samples: Samples) -> np.ndarray:
     """Which of the first `few` samples the camera sees unoccluded and not at a grazing angle: bool (few,)."""
-    _, seen = inside(camera, samples.points, _MARGIN)
-    index = np.flatnonzero(seen)
-    result = np.zeros(samples.few, bool)
-    if not len(index):
-        return result
-    uv, z = camera.project(samples.points[index])
-    if uv.std(axis=0).max() < _LEAST_SPREAD:
+    uv, z = camera.project(samples.points)
+    index = np.flatnonzero(camera.holds(uv, z, _MARGIN))
+    result, uv, z = np.zeros(samples.few, bool), uv[index], z[index]
+    if not len(index) or uv.std(axis=0).max() < _LEAST_SPREAD:
         return result
     cell = max(1.0, np.sqrt(_PER_CELL * camera.width * camera.height / len(index)))
     columns = int(camera.width / cell) + 1

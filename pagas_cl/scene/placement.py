@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depthmap import resize_depth, valid_taps
+from pagas_cl.scene.depthmap import resize_depth, valid_mean
 from pagas_cl.scene.images import bilinear, image_size, photo_to, read_photo
 from pagas_cl.scene.patches import grey_of
 
@@ -43,15 +43,10 @@ class Placement:
             return resize_depth(depth, width, height)
         inside_x, inside_y = (x >= 0) & (x < depth.shape[1]), (y >= 0) & (y < depth.shape[0])
         out = np.zeros((height, width), np.float32)
-        out[np.ix_(inside_y, inside_x)] = _lookup(np.asarray(depth, np.float32), x[inside_x], y[inside_y])
+        x, y, depth = x[inside_x], y[inside_y], np.asarray(depth, np.float32)
+        valid = depth[np.ix_(y.astype(np.intp), x.astype(np.intp))] > 0       # the pixel that a position lies in
+        out[np.ix_(inside_y, inside_x)] = np.where(valid, valid_mean(depth, x, y), np.float32(0))
         return out
-
-
-def _lookup(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Bilinear over valid neighbours, on a grid; valid where the pixel that a position lies in is."""
-    total, weight = valid_taps(depth, x, y)
-    valid = depth[np.ix_(y.astype(np.intp), x.astype(np.intp))] > 0
-    return np.where(valid & (weight > 0), total / np.where(weight > 0, weight, 1), 0).astype(np.float32)
 
 
 def stretched(photo: tuple[int, int], small: tuple[int, int]) -> Placement:
@@ -95,22 +90,17 @@ def find_placement(photo: Path, small: tuple[int, int], pixels: np.ndarray | Non
                              f"{size[1]}, so that it was cropped or padded, and nothing says how; export with the "
                              "network's own images, or give it photos of one shape")
         return chosen
-    scores = _agree(photo, pixels, known, where)
+    image = read_photo(photo)
+    scores = [_correlation(image, pixels, way) for way in known]
+    if max(scores) < _SAME:
+        raise InputError(f"{where}: the network's image does not show {photo.name} (correlation {max(scores):.2f}): "
+                         "the photos are in another order, or turned; give them under the names, in the order and as "
+                         "upright as the network had them")
     return known[int(np.argmax(scores))]      # the first of equals, the simplest
 
 
-def _agree(photo: Path, pixels: np.ndarray, known: list[Placement], where: str) -> np.ndarray:
-    """Correlation of the photo, placed in each way, with the small image; InputError where none shows the same."""
-    scores = np.array([_correlation(photo, pixels, way) for way in known])
-    if scores.max() < _SAME:
-        raise InputError(f"{where}: the network's image does not show {photo.name} (correlation {scores.max():.2f}): "
-                         "the photos are in another order, or turned; give them under the names, in the order and as "
-                         "upright as the network had them")
-    return scores
-
-
-def _correlation(photo: Path, pixels: np.ndarray, way: Placement) -> float:
-    image = read_photo(photo)
+def _correlation(image: np.ndarray, pixels: np.ndarray, way: Placement) -> float:
+    """Of the photo, placed in this way, with the small image."""
     height, width = image.shape[:2]
     small = grey_of(photo_to(image, max(1, round(width * way.scale[0])), max(1, round(height * way.scale[1]))))
     H, W = pixels.shape[:2]

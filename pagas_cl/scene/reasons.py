@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.errors import NothingRefinedWarning
+from pagas_cl.errors import InputError, NothingRefinedWarning
 from pagas_cl.scene import patches
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.check import POSES, UNITS
+from pagas_cl.scene.check import POSES, UNITS, mesh_of_depths
+from pagas_cl.scene.depthmap import surface_depth
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.view import View
@@ -36,7 +37,8 @@ def likely_reasons(views: Sequence[View], depths: Sequence[Depth | None]) -> lis
     near = _neighbours(views, depths)
     if not near:
         return []
-    some, maps = [views[k] for k in near], [depth_array(depth) for k in near if (depth := depths[k]) is not None]
+    some = [views[k] for k in near]
+    maps = [surface_depth(depth_array(depth)) for k in near if (depth := depths[k]) is not None]
     greys = [patches.grey_of(view.load_image()) for view in some]
     flat = sum(float(grey.std()) < _FLAT for grey in greys)
     if 2 * flat > len(greys):
@@ -93,38 +95,16 @@ def _of_readings(views: Sequence[View], near: list[int], maps: list[np.ndarray],
 
 def _agreement(cameras: list[Camera], maps: list[np.ndarray], greys: list[np.ndarray]) -> float:
     """Median correlation of patches between pairs of photos, looked up at the depths; -1 where too few are seen."""
-    samples = _samples(cameras, maps)
-    seen, pairs = patches.overlaps(cameras, samples) if samples.few else (np.zeros(0, bool), [])
+    try:
+        samples = patches.sample_surface(mesh_of_depths(cameras, maps), _SAMPLES)
+    except InputError:      # they have no surface
+        return -1.0
+    seen, pairs = patches.overlaps(cameras, samples)
     if not pairs:
         return -1.0
     scores = patches.patch_correlation(cameras, greys, pairs, seen, samples)
     known = scores[np.isfinite(scores)]
     return float(np.median(known)) if len(known) >= patches.LEAST else -1.0
-
-
-def _samples(cameras: list[Camera], maps: list[np.ndarray]) -> patches.Samples:
-    """Points of the depth maps in the world and their normals, in an order that mixes the views."""
-    points, normals = [], []
-    for camera, depth in zip(cameras, maps):
-        stride = max(1, int(np.sqrt(depth.size * len(maps) / _SAMPLES)))
-        rows, columns = (grid.ravel() for grid in np.mgrid[1:depth.shape[0] - 1:stride, 1:depth.shape[1] - 1:stride])
-        around = [_unprojected(camera, depth, rows + down, columns + right)
-                  for down, right in ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))]
-        across = np.cross(around[1] - around[2], around[3] - around[4])
-        length = np.linalg.norm(across, axis=1)
-        good = np.isfinite(length) & (length > 0)
-        points.append(around[0][good])
-        normals.append(across[good] / length[good, None])
-    mixed = np.random.default_rng(0).permutation(sum(map(len, points)))
-    return patches.Samples(np.concatenate(points)[mixed], np.concatenate(normals)[mixed], min(1500, len(mixed)))
-
-
-def _unprojected(camera: Camera, depth: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """World points (N, 3) of pixels, NaN where there is no depth."""
-    z = depth[rows, columns].astype(np.float64)
-    z = np.where(np.isfinite(z) & (z > 0), z, np.nan)
-    rotation = camera.world_to_camera[:3, :3]
-    return (camera.rays_at(rows, columns) * z[:, None] - camera.world_to_camera[:3, 3]) @ rotation
 
 
 def warn_of_nothing(views: Sequence[View], depths: Sequence[Depth | None], results: Sequence[Any]) -> None:

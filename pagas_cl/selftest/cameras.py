@@ -1,7 +1,5 @@
 """Hard cases of cameras that are off: brought back, or left as they are with the reason; the same bits twice."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 

@@ -9,13 +9,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.reference.level import Photo, loss_and_gradient, prepare
 from pagas_cl.reference.project import normalized_depth
 from pagas_cl.scene.depthmap import NO_SURFACE, REFINED, surface_depth
 from pagas_cl.selftest.scenes import HardScene
-from pagas_cl.selftest.table import BOTH, CASES, Case, config_of
+from pagas_cl.selftest.table import CASES, Case, config_of
+from pagas_cl.splat import PhotoStore, refine_levels
+from pagas_cl.splat.inputs import LevelInput
+from pagas_cl.splat.level import Level, Phase
+from pagas_cl.splat.step import loss_of
 
 STEPS = dict(smoothness__kind="planar", smoothness__weight=0.12, pyramid__scales=(1.0,), pyramid__steps=(3,))
 DAMPED = 1e-3             # gradient per pixel of parallax below which the solver hardly moves: a floor
@@ -89,13 +94,6 @@ def _threshold(initial, config: Config) -> float:
 def device_gradient(scene: HardScene, config: Config, device, initial, at, scene_scale):
     """N dL/dd (H, W) and L of the depth `at` on the device, and the depth of a pixel of parallax (H, W); all in units
     of `scene_scale`."""
-    import pyopencl as cl
-
-    from pagas_cl.splat.inputs import LevelInput
-    from pagas_cl.splat.level import Level, Phase
-    from pagas_cl.splat.photos import PhotoStore
-    from pagas_cl.splat.step import loss_of
-
     photos, views = PhotoStore(device), [scene.target, *scene.contexts]
     level = Level(device, config, LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene_scale,
                                              _threshold(initial, config), 1.0, len(scene.contexts)))
@@ -128,8 +126,6 @@ def given_surface(scene: HardScene):
 
 def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> list[str]:
     """A few steps of a whole refinement, twice."""
-    from pagas_cl.splat import refine_levels
-
     steps = {key: value for key, value in STEPS.items() if key not in case.settings}
     config = config.with_settings(**steps)
     first, second = (refine_levels(scene.target, scene.contexts, scene.depth, config, device) for _ in range(2))
@@ -149,6 +145,6 @@ def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> 
     return [fault for fault, found in faults.items() if found]
 
 
-def run_all(device, blends=BOTH) -> Iterator[Outcome]:
+def run_all(device) -> Iterator[Outcome]:
     """Every small case with each of its blends, in order, as they come."""
-    return (run_case(case, blend, device) for case in CASES for blend in case.blends if blend in blends)
+    return (run_case(case, blend, device) for case in CASES for blend in case.blends)

@@ -11,6 +11,7 @@ import sys
 import numpy as np
 
 from pagas_cl.errors import DeviceError, KernelBuildError
+from pagas_cl.refine import refine_depth
 from pagas_cl.runtime import device as devices
 from pagas_cl.runtime.child import end_with_parent
 from pagas_cl.runtime.trial import identity
@@ -47,8 +48,6 @@ def try_out(wanted: list, lanes: int) -> dict:
 
 def _whole_view(device) -> str:
     """What is wrong with a view refined as users do, its effects measured."""
-    from pagas_cl.refine import refine_depth
-
     scene = COLOUR.scene()
     # the settings of the gradient above as far as they shape programs: these are compiled already
     config = config_of(COLOUR, "order-free").with_settings(**STEPS, effects__exposure="on")

@@ -4,8 +4,6 @@ Unit (photos) -> a factor and a shift a view (depth maps) -> the factor of all (
 evidence is clear, and told.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any

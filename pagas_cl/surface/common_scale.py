@@ -6,8 +6,6 @@ are stretched about their median likewise, which is another factor and a shift. 
 by itself agrees best.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -10,8 +10,6 @@ Gauss-Newton with iterated weights. The priors also hold what such pairs hardly 
 the mean of the given depths stays, but for what photos say (see surface.common_scale).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -63,9 +61,9 @@ def reduced(camera: Camera, depth: np.ndarray) -> Reduced:
     return Reduced(small, depth, float(np.median(values)) if len(values) else 1.0, rays, values)
 
 
-def pairs_of(views: Sequence[Reduced], number: int = _NEIGHBOURS) -> list[tuple[int, int]]:
+def pairs_of(views: Sequence[Reduced]) -> list[tuple[int, int]]:
     """(i, j): views j that see much of what view i sees."""
-    settings = Context(number=number, min_angle=0.0)
+    settings = Context(number=_NEIGHBOURS, min_angle=0.0)
     chooser = ContextChooser([view.camera for view in views], [view.depth for view in views], settings)
     seen = [i for i, view in enumerate(views) if len(view.samples)]
     return [(i, j) for i, choice in zip(seen, side_by_side(chooser.choose, seen)) for j in choice.indices]

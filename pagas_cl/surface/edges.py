@@ -1,7 +1,5 @@
 """Edges of a triangle mesh, known all through its splitting: nothing is sorted again after the first time."""
 
-from __future__ import annotations
-
 import numpy as np
 
 # corners of the new triangles where edges 01; 01 and 12; all three are split: 0 1 2 corners, 3 4 5 middles of 01 12 20

@@ -1,7 +1,5 @@
 """What depth maps say of the vertices of a mesh that lie on them: size of a pixel there, confidence."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Patches of some views, and how well they correlate with what other views show where depths take them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -4,19 +4,17 @@ Either way depth is that of the rays through the pixel centres at +0.5, and neit
 enters: places are taken relative to the middle of the mesh, in units of its size, in float64 before they are rounded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyopencl as cl
 
 from pagas_cl.errors import InputError, need
+from pagas_cl.runtime.device import Device, translate_cl_errors
+from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.program import GROUP_1D, Upload, bind, build, run_once
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.mesh import Surface
-
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
 
 _RAYS = 1 << 21   # rays cast at a time: 48 MB of float32 and twice that while they are made
 _PART = 1 << 21   # triangles drawn at a time where the mesh takes more than a quarter of the device's memory
@@ -51,8 +49,6 @@ class Drawing:
     memory, its triangles go there in parts for each camera."""
 
     def __init__(self, device: Device, surface: Surface):
-        from pagas_cl.runtime.program import build
-
         self.device, self.program = device, build(device, "raster.cl")
         self.middle, self.unit = frame_of(surface)
         self._vertices = self._in_frame(surface.vertices)
@@ -62,8 +58,6 @@ class Drawing:
 
     def move(self, vertices: np.ndarray) -> None:
         """Put the vertices elsewhere, (V, 3) in world coordinates; the frame stays."""
-        from pagas_cl.runtime.program import Upload
-
         self._vertices = self._in_frame(vertices)
         if self._held is not None:
             Upload(self._held[0][0], self._vertices).enqueue(self.device.queue).wait()
@@ -74,13 +68,11 @@ class Drawing:
         rounded = local.astype(np.float32)
         return np.stack([rounded, (local - rounded).astype(np.float32)], axis=1)
 
-    def _sent(self, vertices: np.ndarray, faces: np.ndarray) -> tuple[Any, Any, Any, int]:
-        from pagas_cl.runtime.memory import upload
-
+    def _sent(self, vertices: np.ndarray, faces: np.ndarray) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer, int]:
         room = self.device.memory.buffer(self.device.context, 4 * (1 + len(faces)))
         return upload(self.device, vertices), upload(self.device, faces), room, len(faces)
 
-    def _parts(self) -> Iterator[tuple[Any, Any, Any, int]]:
+    def _parts(self) -> Iterator[tuple[cl.Buffer, cl.Buffer, cl.Buffer, int]]:
         if self._held is not None:
             yield from self._held
             return
@@ -92,13 +84,8 @@ class Drawing:
             for buffer in part[:3]:
                 buffer.release()
 
-    def draw(self, camera: Camera, unit: float) -> Any:
+    def draw(self, camera: Camera, unit: float) -> cl.Buffer:
         """A buffer of float32 (H, W), to be released: depth, 0 = no surface; `unit` is a scene unit in its unit."""
-        import pyopencl as cl
-
-        from pagas_cl.runtime.memory import upload
-        from pagas_cl.runtime.program import GROUP_1D, bind, run_once
-
         device, pixels = self.device, camera.width * camera.height
         z_buffer = device.memory.buffer(device.context, 4 * pixels, "z_buffer")
         cl.enqueue_fill_buffer(device.queue, z_buffer, _EMPTY, 0, 4 * pixels)
@@ -115,9 +102,6 @@ class Drawing:
 
     def depth(self, camera: Camera) -> np.ndarray:
         """Depth map (H, W) float32 in scene units, 0 = no surface."""
-        from pagas_cl.runtime.device import translate_cl_errors
-        from pagas_cl.runtime.memory import download
-
         with translate_cl_errors(self.device, f"the drawing of the mesh in view {camera.name!r}"):
             z_buffer = self.draw(camera, 1.0)
             depth = download(self.device, z_buffer, (camera.height, camera.width))

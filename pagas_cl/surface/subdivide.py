@@ -5,8 +5,6 @@ corners (texture coordinates with seams) or faces is carried along by the `Subdi
 seams have them, are one for what is split and what is kept (`place`), so that seams do not open.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -7,7 +7,7 @@ depth maps: exports_depth, exports_rgbd.
 import json
 import re
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,9 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import FLIP, Camera, inverse_pose
+from pagas_cl.scene.readers.meshlab import row
 from pagas_cl.scene.readers.photos import file_of
 from pagas_cl.scene.view import View
-
-
-def row(values: Iterable[float]) -> str:
-    """Numbers of a text file, every digit."""
-    return " ".join(repr(float(value)) for value in values)
 
 
 def bundler(folder: Path, views: Sequence[View]) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.scene.camera import Camera, inverse_pose
+from pagas_cl.scene.camera import inverse_pose
 from pagas_cl.scene.placement import Placement
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.readers.meshlab import write_project
@@ -57,16 +57,13 @@ def vggt(folder: Path, frames: Sequence[Frame]) -> None:
     photos(folder, frames)
     longest = max(frames[0].camera.width, frames[0].camera.height)
     side = network_size(longest, longest)[0]
-    small = [seen(f, _padded(f.camera, longest, side), (side, side)) for f in frames]
+    s = side / longest
+    small = [seen(f, Placement((s, s), (s * (longest - f.camera.width) / 2, s * (longest - f.camera.height) / 2),
+                               "padded"), (side, side)) for f in frames]
     found = _stacks(small)
     np.savez(folder / "predictions.npz", depth=found["depth"][..., None], depth_conf=found["conf"],
              extrinsic=found["extrinsics"], intrinsic=found["intrinsics"],
              images=np.moveaxis(found["image"] / np.float32(255), -1, 1).astype(np.float32))
-
-
-def _padded(camera: Camera, longest: int, side: int) -> Placement:
-    s = side / longest
-    return Placement((s, s), (s * (longest - camera.width) / 2, s * (longest - camera.height) / 2), "padded")
 
 
 def vggt_colmap(folder: Path, frames: Sequence[Frame]) -> None:

@@ -12,6 +12,7 @@ from PIL import Image
 
 from pagas_cl.scene.camera import FLIP, inverse_pose
 from pagas_cl.scene.placement import stretched
+from pagas_cl.scene.readers.meshlab import row
 from pagas_cl.synthetic import exports
 from pagas_cl.synthetic.frames import Frame, matrix, photos, png, seen, small_of
 
@@ -43,7 +44,7 @@ def tum(folder: Path, frames: Sequence[Frame]) -> None:
     rows = ["# timestamp tx ty tz qx qy qz qw\n"]
     for time, frame in zip(times, frames):
         pose = inverse_pose(frame.camera.world_to_camera)
-        rows.append(f"{time} {exports.row((*pose[:3, 3], *exports.quaternion(pose[:3, :3])))}\n")
+        rows.append(f"{time} {row((*pose[:3, 3], *exports.quaternion(pose[:3, :3])))}\n")
     (folder / "groundtruth.txt").write_text("".join(rows))
     K = frames[0].camera.K
     K[:2, 2] -= 0.5
@@ -129,7 +130,7 @@ def video_mvs(folder: Path, frames: Sequence[Frame]) -> None:
     K[:2, 2] -= 0.5
     (folder / "K.txt").write_text(matrix(K))
     (folder / "poses.txt").write_text("".join(
-        exports.row(inverse_pose(f.camera.world_to_camera).ravel()) + "\n" for f in frames))
+        row(inverse_pose(f.camera.world_to_camera).ravel()) + "\n" for f in frames))
 
 
 def _levels(frame: Frame) -> np.ndarray:

@@ -11,8 +11,8 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import save_depth
 from pagas_cl.scene.images import bilinear, photo_to
 from pagas_cl.scene.placement import PATCH, Placement, stretched
+from pagas_cl.scene.readers.meshlab import row
 from pagas_cl.scene.view import View
-from pagas_cl.synthetic import exports
 
 NETWORK = 4          # photos are so many times as large as what a network sees
 
@@ -82,4 +82,4 @@ def png(folder: Path, frames: Sequence[Frame], name: str, scale: float, none: in
 
 
 def matrix(values: np.ndarray) -> str:
-    return "".join(exports.row(line) + "\n" for line in values)
+    return "".join(row(line) + "\n" for line in values)

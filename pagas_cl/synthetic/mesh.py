@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from pagas_cl.scene.mesh import grid_faces
 from pagas_cl.synthetic.solid import Bar, Block, Solid
 
 _BAR_SIDES = 24
@@ -22,13 +23,6 @@ def solid_mesh(solid: Solid, spacing: float, half: tuple[float, float]):
     return np.concatenate([points for points, _ in parts]), faces.astype(np.int32)
 
 
-def _grid(across, down):
-    """Triangles of a grid of `down` rows of `across` vertices: (u x v) points to -z, towards the viewers."""
-    index = np.arange(across * down).reshape(down, across)
-    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
-    return np.concatenate([np.stack([a, c, b], axis=1), np.stack([b, c, d], axis=1)])
-
-
 def _band(near, far):
     """Triangles of a closed band between two rings of vertices."""
     next_near, next_far = np.roll(near, -1), np.roll(far, -1)
@@ -41,7 +35,7 @@ def _relief(solid, spacing, half):
     if solid.outline is not None:  # the square onto the disc
         u, v = u * np.sqrt(1 - v**2 / 2), v * np.sqrt(1 - u**2 / 2)
     x, y = half[0] * u.ravel(), half[1] * v.ravel()
-    faces = _grid(across, down)
+    faces = grid_faces(across, down)         # (u x v) points to -z, towards the viewers
     for block in solid.blocks:  # what lies under a block is not a surface
         along, over = block.frame(np.stack([x, y], axis=-1))
         under = (np.abs(along) < block.half_width - spacing) & (np.abs(over) < block.half_height - spacing)
@@ -61,7 +55,7 @@ def _block(solid, block: Block, spacing):
     rim = np.concatenate([index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]])
     walls = _band(rim, across * down + np.arange(len(rim)))
     top = np.stack([x, y, z - block.rise], axis=-1)
-    return np.concatenate([top, np.stack([x, y, z], axis=-1)[rim]]), np.concatenate([_grid(across, down), walls])
+    return np.concatenate([top, np.stack([x, y, z], axis=-1)[rim]]), np.concatenate([grid_faces(across, down), walls])
 
 
 def _bar(bar: Bar, reach):

@@ -5,6 +5,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from pagas_cl.errors import InputError, log
 
@@ -76,8 +77,6 @@ def noise(width, height, rng) -> np.ndarray:
 
 
 def _tiles(width, height, tile, rng):
-    from PIL import Image
-
     folder = Path(find_spec("skimage").origin).parent / "data"
     across, down = -(-width // tile), -(-height // tile)
     texels = np.empty((down * tile, across * tile, 3), np.float32)

@@ -13,7 +13,7 @@ from pagas_cl.evaluate.depth import compare_depth, depth_per_parallax, find_disc
 from pagas_cl.evaluate.predict import compare_predictions
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import central_normals
-from pagas_cl.scene.digest import digest_array, digest_of
+from pagas_cl.scene.files import digest_array, digest_of
 from pagas_cl.scene.names import file_stems, place_of
 from pagas_cl.scene.view import View
 

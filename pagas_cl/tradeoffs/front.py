@@ -11,6 +11,7 @@ from pagas_cl.scene.files import replaced
 _GROUPS = ("preset", "effects", "steps", "views a step", "context views", "model", "levels", "solver",
            "staged", "ablation")
 _MARKERS = "osDvP*Xp<h"
+_MOST = 1.3      # times the error of the initial depth
 _AROUND = (225, 45, 270, 135, 315, 90, 0, 180, 68, 112, 248, 292)  # degrees: where a point's number may stand
 _NAMES = {"depth": "mean depth error", "normal": "mean normal error",
           "unpredicted": "1 - correlation of held-out photos"}
@@ -90,20 +91,18 @@ def _ranks(values) -> np.ndarray:
     return ((last - number + last - 1) / 2)[inverse]
 
 
-def plot_front(path, points, figure: str, title: str = "", at_most: float = 1.3, numbered: bool = False) -> Path:
-    """Write a PNG of `points` (front.Point) by matplotlib; errors above `at_most` are drawn at the top as arrows.
-
-    `numbered`: each point carries its place in `points`, from 1.
-    """
+def plot_front(path: Path, points, figure: str) -> None:
+    """Write a PNG of `points` (front.Point) by matplotlib, each with its place among them, from 1; errors above _MOST
+    are drawn at the top as arrows."""
     need("matplotlib", "report", "the plot of error against time")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import FixedLocator, NullLocator
 
     def place(point):
-        return point.seconds, min(point.error(figure), at_most)
+        return point.seconds, min(point.error(figure), _MOST)
 
-    drawing = Figure((9.6, 6.4) if numbered else (7.2, 4.6), layout="constrained")
+    drawing = Figure((9.6, 6.4), layout="constrained")
     FigureCanvasAgg(drawing)
     axes = drawing.add_subplot()
     groups = [g for g in _GROUPS if any(p.group == g for p in points)]
@@ -111,16 +110,13 @@ def plot_front(path, points, figure: str, title: str = "", at_most: float = 1.3,
     for number, group in enumerate(groups):
         rows = [p for p in points if p.group == group and np.isfinite(p.error(figure))]
         for marker, above in ((_MARKERS[number % len(_MARKERS)], False), ("^", True)):
-            places = [place(p) for p in rows if (p.error(figure) > at_most) == above]
+            places = [place(p) for p in rows if (p.error(figure) > _MOST) == above]
             axes.scatter(*np.reshape(places, (-1, 2)).T, s=28, marker=marker, color=f"C{number}", zorder=2,
                          edgecolors="white", linewidths=0.5, label=None if above else group)
     front = sorted(place(p) for p in points if p.on_front)
     axes.step(*np.reshape(front, (-1, 2)).T, where="post", color="black", linewidth=1, zorder=1, label="Pareto front")
-    for p in points:
-        if p.group == "preset" and not numbered:
-            axes.annotate(p.name, place(p), textcoords="offset points", xytext=(6, 6), fontsize=9, fontweight="bold")
     axes.axhline(1, color="grey", linewidth=0.8, linestyle=":")
-    axes.set(xscale="log", yscale="log", xlabel="time of a view (seconds)", title=title,
+    axes.set(xscale="log", yscale="log", xlabel="time of a view (seconds)", title="error against time",
              ylabel=f"{_NAMES.get(figure, figure)}\n(1 = that of the initial depth)")
     axes.margins(x=0.12)  # room for a name at the right
     for axis, ends in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
@@ -129,15 +125,11 @@ def plot_front(path, points, figure: str, title: str = "", at_most: float = 1.3,
         axis.set_major_formatter("{x:g}")  # 0.4 and not 4 x 10^-1
         axis.set_minor_locator(NullLocator())
     axes.grid(True, alpha=0.2)
-    if numbered:
-        drawing.legend(loc="outside lower center", fontsize=8, ncols=6, frameon=False)
-        _number(drawing, axes, [place(p) for p in points],
-                [f"{k} {p.name}" if p.group == "preset" else str(k) for k, p in enumerate(points, 1)])
-    else:
-        axes.legend(fontsize=7, ncols=2)
-    with replaced(path, Path(path).suffix) as beside:
+    drawing.legend(loc="outside lower center", fontsize=8, ncols=6, frameon=False)
+    _number(drawing, axes, [place(p) for p in points],
+            [f"{k} {p.name}" if p.group == "preset" else str(k) for k, p in enumerate(points, 1)])
+    with replaced(path, path.suffix) as beside:
         drawing.savefig(beside, dpi=110)
-    return Path(path)
 
 
 def _ticks(low: float, high: float) -> list[float]:

@@ -119,8 +119,8 @@ def write_report(folder: Path, study, device: str) -> Path:
     picture = ""
     if any(point.on_front for point in study.points):
         try:
-            picture = plot_front(folder / "tradeoff.png", study.points, study.figure, "error against time",
-                                 numbered=True).name
+            plot_front(folder / "tradeoff.png", study.points, study.figure)
+            picture = "tradeoff.png"
         except MissingExtraError as error:
             log.warning("no plot: %s", error)
     header, rows = _front_table(study.points)

@@ -36,16 +36,6 @@ class Study:
     left_out: list[str] = field(default_factory=list)               # names: the budget did not suffice
     records: list[dict] = field(default_factory=list, repr=False)   # every run
 
-    @property
-    def best(self) -> Point | None:
-        """The point with the smallest error; None where none has one."""
-        return min((p for p in self.points if p.error(self.figure) == p.error(self.figure)),
-                   key=lambda p: p.error(self.figure), default=None)
-
-    @property
-    def front(self) -> list[Point]:
-        return [point for point in self.points if point.on_front]
-
 
 def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: int = 1, budget=None, settings=None,
              device=None, report=None, repeats: int = 1, executor: Executor | None = None, progress=None) -> Study:

@@ -30,13 +30,13 @@ SHARES = (0.1, 0.5, 0.9)
 def record(file: Path, arguments: list[str], stop_at: float, clock) -> int:
     """Run a command here, and write what its progress said and what the run took; it ends at once when `stop_at` views
     are refined. `clock` tells the seconds since the process began."""
-    from pagas_cl import outlook
     from pagas_cl.__main__ import run
     from pagas_cl.commands import _console
+    from pagas_cl.progress import Outlook
 
     told = []
 
-    class Recorder(outlook.Outlook):
+    class Recorder(Outlook):
         def __init__(self):
             super().__init__(clock)
 

@@ -11,7 +11,7 @@ from support.scenes import relief_scene
 from pagas_cl.cameras.refine import refine_cameras
 from pagas_cl.errors import DeviceError, InputError, PagasError
 from pagas_cl.jobs.executors import SerialExecutor, Workers
-from pagas_cl.jobs.parts import results_of
+from pagas_cl.jobs.run import results_of
 from pagas_cl.scene.view import View
 
 pytestmark = pytest.mark.slow

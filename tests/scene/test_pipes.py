@@ -14,7 +14,7 @@ from support.job_scenes import write_small_scene
 from pagas_cl.errors import InputError, PagasError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import SUFFIXES, find_depth, load_depth
-from pagas_cl.scene.files import read_bytes
+from pagas_cl.scene.files import digest_file, read_bytes
 from pagas_cl.scene.readers import FORMATS, read_scene
 from pagas_cl.scene.view import View
 
@@ -65,7 +65,6 @@ def test_no_file_of_a_scene_is_waited_for(scenes, tmp_path, kind):
 @pytest.mark.parametrize("kind", LINKS)
 def test_no_depth_map_photo_or_list_of_points_is_waited_for(tmp_path, kind):
     from pagas_cl.evaluate.clouds import load_points
-    from pagas_cl.scene.digest import digest_file
 
     camera = Camera(4, 4, 4, 4, 2, 2, np.eye(4), "a.png")
     for suffix in (*SUFFIXES, ".xyz", ".ply"):

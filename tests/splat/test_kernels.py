@@ -166,7 +166,8 @@ def test_a_gpu_can_hold_it(device, monkeypatch, scene, base):
     monkeypatch.setattr("pagas_cl.splat.options.choose_tiles", lambda device, sizes: SCALAR)
     info = cl.kernel_work_group_info
     for launch in level_launches(device, base, scene):
-        assert launch.kernel.get_work_group_info(info.LOCAL_MEM_SIZE, device.cl_device) <= 32 * 1024, launch.stage
+        kernel = launch.bound.cl_kernel
+        assert kernel.get_work_group_info(info.LOCAL_MEM_SIZE, device.cl_device) <= 32 * 1024, launch.stage
         assert np.prod(launch.local_size or 1) <= 256, launch.stage
 
 

@@ -8,7 +8,7 @@ import pytest
 from support.camera_noise import noisy
 from support.scenes import relief_scene
 
-from pagas_cl.scene.depth_mesh import mesh_of_depths
+from pagas_cl.scene.check import mesh_of_depths
 from pagas_cl.scene.depth_source import Adjusted
 from pagas_cl.scene.exr import read_exr
 from pagas_cl.surface import common_scale, depth_alignment

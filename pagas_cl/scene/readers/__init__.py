@@ -1,6 +1,7 @@
 """Scenes of other programs: one small module a format, with two functions.
 
-`detect(folder)` looks at names of files, cheaply, never raises, and says whether the folder holds the format.
+`detect(folder)` looks at names of files, cheaply, never raises, and gives where the format is (or true), else a false
+value.
 `read(folder, **options)` gives the Scene: cameras in our convention (scene.camera), photos, masks, points if there are.
 The module's first lines say the format's own convention; only the module converts. Scenes come from strangers:
 numbers, texts and cameras go through `untrusted`, paths through `photos.inside`, arrays through `scene.files`; what is

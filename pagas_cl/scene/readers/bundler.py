@@ -10,30 +10,30 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.camera import intrinsics
+from pagas_cl.scene.camera import FLIP, intrinsics
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
 
 FILES = ("bundle.out", "bundle.rd.out", "bundle/bundle.out")
 LISTS = ("list.txt", "bundle.out.list.txt", "bundle.rd.out.list.txt", "bundle/list.txt")
-_FLIP = np.diag([1.0, -1.0, -1.0])
 
 
-def detect(folder: Path) -> bool:
-    """Whether `folder` holds a bundle.out."""
-    return photos.first_file(folder, FILES) is not None
+def detect(folder: Path) -> Path | None:
+    """The bundle.out, or None."""
+    return photos.first_file(folder, FILES)
 
 
 def read(folder: Path, *, outside: bool = False) -> Scene:
     """Read the scene without the cameras that Bundler did not place; `outside`: also photos outside `folder`."""
-    path = photos.first_file(folder, FILES) or folder / FILES[0]
+    path = detect(folder) or folder / FILES[0]
     cameras, points = read_bundle(path)
     images = _images(folder, path, len(cameras), outside)
     views = []
     for (f, R, t), photo in [(camera, photo) for camera, photo in zip(cameras, images) if camera[0] != 0]:
         width, height = photos.photo_size(photo)
-        camera = untrusted.pinhole(intrinsics(f, f, width / 2, height / 2), np.column_stack([_FLIP @ R, _FLIP @ t]),
-                                   width, height, photo.name)
+        pose = FLIP[:3, :3] @ np.column_stack([R, t])
+        camera = untrusted.pinhole(intrinsics(f, f, width / 2, height / 2), pose, width, height,
+                                   photo.name)
         views.append(photos.view_of(folder, camera, photo))
     if not views:
         raise InputError(f"{path}: none of the {len(cameras)} cameras was placed by Bundler (focal length 0)")

@@ -23,13 +23,8 @@ _SMALL = 0.25      # of the photo's size: no principal point of a photo itself i
 _PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
 
 
-def detect(folder: Path) -> bool:
-    """Whether `folder` holds a COLMAP model."""
-    return model_folder(folder) is not None
-
-
-def model_folder(folder: Path) -> Path | None:
-    """The first of the usual places that holds a model, or None."""
+def detect(folder: Path) -> Path | None:
+    """The first of the usual places that holds a COLMAP model, or None."""
     return next((folder / place for place in _PLACES for suffix in (".bin", ".txt")
                  if all((folder / place / (part + suffix)).is_file() for part in ("cameras", "images"))), None)
 
@@ -42,7 +37,7 @@ def read(folder: Path, *, outside: bool = False, photos: str | Path | None = Non
 
     InputError for no model, one that cannot be read, no registered image, photos that are missing or of another size.
     """
-    place = model_folder(folder)
+    place = detect(folder)
     if place is None:
         raise InputError(f"{str(folder)!r} has no COLMAP model: looked for cameras and images (.bin or .txt) in "
                          f"{', '.join(_PLACES[:2])}")

@@ -28,7 +28,6 @@ _COUNTS = dict(MODELS.values())
 _Part = TypeVar("_Part")     # of a model: what one of its files holds
 _BYTES = 16 << 30
 _NAME = 4096
-_UNIT = 1e-2  # COLMAP writes unit quaternions; one further off is damage
 
 
 @dataclass(frozen=True)
@@ -112,19 +111,8 @@ def _camera(model: str | int, width: float, height: float, params: Sequence[floa
 
 def _image(numbers: npt.ArrayLike, camera: int, name: str, where: str) -> ModelImage:
     """`numbers`: quaternion w x y z and translation."""
-    numbers = np.asarray(numbers, np.float64)
-    sane = np.isfinite(numbers).all() and np.abs(numbers[:4]).max() < 2
-    length = float(np.linalg.norm(numbers[:4])) if sane else np.nan
-    if not abs(length - 1) < _UNIT:
-        raise InputError(f"{where}: the quaternion {untrusted.short(numbers[:4].tolist())} has length {length:g}, "
-                         "expected 1")
-    w, x, y, z = numbers[:4] / length
-    pose = np.eye(4)
-    pose[:3, :3] = [[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                    [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                    [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]]
-    pose[:3, 3] = numbers[4:]
-    return ModelImage(name, camera, pose)
+    w, x, y, z, *shift = np.asarray(numbers, np.float64)
+    return ModelImage(name, camera, untrusted.pose((x, y, z, w), shift, where))
 
 
 def _records(data: bytes, least: int, read: Callable[[int, int], tuple[_Part, int]]) -> list[_Part]:

@@ -14,16 +14,16 @@ PLACES = ("exports/npz/results.npz", "exports/npy", "exports/mini_npz/results.np
 _NEEDED = ("depth", "extrinsics", "intrinsics")
 
 
-def detect(folder: Path) -> bool:
-    """Whether one of the exports is there, with its depth."""
-    return any("depth" in predictions.arrays_of(folder / place) for place in PLACES)
+def detect(folder: Path) -> Path | None:
+    """The first of the exports that is there with its depth, or None."""
+    return next((folder / name for name in PLACES if "depth" in predictions.arrays_of(folder / name)), None)
 
 
 def read(folder: Path, *, photos: Path | None = None, confidence: float | None = None) -> Scene:
     """Read the export; `photos`: folder of the original photos, looked for in images/ and the like by default;
     `confidence`: depths of less are left out, a quarter of the median (see depth_source.least_confidence) by default.
     """
-    place = next((folder / name for name in PLACES if "depth" in predictions.arrays_of(folder / name)), None)
+    place = detect(folder)
     if place is None:
         raise InputError(f"{folder} holds no export of Depth Anything 3: looked for {', '.join(PLACES)}")
     found = predictions.arrays_of(place)

@@ -14,7 +14,7 @@ import numpy as np
 from pagas_cl.errors import InputError
 from pagas_cl.scene.arrays import ArrayRef
 from pagas_cl.scene.depth_source import flat
-from pagas_cl.scene.digest import digest_of
+from pagas_cl.scene.files import digest_of
 from pagas_cl.scene.readers import photos as photo_files
 from pagas_cl.scene.readers import predictions
 from pagas_cl.scene.view import Scene
@@ -43,7 +43,8 @@ class Masked:
         return np.where(mask > 0, sure, np.nan)
 
 
-def _files(folder: Path) -> list[Path]:
+def detect(folder: Path) -> list[Path]:
+    """The .npz files of the first place where they have depth_z, camera_poses and intrinsics; none without."""
     for name in PLACES:
         found = sorted((folder / name).glob("*.npz")) if (folder / name).is_dir() else []
         if found and set(predictions.arrays_of(found[0])) >= _NEEDED:
@@ -51,14 +52,9 @@ def _files(folder: Path) -> list[Path]:
     return []
 
 
-def detect(folder: Path) -> bool:
-    """Whether there are .npz files with depth_z, camera_poses and intrinsics."""
-    return bool(_files(folder))
-
-
 def read(folder: Path, *, photos: Path | None = None, confidence: float | None = None) -> Scene:
     """Read the predictions; options as in depth_anything.read."""
-    files = _files(folder)
+    files = detect(folder)
     if not files:
         raise InputError(f"{folder} holds no .npz with {', '.join(sorted(_NEEDED))} in {', '.join(PLACES)}")
     rows = [_row(path) for path in files]

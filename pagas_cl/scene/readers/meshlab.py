@@ -18,7 +18,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, MissingExtraError, log
 from pagas_cl.scene import patches
-from pagas_cl.scene.camera import Camera, intrinsics
+from pagas_cl.scene.camera import FLIP, Camera, intrinsics
 from pagas_cl.scene.files import write_text
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_file import read_mesh
@@ -28,7 +28,6 @@ from pagas_cl.scene.view import Scene, View
 FLAVOURS = ("meshlab", "openmvs")
 _SAME = 1.0   # pixels: readings nearer than this need no settling
 _VIEWS = 8    # that settle it
-_FLIP = np.diag([1.0, -1.0, -1.0])
 # of a VCGCamera: attribute, how many numbers, what it is where it is left out
 _NUMBERS = (("FocalMm", 1, None), ("PixelSizeMm", 2, None), ("CenterPx", 2, None), ("ViewportPx", 2, None),
             ("LensDistortion", 2, "0 0"), ("RotationMatrix", 16, None), ("TranslationVector", 4, None))
@@ -172,7 +171,7 @@ def _raster(element: Element, path: Path, number: int, outside: bool) -> RasterL
 def _pose(rotation: np.ndarray, translation: np.ndarray, where: str) -> np.ndarray:
     if np.abs(np.r_[rotation[3] - [0, 0, 0, 1], rotation[:3, 3], translation[3] - 1]).max() > 1e-9:
         raise InputError(f"{where}: RotationMatrix or TranslationVector is not of the form that MeshLab writes")
-    R = _FLIP @ rotation[:3, :3]
+    R = FLIP[:3, :3] @ rotation[:3, :3]
     return np.column_stack([R, R @ translation[:3]])
 
 
@@ -244,7 +243,7 @@ def write_project(path: Path, views: list[View], meshes: Sequence[MeshLayer] = (
     for layer in meshes:
         rows += [f"  <MLMesh label={quoteattr(layer.label)} filename={_name(path, layer.path)} "
                  f'visible="{int(layer.visible)}" idInFile="-1">', "   <MLMatrix44>",
-                 *(_row(row) for row in np.asarray(layer.matrix, np.float64)), "</MLMatrix44>", "  </MLMesh>"]
+                 *map(row, np.asarray(layer.matrix, np.float64)), "</MLMatrix44>", "  </MLMesh>"]
     rows += [" </MeshGroup>", " <RasterGroup>"]
     for view in views:
         rows += [f"  <MLRaster label={quoteattr(view.name)}>", f"   <VCGCamera {_camera(view.camera)}/>",
@@ -254,16 +253,17 @@ def write_project(path: Path, views: list[View], meshes: Sequence[MeshLayer] = (
 
 def _camera(camera: Camera) -> str:
     rotation = np.eye(4)
-    rotation[:3, :3] = _FLIP @ camera.world_to_camera[:3, :3]
+    rotation[:3, :3] = FLIP[:3, :3] @ camera.world_to_camera[:3, :3]
     values: dict[str, Iterable[float]] = {
         "FocalMm": [camera.fx], "PixelSizeMm": [1.0, camera.fx / camera.fy],
         "CenterPx": [camera.cx, camera.height - camera.cy], "LensDistortion": [0.0, 0.0],
         "RotationMatrix": rotation.ravel(), "TranslationVector": [*(-camera.center), 1.0]}
-    written = " ".join(f'{key}="{_row(value)}"' for key, value in values.items())
+    written = " ".join(f'{key}="{row(value)}"' for key, value in values.items())
     return f'CameraType="0" BinaryData="0" ViewportPx="{camera.width} {camera.height}" {written}'
 
 
-def _row(values: Iterable[float]) -> str:
+def row(values: Iterable[float]) -> str:
+    """Numbers of a text file, every digit."""
     return " ".join(repr(float(value)) for value in values)
 
 

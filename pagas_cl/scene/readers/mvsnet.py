@@ -19,12 +19,8 @@ _FILE = re.compile(r"(\d+)_cam\.txt", re.ASCII)
 _SCALES = (2.0, 4.0, 8.0, 0.5, 0.25, 0.125)
 
 
-def detect(folder: Path) -> bool:
-    """Whether `folder` has a sub-folder of NNNNNNNN_cam.txt files."""
-    return _camera_folder(folder) is not None
-
-
-def _camera_folder(folder: Path) -> Path | None:
+def detect(folder: Path) -> Path | None:
+    """The sub-folder of NNNNNNNN_cam.txt files, or None."""
     places = (folder / name for name in CAMERA_FOLDERS if (folder / name).is_dir())
     return next((place for place in places if any(_FILE.fullmatch(p.name) for p in place.iterdir())), None)
 
@@ -35,7 +31,7 @@ def read(folder: Path, *, pixel_center: float = 0.5, intrinsics_scale: float | N
     `intrinsics_scale` multiplies K, for camera files made for photos of another size (MVSNet's DTU training set: 4).
     Without it intrinsics that plainly belong to another size are refused.
     """
-    place = _camera_folder(folder)
+    place = detect(folder)
     if place is None:
         raise InputError(f"{folder} has no NNNNNNNN_cam.txt in {', '.join(CAMERA_FOLDERS)}")
     files = {int(match[1]): p for p in sorted(place.iterdir()) if (match := _FILE.fullmatch(p.name))}

@@ -29,14 +29,14 @@ _DEPTH_UNIT = 1e-3      # nerfstudio's where the file does not say
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 
 
-def detect(folder: Path) -> bool:
-    """Whether `folder` holds a transforms.json (or transforms_train.json)."""
-    return photos.first_file(folder, FILES) is not None
+def detect(folder: Path) -> Path | None:
+    """The transforms.json (or transforms_train.json), or None."""
+    return photos.first_file(folder, FILES)
 
 
 def read(folder: Path, *, outside: bool = False) -> Scene:
     """Read the scene; `outside`: whether photos and masks outside `folder` may be read."""
-    path = photos.first_file(folder, FILES) or folder / FILES[0]
+    path = detect(folder) or folder / FILES[0]
     data = untrusted.read_json(path)
     untrusted.refuse_near_misses(data, _KNOWN, str(path))
     frames = untrusted.objects(data, "frames", "frame", path, _KNOWN)

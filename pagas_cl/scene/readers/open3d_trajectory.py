@@ -26,12 +26,8 @@ _INTRINSICS = ("camera_intrinsic.json", "intrinsic.json", "intrinsics.json", "ca
 _MARK = b'"PinholeCameraTrajectory"'
 
 
-def detect(folder: Path) -> bool:
-    """Whether `folder` holds a trajectory of Open3D."""
-    return bool(_trajectories(folder))
-
-
-def _trajectories(folder: Path) -> list[Path]:
+def detect(folder: Path) -> list[Path]:
+    """The trajectories of Open3D in `folder`."""
     found = []
     for path in sorted(folder.glob("*.json")):
         try:
@@ -44,7 +40,7 @@ def _trajectories(folder: Path) -> list[Path]:
 
 def read(folder: Path, *, pixel_center: float = PIXEL_CENTER) -> Scene:
     """Read the scene; `pixel_center`: where the intrinsics put the centre of the top-left pixel."""
-    files = _trajectories(folder)
+    files = detect(folder)
     if not files:
         raise InputError(f"{folder} has no PinholeCameraTrajectory .json and none of {', '.join(_LOGS)}")
     if len(files) > 1:

@@ -13,7 +13,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.arrays import ArrayRef, PhotoInArray, members
-from pagas_cl.scene.depth_source import DepthSource, Stored, least_confidence, tell_left_out
+from pagas_cl.scene.depth_source import DepthSource, Stored, flat, least_confidence, tell_left_out
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.patches import evenly
 from pagas_cl.scene.placement import Placement, find_placement
@@ -125,12 +125,8 @@ def _as_compared(views: list[View], depths: list[DepthSource], photo: Path, smal
 
 def _size(depth: Path | Stored) -> tuple[int, int]:
     """Width and height of a depth map."""
-    shape = list(depth.load().shape if not isinstance(depth, Path) else ())
-    while len(shape) > 2 and 1 in (shape[0], shape[-1]):
-        shape = shape[1:] if shape[0] == 1 else shape[:-1]
-    if len(shape) != 2:
-        raise InputError(f"{depth} has shape {tuple(shape)}, expected (height, width)")
-    return untrusted.size(shape[1], shape[0], str(depth))
+    height, width = flat(depth).shape
+    return untrusted.size(width, height, str(depth))
 
 
 def _tell(depths: list[DepthSource], own: bool, source: str) -> None:

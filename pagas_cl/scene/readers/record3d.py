@@ -14,8 +14,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import FLIP, intrinsics
-from pagas_cl.scene.digest import digest_file
-from pagas_cl.scene.files import translated
+from pagas_cl.scene.files import digest_file, translated
 from pagas_cl.scene.readers import photos, rgbd, untrusted
 from pagas_cl.scene.view import Scene
 
@@ -88,7 +87,7 @@ def read(folder: Path) -> Scene:
 
 def _frame(folder: Path, data: dict[str, Any], k: int, photo: Path, where: str) -> rgbd.Frame:
     numbers = untrusted.numbers(data["poses"][k], 7, f"{where}: pose")
-    pose = rgbd.pose_from_quaternion(numbers, where) @ FLIP
+    pose = untrusted.pose(numbers[:4], numbers[4:], where) @ FLIP
     each = data.get("perFrameIntrinsicCoeffs")
     if isinstance(each, list) and len(each) == len(data["poses"]):
         K = intrinsics(*untrusted.numbers(each[k], 4, f"{where}: perFrameIntrinsicCoeffs"))

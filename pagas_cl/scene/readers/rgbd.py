@@ -5,15 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.depth_source import DepthSource, Stored, least_confidence, tell_left_out
 from pagas_cl.scene.placement import Placement
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
-
-_UNIT = 1e-2         # length of a quaternion in text: one further from 1 is damage
 
 
 @dataclass(frozen=True)
@@ -58,21 +55,6 @@ def scene_of(folder: Path, frames: Sequence[Frame], depth: Depth, source: str) -
             frame.depth, (width, height), depth.scale, frame.placement, frame.confidence, least, depth.invalid))
     tell_left_out(depths, source)
     return Scene(views, source, depths=tuple(depths) if any(depths) else None, depth_unit=depth.unit)
-
-
-def pose_from_quaternion(numbers: Sequence[float] | npt.NDArray[np.float64], where: str) -> np.ndarray:
-    """(4, 4) of the quaternion x y z w and the translation x y z."""
-    x, y, z, w = np.asarray(numbers[:4], np.float64)
-    length = float(np.sqrt(x * x + y * y + z * z + w * w))
-    if not abs(length - 1) < _UNIT:
-        raise InputError(f"{where}: the quaternion has length {length:g}, expected 1")
-    x, y, z, w = (value / length for value in (x, y, z, w))
-    pose = np.eye(4)
-    pose[:3, :3] = [[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                    [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                    [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]]
-    pose[:3, 3] = numbers[4:7]
-    return pose
 
 
 def read_pose(path: Path) -> np.ndarray:

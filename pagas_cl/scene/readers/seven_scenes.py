@@ -20,19 +20,15 @@ _COLOR = (".color.png", ".color.jpg")
 _PLACES = (".", "data", "seq-01")
 
 
-def _place(folder: Path) -> Path | None:
+def detect(folder: Path) -> Path | None:
+    """Where there are frame-*.pose.txt: the folder, data/ or seq-01/; or None."""
     return next((folder / name for name in _PLACES if (folder / name).is_dir()
                  and next((folder / name).glob("frame-*.pose.txt"), None) is not None), None)
 
 
-def detect(folder: Path) -> bool:
-    """Whether there are frame-*.pose.txt in the folder, in data/ or in seq-01/."""
-    return _place(folder) is not None
-
-
 def read(folder: Path) -> Scene:
     """Read the frames."""
-    place = _place(folder)
+    place = detect(folder)
     if place is None:
         raise InputError(f"{folder} has no frame-NNNNNN.pose.txt (looked in {', '.join(_PLACES)})")
     path = photos.first_file(place, INTRINSICS)

@@ -48,7 +48,7 @@ def read(folder: Path, *, outside: bool = False) -> Scene:
         if abs(times[k] - time) > _APART:
             lost += 1
             continue
-        pose = rgbd.pose_from_quaternion(numbers[k, [4, 5, 6, 7, 1, 2, 3]], f"{trajectory}, time {poses[k][0]}")
+        pose = untrusted.pose(numbers[k, 4:8], numbers[k, 1:4], f"{trajectory}, time {poses[k][0]}")
         image = photos.existing(photos.inside(folder, photo, f"{folder}: photo", outside=outside), str(folder))
         file = depth and photos.existing(photos.inside(folder, depth, f"{folder}: depth", outside=outside), str(folder))
         frames.append(rgbd.Frame(image, pose, _K(folder, image), file or None, pixel_center=0.0))
@@ -77,7 +77,8 @@ def _pairs(folder: Path) -> list[tuple[float, str, str]]:
     if both is not None:
         found = []
         for row in _rows(both, 4):
-            color, depth = (0, 2) if _is_photo(row[1]) else (2, 0)
+            is_photo = "rgb" in row[1] or "color" in row[1] or row[1].lower().endswith((".jpg", ".jpeg"))
+            color, depth = (0, 2) if is_photo else (2, 0)
             found.append((untrusted.word(row[color], f"{both}: time"), row[color + 1], row[depth + 1]))
         return found
     names = _rows(folder / "rgb.txt", 2)
@@ -89,10 +90,6 @@ def _pairs(folder: Path) -> list[tuple[float, str, str]]:
         k = int(np.argmin(np.abs(times - time))) if len(times) else -1
         found.append((time, row[1], depths[k][1] if k >= 0 and abs(times[k] - time) <= _APART else ""))
     return found
-
-
-def _is_photo(name: str) -> bool:
-    return "rgb" in name or "color" in name or name.lower().endswith((".jpg", ".jpeg"))
 
 
 def _nearest(times: np.ndarray, time: float) -> int:

@@ -22,6 +22,7 @@ from pagas_cl.scene.camera import Camera
 MAX_BYTES = 256 << 20      # a camera file of 100,000 views has some 100 MB
 MAX_SIDE = 1 << 20         # pixels; larger sides are damage, not photos
 _XML_DEPTH, _XML_BYTES = 32, 64 << 20
+_UNIT = 1e-2               # by so much the length of a quaternion may differ from 1
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)  # float() would take "1_0", "nan", "inf"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".ppm")
 
@@ -128,7 +129,7 @@ def is_number(token: str) -> bool:
 
 def word(token: str, what: str) -> float:
     """A finite number out of a word of a text file, in plain decimal spelling."""
-    if not _NUMBER.fullmatch(token):
+    if not is_number(token):
         raise InputError(f"{what} is {short(token)}, expected a number")
     return number(float(token), what)
 
@@ -192,6 +193,22 @@ def refuse_near_misses(found: dict[str, Any], known: tuple[str, ...], where: str
         for name in known:
             if name not in found and len(name) == len(key) and sum(a != b for a, b in zip(name, key)) == 1:
                 raise InputError(f"{where}: unknown key {short(key)} while {name!r} is absent; is it a slip?")
+
+
+def pose(quaternion: npt.ArrayLike, shift: npt.ArrayLike, where: str) -> npt.NDArray[np.float64]:
+    """(4, 4) of a quaternion x y z w, which files hold with a length of 1, and a translation x y z."""
+    given = np.asarray(quaternion, np.float64)
+    sane = np.isfinite(given).all() and np.abs(given).max() < 2
+    length = float(np.linalg.norm(given)) if sane else np.nan
+    if not abs(length - 1) < _UNIT:
+        raise InputError(f"{where}: the quaternion {short(given.tolist())} has length {length:g}, expected 1")
+    x, y, z, w = given / length
+    found = np.eye(4)
+    found[:3, :3] = [[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                     [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                     [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]]
+    found[:3, 3] = shift
+    return found
 
 
 def pinhole(K: npt.ArrayLike, pose: npt.ArrayLike, width: int, height: int, name: str, *,

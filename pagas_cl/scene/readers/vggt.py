@@ -16,7 +16,8 @@ _DEPTH, _POSE, _K = ("depth_map", "depth"), ("extrinsic",), ("intrinsic",)
 _CONFIDENCE, _PHOTO = ("depth_conf",), ("images",)
 
 
-def _place(folder: Path) -> Path | None:
+def detect(folder: Path) -> Path | None:
+    """The first place where depth, extrinsic and intrinsic are together, or None."""
     for name in PLACES:
         found = predictions.arrays_of(folder / name)
         if all(predictions.first(found, names) for names in (_DEPTH, _POSE, _K)):
@@ -24,14 +25,9 @@ def _place(folder: Path) -> Path | None:
     return None
 
 
-def detect(folder: Path) -> bool:
-    """Whether depth, extrinsic and intrinsic are there together."""
-    return _place(folder) is not None
-
-
 def read(folder: Path, *, photos: Path | None = None, confidence: float | None = None) -> Scene:
     """Read the predictions; options as in depth_anything.read."""
-    place = _place(folder)
+    place = detect(folder)
     if place is None:
         raise InputError(f"{folder} holds no predictions of VGGT: looked for depth_map (or depth), extrinsic and "
                          f"intrinsic in {', '.join(PLACES)}")
