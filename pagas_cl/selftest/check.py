@@ -87,8 +87,8 @@ def _threshold(initial, config: Config) -> float:
 
 
 def device_gradient(scene: HardScene, config: Config, device, initial, at, scene_scale):
-    """N dL/dd (H, W), not filtered, and L of the depth `at` on the device, and the depth of a pixel of parallax (H, W); all in units
-    of `scene_scale`."""
+    """N dL/dd (H, W), not filtered, and L of the depth `at` on the device, and the depth of a pixel of parallax (H, W);
+    all in units of `scene_scale`."""
     import pyopencl as cl
 
     from pagas_cl.splat.inputs import LevelInput

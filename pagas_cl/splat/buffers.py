@@ -91,9 +91,10 @@ def dimensions(config: Config, target: Size, others: Sequence[Size], contexts: i
         words=[size.pixels // 32 + 2 for size in others[:contexts]], losses=max(config.pyramid.steps) + 1,
         blocks=prod(blocks(target)),
         occlusion=config.splatting.occlusion, alpha=config.splatting.blend == "alpha", ssim=config.loss.ssim > 0,
-        exposure=config.loss.exposure, unseen_mask=config.loss.unseen_mask, filtered=config.solver.gradient_filter > 0 or is_planar(config),
-        smooth=smooth, normal=config.smoothness.kind == "normal", follows_loss=follows_loss,
-        specularity=smooth and config.smoothness.specularity > 0, follows_smooth=smooth and follows_loss)
+        exposure=config.loss.exposure, unseen_mask=config.loss.unseen_mask, smooth=smooth,
+        filtered=config.solver.gradient_filter > 0 or is_planar(config), normal=config.smoothness.kind == "normal",
+        follows_loss=follows_loss, specularity=smooth and config.smoothness.specularity > 0,
+        follows_smooth=smooth and follows_loss)
 
 
 @dataclass(eq=False)

@@ -1,5 +1,5 @@
-"""Launches of gradient_filter.cl: the gradient that a step follows, of the photos, averaged over neighbouring pixels, and
-of planar smoothness (method sections 5 and 6)."""
+"""Launches of gradient_filter.cl: the gradient that a step follows, that of the photos averaged over neighbouring
+pixels and that of planar smoothness (method sections 5 and 6)."""
 
 
 def launches(programs, buffers, target, weight: float) -> list:
