@@ -136,7 +136,7 @@ def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:
         "link_bins": (12 + places) * n + 8 * m, "composite_alpha": (12 + places) * n + (4 + image) * m,
         "composite_alpha_vjp": (12 + 2 * places) * n + (4 + image) * m, "gather_alpha": (12 + places) * n + 4 * m,
         "ssim_forward": (image + 4 + partials) * m, "loss_backward": (2 * image + 4 + partials) * m,
-        "filter_gradient": 24 * n, "adam": 40 * n,
+        "filter_gradient": 24 * n, "adam": 36 * n,
     }
 
 
