@@ -2,8 +2,6 @@
 //   v_rendered (G, h): dL/dalpha_i = G . c_i + h (order-free), or (dL/dC, dL/dA) (alpha blend)
 #include "window.clh"
 
-#define TILE_ACROSS (TILE_W / COLUMNS)                   // tiles are whole vectors wide: none is repeated
-
 #define SUMS (3 * TILE_H * STRIDE)                      // of a channel: three planes
 
 #ifdef SSIM
@@ -12,7 +10,7 @@ void gather_down(__global const float *partials, int left, int top, int width, i
                  __local float *sums)
 {
     const int plane = pitch * height;
-    for (int t = get_local_id(0); t < CHANNELS * (TILE_H / RUN) * ACROSS; t += LOSS_GROUP) {
+    for (int t = get_local_id(0); t < CHANNELS * (TILE_H / RUN) * ACROSS; t += TILE_GROUP) {
         const int y = t / ACROSS % (TILE_H / RUN) * RUN, x = span_start(t % ACROSS, COLUMNS, WIDE);
         const int c = t / (TILE_H / RUN * ACROSS), column = left + x - HALO, row = top + y - HALO;
         columns_t sum[3][RUN];
@@ -41,13 +39,13 @@ void gather_down(__global const float *partials, int left, int top, int width, i
 // that of a row only what is done later must wait.
 void gather_across(__local float *sums)
 {
-    for (int from = 0; from < TILE_H * CHUNKS; from += LOSS_GROUP) {
+    for (int from = 0; from < TILE_H * CHUNKS; from += TILE_GROUP) {
         const int t = from + get_local_id(0), place = t / CHUNKS * STRIDE + t % CHUNKS * LANES;
         lanes_t across[3 * CHANNELS];
         UNROLL for (int q = 0; q < 3 * CHANNELS; ++q)
             if (t < TILE_H * CHUNKS)
                 across[q] = blur_across(sums + q * TILE_H * STRIDE + place);
-#if LOSS_GROUP > 1
+#if TILE_GROUP > 1
         barrier(CLK_LOCAL_MEM_FENCE);
 #endif
         UNROLL for (int q = 0; q < 3 * CHANNELS; ++q)
@@ -164,10 +162,10 @@ void loss_backward(__global const stored_t *rendered,              // [H', W', C
     }
 #endif
 #ifdef TRACK_LOSS
-    __local long scratch[LOSS_GROUP];
+    __local long scratch[TILE_GROUP];
     long loss = 0;
 #endif
-    for (int t = get_local_id(0); t < TILE_H * TILE_ACROSS; t += LOSS_GROUP) {
+    for (int t = get_local_id(0); t < TILE_H * TILE_ACROSS; t += TILE_GROUP) {
         const int row = t / TILE_ACROSS, column = t % TILE_ACROSS * COLUMNS;
         const int x = left + column, y = top + row, pixel = y * width + x;
         if (x >= width || y >= height)

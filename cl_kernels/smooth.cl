@@ -1,5 +1,5 @@
 // What holds a depth map together where photos say little (method section 5): per target pixel, added to the gradient.
-//   smoothness_scale                       units and weights of second differences of inverse depth (planar.cl)
+//   smoothness_scale                       units and weights of second differences of inverse depth (planar.clh)
 //   normal_map, normal_slope, normal_vjp   the paper's angle between neighbouring normals
 //   raise_weights                          more where a surface is specular
 //   planar_loss, normal_loss               their penalties, summed for the schedule

@@ -24,7 +24,7 @@ typedef uchar shade_t;
 void load_tile(__global const stored_t *rendered, __global const uchar4 *photo, int left, int top, int width,
                int height, __local float *xs, __local shade_t *ys)
 {
-    for (int t = get_local_id(0); t < TALL * ACROSS; t += LOSS_GROUP) {
+    for (int t = get_local_id(0); t < TALL * ACROSS; t += TILE_GROUP) {
         const int y = t / ACROSS, x = span_start(t % ACROSS, COLUMNS, WIDE), place = y * STRIDE + x;
         const int pixel = min(top + y, height - 1) * width + min(left + x, width - COLUMNS);
         const Rendered r = load_rendered(rendered, photo, pixel);
@@ -38,7 +38,7 @@ void load_tile(__global const stored_t *rendered, __global const uchar4 *photo, 
 // Vertical windows of x, y, xx + yy and xy.
 void blur_down(__local const float *xs, __local const shade_t *ys, __local float *sums)
 {
-    for (int t = get_local_id(0); t < (TILE_H / RUN) * ACROSS; t += LOSS_GROUP) {
+    for (int t = get_local_id(0); t < (TILE_H / RUN) * ACROSS; t += TILE_GROUP) {
         const int y = t / ACROSS * RUN, x = span_start(t % ACROSS, COLUMNS, WIDE), place = y * STRIDE + x;
         columns_t sum_x[RUN], sum_y[RUN], sum_squares[RUN], sum_product[RUN];
         UNROLL for (int k = 0; k < RUN; ++k)
@@ -122,7 +122,7 @@ void ssim_forward(__global const stored_t *rendered,               // [H', W', C
     __local shade_t ys[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));
     __local float sums[4 * TILE_H * STRIDE] __attribute__((aligned(16)));
 #ifdef TRACK_LOSS
-    __local long scratch[LOSS_GROUP];
+    __local long scratch[TILE_GROUP];
     long loss = 0;
 #endif
     const int columns = width - HALO, rows = height - HALO, plane = pitch * height;
@@ -132,7 +132,7 @@ void ssim_forward(__global const stored_t *rendered,               // [H', W', C
     for (int c = 0; c < CHANNELS; ++c) {
         blur_down(xs + c * TALL * STRIDE, ys + c * TALL * STRIDE, sums);
         barrier(CLK_LOCAL_MEM_FENCE);
-        for (int t = get_local_id(0); t < TILE_H * CHUNKS; t += LOSS_GROUP) {
+        for (int t = get_local_id(0); t < TILE_H * CHUNKS; t += TILE_GROUP) {
             const int y = t / CHUNKS, x = span_start(t % CHUNKS, LANES, TILE_W), row = top + y;
             if (row >= rows || left + x >= columns)
                 continue;

@@ -7,7 +7,8 @@
 // Without branches, so that compilers for CPUs make vectors of it. first_scale and second_scale undo the bias of the
 // first steps: 1 / (1 - beta1^number) and 1 / (1 - beta2^number).
 __kernel void adam(__global float *restrict depth,                 // [H, W] units
-                   __global float *restrict gradient,              // [H, W] N dL/dd, is cleared
+                   __global float *gradient,                       // [H, W] of the photos, is cleared
+                   __global const float *followed,                 // [H, W] N dL/dd, or `gradient` again
                    __global float *restrict first, __global float *restrict second,    // moments, [H, W]
                    __global const float *restrict depth_per_parallax,
                    __global const float *restrict state, int count, float first_scale, float second_scale,
@@ -17,7 +18,7 @@ __kernel void adam(__global float *restrict depth,                 // [H, W] uni
     const float d = depth[i], own = depth_per_parallax[i], rate = state[RATE] * share;
     const float u = own > 0.0f ? (common_length > 0.0f ? common_length : own) : 0.0f;
     const bool moving = d > 0.0f && state[DONE] == 0.0f;
-    const float g = moving ? gradient[i] * u : 0.0f;
+    const float g = moving ? followed[i] * u : 0.0f;
     const float old_m = first[i], old_v = second[i];
     const float m = moving ? beta1 * old_m + (1.0f - beta1) * g : old_m;
     const float v = moving ? beta2 * old_v + (1.0f - beta2) * g * g : old_v;

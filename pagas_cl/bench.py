@@ -133,7 +133,7 @@ def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:
         "link_bins": (12 + places) * n + 8 * m, "composite_alpha": (12 + places) * n + (4 + image) * m,
         "composite_alpha_vjp": (12 + 2 * places) * n + (4 + image) * m, "gather_alpha": (12 + places) * n + 4 * m,
         "ssim_forward": (image + 4 + partials) * m, "loss_backward": (2 * image + 4 + partials) * m,
-        "smoothness_planar": 20 * n, "filter_across": 12 * n, "filter_down": 12 * n, "adam": 36 * n,
+        "filter_gradient": 24 * n, "adam": 36 * n,
     }
 
 

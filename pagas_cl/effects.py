@@ -4,7 +4,7 @@ whether refined views that contradict each other are cleaned before they are fus
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +41,7 @@ class Decision:
     reason: str
 
     def as_dict(self) -> dict:
-        return asdict(self)
+        return dict(vars(self))
 
     def __str__(self) -> str:
         figures = f": {self.evidence:.3g}, threshold {self.threshold:g}" if self.evidence == self.evidence else ""

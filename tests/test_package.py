@@ -48,7 +48,7 @@ OLD_WORDS = {
 }
 # Kernel files that belong to a stage, and a twin, of another name.
 STAGE = {"alpha": "composite", "backward": "composite", "deviation": "evidence", "image_noise": "measure",
-         "means": "project", "patches": "evidence", "planar": "smooth", "ssim": "loss", "summary": "measure"}
+         "means": "project", "patches": "evidence", "ssim": "loss", "summary": "measure"}
 TWINS = ("pagas_cl/reference", "tests/twins")
 
 

@@ -92,8 +92,9 @@ def _threshold(initial, config: Config) -> float:
 
 
 def device_gradient(scene: HardScene, config: Config, device, initial, at, scene_scale):
-    """N dL/dd (H, W) and L of the depth `at` on the device, and the depth of a pixel of parallax (H, W); all in units
-    of `scene_scale`."""
+    """N dL/dd (H, W), not filtered, and L of the depth `at` on the device, and the depth of a pixel of parallax (H, W);
+    all in units of `scene_scale`."""
+    config = config.with_settings(solver__gradient_filter=0)
     photos, views = PhotoStore(device), [scene.target, *scene.contexts]
     level = Level(device, config, LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene_scale,
                                              _threshold(initial, config), 1.0, len(scene.contexts)))
@@ -102,9 +103,9 @@ def device_gradient(scene: HardScene, config: Config, device, initial, at, scene
     level.start()
     level.enter(Phase(config, raised=True))
     cl.enqueue_copy(device.queue, level.buffers.depth, at)
-    for launch in level.gradient_launches(0):
+    for launch in level.step_launches(0):
         launch.enqueue(device.queue)
-    found = level.read("gradient", at.shape), loss_of(device, level.buffers), level.read("depth_per_parallax", at.shape)
+    found = level.gradient(), loss_of(device, level.buffers), level.read("depth_per_parallax", at.shape)
     level.release()
     return found
 

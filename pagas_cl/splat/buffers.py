@@ -13,7 +13,7 @@ from pagas_cl.config import Config
 from pagas_cl.runtime.arena import Buffers, declared
 from pagas_cl.scene.camera import Camera
 from pagas_cl.splat.constants import MARGIN
-from pagas_cl.splat.options import reach
+from pagas_cl.splat.options import is_planar, reach
 from pagas_cl.splat.tile import blocks, pitch
 
 NO_HEAD = np.int32(-1)    # of an empty bin (alpha.cl)
@@ -91,9 +91,10 @@ def dimensions(config: Config, target: Size, others: Sequence[Size], contexts: i
         words=[size.pixels // 32 + 2 for size in others[:contexts]], losses=max(config.pyramid.steps) + 1,
         blocks=prod(blocks(target)),
         occlusion=config.splatting.occlusion, alpha=config.splatting.blend == "alpha", ssim=config.loss.ssim > 0,
-        exposure=config.loss.exposure, unseen_mask=config.loss.unseen_mask, filter=config.solver.gradient_filter > 0,
-        smooth=smooth, normal=config.smoothness.kind == "normal", follows_loss=follows_loss,
-        specularity=smooth and config.smoothness.specularity > 0, follows_smooth=smooth and follows_loss)
+        exposure=config.loss.exposure, unseen_mask=config.loss.unseen_mask, smooth=smooth,
+        filtered=config.solver.gradient_filter > 0 or is_planar(config), normal=config.smoothness.kind == "normal",
+        follows_loss=follows_loss, specularity=smooth and config.smoothness.specularity > 0,
+        follows_smooth=smooth and follows_loss)
 
 
 @dataclass(eq=False)
@@ -136,14 +137,14 @@ class ExposureBuffers(Buffers):
 class LevelBuffers(EvidenceBuffers, ExposureBuffers):
     """What the steps of a level work on."""
 
-    gradient: MaybeBuffer = declared(("pixels",), np.float32, "1 / units", "N dL/d depth", start=_ZERO)
+    gradient: MaybeBuffer = declared(("pixels",), np.float32, "1 / units", "N dL/d depth of the photos", start=_ZERO)
     first: MaybeBuffer = declared(("pixels",), np.float32, "1", "Adam's mean of the gradient", start=_ZERO)
     second: MaybeBuffer = declared(("pixels",), np.float32, "1", "Adam's mean of its square", start=_ZERO)
     state: MaybeBuffer = declared((8,), np.float32, "", "of the schedule, as in step.cl", start=_ZERO)
     partials: MaybeBuffer = declared(
         ("partials",), np.float32, "1", "derivatives of SSIM by the means of its windows", needed="ssim")
-    sums: MaybeBuffer = declared(
-        ("pixels",), np.float32, "1", "the gradient averaged across, per pixel of parallax", needed="filter")
+    followed: MaybeBuffer = declared(
+        ("pixels",), np.float32, "1 / units", "N dL/d depth that a step follows; None: `gradient`", needed="filtered")
     heads: MaybeBuffer = declared(
         ("bins",), np.int32, "", "first link of each bin; NO_HEAD: empty", needed="alpha", start=NO_HEAD)
     links: MaybeBuffer = declared(

@@ -1,9 +1,12 @@
-"""Launches of gradient_filter.cl: the gradient of the photos averaged over neighbouring pixels (method section 6)."""
+"""Launches of gradient_filter.cl: the gradient that a step follows, that of the photos averaged over neighbouring
+pixels and that of planar smoothness (method sections 5 and 6)."""
 
 
-def launches(programs, buffers, size) -> list:
-    """Average buffers.gradient in place; once a step, before the smoothness adds to it."""
-    if programs.config.solver.gradient_filter == 0:
+def launches(programs, buffers, target, weight: float) -> list:
+    """From buffers.gradient to buffers.followed, with N dL_s/dd of planar smoothness; nothing where neither is asked
+    for."""
+    if buffers.followed is None:
         return []
-    return [programs.bind("gradient_filter.cl", name, size.grid, buffers, **size.extent)
-            for name in ("filter_across", "filter_down")]
+    s = programs.config.smoothness
+    return [programs.bind("gradient_filter.cl", "filter_gradient", target.size.grid, buffers, target, scale=weight,
+                          h=s.huber, discontinuity=s.discontinuity)]

@@ -59,7 +59,7 @@ class Level:
         if config.loss.exposure:
             cl.enqueue_copy(device.queue, self.buffers.exposure, exposure.neutral(len(self.views)))
         self.phase = None
-        self.target_view, self.view_launches, self.gradient_filter, self.smooth, self.ending = [], [], [], [], []
+        self.target_view, self.view_launches, self.smooth, self.ending = [], [], [], []
 
     def prepare(self):
         """Take units and unseen masks under the run's initial depth, which buffers.depth holds."""
@@ -68,7 +68,6 @@ class Level:
     def start(self):
         """Get ready for the steps, which start from what buffers.depth holds."""
         run_once(self.device.queue, smooth.before_steps(self.programs, self.buffers, self.target))
-        self.gradient_filter = gradient_filter.launches(self.programs, self.buffers, self.target.size)
         self.enter(Phase(self.config, raised=False))
 
     def enter(self, phase: Phase):
@@ -86,7 +85,8 @@ class Level:
                      smooth.raising(self._first, self.buffers, self.target, self.given.specularity))
             weight = self.config.smoothness.weight_with(len(self.views))
         _release(self.smooth)
-        self.smooth = smooth.launches(self._first, self.buffers, self.target, weight)
+        given = self._first, self.buffers, self.target, weight
+        self.smooth = gradient_filter.launches(*given) + smooth.launches(*given)
 
     def _bind_views(self, config: Config):
         self.programs = self._first if config == self.config else Programs(self.device, config, self.given.cameras)
@@ -107,19 +107,11 @@ class Level:
         asked = self.config.solver.views_per_step
         return min(asked, len(self.views)) if asked else len(self.views)
 
-    def gradient_launches(self, number: int) -> list:
-        """Launches that add N dL/dd of step `number` (from 0) to the gradient."""
-        return self._photo_launches(number) + self.smooth
-
     def step_launches(self, number: int) -> list:
-        """The same with the gradient of the photos filtered over neighbouring pixels, as a step wants it."""
-        return self._photo_launches(number) + self.gradient_filter + self.smooth
-
-    def _photo_launches(self, number: int) -> list:
-        """Context views in turn."""
+        """Launches that make the gradient of step `number` (from 0), context views in turn."""
         k, n = self.views_per_step, len(self.view_launches)
         chosen = [self.view_launches[(number * k + j) % n] for j in range(k)]
-        return [launch for view in (self.target_view, *chosen) for launch in view]
+        return [launch for part in (self.target_view, *chosen, self.smooth) for launch in part]
 
     def solver(self) -> step.Solver:
         """Adam from its first step."""
@@ -151,6 +143,10 @@ class Level:
         """Copy of the buffer `name` on the host."""
         return download(self.device, getattr(self.buffers, name), shape, dtype)
 
+    def gradient(self) -> np.ndarray:
+        """N dL/dd of shape (H, W), of the step whose launches were enqueued last, on the host."""
+        return self.read("followed" if self.buffers.followed else "gradient", self.target.size.grid[::-1])
+
     def release(self):
         """Give everything back."""
         self._release_launches()
@@ -162,8 +158,8 @@ class Level:
         return self.buffers.hand_over(EvidenceBuffers)
 
     def _release_launches(self):
-        _release(self.ending, self.target_view, self.gradient_filter, self.smooth, *self.view_launches)
-        self.ending, self.target_view, self.gradient_filter, self.smooth, self.view_launches = [], [], [], [], []
+        _release(self.ending, self.target_view, self.smooth, *self.view_launches)
+        self.ending, self.target_view, self.smooth, self.view_launches = [], [], [], []
 
 
 def _release(*groups):

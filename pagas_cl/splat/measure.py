@@ -154,19 +154,19 @@ class Probe:
 
     def read(self) -> ProbeResult:
         """Measure all context views."""
+        image_noise = ImageNoise(self.device, self.target.photo, self.target.size)     # its upload waits for all before
         for view in self.views:
             run_once(self.device.queue, [
                 *view.fetch(), *project.nearest(self.programs, self.buffers, view), *self.sample(view),
                 exposure.match(self.programs, self.buffers, view)])
         run_once(self.device.queue, self._judge())
-        image_noise = ImageNoise(self.device, self.target.photo, self.target.size)
         views, samples = self.view_samples.read().reshape(-1, len(_ROWS), 4), self.samples.read()
         specularity = np.empty((self.grid.down, self.grid.across), np.float32)
         cl.enqueue_copy(self.device.queue, specularity, self.samples.values, src_offset=8 * self.grid.count)
-        explained, row = np.empty((len(self.views), *specularity.shape), np.float32), len(_ROWS) - 1
-        for k, rows in enumerate(explained):        # the next download waits for these
-            cl.enqueue_copy(self.device.queue, rows, self.view_samples.values, is_blocking=False,
-                            src_offset=4 * self.grid.count * (k * len(_ROWS) + row))
+        explained, row = np.empty((len(self.views), *specularity.shape), np.float32), 4 * self.grid.count
+        cl.enqueue_copy(self.device.queue, explained, self.view_samples.values, host_origin=(0, 0),
+                        buffer_origin=(row * (len(_ROWS) - 1), 0), region=(row, len(self.views)),
+                        buffer_pitches=(row * len(_ROWS),), host_pitches=(row,))
         table = download(self.device, self.buffers.exposure, (1 + len(self.views), 2, 3))
         return ProbeResult({name: views[:, row] for row, (name, *_) in enumerate(_ROWS)}, samples[0], samples[1],
                            table[1:].transpose(0, 2, 1).astype(np.float64), *image_noise.read(), self.grid.stride,

@@ -10,7 +10,7 @@ from pagas_cl.config import Config
 from pagas_cl.runtime.program import Launch, bind, build
 from pagas_cl.scene.camera import Camera
 from pagas_cl.splat.constants import SHARED, define
-from pagas_cl.splat.tile import BLOCK, BOX_GROUP, blocks, choose_tiles, columns_of, row_group, strips
+from pagas_cl.splat.tile import BLOCK, BOX_GROUP, blocks, choose_tiles, columns_of, filter_tile, row_group, strips
 
 SLOTS = 12                # candidates that a pixel sorts at a time (lists.clh)
 LIST_GROUP = (32, 4)      # work-items that do so side by side: 12 bytes a slot at most, 18 kB of local memory
@@ -42,6 +42,11 @@ def fixed_bits(weight: float) -> int:
     return max(1, min(20, 32 - ceil(log2(weight))))
 
 
+def is_planar(config: Config) -> bool:
+    """Whether planar smoothness pulls at all."""
+    return config.smoothness.kind == "planar" and config.smoothness.weight > 0
+
+
 def defines(config: Config, device, weight: float) -> tuple[str, ...]:
     """The -D defines of every kernel for `config` on `device`; `weight` as heaviest_pixel has it."""
     splatting, loss = config.splatting, config.loss
@@ -53,6 +58,7 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
         "DEPTH_RELATIVE": splatting.occlusion and splatting.depth_relative > 0,
         "LOW_PASS": splatting.low_pass > 0,
         "SSIM": loss.ssim > 0,
+        "PLANAR": is_planar(config),
         "ROBUST": loss.robust > 0,
         **{own.metadata["define"]: getattr(loss, own.name) for own in fields(loss) if own.metadata["define"]},
         "TRACK_LOSS": config.solver.patience > 0,
@@ -80,12 +86,13 @@ def numbers_of(config: Config) -> dict[str, float]:
 
 class Programs:
     """The kernels as `config` wants them on `device`, for images of `cameras`, the target first: `defines` of every
-    kernel file, `more` by file, and `tiles`, how ssim.cl and loss.cl share an image."""
+    kernel file, `more` by file, and `tiles`, how work-items share an image, by file too."""
 
     def __init__(self, device, config: Config, cameras: list[Camera], more: dict | None = None):
         self.device, self.config = device, config
         self.defines = defines(config, device, heaviest_pixel(cameras[0]))
         self.tiles = dict(zip(("ssim.cl", "loss.cl"), choose_tiles(device, [(c.width, c.height) for c in cameras])))
+        self.tiles["gradient_filter.cl"] = filter_tile(device, cameras[0].width)
         self.more = {**(more or {}), **{file: tile.defines for file, tile in self.tiles.items()}}
         self._columns = columns_of(device, cameras[0].width)
         self._settings, self._built = numbers_of(config), {}

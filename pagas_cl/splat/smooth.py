@@ -1,4 +1,4 @@
-"""Launches of smooth.cl and planar.cl: what holds a depth map together where photos say little (method section 5)."""
+"""Launches of smooth.cl: what holds a depth map together where photos say little (method section 5)."""
 
 import numpy as np
 
@@ -37,7 +37,8 @@ def factors_of(specularity: np.ndarray, most: float) -> np.ndarray:
 
 
 def launches(programs, buffers, target, weight: float) -> list:
-    """Add N dL_s/dd to buffers.gradient, and L_s to the loss where the schedule follows it; once a step."""
+    """Add N dL_s/dd of "normal" smoothness to the gradient that a step follows (that of "planar" is in it), and L_s to
+    the loss where the schedule follows it; once a step."""
     s, size = programs.config.smoothness, target.size
     if s.kind == "none" or s.weight == 0:
         return []
@@ -46,9 +47,8 @@ def launches(programs, buffers, target, weight: float) -> list:
         return programs.bind("smooth.cl", kernel, grid, buffers, target, group, **arguments)
 
     planar = {"h": s.huber, "discontinuity": s.discontinuity} if s.kind == "planar" else None
-    slopes = [programs.bind_rows("planar.cl", "smoothness_planar", buffers, target, scale=weight, **planar)
-              ] if planar else [
-        smooth("normal_map"), smooth("normal_slope", scale=weight), smooth("normal_vjp")]
+    slopes = [] if planar else [smooth("normal_map"), smooth("normal_slope", scale=weight),
+                                smooth("normal_vjp", gradient=buffers.followed or buffers.gradient)]
     if buffers.smooth_losses is None:
         return slopes
     return [*slopes, smooth("planar_loss" if planar else "normal_loss", (SUM_GROUPS * PENALTY_GROUP,), (PENALTY_GROUP,),

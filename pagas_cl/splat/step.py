@@ -28,8 +28,9 @@ class Solver:
         state[RATE], state[BEST] = solver.rate, np.inf
         cl.enqueue_copy(self.device.queue, buffers.state, state)
         self._adam = programs.bind(
-            "step.cl", "adam", (size.pixels,), buffers, count=size.pixels, first_scale=1.0, second_scale=1.0,
-            beta1=solver.beta1, beta2=solver.beta2, damping=solver.damping, share=1.0,
+            "step.cl", "adam", (size.pixels,), buffers, followed=buffers.followed or buffers.gradient,
+            count=size.pixels, first_scale=1.0, second_scale=1.0, beta1=solver.beta1, beta2=solver.beta2,
+            damping=solver.damping, share=1.0,
             common_length=viewing_distance if solver.rate_unit == "distance" else 0.0)
         if solver.patience:
             self._plateau = programs.bind(

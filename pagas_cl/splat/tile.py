@@ -23,7 +23,7 @@ class Tile:
     @property
     def defines(self) -> tuple[str, ...]:
         """The -D defines of lanes.clh and window.clh."""
-        return (f"TILE_W={self.width}", f"TILE_H={self.height}", f"LOSS_GROUP={self.group}", f"COLUMNS={self.columns}",
+        return (f"TILE_W={self.width}", f"TILE_H={self.height}", f"TILE_GROUP={self.group}", f"COLUMNS={self.columns}",
                 f"LANES={self.lanes}", f"RUN={self.run}")
 
     def grid(self, width: int, height: int) -> tuple[int, int]:
@@ -34,6 +34,7 @@ class Tile:
 # For ssim.cl and loss.cl: what fits into 32 kB of local memory, with few work-items that are idle in either pass; rows
 # start on 16 bytes.
 SCALAR = Tile(48, 10, 128, 1, 4, run=5), Tile(52, 12, 192, 1, 4, run=4)
+FILTERED = Tile(32, 16, 256, 1, 4)        # for gradient_filter.cl
 
 
 def columns_of(device, width: int) -> int:
@@ -66,6 +67,12 @@ def choose_tiles(device, sizes) -> tuple[Tile, Tile]:
     if all(w >= tile.width + HALO and h >= tile.height + HALO for w, h in sizes):
         return tile, tile
     return tuple(replace(tile, group=1) for tile in SCALAR)       # vectors would cross the image's edge
+
+
+def filter_tile(device, width: int) -> Tile:
+    """The tile of gradient_filter.cl for a target of `width` on `device`."""
+    lanes = columns_of(device, width)
+    return Tile(64, 16, 1, lanes, lanes) if lanes > 1 else FILTERED
 
 
 def pitch(width: int) -> int:

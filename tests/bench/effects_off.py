@@ -73,7 +73,7 @@ def main():
         level = level_of(device, config, views, depth)
         with as_if_never_written(effect):
             bare = level_of(device, config, views, depth)
-        times = np.array([[sum(ms for ms, _ in stage_times(device.queue, one.gradient_launches(0), REPEATS).values())
+        times = np.array([[sum(ms for ms, _ in stage_times(device.queue, one.step_launches(0), REPEATS).values())
                            for one in (level, bare)] for _ in range(ROUNDS)])
         have, lack = np.median(times, axis=0)
         half_range = np.ptp(times[:, 0] / times[:, 1]) / 2

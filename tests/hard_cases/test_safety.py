@@ -28,7 +28,7 @@ VARIANTS = {
     "order-free": {}, "alpha": {}, "alpha wide": dict(splatting__radius=5.0),
     "grey": dict(loss__grey=True, loss__robust=0.5, loss__structure=True, loss__exposure=True),
 }
-TILE_OF = {"ssim.cl": tile.SCALAR[0], "loss.cl": tile.SCALAR[1]}
+TILE_OF = {"ssim.cl": tile.SCALAR[0], "loss.cl": tile.SCALAR[1], "gradient_filter.cl": tile.FILTERED}
 # of a file alone, beside those of the settings
 MORE = {"measure.cl": measure._ROW_NUMBERS, "agreement.cl": agreement.OWN_DEFINES}
 OWN = {"adjust.cl": adjust.DEFINES, "normalize.cl": normalize.DEFINES, "mesh_evidence.cl": mesh_evidence.DEFINES,
@@ -61,9 +61,9 @@ def asked_of(device, file, defines) -> list:
                                         and not (file in OWN and name != "grey")])
 def test_kernels_fit_any_device_of_opencl_1_2(device, file, name):
     """Without double precision, within 32 kB of local memory and 256 work-items."""
-    given = options.defines(variant(name).with_settings(solver__gradient_filter=2), device, 64) + MORE.get(file, ())
+    given = options.defines(variant(name).with_settings(solver__gradient_filter=16), device, 64) + MORE.get(file, ())
     given = OWN.get(file, given)
-    for part in tile.SCALAR:
+    for part in (*tile.SCALAR, tile.FILTERED):
         for name, local, group in asked_of(device, file, program._mentioned(file, (*given, *part.defines))):
             if TILE_OF.get(file, part) is part:
                 assert local <= 32 << 10, f"{name}: {local} bytes of local memory"

@@ -77,14 +77,17 @@ def test_the_way_back(device, scene, config):
 
 @pytest.mark.parametrize("kind", ["planar", "normal"])
 def test_smoothness(device, scene, kind):
-    config = ORDER_FREE.with_settings(smoothness__kind=kind, smoothness__weight=0.3, smoothness__discontinuity=0.8)
+    config = ORDER_FREE.with_settings(smoothness__kind=kind, smoothness__weight=0.3, smoothness__discontinuity=0.8,
+                                      solver__gradient_filter=0)
     stage = Stage.make(device, config, scene)
     target, s = stage.views[0], config.smoothness
     stage.put(depth=scene.initial, depth_per_parallax=stage.twin.parallax)
     kappa = stage.run(smooth.before_steps(stage.programs, stage.buffers, target), "kappa", scene.moved.shape)
     assert_kernel_close(kappa, stage.twin.kappa)
     stage.put(depth=scene.moved)
-    got = stage.run(smooth.launches(stage.programs, stage.buffers, target, s.weight), "gradient", scene.moved.shape)
+    given = stage.programs, stage.buffers, target, s.weight
+    launches = gradient_filter.launches(*given) + smooth.launches(*given)
+    got = stage.run(launches, "followed" if kind == "planar" else "gradient", scene.moved.shape)
     depth = scene.moved.astype(np.float64)
     _, want = smoothness(depth, depth > 0, s, stage.twin.kappa, scene.target.camera.rays(), stage.twin.texture)
     assert_kernel_close(got, want * depth.size)
@@ -92,10 +95,12 @@ def test_smoothness(device, scene, kind):
 
 @pytest.mark.parametrize("radius", [1, 3])
 def test_gradient_filter(device, scene, radius):
-    stage = Stage.make(device, ORDER_FREE.with_settings(solver__gradient_filter=radius), scene)
+    config = ORDER_FREE.with_settings(solver__gradient_filter=radius, smoothness__kind="none")
+    stage = Stage.make(device, config, scene)
     gradient = np.random.default_rng(0).standard_normal(scene.moved.shape).astype(np.float32)
     stage.put(gradient=gradient, depth_per_parallax=stage.twin.parallax)
-    got = stage.run(gradient_filter.launches(stage.programs, stage.buffers, Size(45, 37)), "gradient", gradient.shape)
+    launches = gradient_filter.launches(stage.programs, stage.buffers, stage.views[0], 0.0)
+    got = stage.run(launches, "followed", gradient.shape)
     assert_kernel_close(got, filter_gradient(gradient.astype(np.float64), stage.twin.parallax, radius))
 
 
@@ -107,7 +112,7 @@ def test_adam(device, scene):
     twin, want = Adam.start(scene.moved.shape, s.beta1, s.beta2), scene.moved.astype(np.float64)
     for number in range(4):
         gradient = rng.standard_normal(want.shape).astype(np.float32)
-        stage.put(gradient=gradient)
+        stage.put(followed=gradient)
         solver.enqueue(number, 4)
         want = twin.step(want, gradient.astype(np.float64), stage.twin.parallax, s.rate, s.damping_at(number, 4))
     got = stage.run([], "depth", want.shape)

@@ -68,11 +68,12 @@ def start_level(device, config, scene: Scene, specularity=None, raised=True) -> 
 
 
 def device_gradient(device, config, scene: Scene) -> tuple[np.ndarray, float]:
-    """N dL/dd of shape (H, W) and L of the moved depth, on the device."""
+    """N dL/dd of shape (H, W), not filtered, and L of the moved depth, on the device."""
+    config = config.with_settings(solver__gradient_filter=0)
     level = start_level(device, config, scene)
-    for launch in level.gradient_launches(0):
+    for launch in level.step_launches(0):
         launch.enqueue(device.queue)
-    gradient = level.read("gradient", scene.moved.shape)
+    gradient = level.gradient()
     loss = loss_of(device, level.buffers)
     level.release()
     return gradient, loss
