@@ -28,14 +28,14 @@ def shaded(surface: Surface, camera: Camera) -> np.ndarray:
 
 
 def row(name: str, preset: str) -> np.ndarray:
-    scene = getattr(mesh_scenes, name)(320 if name in ("relief", "wires") else 256)
+    scene = getattr(mesh_scenes, name)()
     view, column, line = SPOTS[name]
     whole = scene.cameras[view]
     camera = Camera(WIDE * ZOOM, HIGH * ZOOM, whole.fx * ZOOM, whole.fy * ZOOM, (whole.cx - column) * ZOOM,
                     (whole.cy - line) * ZOOM, whole.world_to_camera, whole.name)
-    found = {output: surface for output, surface, _ in mesh.outputs(scene, preset)}
+    found = dict(mesh.outputs(scene, preset))
     return np.concatenate([shaded(surface, camera) for surface in (
-        found["given"], found["tsdf, not polished"], found["mesh"], Surface(*scene.true))], axis=1)
+        found["given"], found["tsdf"], found["mesh"], Surface(*scene.true))], axis=1)
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ SUN = np.array([0.35, -0.45, -0.82]) / np.linalg.norm([0.35, -0.45, -0.82])
 
 @dataclass
 class Scene:
-    """True and given mesh as (vertices, faces); one footprint is a unit."""
+    """True and given mesh as (vertices, faces); one footprint is a unit: a pixel is that wide on the surface."""
 
     name: str
     cameras: list[Camera]
@@ -27,14 +27,8 @@ class Scene:
     given: tuple[np.ndarray, np.ndarray]
 
 
-def all_scenes(width: int = 320):
-    """One after another; a pixel is a unit wide on the surface."""
-    for make in (relief, wires, closed, sheet, box):
-        yield make(width)
-
-
-def relief(width: int) -> Scene:
-    made = synthetic.relief_scene(width, width * 3 // 4, contexts=6, held_out=0, detail=0.3)
+def relief(width: int = 320, seed: int = 0) -> Scene:
+    made = synthetic.relief_scene(width, width * 3 // 4, contexts=6, held_out=0, detail=0.3, seed=seed)
     unit = made.relief.footprint
     half = synthetic.layout.half_sizes(made.relief)
     true, given = (_scaled(solid_mesh(solid, spacing * unit, half), 1 / unit) for solid, spacing in
@@ -48,7 +42,16 @@ def relief(width: int) -> Scene:
     return Scene("relief", cameras, [view.image for view in made.views], true, given)
 
 
-def wires(width: int) -> Scene:
+def relief_1(width: int = 320) -> Scene:
+    """Another shape, another error of the given mesh, other texture."""
+    return relief(width, 1)
+
+
+def relief_2(width: int = 320) -> Scene:
+    return relief(width, 2)
+
+
+def wires(width: int = 320) -> Scene:
     rng = np.random.default_rng(1)
     large, fine = _waves(rng, 60, 300, 4.0), _waves(rng, 6, 40, 0.8)
     error = _waves(rng, 40, 200, 1.2)
@@ -63,7 +66,7 @@ def wires(width: int) -> Scene:
     return _photographed("wires", _grid_of_cameras(width, 7), _joined(true), _joined(given))
 
 
-def closed(width: int) -> Scene:
+def closed(width: int = 256) -> Scene:
     rng = np.random.default_rng(2)
     large, fine, error = _waves(rng, 60, 200, 5.0, 3), _waves(rng, 8, 40, 0.7, 3), _waves(rng, 40, 160, 1.2, 3)
     true, given = (_ball(0.3 * width, step, field) for step, field in
@@ -73,7 +76,7 @@ def closed(width: int) -> Scene:
     return _photographed("closed", cameras, true, given)
 
 
-def sheet(width: int) -> Scene:
+def sheet(width: int = 256) -> Scene:
     rng = np.random.default_rng(3)
     large, fine, error = _waves(rng, 80, 300, 6.0), _waves(rng, 8, 40, 0.6), _waves(rng, 40, 200, 0.8)
     true, given = (_thick(0.28 * width, step, field, 3.0) for step, field in
@@ -83,7 +86,7 @@ def sheet(width: int) -> Scene:
     return _photographed("sheet", cameras, true, given)
 
 
-def box(width: int) -> Scene:
+def box(width: int = 256) -> Scene:
     rng = np.random.default_rng(4)
     error = _waves(rng, 40, 200, 1.0, 3)
     half = 0.2 * width
