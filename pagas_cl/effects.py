@@ -27,7 +27,8 @@ DIFFERENT = 0.02         # pixels of parallax by which refined depth maps differ
 AGREEMENT_ROUNDS = 2     # each averages; between them, and not after the last, the photos have some steps
 MATCHED = 0.03           # share of a patch's variance that photos may leave unexplained for the default smoothness
 CONTRADICTED = 0.04      # share of depths that others contradict, above which those are left out of a fusion
-SHADED = 0.02            # mean residual: highlights leave 0.009 to 0.0195 on made scenes, shading and haze 0.028 or more
+SHADED = 0.02            # mean residual: highlights leave 0.009 to 0.0195 on made scenes, shading, haze 0.028 or more
+_BEFORE_RELIT = ("shading", "view_dependence")       # effects that photos as they are decide
 SHINY_DISCONTINUITY = 0.6  # smoothness.discontinuity at least: what a highlight bends is no discontinuity
 LOW_PASS = 0.06          # px^2: about what a photo's own pixel blurs; more than that blurs what is to be compared
 
@@ -165,19 +166,18 @@ def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Co
     settled, decisions = decide(config, measured)
     if asked == "auto" and settled.loss.shading:        # what else is called for, relit photos tell
         again = settle(target, contexts, depth, shaded(config), device, photos, normalized=normalized)
-        first = {decision.effect: decision for decision in decisions if decision.effect in ("shading", "view_dependence")}
+        first = {decision.effect: decision for decision in decisions if decision.effect in _BEFORE_RELIT}
         return again[0], [first.get(decision.effect, decision) for decision in again[1]], *again[2:]
-    config = settled
     for decision in decisions:
         log.debug("view %s: %s %s (%.4g, threshold %.4g)", target.name, decision.effect, "on" if decision.on else "off",
                   decision.evidence, decision.threshold)
-    return config, decisions, measured, contexts
+    return settled, decisions, measured, contexts
 
 
 def shaded(config: Config) -> Config:
-    """What is asked of a view that calls for shading: what is left of it does not make it a matter of exposure alone."""
-    choice = config.effects.view_dependence
-    return config.with_settings(effects__shading="on", effects__view_dependence="on" if choice == "auto" else choice)
+    """What is asked of a view whose photos are relit: structure alone is compared, whatever they still differ by."""
+    settings = {"effects__view_dependence": "on"} if config.effects.view_dependence == "auto" else {}
+    return config.with_settings(effects__shading="on", **settings)
 
 
 def decide_mismatch(evidence: float, config: Config) -> Decision:
