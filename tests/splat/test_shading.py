@@ -10,10 +10,11 @@ from support.scenes import relief_scene
 from twins import exposure as exposure_twin
 from twins import shading as twin
 
+from pagas_cl import effects
 from pagas_cl.presets import BALANCED
 from pagas_cl.reference.level import Photo
 from pagas_cl.reference.project import project
-from pagas_cl.refine import refine_depth
+from pagas_cl.refine import refine_depth, refine_views
 from pagas_cl.splat import PhotoStore, relit_views
 from pagas_cl.splat.buffers import SampleGrid, Size
 from pagas_cl.splat.photos import StreamedPhotos
@@ -81,3 +82,21 @@ def test_photos_that_match_are_not_relit(device, made):
     off, auto = (refined(made, made.views[1:], device, choice) for choice in ("off", "auto"))
     np.testing.assert_array_equal(auto.depth, off.depth)
     assert [effect["on"] for effect in auto.report["effects"] if effect["effect"] == "shading"] == [False]
+
+
+def test_rounds_of_agreement_relight_by_what_they_start_from(device, made, shaded, monkeypatch):
+    depths, views, asked = [made.initial_depth(camera) for camera in made.cameras], [made.views[0], *shaded], []
+
+    def recorded(target, contexts, depth, *given, **more):
+        asked.append((target.name, depth))
+        return relit_views(target, contexts, depth, *given, **more)
+
+    monkeypatch.setattr(effects, "relit_views", recorded)
+    results = refine_views(views, depths, device=device, config=BALANCED.with_settings(effects__cameras="off"))
+    shading = [effect["on"] for result in results for effect in result.report["effects"]
+               if effect["effect"] == "shading"]
+    first, later = asked[:len(views)], asked[len(views):]
+    assert shading == [True] * len(views)
+    assert all(depth is given for (_, depth), given in zip(first, depths))
+    assert [name for name, _ in later] == [view.name for view in views]
+    assert not any(np.array_equal(depth, given) for (_, depth), given in zip(later, depths))
