@@ -60,6 +60,9 @@ class Loss(Stage):
     again as the depth improves, and compare after them."""
     structure: bool = switch(False, "STRUCTURE")
     """SSIM without its luminance term: a local offset of brightness, as a highlight leaves it, is not seen."""
+    shading: bool = switch(False)
+    """Take from each context photo what its colours differ by from the target's over whole surroundings, under the
+    depth that the view starts from: light and haze that fall otherwise from place to place."""
     gradient_weight: bool = switch(False, "GRADIENT_WEIGHT")
     """Weight L1 by w_grad (paper eq. 6)."""
     coverage_weight: bool = switch(False, "COVERAGE_WEIGHT")
@@ -228,6 +231,7 @@ class Effects(Stage):
     unseen_mask: str = effect()
     exposure: str = effect()
     view_dependence: str = effect()
+    shading: str = effect()
     antialiasing: str = effect()
     smoothness: str = effect()
     noise: str = effect()

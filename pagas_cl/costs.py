@@ -95,10 +95,10 @@ def probe(target, contexts, depth, config: Config, device, *, photo: float, held
 
     def measure(steps: int, each: int) -> float:
         start = time.perf_counter()
-        settled = settle(target, contexts, depth, config, device, photos)[0]
+        settled, *_, used = settle(target, contexts, depth, config, device, photos)
         short = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__patience=0,
                                       solver__views_per_step=each, solver__rate=_RATE)
-        refine_levels(target, contexts, depth, short, device, photos, held_out=held_out)
+        refine_levels(target, used, depth, short, device, photos, held_out=held_out)
         took = time.perf_counter() - start
         ran()
         return took

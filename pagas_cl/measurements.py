@@ -39,6 +39,7 @@ class Measurements:
     """How far the context photos are off across the direction that depth moves a point in, pixels: root mean square
     over views and quadrants of the target. No depth explains it: cameras, or lenses, are off by about as much."""
     masked: bool                # whether masks were given
+    uneven: float = 0.0         # mean where specularity is the 95th percentile: of light everywhere, not of highlights
     mismatched: float = 0.0     # share of a patch's variance that context photos do not explain, median
     gains: tuple = ()           # gain and offset of each channel for each context view
     local_specularity: np.ndarray | None = field(default=None, compare=False, repr=False)
@@ -82,6 +83,11 @@ class Measurements:
         return 0.0 if self.far_off > _INCOMPARABLE or self.misaligned > _MISALIGNED else self.specularity
 
     @property
+    def shading(self) -> float:
+        """uneven, where the photos can be compared."""
+        return self.uneven if self.residual > 0 else 0.0
+
+    @property
     def depth_far_off(self) -> float:
         """far_off without what photos that are off show of any depth."""
         return max(0.0, self.far_off - _BY_CAMERAS * self.misaligned**2)
@@ -100,6 +106,7 @@ def measure(target, contexts, depth, config: Config, device, photos=None, *, nor
         overlap=_number(found.seen[MEAN]), hidden=_share(samples["hidden"]), unseen=_unseen(found, contexts),
         exposure_change=float(np.nan_to_num(changes).max(initial=0.0)),
         specularity=float(np.median(np.nan_to_num(samples["specularity"][:, QUANTILE]))),
+        uneven=float(np.median(np.nan_to_num(samples["specularity"][:, MEAN]))),
         smallest=_number(np.min(samples["size"][:, QUANTILE], initial=np.inf,
                                 where=samples["size"][:, NUMBER] > 0), 0.5),
         textureless=found.textureless, noise=max(found.noise, _QUANTISATION),

@@ -139,9 +139,11 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
 
     def attempt(photos: PhotoStore) -> tuple[Refinement, list[Decision], Measurements | None]:
         normalized = NormalizedDepth(target, depth, device)
-        settled, decisions, measured = settle(target, contexts, depth, config, device, photos, normalized=normalized)
-        refined = refine_levels(target, contexts, depth, settled, device, photos, progress=steps_done,
-                                held_out=held_out, measured=measured, normalized=normalized)
+        settled, decisions, measured, used = settle(target, contexts, depth, config, device, photos,
+                                                    normalized=normalized)
+        refined = refine_levels(target, used, depth, settled, device, photos, progress=steps_done, held_out=held_out,
+                                measured=measured, normalized=normalized)
+        photos.forget(set(used) - set(contexts))
         return refined, decisions, measured
 
     photos = photos or PhotoStore(device)

@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from pagas_cl.config import MOST_WEIGHT, Config
-from pagas_cl.effects import agreement_rounds, between_rounds, decide_agreement, left_to_smooth, settle
+from pagas_cl.effects import agreement_rounds, between_rounds, decide_agreement, left_to_smooth, settle, shaded
 from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.progress import Progress
 from pagas_cl.result import DepthResult
@@ -140,6 +140,10 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
     from pagas_cl.splat.units import Start
 
     result, left = comparison.own, []
+    if any(effect["effect"] == "shading" and effect["on"] for effect in result.report["effects"]):
+        config = shaded(config)
+    elif config.effects.shading == "auto":
+        config = config.with_settings(effects__shading="off")
     target, contexts, held_out = views[partners.target], *(
         [views[k] for k in chosen if k not in result.report["left_out"]]         # those that resemble it
         for chosen in (partners.contexts, partners.held_out))
@@ -152,14 +156,16 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
 
     def attempt(photos: PhotoStore) -> Any:
         normalized = NormalizedDepth(target, result.depth, device, comparison.told.depth, result.scene_scale)
-        settled, decisions, measured = settle(target, contexts, result.depth, config, device, photos,
-                                              normalized=normalized, known=result.report.get("measured"))
+        settled, decisions, measured, used = settle(target, contexts, result.depth, config, device, photos,
+                                                    normalized=normalized, known=result.report.get("measured"))
         share = left_to_smooth(decisions, len(comparison.others), measured)
         settled = settled.with_settings(         # at full size, whatever noise asks for, or a depth that is far off
             pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps,
             smoothness__weight=min(MOST_WEIGHT, share * settled.smoothness.weight))
-        return refine_levels(target, contexts, result.depth, settled, device, photos, progress=told, measured=measured,
-                             normalized=normalized, start=start, held_out=held_out)
+        refined = refine_levels(target, used, result.depth, settled, device, photos, progress=told, measured=measured,
+                                normalized=normalized, start=start, held_out=held_out)
+        photos.forget(set(used) - set(contexts))
+        return refined
 
     return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out), left[0]
 

@@ -127,6 +127,9 @@ class StreamedPhotos:
     def trim(self, nbytes: int):
         """No photos are kept."""
 
+    def forget(self, owners):
+        """None is on the device."""
+
     def _at(self, view, size: Size, resampler) -> cl.Buffer:
         buffer = photo_buffer(self.device, _full_size(view).pixels)
         cl.enqueue_copy(self.device.queue, buffer, self._full(view))

@@ -15,6 +15,7 @@ from pagas_cl.splat.level import Level, Schedule
 from pagas_cl.splat.measure import Probe
 from pagas_cl.splat.photos import PhotoStore, StreamedPhotos
 from pagas_cl.splat.resample import Resampler
+from pagas_cl.splat.shading import relit
 from pagas_cl.splat.units import NormalizedDepth, Start
 
 
@@ -90,6 +91,18 @@ def probe_view(target, contexts, depth: np.ndarray, config: Config, device, phot
     given = run.at(scale)
     probe = Probe(device, config, given, lambda out: run.write_initial(out, given.sizes[0]))
     found = probe.read()
+    probe.release()
+    return found
+
+
+def relit_views(target, contexts, depth, config: Config, device, photos, *,
+                normalized: NormalizedDepth | None = None) -> list:
+    """`contexts` with photos lit as the target's is, as far as the depth tells (method section 5.3); parameters are
+    those of probe_view. Let go of them with photos.forget."""
+    run = _Run(target, contexts, depth, config, device, photos, normalized=normalized)
+    given = run.at(1.0)
+    probe = Probe(device, config, given, lambda out: run.write_initial(out, given.sizes[0]))
+    found = relit(probe, contexts, photos)
     probe.release()
     return found
 

@@ -50,7 +50,7 @@ def _stages(stages, target, contexts, depth, device, photos):
     work, most = 0.0, 0
     for stage in stages:
         used = contexts[:stage.context.number]
-        stage, _, measured = settle(target, used, depth, stage, device, photos)
+        stage, _, measured, used = settle(target, used, depth, stage, device, photos)
         found = refine_levels(target, used, depth, stage, device, photos, measured=measured)
         work += view_steps(stage, len(used), found.steps)
         depth, most = found.depth, max(most, found.device_bytes)

@@ -78,6 +78,9 @@ EFFECTS = {
         off=dict(loss__structure=False, loss__robust=0.0),
         macros=("STRUCTURE", "ROBUST"), parameters=("robust",),
         cases={"structure": dict(loss__structure=True, loss__ssim=1.0)}),
+    "shading": Effect(
+        below=dict(uneven=0.0), above=dict(uneven=0.1, specularity=0.03),
+        is_on=lambda config: config.loss.shading),
     "antialiasing": Effect(
         below=dict(smallest=0.5), above=dict(smallest=0.2),
         is_on=lambda config: config.splatting.low_pass > 0,
