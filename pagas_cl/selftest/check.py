@@ -17,7 +17,7 @@ from pagas_cl.reference.project import normalized_depth
 from pagas_cl.scene.depthmap import NO_SURFACE, REFINED, surface_depth
 from pagas_cl.selftest.scenes import HardScene
 from pagas_cl.selftest.table import CASES, Case, config_of
-from pagas_cl.splat import PhotoStore, refine_levels
+from pagas_cl.splat import PhotoStore, refine_levels, relit_views
 from pagas_cl.splat.inputs import LevelInput
 from pagas_cl.splat.level import Level, Phase
 from pagas_cl.splat.step import loss_of
@@ -129,7 +129,7 @@ def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> 
     """A few steps of a whole refinement, twice."""
     steps = {key: value for key, value in STEPS.items() if key not in case.settings}
     config = config.with_settings(**steps)
-    first, second = (refine_levels(scene.target, scene.contexts, scene.depth, config, device) for _ in range(2))
+    first, second = (_refined(scene, config, device) for _ in range(2))
     given, surface = given_surface(scene)
     kept = surface & (first.status != REFINED)
     faults = {f"a second refinement gives another {name}": getattr(first, name).tobytes()
@@ -144,6 +144,13 @@ def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> 
         "a pixel without parallax moved": case.still and (first.status == REFINED).any(),
     }
     return [fault for fault, found in faults.items() if found]
+
+
+def _refined(scene: HardScene, config: Config, device):
+    photos, contexts = PhotoStore(device), scene.contexts
+    if config.loss.shading:
+        contexts = relit_views(scene.target, contexts, scene.depth, config, device, photos)
+    return refine_levels(scene.target, contexts, scene.depth, config, device, photos)
 
 
 def run_all(device) -> Iterator[Outcome]:

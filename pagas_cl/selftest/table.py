@@ -131,6 +131,7 @@ SETTINGS = [
       for key, value in _LIMITS),
     *(Case(f"loss.{name} = {on}", make.base, 2e-3, {f"loss__{name}": on}, blends)
       for name in _SWITCHES for on, blends in ((True, ONE), (False, ("alpha",)))),
+    Case("loss.shading = True", make.base, 2e-3, dict(loss__shading=True), ONE),
     Case("splatting.normalize = True", make.base, 1e-3, dict(splatting__normalize=True), ("alpha",)),
     Case("radius 8", make.base, 2e-3, dict(splatting__radius=8.0)),
     Case("depth threshold 0", make.base, 0.2, dict(splatting__depth_slices=1e9, splatting__depth_footprints=0.0),

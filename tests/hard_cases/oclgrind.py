@@ -48,7 +48,7 @@ def inside() -> None:
     from pagas_cl.runtime.trial import Trial
     from pagas_cl.selftest import BLENDS
     from pagas_cl.selftest import scenes as make
-    from pagas_cl.splat import composite, options, refine_levels
+    from pagas_cl.splat import PhotoStore, composite, options, refine_levels, relit_views
     from pagas_cl.splat.units import Start
     from pagas_cl.surface import mesh_solve
     from pagas_cl.surface.agree import counts
@@ -75,7 +75,8 @@ def inside() -> None:
         held_out = [scene.contexts[1]] if name == "order-free" else []
         if name == "order-free":
             refine_depth(scene.target, scene.contexts[:1], scene.depth, device="oclgrind", held_out=held_out,
-                         config=config.with_settings(effects__mismatch="on"))
+                         config=config.with_settings(effects__mismatch="on", effects__shading="off"))
+            relit_views(scene.target, scene.contexts, scene.depth, config, device, PhotoStore(device))
         else:
             on = replace(device, lanes=4) if "lanes" in name else device        # as on a CPU
             start = None if "grey, L1" not in name else Start(      # as rounds have it
