@@ -76,10 +76,12 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
         division, surface = _detailed(given, observed, device, finest, subdivide or _DETAIL, flat, least_views, most,
                                       solving.at)
         rounds = 1
+        solving.at(0.65)
     elif subdivide is not None:
         division = split_edges(given.vertices, given.faces, subdivide * finest)
         surface = Surface(division.vertices(given.vertices), division.faces)
     solved = solve_mesh(surface, observed, device, least_views=least_views, rounds=rounds)
+    solving.at(0.8)
     before = given.vertices if division is None else division.vertices(given.vertices)
     vertices, faults = without_new(device, given, division, solved.vertices)
     moved = unlike(vertices, before)

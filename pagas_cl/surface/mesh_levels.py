@@ -31,15 +31,15 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     """Move the vertices of `surface` as solve_mesh does, its edges split where the depth maps lie off their middles by
     more than twice `flat` footprints, at most to `most` triangles: the largest deviations first.
 
-    `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` hears how much is
-    done: a level takes twice as long as the one before it, what the caller has yet to do as long as the last. Gives how
-    the mesh was split, where its vertices are, and which of them are at one place (V',).
+    `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` hears how much of
+    all that makes the mesh is done, as measured where memory ended it after one level. Gives how the mesh was split,
+    where its vertices are, and which of them are at one place (V',).
     """
     mesh = _Splitting(surface, unit)
     mesh.split_longer(max(COARSE, detail), most // 2)
     orientation = orientation_of(surface, Drawing(device, surface), views)
     for level in range(_LEVELS + 1):
-        at((2 ** level - 1) / (2 ** (_LEVELS + 2) - 1))
+        at(level / (level + 2))
         now = OnDevice(device, Surface(mesh.points, with_area(mesh.edges.faces)))
         last = level == _LEVELS or len(mesh.edges) > _FULL * most
         solved = solve_welded(now, views, least_views=least_views, orientation=orientation,
