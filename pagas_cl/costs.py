@@ -93,19 +93,19 @@ def probe(target, contexts, depth, config: Config, device, *, photo: float, held
     photos = PhotoStore(device)
     contexts = contexts[:config.context.number]
 
-    def measure(steps: int, each: int) -> float:
+    def timed(steps: int, each: int) -> float:
         start = time.perf_counter()
-        settled, *_, used = settle(target, contexts, depth, config, device, photos)
-        short = settled.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__patience=0,
+        with settle(target, contexts, depth, config, device, photos) as (own, _, _, used):
+            short = own.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__patience=0,
                                       solver__views_per_step=each, solver__rate=_RATE)
-        refine_levels(target, used, depth, short, device, photos, held_out=held_out)
+            refine_levels(target, used, depth, short, device, photos, held_out=held_out)
         took = time.perf_counter() - start
         ran()
         return took
 
     for each in (1, min(3, len(contexts))):
-        measure(_SHORT, each)  # compiles and uploads
-    return _solve(measure, len(contexts), target.camera.width * target.camera.height, photo)
+        timed(_SHORT, each)  # compiles and uploads
+    return _solve(timed, len(contexts), target.camera.width * target.camera.height, photo)
 
 
 def _solve(measure, contexts: int, pixels: int, photo: float) -> Cost:

@@ -3,7 +3,8 @@ whether refined views that contradict each other are cleaned before they are fus
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -49,6 +50,9 @@ class Decision:
     def __str__(self) -> str:
         figures = f": {self.evidence:.3g}, threshold {self.threshold:g}" if self.evidence == self.evidence else ""
         return f"{self.effect} {'on' if self.on else 'off'} ({self.reason}{figures})"
+
+
+_Settled = tuple[Config, list[Decision], Measurements | None, Sequence["View"]]   # what `settle` gives
 
 
 def _sets(key: str, on=True, off=False):
@@ -145,16 +149,24 @@ def _decision(config: Config, name: str, measured: Measurements) -> Decision:
     return Decision(name, evidence, effect.threshold, on, what if choice == "auto" else f"asked for: {choice}")
 
 
+@contextmanager
 def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
            photos: PhotoStore, *, normalized: NormalizedDepth | None = None,
-           known: Mapping[str, Any] | None = None
-           ) -> tuple[Config, list[Decision], Measurements | None, Sequence[View]]:
-    """Decide which effects this view calls for: the settings that follow, the decisions, what they rest on, and the
-    context views, relit where that is called for (photos.forget lets go of those).
+           known: Mapping[str, Any] | None = None) -> Iterator[_Settled]:
+    """Decide which effects this view calls for: context of the settings that follow, the decisions, what they rest on,
+    and the context views, relit where that is called for; `photos` let go of those at its end.
 
     Parameters are those of refine_depth; `normalized`: the depth where it is on the device already; `known`: figures
     that were measured under an earlier depth, which hold where they last.
     """
+    found = _settled(target, contexts, depth, config, device, photos, normalized, known)
+    try:
+        yield found
+    finally:
+        photos.forget(set(found[3]) - set(contexts))
+
+
+def _settled(target, contexts, depth, config: Config, device, photos, normalized, known=None) -> _Settled:
     asked = config.effects.shading
     if asked == "on" or (asked == "set" and config.loss.shading):
         contexts = relit_views(target, contexts, depth, config, device, photos, normalized=normalized)
@@ -165,7 +177,7 @@ def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Co
         measured = measure(target, contexts, depth, config, device, photos, normalized=normalized)
     settled, decisions = decide(config, measured)
     if asked == "auto" and settled.loss.shading:        # what else is called for, relit photos tell
-        again = settle(target, contexts, depth, shaded(config), device, photos, normalized=normalized)
+        again = _settled(target, contexts, depth, shaded(config), device, photos, normalized)
         first = {decision.effect: decision for decision in decisions if decision.effect in _BEFORE_RELIT}
         return again[0], [first.get(decision.effect, decision) for decision in again[1]], *again[2:]
     for decision in decisions:

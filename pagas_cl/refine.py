@@ -139,11 +139,10 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
 
     def attempt(photos: PhotoStore) -> tuple[Refinement, list[Decision], Measurements | None]:
         normalized = NormalizedDepth(target, depth, device)
-        settled, decisions, measured, used = settle(target, contexts, depth, config, device, photos,
-                                                    normalized=normalized)
-        refined = refine_levels(target, used, depth, settled, device, photos, progress=steps_done, held_out=held_out,
-                                measured=measured, normalized=normalized)
-        photos.forget(set(used) - set(contexts))
+        with settle(target, contexts, depth, config, device, photos, normalized=normalized) as (
+                own, decisions, measured, used):
+            refined = refine_levels(target, used, depth, own, device, photos, progress=steps_done, held_out=held_out,
+                                    measured=measured, normalized=normalized)
         return refined, decisions, measured
 
     photos = photos or PhotoStore(device)
@@ -204,14 +203,14 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     asked = asked_views(views, depths, names)
     photos = photos_here(device, executor, folder, photos)
     views, config, cameras = settle_cameras(views, depths, config, device, progress, photos, executor, folder)
-    depths = depths if cameras is None else cameras.scaled(depths)
+    depths, later = depths if cameras is None else cameras.scaled(depths), later_rounds(config, len(asked))
     if photos is None:
         return refine_all(refine_one, views, depths, asked, config, device=device, executor=executor, folder=folder,
-                          extras=extras, progress=progress, on_view=on_view, later=later_rounds(config, len(asked)))
+                          extras=extras, progress=progress, on_view=on_view, later=later)
     opened, results, view_progress = photos.device, [], ViewProgress(progress, len(asked))
     arrays: list[Any] = [None if depth is None else depth_array(depth) for depth in depths]
     chooser = PartnerChooser([view.camera for view in views], arrays, config.context)
-    later, partners = later_rounds(config, len(asked)), {index: chooser.choose(index) for index in asked}
+    partners = {index: chooser.choose(index) for index in asked}
     for done, index in enumerate(asked):
         view_progress.at(done)
         results.append(refine_one(views, partners[index], arrays[index], config, opened, photos,

@@ -156,16 +156,14 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
 
     def attempt(photos: PhotoStore) -> Any:
         normalized = NormalizedDepth(target, result.depth, device, comparison.told.depth, result.scene_scale)
-        settled, decisions, measured, used = settle(target, contexts, result.depth, config, device, photos,
-                                                    normalized=normalized, known=result.report.get("measured"))
-        share = left_to_smooth(decisions, len(comparison.others), measured)
-        settled = settled.with_settings(         # at full size, whatever noise asks for, or a depth that is far off
-            pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps,
-            smoothness__weight=min(MOST_WEIGHT, share * settled.smoothness.weight))
-        refined = refine_levels(target, used, result.depth, settled, device, photos, progress=told, measured=measured,
-                                normalized=normalized, start=start, held_out=held_out)
-        photos.forget(set(used) - set(contexts))
-        return refined
+        with settle(target, contexts, result.depth, config, device, photos, normalized=normalized,
+                    known=result.report.get("measured")) as (own, decisions, measured, used):
+            share = left_to_smooth(decisions, len(comparison.others), measured)
+            own = own.with_settings(         # at full size, whatever noise asks for, or a depth that is far off
+                pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps,
+                smoothness__weight=min(MOST_WEIGHT, share * own.smoothness.weight))
+            return refine_levels(target, used, result.depth, own, device, photos, progress=told, measured=measured,
+                                 normalized=normalized, start=start, held_out=held_out)
 
     return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out), left[0]
 

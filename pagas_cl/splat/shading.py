@@ -9,7 +9,7 @@ from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import Fill, run_once
 from pagas_cl.splat import exposure, project
 from pagas_cl.splat.buffers import SampleGrid, Size
-from pagas_cl.splat.photos import photo_buffer, photo_bytes
+from pagas_cl.splat.photos import StreamedPhotos, photo_buffer, photo_bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,11 +27,11 @@ class RelitPhoto:
 def relit(probe, contexts, photos) -> list:
     """`contexts` with photos that are relit by the depth of `probe` (measure.Probe, of the same views): they stay on
     the device where `photos` do, else on the host."""
-    found = []
+    found, streamed = [], isinstance(photos, StreamedPhotos)
     for view, level_view in zip(contexts, probe.views):
         photo = RelitPhoto(probe.device, _relight(probe, level_view), level_view.size)
-        found.append(replace(view, image=photo if hasattr(photos, "held") else photo.load()))
-        if hasattr(photos, "held"):
+        found.append(replace(view, image=photo.load() if streamed else photo))
+        if not streamed:
             photos.held(found[-1], photo_bytes(photo.size.pixels), lambda photo=photo: photo.pixels)
     return found
 

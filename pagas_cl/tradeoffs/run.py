@@ -49,10 +49,10 @@ def run(setting: Setting, case: BenchmarkCase, device, photos, repeats: int = 1)
 def _stages(stages, target, contexts, depth, device, photos):
     work, most = 0.0, 0
     for stage in stages:
-        used = contexts[:stage.context.number]
-        stage, _, measured, used = settle(target, used, depth, stage, device, photos)
-        found = refine_levels(target, used, depth, stage, device, photos, measured=measured)
-        work += view_steps(stage, len(used), found.steps)
+        asked = contexts[:stage.context.number]
+        with settle(target, asked, depth, stage, device, photos) as (own, _, measured, used):
+            found = refine_levels(target, used, depth, own, device, photos, measured=measured)
+        work += view_steps(own, len(used), found.steps)
         depth, most = found.depth, max(most, found.device_bytes)
     return depth, work, most
 
