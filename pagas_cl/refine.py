@@ -226,7 +226,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
             view_progress.at(done)
             given = [before[k] for k in partners[index].refined(before)]
             results[done] = later_round.work(views, partners[index], given, config, opened, photos,
-                                             progress=view_progress.inside(done))
+                                             progress=view_progress.inside(done), reuse=True)
             if on_view and number == len(later):
                 on_view(views[index], arrays[index], results[done])
         view_progress.at(len(asked))

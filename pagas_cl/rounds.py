@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 from pagas_cl.config import MOST_WEIGHT, Config
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pagas_cl.splat import PhotoStore
 
 _BYTES = 64     # a pixel: more than a comparison takes beside the photos that wait on the device
+_ARRAYS = "depth", "parallax", "deviation", "status"
 _LONGER = 1.4   # steps of a few: as far as half as many again would
 
 
@@ -43,6 +44,15 @@ def _told(owner: Any, result: DepthResult, device: Device, photos: PhotoStore, w
     """`result` on the device, where it may be already; all of it where that has memory of its own."""
     whole = whole or not photos.on_host
     return photos.held(owner, Told.nbytes(_pixels(result), whole), lambda: send(result, device, whole))
+
+
+def _take_back(result: DepthResult, device: Device, told: Told) -> None:
+    """Give `result` new arrays with what the device was told of it: its own serve another one."""
+    from pagas_cl.runtime.memory import download
+
+    for name in _ARRAYS:
+        array = getattr(result, name)
+        object.__setattr__(result, name, download(device, getattr(told, name), array.shape, array.dtype))
 
 
 @dataclass(frozen=True)
@@ -63,12 +73,14 @@ def later_rounds(config: Config, views: int) -> list[Round]:
 
 def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partners, results: Sequence[DepthResult],
                    config: Config, device: Device, photos: PhotoStore, progress: Progress | None = None,
-                   steps: Config | None = None) -> DepthResult:
+                   steps: Config | None = None, reuse: bool = False) -> DepthResult:
     """One view's depths averaged with those of other views, where they see the same surface. What photos refused stays
     as it is: none is asked again. With `steps`, settings of some: see average_and_step.
 
     `results`: of the round before, the view's own first, then those of others, in memory or on disk (StoredResult),
-    from where they are read when the device has to have them. The others are as in refine.refine_one.
+    from where they are read when the device has to have them. `reuse`: what this leaves has the arrays of the view's
+    own one, on a device with memory of its own, which holds what others ask of it: the system takes as long to give new
+    memory as a round takes. The others are as in refine.refine_one.
     """
     own, *others = results[0], *(result for result in results[1:] if not result.reason)
     own = own if isinstance(own, DepthResult) else own.loaded()         # it may be on disk
@@ -95,13 +107,14 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
         photos.forget(map(owner, others))
     if averaged is not None:
         report["differences"] = spreads
+        reuse = reuse and not photos.on_host and photos.on_leaving(own, partial(_take_back, own, device))
         if steps is not None:
             told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
             few = _few(steps, len(report["contexts"]))
-            stepped, left = _steps(views, partners, comparison, averaged, few, device, photos, told)
-            found = {name: getattr(stepped, name) for name in (*averaged, "parallax")}
+            stepped, left = _steps(views, partners, comparison, averaged, few, device, photos, told, reuse)
+            found = {name: getattr(stepped, name) for name in _ARRAYS}
         else:
-            found = comparison.read(averaged)
+            found = comparison.read(averaged, reuse)
     comparison.release()
     report["seconds"] = report.get("seconds", 0.0) + time.perf_counter() - start
     result = replace(own, report=report, **found)
@@ -113,11 +126,11 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
 
 
 def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partners, results: Sequence[DepthResult],
-                     config: Config, device: Device, photos: PhotoStore,
-                     progress: Progress | None = None) -> DepthResult:
+                     config: Config, device: Device, photos: PhotoStore, progress: Progress | None = None,
+                     reuse: bool = False) -> DepthResult:
     """The same, also in place of depths that photos refused, and then some steps of the photos, from there, which
     refuse what matches worse than it did."""
-    return average_depths(views, partners, results, config, device, photos, progress, between_rounds(config))
+    return average_depths(views, partners, results, config, device, photos, progress, between_rounds(config), reuse)
 
 
 @lru_cache(16)
@@ -132,7 +145,7 @@ def _few(config: Config, contexts: int) -> Config:
 
 def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement,
            averaged: Mapping[str, Any], config: Config, device: Device, photos: PhotoStore,
-           told: Callable[[int, int], None] | None) -> tuple[Any, Told]:
+           told: Callable[[int, int], None] | None, reuse: bool) -> tuple[Any, Told]:
     """From what was `averaged`, for what the view called for when it was refined, or calls for now; and the same on the
     device."""
     from pagas_cl.splat import NormalizedDepth, refine_levels
@@ -152,7 +165,8 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
         left[:] = [comparison.agreed(averaged["status"], *found)]
         return left[0].depth, left[0].parallax, left[0].deviation, left[0].status
 
-    start = Start(averaged["depth"], agreed, Told.nbytes(_pixels(result), True))
+    into = [getattr(result, name) for name in _ARRAYS] if reuse else None
+    start = Start(averaged["depth"], agreed, Told.nbytes(_pixels(result), True), into)
 
     def attempt(photos: PhotoStore) -> Any:
         normalized = NormalizedDepth(target, result.depth, device, comparison.told.depth, result.scene_scale)

@@ -243,7 +243,10 @@ def close_worker_contexts() -> None:
 
 def worker_name() -> str:
     """Machine and process."""
-    return f"{socket.gethostname()}-{os.getpid()}"
+    return f"{_machine()}-{os.getpid()}"
+
+
+_machine = cache(socket.gethostname)      # whoever asks the system lets other threads go first
 
 
 def note_down(folder, what: str, name: str) -> None:

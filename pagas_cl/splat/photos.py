@@ -27,6 +27,7 @@ class PhotoStore:
         self.device, self.on_host = device, device.info.kind == "CPU"
         self.limit = limit_bytes or min(device.memory.limit // 4, _ON_A_CPU if self.on_host else device.memory.limit)
         self._held: dict[Hashable, tuple] = {}        # by owner: what is on the device, bytes
+        self._leaving: dict[Hashable, Callable[[Any], None]] = {}      # by owner, who is told before it goes
 
     def photo(self, view, pixels: np.ndarray | None = None) -> cl.Buffer:
         """Buffer of (height, width) uchar4 of `view`, a pagas_cl.scene.view.View; `pixels` where it has been read."""
@@ -54,6 +55,12 @@ class PhotoStore:
             if view in self._held:
                 self._held[other] = self._held.pop(view)
 
+    def on_leaving(self, owner: Hashable, call: Callable[[Any], None]) -> bool:
+        """Have `call(what is held)` made before that of `owner` makes room for something else; whether it is held."""
+        if owner in self._held:
+            self._leaving[owner] = call
+        return owner in self._held
+
     def has(self, view) -> bool:
         """Whether its photo is on the device."""
         return view in self._held
@@ -61,6 +68,7 @@ class PhotoStore:
     def forget(self, owners) -> None:
         """Let go of what is held for `owners`, and so of them; what else may serve is given back."""
         for owner in owners:
+            self._leaving.pop(owner, None)
             if owner in self._held:
                 self._held.pop(owner)[0].release()
 
@@ -78,7 +86,8 @@ class PhotoStore:
 
     def clear(self) -> None:
         """Forget every photo, and the buffers that wait for another view."""
-        self._held.clear()
+        for owner in list(self._held):
+            self._let_go(owner)
         self.device.memory.clear()
 
     def beside(self, views) -> int:
@@ -92,7 +101,12 @@ class PhotoStore:
 
     def _make_room(self, nbytes: int):
         while self._held and sum(size for _, size in self._held.values()) + nbytes > self.limit:
-            self._held.pop(next(iter(self._held)))
+            self._let_go(next(iter(self._held)))
+
+    def _let_go(self, owner: Hashable):
+        found, _ = self._held.pop(owner)
+        if owner in self._leaving:
+            self._leaving.pop(owner)(found)
 
 
 def photos_here(device, executor, folder, photos: PhotoStore | None = None) -> PhotoStore | None:

@@ -1,6 +1,6 @@
 """Launches of units.cl: depths from scene units to the device's units, and back."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,11 +18,13 @@ _LEFT = np.float32, np.float32, np.float32, np.uint8      # depth, parallax, dev
 @dataclass(frozen=True)
 class Start:
     """Where steps start from in place of the initial depth, on the device in scene units: `depth`; and `agreed`, which
-    of depth, parallax, deviation and status, on the device, makes those that are given back, in `nbytes` more."""
+    of depth, parallax, deviation and status, on the device, makes those that are given back, in `nbytes` more; `into`:
+    arrays for these on the host, in this order, where there are some."""
 
     depth: cl.Buffer
     agreed: Callable[..., tuple[cl.Buffer, ...]]
     nbytes: int
+    into: Sequence[np.ndarray] | None = None
 
 
 class NormalizedDepth:
@@ -78,10 +80,11 @@ class NormalizedDepth:
                  scene_scale=self._device_scale(), depth=refined, parallax=parallax, status=status,
                  deviation=deviation)])
         found = (refined, parallax, deviation, status)
-        arrays = self._room.result() if self._room else [np.empty(shape, dtype) for dtype in _LEFT]
-        for array, buffer in zip(arrays, start.agreed(*found) if start else found):
+        left = self._room.result() if self._room else (start and start.into) or [
+            np.empty(shape, dtype) for dtype in _LEFT]
+        for array, buffer in zip(left, start.agreed(*found) if start else found):
             cl.enqueue_copy(self._device.queue, array, buffer)
-        return arrays
+        return left
 
     def release(self):
         if self._own:

@@ -125,12 +125,15 @@ class Agreement:
                   parallax=found.parallax, surer=found.deviation, found=found.status, inverse=found.inverse)
         return found
 
-    def read(self, averaged: dict[str, Any]) -> dict[str, np.ndarray]:
-        """What `average` left, on the host, float32 and uint8 of shape (H, W)."""
-        from pagas_cl.runtime.memory import download
+    def read(self, averaged: dict[str, Any], reuse: bool = False) -> dict[str, np.ndarray]:
+        """What `average` left, on the host, float32 and uint8 of shape (H, W): in the arrays of `own`, or new ones."""
+        import pyopencl as cl
 
-        return {name: download(self.device, buffer, self.own.depth.shape, np.uint8 if name == "status" else np.float32)
-                for name, buffer in averaged.items()}
+        found = {name: getattr(self.own, name) for name in averaged}
+        for name, buffer in averaged.items():
+            found[name] = found[name] if reuse else np.empty_like(found[name])
+            cl.enqueue_copy(self.device.queue, found[name], buffer)
+        return found
 
     def release(self) -> None:
         """Give back what was made here."""
