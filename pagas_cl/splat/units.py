@@ -1,6 +1,7 @@
 """Launches of units.cl: depths from scene units to the device's units, and back."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,11 +56,15 @@ class NormalizedDepth:
             bind(build(device, "units.cl", SHARED), "normalize_depth", (depth.size,), given=self.given, visible=visible,
                  count=depth.size, scene_scale=self._device_scale(), scaled=int(doubles), depth=self.buffer,
                  bounds=bounds)])
-        self._room = room(depth.shape, *_LEFT) if self._own else None     # in rounds there is little to hide it behind
+        self._room: Future[list[np.ndarray]] | None = None
         nearest, farthest = download(device, bounds, 2)
         self.depth_range = max(0.0, float(farthest - nearest))
         for buffer in filter(None, (visible, bounds)):
             buffer.release()
+
+    def expect_arrays(self, shape: tuple[int, ...]):
+        """Have memory touched for what `denormalize` gives, while the device works."""
+        self._room = room(shape, *_LEFT)
 
     def start_from(self, start: cl.Buffer, depth, count: int):
         """Put into `depth`, a buffer in units, what `start` has in scene units, where both have one."""

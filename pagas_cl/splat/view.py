@@ -62,6 +62,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     device.memory.begin(planned.nbytes + photos.beside((target, *contexts, *held_out)))
     run = _Run(target, contexts, depth, config, device, photos, held_out=held_out, normalized=normalized,
                specularity=measured.local_specularity if measured else None)
+    if start is None:        # of few steps, which hide little
+        run.normalized.expect_arrays(depth.shape)
     before, done, losses, total = None, [], [], sum(config.pyramid.steps)
     for number, (scale, steps) in enumerate(zip(config.pyramid.scales, config.pyramid.steps)):
         level = run.level(scale, before, start)
