@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from pagas_cl.progress import Outlook
+from pagas_cl.outlook import Outlook, even
 
 
 class Clock:
@@ -46,7 +46,7 @@ def test_a_machine_of_any_speed(speed):
     outlook, clock = Outlook(clock := Clock()), clock
     for stage, seconds, kind in (("draw", 1.0, "device"), ("refine", 100.0, "device"), ("agree", 40.0, "device"),
                                  ("pictures", 20.0, "host"), ("fuse", 30.0, "host")):
-        outlook.expect(stage, seconds, kind)
+        outlook.expect(stage, even(seconds), kind)
     host = speed if speed >= 1 else 1.0        # a GPU's machine is no faster than others at what the host does
     assert_true(run(outlook, clock, ("draw", speed, 0, 1), ("refine", 10 * speed, 0, 10), ("agree", 4 * speed, 0, 10),
                     ("pictures", 2 * host, 0, 10), ("fuse", 3 * host, 0, 10)))
@@ -54,8 +54,8 @@ def test_a_machine_of_any_speed(speed):
 
 def test_what_an_earlier_run_finished_takes_no_time_and_tells_none():
     outlook, clock = Outlook(clock := Clock()), clock
-    outlook.expect("refine", 80.0)
-    outlook.expect("fuse", 20.0)
+    outlook.expect("refine", even(80.0))
+    outlook.expect("fuse", even(20.0))
     outlook.expect_some("refine", 2, 8, 8)
     assert outlook.left() == pytest.approx(40.0)
     outlook("refine", 0, 8)
@@ -68,7 +68,7 @@ def test_what_an_earlier_run_finished_takes_no_time_and_tells_none():
 def test_stages_that_are_not_called_for_are_not_waited_for():
     outlook, clock = Outlook(clock := Clock()), clock
     for stage in ("cameras", "refine", "agree", "fuse"):
-        outlook.expect(stage, 50.0)
+        outlook.expect(stage, even(50.0))
     run(outlook, clock, ("refine", 25.0, 0, 2))
     assert outlook.left() == pytest.approx(100.0)
     outlook("fuse", 0, 1)

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from functools import cache
 
 from pagas_cl.errors import NothingRefinedError, NothingRefinedWarning, log, plain
-from pagas_cl.progress import Outlook
+from pagas_cl.outlook import Outlook
 
 _LINE_EVERY = 10.0  # seconds between lines where standard error is a file
 

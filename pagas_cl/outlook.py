@@ -1,0 +1,143 @@
+"""How long a run has yet to take, of all of its stages, those that are still to come among them.
+
+What a stage should take is known beforehand, from an earlier run here or for some machine or other. What has been
+measured so far tells how much faster or slower this run is, for work of the device and of the host each: that goes for
+the stages to come; the one under way tells of itself, the more of it is done.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+PARTS = 20        # of a stage, equal in what is told of it, not in time
+_FIRM = 0.1       # what is expected counts as so much of a stage that was seen
+_SMALL = 0.2      # share of a stage that its first piece may be, and be left out of account
+_USUAL = 0.5      # seconds that are seen before anything is known of the machine
+
+Course: TypeAlias = list[float]
+"""Seconds from the beginning of a stage to that of each part, and to its end: PARTS + 1 numbers. The first part begins
+when something is done: not yet while its kernels are built and its photos read."""
+
+
+def even(seconds: float, first: float = 0.0) -> Course:
+    """Parts that take as long as one another, `seconds` together, after what comes `first`."""
+    return [first + seconds * part / PARTS for part in range(PARTS + 1)]
+
+
+def until(course: Course, done: float) -> float:
+    """Seconds until so much of a stage, 0 to 1, is done."""
+    if done == 0:
+        return 0.0
+    part = min(int(done * PARTS), PARTS - 1)
+    return course[part] + (done * PARTS - part) * (course[part + 1] - course[part])
+
+
+@dataclass
+class _Stage:
+    """`course`: what is expected of all of it (None: nothing is), of which this run does `share`; `spent` on it until
+    `done`, 0 to 1 of that, `took` until each part, and `first` on the first piece; `before` units were done by an
+    earlier run."""
+
+    course: Course | None = None
+    kind: str = ""
+    share: float = 1.0
+    spent: float = 0.0
+    done: float = 0.0
+    took: Course = field(default_factory=lambda: [0.0])
+    first: tuple[float, float] | None = None
+    before: float = 0.0
+    begun: bool = False
+    passed: bool = False
+
+    def expected(self, done: float) -> float:
+        """Seconds until so much of it is done."""
+        return until(self.course, done) * self.share if self.course else 0.0
+
+    def reach(self, done: float, seconds: float) -> None:
+        """After so many `seconds` more so much is done."""
+        began, gained = self.spent, done - self.done
+        self.spent += seconds
+        if gained <= 0:
+            return
+        if self.done == 0 and done * PARTS < 1:
+            self.took[0] = self.spent
+        while len(self.took) <= int(done * PARTS):
+            self.took.append(began + (len(self.took) / PARTS - self.done) / gained * seconds)
+        self.done, self.first = done, self.first or ((self.spent, done) if done < (_SMALL if self.course else _FIRM) else (0.0, 0.0))
+
+    def left(self, speed: float) -> float:
+        """Seconds, on a machine that takes `speed` times what was expected; NaN where a first small piece, with which
+        kernels are built, is all that is known."""
+        if self.course is None or self.passed:
+            return 0.0 if self.passed else self._left_by_itself()
+        total, (spent, expected) = self.expected(1.0), self.after_first()
+        firm = _FIRM * total
+        pace = (spent + firm * speed) / (expected + firm) if total else 0.0
+        return pace * (total - self.expected(self.done))
+
+    def after_first(self) -> tuple[float, float]:
+        """Seconds that were spent, and expected, after the first piece where that is small: it says nothing of the
+        others, since kernels are built with it."""
+        spent, done = self.first or (self.spent, self.done)
+        return self.spent - spent, self.expected(self.done) - self.expected(done)
+
+    def _left_by_itself(self) -> float:
+        spent, done = self.first or (0.0, 0.0)
+        if self.done > done:
+            return (self.spent - spent) * (1 - self.done) / (self.done - done)
+        return float("nan") if self.done else 0.0
+
+
+class Outlook:
+    """Listens to progress(stage, done, total), and tells the time left of all stages. Time between two calls goes to
+    the stage of the later one; where that only begins (0 done), to that of the earlier one."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic):
+        self._clock, self._stages = clock, dict[str, _Stage]()
+        self._under: _Stage | None = None
+        self.now = self.began = float("nan")      # of the last call, and of the first
+
+    def expect(self, stage: str, course: Course, kind: str = "device") -> None:
+        """In its turn `stage` will come, with that course; those of one `kind` are as fast or slow."""
+        if self.began != self.began:
+            self.began = self.now = self._clock()
+        found = self._stages.setdefault(stage, _Stage())
+        found.course, found.kind = course, kind
+
+    def expect_some(self, stage: str, number: int, total: int, of: int) -> None:
+        """Of `total` units of `stage` this run does the last `number`; `of` so many were expected."""
+        found = self._stages.setdefault(stage, _Stage())
+        found.before, found.share = total - number, number / max(of, 1)
+
+    def __call__(self, stage: str, done: float, total: float) -> None:
+        now, found = self._clock(), self._stages.setdefault(stage, _Stage())
+        if self.began != self.began:
+            self.began = self.now = now
+        if not found.begun:
+            for earlier in list(self._stages.values())[:list(self._stages).index(stage)]:
+                earlier.passed = not earlier.begun        # was not called for, so far
+        share = (done - found.before) / (total - found.before) if total > found.before else 1.0
+        if done == 0 and self._under:
+            self._under.reach(self._under.done, now - self.now)
+            found.reach(share, 0.0)
+        else:
+            found.reach(share, now - self.now)
+        found.begun, found.passed, self.now, self._under = True, False, now, found
+
+    def left(self) -> float:
+        """Seconds that were left at the last call; NaN where nobody can tell."""
+        kinds = {stage.kind for stage in self._stages.values()}
+        usual = max([1.0, *(self._speed(kind, 1.0) for kind in kinds)])    # what slows one down slows the others
+        speed = {kind: self._speed(kind, usual) for kind in kinds}
+        return sum(stage.left(speed[stage.kind]) for stage in self._stages.values())
+
+    def courses(self) -> dict[str, tuple[float, Course]]:
+        """Of the stages that this run brought to their end: the share that it did, and what that took."""
+        return {name: (stage.share, [*stage.took[:PARTS], stage.spent]) for name, stage in self._stages.items()
+                if stage.begun and stage.done >= 1 and stage.share > 0}
+
+    def _speed(self, kind: str, usual: float) -> float:
+        seen = [stage for stage in self._stages.values() if stage.kind == kind and stage.begun and stage.course]
+        took = [stage.after_first() for stage in seen]
+        return (sum(spent for spent, _ in took) + _USUAL * usual) / (sum(expected for _, expected in took) + _USUAL)
