@@ -18,8 +18,8 @@ _GREY = Cost(photo=0.03, setup=1.6e-7, per_step=3e-8, per_view_step=3e-8)
 _GPU, _VIEWER = 0.005, 0.8     # of a core; seconds of the first page with a mesh
 _AVERAGE, _MEASURE, _MEASURED = 3e-7, 6e-7, 6   # seconds a pixel; views that are measured for the cameras
 _RENDER, _PICTURES, _PLAN, _FUSE, _EXTRACT, _SHOW = 1e-7, 1.8e-6, 1.6e-7, 4.6e-7, 1e-7, 5e-7      # a pixel
-_SOLVE, _FULL, _SEEN = 6e-6, 10.0, 1.2e-6     # a pixel, where the device solves the mesh; where memory ends it: for that,
-                                             # and a pixel
+_SOLVE = 8e-6                   # a pixel, where the device solves the mesh,
+_FULL, _SEEN = 10.0, 1.2e-6     # or, where memory ends it, for that, and a pixel
 
 
 class Expected:
@@ -33,7 +33,7 @@ class Expected:
         self.contexts = max(0, min(config.context.number, len(views) - 1))
         self.kind = "device"
         info = getattr(device, "info", None)        # of one device that is open here
-        self.scale = 1 / info.compute_units if info and info.kind == "CPU" else _GPU
+        self.scale = 1 / max(1, info.compute_units) if info and info.kind == "CPU" else _GPU
         self.remembered = info and Remembered(info)
         self._work = dict[str, tuple[float, float]]()      # of each stage: usual seconds; share that building takes
 

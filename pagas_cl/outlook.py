@@ -64,7 +64,9 @@ class _Stage:
             self.took[0] = self.spent
         while len(self.took) <= int(done * PARTS):
             self.took.append(began + (len(self.took) / PARTS - self.done) / gained * seconds)
-        self.done, self.first = done, self.first or ((self.spent, done) if done < (_SMALL if self.course else _FIRM) else (0.0, 0.0))
+        if self.first is None:
+            self.first = (self.spent, done) if done < (_SMALL if self.course else _FIRM) else (0.0, 0.0)
+        self.done = done
 
     def left(self, speed: float) -> float:
         """Seconds, on a machine that takes `speed` times what was expected; NaN where a first small piece, with which

@@ -20,7 +20,7 @@ class Remembered:
     """Of each stage the courses that it took on a device, with these kernels, by the amount of work."""
 
     def __init__(self, info: DeviceInfo):
-        self._key = cache.digest(identity(info))
+        self._key = cache.digest(identity(info), info.compute_units)      # fewer cores are another machine
         self._seen = self._read()
 
     def course(self, stage: str, work: float) -> Course | None:
