@@ -18,7 +18,7 @@ _GREY = Cost(photo=0.03, setup=1.6e-7, per_step=3e-8, per_view_step=3e-8)
 _GPU, _VIEWER = 0.005, 0.8     # of a core; seconds of the first page with a mesh
 _AVERAGE, _MEASURE, _MEASURED = 3e-7, 6e-7, 6   # seconds a pixel; views that are measured for the cameras
 _RENDER, _PICTURES, _PLAN, _FUSE, _EXTRACT, _SHOW = 1e-7, 1.8e-6, 1.6e-7, 4.6e-7, 1e-7, 5e-7      # a pixel
-_SOLVE = 8e-6                   # a pixel, where the device solves the mesh,
+_SOLVE = 7e-6                   # a pixel, where the device solves the mesh,
 _FULL, _SEEN = 10.0, 1.2e-6     # or, where memory ends it, for that, and a pixel
 
 
@@ -34,8 +34,8 @@ class Expected:
         self.kind = "device"
         info = getattr(device, "info", None)        # of one device that is open here
         self.scale = 1 / max(1, info.compute_units) if info and info.kind == "CPU" else _GPU
-        self.remembered = info and Remembered(info)
-        self._work = dict[str, tuple[float, float]]()      # of each stage: usual seconds; share that building takes
+        self.remembered = Remembered(info) if info else None
+        self._told = dict[str, tuple[float, float, float]]()    # stages: work, usual seconds, share of building in them
 
     def cameras(self, mesh: bool, analyzed: bool = False) -> None:
         if self.config.effects.cameras not in ("off", "set"):
@@ -95,13 +95,14 @@ class Expected:
         return (_GREY if config.loss.grey else _COLOUR).seconds(config, pixels, self.contexts)
 
     def remember(self) -> None:
-        """At the end of a run: what its stages took, for the next one. Of a stage that was never seen building kernels
-        is taken to have had the share that it should have had, and all parts to take as long as one another."""
+        """At the end of a run: what its stages took, for the next one, without what building kernels should have taken
+        of those that were never seen: their parts are taken for equal."""
         kept = {}
-        for stage, (share, course) in self.outlook.courses().items():
-            if stage in self._work:
-                work, built = self._work[stage]
-                kept[stage] = share * work, even(course[-1] * (1 - built)) if built else course
+        for stage, (share, speed, course) in self.outlook.courses().items():
+            if stage in self._told:
+                work, usual, built = self._told[stage]
+                rest = max(course[-1], min(1.0, speed) * share * usual) * (1 - built)      # maybe they were there
+                kept[stage] = share * work, even(min(rest, course[-1])) if built else course
         if self.remembered and kept:
             self.remembered.keep(kept)
 
@@ -114,6 +115,7 @@ class Expected:
         self._expect(stage, seconds, even(self.scale * seconds + later, first), self.kind, first + later)
 
     def _expect(self, stage: str, work: float, usual: Course, kind: str, build: float = 0.0) -> None:
-        seen = self.remembered and self.remembered.course(stage, work)
-        self._work[stage] = work, 0.0 if seen else build / usual[-1]
-        self.outlook.expect(stage, seen if seen and kind != "timed" else usual, kind)
+        seen = self.remembered.course(stage, work) if self.remembered else None
+        self._told[stage] = work, usual[-1], build / usual[-1] if seen is None else 0.0
+        known = seen is not None and kind != "timed"
+        self.outlook.expect(stage, seen if known else usual, kind, known)

@@ -35,12 +35,13 @@ def until(course: Course, done: float) -> float:
 
 @dataclass
 class _Stage:
-    """`course`: what is expected of all of it (None: nothing is), of which this run does `share`; `spent` on it until
-    `done`, 0 to 1 of that, `took` until each part, and `first` on the first piece; `before` units were done by an
-    earlier run."""
+    """`course`: what is expected of all of it (None: nothing is; `known`: as it was here before), of which this run
+    does `share`; `spent` on it until `done`, 0 to 1 of that, `took` until each part, and `first` on what says nothing
+    of the rest; `before` units were done by an earlier run."""
 
     course: Course | None = None
     kind: str = ""
+    known: bool = False
     share: float = 1.0
     spent: float = 0.0
     done: float = 0.0
@@ -54,8 +55,8 @@ class _Stage:
         """Seconds until so much of it is done."""
         return until(self.course, done) * self.share if self.course else 0.0
 
-    def reach(self, done: float, seconds: float) -> None:
-        """After so many `seconds` more so much is done."""
+    def reach(self, done: float, seconds: float, unit: float = 0.0) -> None:
+        """After so many `seconds` more so much is done; `unit`: of which one is a view."""
         began, gained = self.spent, done - self.done
         self.spent += seconds
         if gained <= 0:
@@ -64,8 +65,8 @@ class _Stage:
             self.took[0] = self.spent
         while len(self.took) <= int(done * PARTS):
             self.took.append(began + (len(self.took) / PARTS - self.done) / gained * seconds)
-        if self.first is None:
-            self.first = (self.spent, done) if done < (_SMALL if self.course else _FIRM) else (0.0, 0.0)
+        if self.first is None or done <= unit and self._builds(done):
+            self.first = (self.spent, done) if self._is_small(done) or self._builds(done) else (0.0, 0.0)
         self.done = done
 
     def left(self, speed: float) -> float:
@@ -78,9 +79,16 @@ class _Stage:
         pace = (spent + firm * speed) / (expected + firm) if total else 0.0
         return pace * (total - self.expected(self.done))
 
+    def _is_small(self, done: float) -> bool:
+        return done < (_SMALL if self.course else _FIRM)
+
+    def _builds(self, done: float) -> bool:
+        """Whether most of the time until then should be that of what comes first."""
+        return self.course is not None and not self.known and 2 * self.course[0] > until(self.course, done)
+
     def after_first(self) -> tuple[float, float]:
-        """Seconds that were spent, and expected, after the first piece where that is small: it says nothing of the
-        others, since kernels are built with it."""
+        """Seconds that were spent, and expected, without a first piece, or view, that says nothing of the others:
+        kernels are built with it."""
         spent, done = self.first or (self.spent, self.done)
         return self.spent - spent, self.expected(self.done) - self.expected(done)
 
@@ -100,12 +108,13 @@ class Outlook:
         self._under: _Stage | None = None
         self.now = self.began = float("nan")      # of the last call, and of the first
 
-    def expect(self, stage: str, course: Course, kind: str = "device") -> None:
-        """In its turn `stage` will come, with that course; those of one `kind` are as fast or slow."""
+    def expect(self, stage: str, course: Course, kind: str = "device", known: bool = False) -> None:
+        """In its turn `stage` will come, with that course; those of one `kind` are as fast or slow. `known`: here, from
+        an earlier run."""
         if self.began != self.began:
             self.began = self.now = self._clock()
         found = self._stages.setdefault(stage, _Stage())
-        found.course, found.kind = course, kind
+        found.course, found.kind, found.known = course, kind, known
 
     def expect_some(self, stage: str, number: int, total: int, of: int) -> None:
         """Of `total` units of `stage` this run does the last `number`; `of` so many were expected."""
@@ -124,7 +133,7 @@ class Outlook:
             self._under.reach(self._under.done, now - self.now)
             found.reach(share, 0.0)
         else:
-            found.reach(share, now - self.now)
+            found.reach(share, now - self.now, 1 / (total - found.before) if total - found.before > 1 else 0.0)
         found.begun, found.passed, self.now, self._under = True, False, now, found
 
     def left(self) -> float:
@@ -134,12 +143,14 @@ class Outlook:
         speed = {kind: self._speed(kind, usual) for kind in kinds}
         return sum(stage.left(speed[stage.kind]) for stage in self._stages.values())
 
-    def courses(self) -> dict[str, tuple[float, Course]]:
-        """Of the stages that this run brought to their end: the share that it did, and what that took."""
-        return {name: (stage.share, [*stage.took[:PARTS], stage.spent]) for name, stage in self._stages.items()
-                if stage.begun and stage.done >= 1 and stage.share > 0}
+    def courses(self) -> dict[str, tuple[float, float, Course]]:
+        """Of the stages that this run brought to their end: the share that it did, how many times as long as expected
+        work of that kind took, and what this took."""
+        return {name: (stage.share, self._speed(stage.kind, 1.0), [*stage.took[:PARTS], stage.spent])
+                for name, stage in self._stages.items() if stage.begun and stage.done >= 1 and stage.share > 0}
 
     def _speed(self, kind: str, usual: float) -> float:
         seen = [stage for stage in self._stages.values() if stage.kind == kind and stage.begun and stage.course]
         took = [stage.after_first() for stage in seen]
-        return (sum(spent for spent, _ in took) + _USUAL * usual) / (sum(expected for _, expected in took) + _USUAL)
+        firm = _USUAL + _FIRM * sum(stage.expected(1.0) for stage in self._stages.values() if stage.known)
+        return (sum(spent for spent, _ in took) + firm * usual) / (sum(expected for _, expected in took) + firm)
