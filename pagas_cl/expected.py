@@ -100,9 +100,9 @@ class Expected:
         kept = {}
         for stage, (share, speed, course) in self.outlook.courses().items():
             if stage in self._told:
-                work, usual, built = self._told[stage]
-                rest = max(course[-1], min(1.0, speed) * share * usual) * (1 - built)      # maybe they were there
-                kept[stage] = share * work, even(min(rest, course[-1])) if built else course
+                (work, usual, built), took = self._told[stage], course[-1][1]
+                rest = (1 - built) * max(took, min(1.0, speed) * share * usual)      # maybe they were there
+                kept[stage] = share * work, even(min(rest, took)) if built else course
         if self.remembered and kept:
             self.remembered.keep(kept)
 
@@ -116,6 +116,6 @@ class Expected:
 
     def _expect(self, stage: str, work: float, usual: Course, kind: str, build: float = 0.0) -> None:
         seen = self.remembered.course(stage, work) if self.remembered else None
-        self._told[stage] = work, usual[-1], build / usual[-1] if seen is None else 0.0
+        self._told[stage] = work, usual[-1][1], build / usual[-1][1] if seen is None else 0.0
         known = seen is not None and kind != "timed"
         self.outlook.expect(stage, seen if known else usual, kind, known)

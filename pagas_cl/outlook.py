@@ -10,33 +10,32 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-PARTS = 20        # of a stage, equal in what is told of it, not in time
+import numpy as np
+
+_PART = 0.02      # of a stage, after which it is noted again how long it took
 _FIRM = 0.1       # what is expected counts as so much of a stage that was seen
 _SMALL = 0.2      # share of a stage that its first piece may be, and be left out of account
 _USUAL = 0.5      # seconds that are seen before anything is known of the machine
 
-Course: TypeAlias = list[float]
-"""Seconds from the beginning of a stage to that of each part, and to its end: PARTS + 1 numbers. The first part begins
-when something is done: not yet while its kernels are built and its photos read."""
+Course: TypeAlias = list[tuple[float, float]]
+"""How a stage goes: (share that is done, seconds until then), both rising, the last share 1. Before the first share
+nothing is done: kernels are built, photos read."""
 
 
 def even(seconds: float, first: float = 0.0) -> Course:
-    """Parts that take as long as one another, `seconds` together, after what comes `first`."""
-    return [first + seconds * part / PARTS for part in range(PARTS + 1)]
+    """So many seconds of work, as fast at its end as at its beginning, after what comes `first`."""
+    return [(0.0, first), (1.0, first + seconds)]
 
 
 def until(course: Course, done: float) -> float:
-    """Seconds until so much of a stage, 0 to 1, is done."""
-    if done == 0:
-        return 0.0
-    part = min(int(done * PARTS), PARTS - 1)
-    return course[part] + (done * PARTS - part) * (course[part + 1] - course[part])
+    """Seconds until so much is done."""
+    return float(np.interp(done, *zip(*course)))
 
 
 @dataclass
 class _Stage:
     """`course`: what is expected of all of it (None: nothing is; `known`: as it was here before), of which this run
-    does `share`; `spent` on it until `done`, 0 to 1 of that, `took` until each part, and `first` on what says nothing
+    does `share`; `spent` on it until `done`, 0 to 1 of that, `took` so far, and `first` on what says nothing
     of the rest; `before` units were done by an earlier run."""
 
     course: Course | None = None
@@ -45,7 +44,7 @@ class _Stage:
     share: float = 1.0
     spent: float = 0.0
     done: float = 0.0
-    took: Course = field(default_factory=lambda: [0.0])
+    took: Course = field(default_factory=list)
     first: tuple[float, float] | None = None
     before: float = 0.0
     begun: bool = False
@@ -53,18 +52,17 @@ class _Stage:
 
     def expected(self, done: float) -> float:
         """Seconds until so much of it is done."""
-        return until(self.course, done) * self.share if self.course else 0.0
+        return until(self.course, done) * self.share if self.course and done > 0 else 0.0
 
     def reach(self, done: float, seconds: float, unit: float = 0.0) -> None:
         """After so many `seconds` more so much is done; `unit`: of which one is a view."""
-        began, gained = self.spent, done - self.done
         self.spent += seconds
-        if gained <= 0:
+        if done <= self.done:
             return
-        if self.done == 0 and done * PARTS < 1:
-            self.took[0] = self.spent
-        while len(self.took) <= int(done * PARTS):
-            self.took.append(began + (len(self.took) / PARTS - self.done) / gained * seconds)
+        if not self.took and done >= _SMALL:
+            self.took.append((0.0, 0.0))
+        if not self.took or done >= min(self.took[-1][0] + _PART, 1.0):
+            self.took.append((done, self.spent))
         if self.first is None or done <= unit and self._builds(done):
             self.first = (self.spent, done) if self._is_small(done) or self._builds(done) else (0.0, 0.0)
         self.done = done
@@ -84,7 +82,7 @@ class _Stage:
 
     def _builds(self, done: float) -> bool:
         """Whether most of the time until then should be that of what comes first."""
-        return self.course is not None and not self.known and 2 * self.course[0] > until(self.course, done)
+        return self.course is not None and not self.known and 2 * self.course[0][1] > until(self.course, done)
 
     def after_first(self) -> tuple[float, float]:
         """Seconds that were spent, and expected, without a first piece, or view, that says nothing of the others:
@@ -146,7 +144,7 @@ class Outlook:
     def courses(self) -> dict[str, tuple[float, float, Course]]:
         """Of the stages that this run brought to their end: the share that it did, how many times as long as expected
         work of that kind took, and what this took."""
-        return {name: (stage.share, self._speed(stage.kind, 1.0), [*stage.took[:PARTS], stage.spent])
+        return {name: (stage.share, self._speed(stage.kind, 1.0), [*stage.took[:-1], (1.0, stage.spent)])
                 for name, stage in self._stages.items() if stage.begun and stage.done >= 1 and stage.share > 0}
 
     def _speed(self, kind: str, usual: float) -> float:

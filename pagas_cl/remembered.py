@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import log
-from pagas_cl.outlook import PARTS, Course
+from pagas_cl.outlook import Course, until
 from pagas_cl.runtime import cache
 from pagas_cl.runtime.info import DeviceInfo
 from pagas_cl.runtime.trial import identity, kernels
@@ -24,27 +24,29 @@ class Remembered:
         self._seen = self._read()
 
     def course(self, stage: str, work: float) -> Course | None:
-        """Of so much `work`, between the two nearest amounts that were seen; None where the stage never was."""
+        """Of so much `work`, between the amounts that were seen; None where the stage never was."""
         seen = sorted(self._seen.get(stage, ()))
         if not seen:
             return None
         known = np.log([amount for amount, _ in seen])
-        paces = np.array([course for _, course in seen]) / np.exp(known)[:, None]
-        return [work * float(np.interp(np.log(work), known, pace)) for pace in paces.T]
+        nearest = seen[int(np.argmin(np.abs(known - np.log(work))))][1]
+        return [(done, work * float(np.interp(np.log(work), known, [until(course, done) / amount
+                                                                    for amount, course in seen])))
+                for done, _ in nearest]
 
     def keep(self, courses: dict[str, tuple[float, Course]]) -> None:
         """Of each stage (work, course), for the next run; with what another run has kept meanwhile."""
         self._seen = self._read()
         for stage, (work, course) in courses.items():
-            kept, like = [], course
+            kept = []
             for amount, earlier in self._seen.get(stage, ()):
                 if work / _ALIKE < amount < work * _ALIKE:
-                    like = [(work / amount * a + b) / 2 for a, b in zip(earlier, like)]
+                    course = [(done, (seconds + work / amount * until(earlier, done)) / 2) for done, seconds in course]
                 else:
                     kept.append((amount, earlier))
-            self._seen[stage] = [*kept, (work, like)][-_SIZES:]
-        text = {stage: [[amount, [round(x, 4) for x in course]] for amount, course in seen]
-                for stage, seen in self._seen.items()}
+            self._seen[stage] = [*kept, (work, course)][-_SIZES:]
+        text = {stage: [[amount, [[round(done, 4), round(seconds, 4)] for done, seconds in course]]
+                        for amount, course in seen] for stage, seen in self._seen.items()}
         try:
             cache.write_whole(cache.folder() / "times" / f"{self._key}.json",
                               json.dumps({"kernels": kernels(), "stages": text}))
@@ -64,7 +66,9 @@ class Remembered:
 
 
 def _checked(amount: Any, course: Any) -> tuple[float, Course]:
-    numbers = [float(number) for number in (amount, *course)]
-    if len(numbers) != PARTS + 2 or not all(0 <= number < 1e9 for number in numbers) or not amount > 0:
-        raise ValueError(f"{numbers} is no amount of work with the course of a stage")
-    return numbers[0], numbers[1:]
+    numbers = np.array(course, float)
+    if numbers.ndim != 2 or numbers.shape[1] != 2 or not (
+            0 < amount < 1e9 and (numbers >= 0).all() and (numbers < 1e9).all() and numbers[-1, 0] == 1
+            and (np.diff(numbers, axis=0) >= 0).all()):
+        raise ValueError(f"{course} is no course of a stage with {amount} seconds of work")
+    return float(amount), [(done, seconds) for done, seconds in numbers.tolist()]
