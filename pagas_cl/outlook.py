@@ -6,11 +6,11 @@ the stages to come; the one under way tells of itself, the more of it is done.
 """
 
 import time
+from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import inf
 from typing import TypeAlias
-
-import numpy as np
 
 _PART = 0.02      # of a stage, after which it is noted again how long it took
 _FIRM = 0.1       # what is expected counts as so much of a stage that was seen
@@ -29,7 +29,11 @@ def even(seconds: float, first: float = 0.0) -> Course:
 
 def until(course: Course, done: float) -> float:
     """Seconds until so much is done."""
-    return float(np.interp(done, *zip(*course)))
+    after = bisect_right(course, (done, inf))
+    if after in (0, len(course)):
+        return course[min(after, len(course) - 1)][1]
+    (begin, before), (end, then) = course[after - 1:after + 1]
+    return before + (done - begin) / (end - begin) * (then - before)
 
 
 @dataclass
