@@ -171,7 +171,7 @@ def main() -> int:
                 if stop_at:
                     run_one(arguments, place, ask.clock, stop_at)
                 found = run_one(arguments, place, ask.clock)
-                cells = [f"{left:.0f}, {told:.0f}" for left, told in compared(found)]
+                cells = [f"{left:.3g}, {told:.3g}" for left, told in compared(found)]
                 print(f"| {name} | {found['seconds']:.0f} | {found['cpu']:.0f} | {found['mb']:.0f} | "
                       f"{' | '.join(cells)} | {stages(found)} |", flush=True)
     return 0
