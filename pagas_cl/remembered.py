@@ -40,10 +40,10 @@ class Remembered:
         for stage, (work, course) in courses.items():
             kept = []
             for amount, earlier in self._seen.get(stage, ()):
-                if work / _ALIKE < amount < work * _ALIKE:
-                    course = [(done, (seconds + work / amount * until(earlier, done)) / 2) for done, seconds in course]
-                else:
+                if not work / _ALIKE < amount < work * _ALIKE:
                     kept.append((amount, earlier))
+                elif len(earlier) > 2:       # not the guess of a first run
+                    course = [(done, (seconds + work / amount * until(earlier, done)) / 2) for done, seconds in course]
             self._seen[stage] = [*kept, (work, course)][-_SIZES:]
         text = {stage: [[amount, [[round(done, 4), round(seconds, 4)] for done, seconds in course]]
                         for amount, course in seen] for stage, seen in self._seen.items()}

@@ -44,6 +44,14 @@ def test_it_follows_what_runs_take_now():
     assert total() == pytest.approx(20.0, rel=0.07)
 
 
+def test_a_guess_gives_way_to_what_was_seen_and_that_is_averaged():
+    """Of a first run only how long a stage took is known, less what building kernels may have taken: no course."""
+    kept(40.0)
+    for seconds, expected in ((20.0, 20.0), (10.0, 15.0)):
+        Remembered(HERE).keep({"refine": (10.0, [(0.0, 0.0), (0.5, seconds / 4), (1.0, seconds)])})
+        assert total() == pytest.approx(expected)
+
+
 def test_between_two_sizes_and_beyond_them():
     """Small work is dear for its size: that is kept, too."""
     kept(10.0, work=1.0)
