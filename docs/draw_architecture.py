@@ -20,7 +20,8 @@ PICTURE = ROOT / "docs" / "architecture.svg"
 # Rooms by level, from those that know most to those that know least: middle (pixels), name, what is in it, one line.
 LEVELS = [
     [(360, "command line, filters", "__main__ commands filters", "typer, MeshLab scripts, Open3D"),
-     (830, "studies", "tradeoffs costs bench demo selftest analysis expected", "error against time, self-test, demo")],
+     (830, "studies", "tradeoffs costs bench demo selftest analysis expected remembered",
+      "error against time, self-test, demo")],
     [(360, "refine", "refine rounds cameras keep_mesh acceptance effects resemblance measurements",
       "the method on one page"),
      (830, "report, evaluate, synthetic", "report evaluate synthetic", "pictures, figures, test scenes")],

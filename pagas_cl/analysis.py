@@ -68,8 +68,8 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
     asked, photos = asked_views(views, depths, names), PhotoStore(device)
     chooser = PartnerChooser([view.camera for view in views], depths, config.context)
     found, timed, measured_costs, tell = [], "", {}, progress or (lambda stage, done, total: None)
-    for done, index in enumerate(asked):
-        tell("analyze", done, len(asked))
+    for index in asked:
+        tell("analyze", len(found), len(asked))
         target, partners = views[index], chooser.choose(index)
         if not partners.contexts:
             found.append(ViewAnalysis(target.name, (), (), None, partners.reason))
@@ -79,11 +79,13 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
         decisions = decide(config, measured)[1]
         found.append(ViewAnalysis(target.name, tuple(v.name for v in contexts), tuple(decisions), measured))
         if costs and not timed:
+            tell("analyze", len(found), len(asked))
             timed, few = target.name, (index, *partners.contexts)
             measured_costs = effect_costs(target, contexts, depth, config, measured, device, photos, tell)
     tell("analyze", len(asked), len(asked))
     tell("compare the depth maps", 0, 1)
     agreement = decide_consistency([view.camera for view in views], depths, config, device)[1]
+    tell("compare the depth maps", 1, 1)
     cameras = None
     if config.effects.cameras != "set" and FEWEST <= len(views) <= MOST:
         cameras = decide_cameras(views, depths, config, device)[0]

@@ -32,7 +32,7 @@ from pagas_cl.surface.subdivide import undivided
 
 _DETAIL, FLAT = 1.5, 0.04     # footprints: edges that hold what photos show; how flat is flat
 _MEMORY, _SHARE = 300.0, 14e-6   # MB for the mesh, where more is free: 660 000 triangles; the same a pixel of all views
-_FITTED, _SOLVED = 0.65, 0.8   # of all that makes the mesh, measured: what is done then
+_FITTED, _SOLVED = 0.75, 0.85   # of all that makes the mesh, measured: what is done then
 _POLISH = 1                  # rounds of the solve on a fused mesh, which lies on the depth maps
 
 

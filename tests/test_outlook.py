@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from pagas_cl.progress import Outlook
+from pagas_cl.outlook import Outlook, even
 
 
 class Clock:
@@ -46,7 +48,7 @@ def test_a_machine_of_any_speed(speed):
     outlook, clock = Outlook(clock := Clock()), clock
     for stage, seconds, kind in (("draw", 1.0, "device"), ("refine", 100.0, "device"), ("agree", 40.0, "device"),
                                  ("pictures", 20.0, "host"), ("fuse", 30.0, "host")):
-        outlook.expect(stage, seconds, kind)
+        outlook.expect(stage, even(seconds), kind)
     host = speed if speed >= 1 else 1.0        # a GPU's machine is no faster than others at what the host does
     assert_true(run(outlook, clock, ("draw", speed, 0, 1), ("refine", 10 * speed, 0, 10), ("agree", 4 * speed, 0, 10),
                     ("pictures", 2 * host, 0, 10), ("fuse", 3 * host, 0, 10)))
@@ -54,8 +56,8 @@ def test_a_machine_of_any_speed(speed):
 
 def test_what_an_earlier_run_finished_takes_no_time_and_tells_none():
     outlook, clock = Outlook(clock := Clock()), clock
-    outlook.expect("refine", 80.0)
-    outlook.expect("fuse", 20.0)
+    outlook.expect("refine", even(80.0))
+    outlook.expect("fuse", even(20.0))
     outlook.expect_some("refine", 2, 8, 8)
     assert outlook.left() == pytest.approx(40.0)
     outlook("refine", 0, 8)
@@ -68,7 +70,7 @@ def test_what_an_earlier_run_finished_takes_no_time_and_tells_none():
 def test_stages_that_are_not_called_for_are_not_waited_for():
     outlook, clock = Outlook(clock := Clock()), clock
     for stage in ("cameras", "refine", "agree", "fuse"):
-        outlook.expect(stage, 50.0)
+        outlook.expect(stage, even(50.0))
     run(outlook, clock, ("refine", 25.0, 0, 2))
     assert outlook.left() == pytest.approx(100.0)
     outlook("fuse", 0, 1)
@@ -106,3 +108,69 @@ def test_kernels_that_are_built_in_the_first_step_do_not_count_for_all():
     clock.now += 1.0
     outlook("refine", 0.105, 5)
     assert outlook.left() == pytest.approx(48.95)
+
+
+def go(outlook, clock, stages, speed=1.0):
+    """Do `stages`, each (what comes first, seconds of each unit): what was left and what was told after each unit."""
+    told = []
+    for stage, (first, units) in enumerate(stages):
+        outlook(str(stage), 0, len(units))
+        clock.now += speed * first
+        for done, seconds in enumerate(units, start=1):
+            clock.now += speed * seconds
+            outlook(str(stage), done, len(units))
+            told.append((clock.now, outlook.left()))
+    return [(clock.now - now, left) for now, left in told]
+
+
+def twice(stages, speed=1.0):
+    """What was left and what was told in the second of two runs, which knows what the first one took."""
+    first, second = Clock(), Clock()
+    before, now = Outlook(first), Outlook(second)
+    go(before, first, stages)
+    for stage, (_, _, course) in before.courses().items():
+        now.expect(stage, course, known=True)
+    return go(now, second, stages, speed)
+
+
+def test_a_stage_whose_parts_differ_is_told_as_it_went_before():
+    """Seven eighths of the time are in its middle."""
+    for left, said in twice([(0.5, [1.0] * 10), (0.0, [1.0] * 8 + [21.0] * 4 + [1.0] * 4)]):
+        assert said == pytest.approx(left, rel=0.05, abs=0.1)
+
+
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@given(st.lists(st.tuples(st.floats(0.0, 5.0), st.integers(1, 20), st.floats(0.1, 50.0)), min_size=1, max_size=6),
+       st.floats(0.85, 1.2))
+def test_a_run_like_the_last_one(stages, speed):
+    """Whatever its stages take, and what comes first in each; a machine that is a little faster or slower now."""
+    told = twice([(first, [seconds / units] * units) for first, units, seconds in stages], speed)
+    total = speed * sum(first + seconds for first, _, seconds in stages)
+    for left, said in told:
+        assert left > 0.9 * total or abs(said - left) <= 0.2 * left + 0.02 * total
+
+
+def test_kernels_that_are_built_with_the_first_view_do_not_count_for_the_others():
+    """Nor when they take five times as long as they should, in two places of it, or nothing at all."""
+    for building in (0.0, 5.0, 25.0):
+        outlook, clock = Outlook(clock := Clock()), clock
+        outlook.expect("refine", even(20.0, 5.0))
+        outlook.expect("solve", even(20.0))
+        outlook("refine", 0, 10)
+        for done in (0.1, 1.0):
+            clock.now += 0.5 * building + 2.0 * done
+            outlook("refine", done, 10)
+        assert outlook.left() == pytest.approx(38.0, rel=0.1)
+        assert_true(run(outlook, clock, ("refine", 2.0, 1, 10), ("solve", 5.0, 0, 4)))
+
+
+def test_only_stages_that_came_to_their_end_have_a_course():
+    outlook, clock = Outlook(clock := Clock()), clock
+    outlook.expect("cameras", even(10.0))
+    outlook.expect_some("refine", 5, 10, 10)
+    run(outlook, clock, ("refine", 2.0, 5, 10), ("solve", 3.0, 0, 1))
+    outlook("fuse", 1, 3)
+    courses = outlook.courses()
+    assert set(courses) == {"refine", "solve"}
+    share, _, course = courses["refine"]
+    assert share == 0.5 and course[-1] == pytest.approx((1.0, 10.0)) and course == sorted(course)

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from functools import cache
 
 from pagas_cl.errors import NothingRefinedError, NothingRefinedWarning, log, plain
-from pagas_cl.progress import Outlook
+from pagas_cl.outlook import Course, Outlook
 
 _LINE_EVERY = 10.0  # seconds between lines where standard error is a file
 
@@ -184,12 +184,20 @@ class Bar(Outlook):
     def __exit__(self, *_) -> None:
         self._bars.stop()
 
+    def expect(self, stage: str, course: Course, kind: str = "device", known: bool = False) -> None:
+        super().expect(stage, course, kind, known)
+        if self._under is None:
+            self._show("start", "")
+
     def __call__(self, stage: str, done: float, total: int) -> None:
         super().__call__(stage, done, total)
+        self._show(plain(stage), f"{int(done)}/{total}")
+
+    def _show(self, stage: str, count: str) -> None:
         left, gone = self.left(), self.now - self.began
         known = gone + left > 0      # not where it is NaN
-        self._bars.update(self._task, description=plain(stage), completed=gone / (gone + left) if known else 0.0,
-                          count=f"{int(done)}/{total}", left=f"{int(left) // 60}:{int(left) % 60:02}" if known else "?")
+        self._bars.update(self._task, description=stage, completed=gone / (gone + left) if known else 0.0, count=count,
+                          left=f"{int(left) // 60}:{int(left) % 60:02}" if known else "?")
 
 
 class Lines(Outlook):

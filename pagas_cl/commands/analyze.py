@@ -58,7 +58,7 @@ def command(
         if mesh is not None:
             expected.mesh_drawn()
         expected.analyzed(costs)
-        expected.cameras(False)
+        expected.cameras(False, analyzed=True)
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, names=names)
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
                            progress=progress)
@@ -69,6 +69,7 @@ def command(
         if report is not None:
             write_text(report / "analysis.json", text)
             write_text(report / "index.html", page(analysis, found.source))
+        expected.remember()
 
 
 def rows(analysis) -> list[list[str]]:

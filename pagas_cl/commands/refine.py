@@ -170,6 +170,7 @@ def command(
         _tell(results, save_depth, report)
         if folder is not None and save_depth is None:
             remove_run(folder)
+        expected.remember()
 
 
 def _settled_cameras(found, mesh, config, place, folder, progress, page):

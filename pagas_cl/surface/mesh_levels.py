@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 COARSE, DETAIL = 6.0, 1.5   # footprints: edges to begin with, and the longest that are never split
 _OFF = 0.5                  # times `flat` that the middle of an edge lies off, for which it is split
 _LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
+_DONE = (0.0, 0.07, 0.16, 0.36)     # of all that makes the mesh when a level begins, the last one where memory ends it
 TRIANGLE_BYTES = 450        # of host and device memory together, at the peak (measured)
 _FULL = 0.9                 # of the triangles that the memory is for, from which on nothing more is split
 
@@ -39,9 +40,9 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     mesh.split_longer(max(COARSE, detail), most // 2)
     orientation = orientation_of(surface, Drawing(device, surface), views)
     for level in range(_LEVELS + 1):
-        at(level / (level + 2))
-        now = OnDevice(device, Surface(mesh.points, with_area(mesh.edges.faces)))
         last = level == _LEVELS or len(mesh.edges) > _FULL * most
+        at(_DONE[_LEVELS if last and level else level])
+        now = OnDevice(device, Surface(mesh.points, with_area(mesh.edges.faces)))
         solved = solve_welded(now, views, least_views=least_views, orientation=orientation,
                               rounds=_ROUNDS + (level < _LEVELS) if last else 1)
         mesh.points = solved.vertices
