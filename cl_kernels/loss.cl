@@ -143,7 +143,7 @@ long whole_loss(columns_t loss, int repeated)
 #endif
 
 __kernel TILE_LOOP
-void loss_backward(__global const stored_t *rendered,              // [H', W', CHANNELS + 1], see rendered.clh
+void loss_backward(__global stored_t *rendered,                    // [H', W', CHANNELS + 1], see rendered.clh
                    __global const uchar4 *photo, int width, int height, int pitch,
                    __global const float *partials,                 // as window.clh says
                    __global const uint *seen,                      // [H' W' / 32] a bit a pixel
@@ -171,6 +171,9 @@ void loss_backward(__global const stored_t *rendered,              // [H', W', C
         if (x >= width || y >= height)
             continue;
         const Rendered r = load_rendered(rendered, photo, pixel);
+#if defined(ORDER_FREE) && ONE_PIXEL
+        *(__global PAINT(uint) *)(rendered + pixel * (CHANNELS + 1)) = 0;      // no other reads it: composite.cl
+#endif
         const columns_t weight = pixel_weight(photo, r, seen, x, y, width, height);
 #ifdef COVERAGE_WEIGHT
         const columns_t full_weight = weight * r.coverage;
