@@ -95,7 +95,7 @@ def dimensions(config: Config, target: Size, others: Sequence[Size], contexts: i
         pixels=target.pixels, most_pixels=max(size.pixels for size in sizes), cameras=len(sizes), contexts=contexts,
         photos=1 + contexts, samples=SampleGrid.over(target).count, layers=channels + 1, places=side**2,
         bins=max((size.width + side) * (size.height + side) for size in sizes),
-        partials=3 * channels * max(pitch(size.width) * size.height for size in sizes) + 2 * MARGIN,
+        partials=2 * channels * max(pitch(size.width) * size.height for size in sizes) + 2 * MARGIN,
         words=[size.pixels // 32 + 2 for size in others[:contexts]], losses=max(config.pyramid.steps) + 1,
         blocks=prod(blocks(target)),
         surfaces=[size.pixels for size in others[:contexts]] if keeps_surfaces(config, contexts) else [],
@@ -154,7 +154,7 @@ class LevelBuffers(EvidenceBuffers, ExposureBuffers):
         (), np.uint32, "units", "of each context view: z_first, kept for some steps", each="surfaces")
     state: MaybeBuffer = declared((8,), np.float32, "", "of the schedule, as in step.cl", start=_ZERO)
     partials: MaybeBuffer = declared(
-        ("partials",), np.float32, "1", "derivatives of SSIM by the means of its windows", needed="ssim")
+        ("partials",), np.uint32, "1", "derivatives of SSIM by the means of its windows", needed="ssim")
     followed: MaybeBuffer = declared(
         ("pixels",), np.float32, "1 / units", "N dL/d depth that a step follows; None: `gradient`", needed="filtered")
     heads: MaybeBuffer = declared(
