@@ -123,7 +123,7 @@ def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:
     """Bytes that one launch of each stage must move, for a target of `n` and a context view of `m` pixels."""
     channels = 1 if config.loss.grey else 3
     image = 4 * (channels + 1)  # with coverage; the same of what is passed back to it
-    partials = 12 * channels if config.loss.ssim else 0
+    partials = 8 * channels if config.loss.ssim else 0
     first = 4 if config.splatting.occlusion else 0
     places = 4 * (2 * reach(config.splatting.radius) + 1) ** 2  # weights around a bin
     return {
