@@ -20,8 +20,8 @@ void gather_down(__global const int *partials, int left, int top, int width, int
             const mask_t there = row + j >= 0 && row + j < height - HALO ? -1 : 0;       // read all the same
             __global const int *at = partials + 2 * c * plane + clamp(row + j, 0, height - HALO - 1) * pitch
                                        + min(column, width - COLUMNS);
-            const mask_t low = LOAD_COLUMNS(at) & there, high = LOAD_COLUMNS(at + plane) & there;
-            const columns_t value[3] = {FIRST(low, high), SECOND(low, high), THIRD(low, high)};
+            const mask_t one = LOAD_COLUMNS(at) & there, other = LOAD_COLUMNS(at + plane) & there;
+            const columns_t value[3] = {FIRST(one, other), THIRD(one, other), SECOND(one, other)};
             UNROLL for (int q = 0; q < 3; ++q)
                 UNROLL for (int k = 0; k < RUN; ++k)
                     if (j >= k && j - k < TAPS)

@@ -91,9 +91,9 @@ lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, flo
 #else
 #define KEPT(x) (x)
 #endif
-    const words_t a = SHORTENED(KEPT(v_mean)), e = SHORTENED(KEPT(v_both)), c = SHORTENED(KEPT(v_product));
-    STORE_LANES(a | e << 21, out);
-    STORE_LANES(e >> 11 | c << 10, out + plane);
+    const words_t e = AS_WORDS(KEPT(v_both)) + HALF_LOST / 2;
+    STORE_LANES((AS_WORDS(KEPT(v_mean)) + HALF_LOST & ~LOST) | e >> 21, out);
+    STORE_LANES((AS_WORDS(KEPT(v_product)) + HALF_LOST & ~LOST) | (e >> 10 & LOST), out + plane);
 #ifdef ROBUST
     return fmax(similar, 1.0f - robust);
 #else

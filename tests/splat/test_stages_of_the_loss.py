@@ -69,8 +69,8 @@ def image_of(stage, view, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 def lengthened(words) -> list[np.ndarray]:
     """Three arrays of floats of 21 bits from two of words, (2, ...)."""
-    low, high = words
-    bits = low << 11, low >> 21 << 11 | high << 22, high >> 10 << 11
+    one, other = words
+    bits = one & 0xfffff800, one << 21 | (other & 0x7ff) << 10, other & 0xfffff800
     return [part.view(np.float32).astype(np.float64) for part in map(np.ascontiguousarray, bits)]
 
 
