@@ -64,16 +64,13 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
     if (g.own) {
         float color[CHANNELS];
         load_exposed(target_photo, row * target.width + column, exposure, view, color);
-        float shares[SPAN * SPAN];             // first, so that all loads are under way together
-        EACH_PLACE(u, v)
-            shares[v * SPAN + u] = share_of(&g, reach_pixel(&g, context.width, 0, context.height, u, v), z_first,
-                                            threshold, relative);
         EACH_PLACE(u, v) {
-            if (!(shares[v * SPAN + u] > 0.0f))
-                continue;
             const Reach r = reach_pixel(&g, context.width, 0, context.height, u, v);
+            const float share = r.reached ? share_of(&g, r, z_first, threshold, relative) : 0.0f;
+            if (!(share > 0.0f))
+                continue;
             int parts[CHANNELS + 1][1];
-            weigh_colors(&g, r, shares[v * SPAN + u], inverse_area, color, parts);
+            weigh_colors(&g, r, share, inverse_area, color, parts);
 #ifdef BOXED
             const int place = place_in_box(box, g.x + u, g.y + v);
             if (place >= 0)

@@ -18,14 +18,13 @@ void gather_down(__global const int *partials, int left, int top, int width, int
             sum[0][k] = sum[1][k] = sum[2][k] = ZERO;
         UNROLL for (int j = 0; j < TAPS + RUN - 1; ++j) {
             const mask_t there = row + j >= 0 && row + j < height - HALO ? -1 : 0;       // read all the same
-            __global const int *at = partials + 2 * c * plane + clamp(row + j, 0, height - HALO - 1) * pitch
-                                       + min(column, width - COLUMNS);
-            const mask_t one = LOAD_COLUMNS(at) & there, other = LOAD_COLUMNS(at + plane) & there;
+            const int place = c * plane + clamp(row + j, 0, height - HALO - 1) * pitch + min(column, width - COLUMNS);
+            LOAD_TWO(int, partials + 2 * place, one, other)
             const columns_t value[3] = {FIRST(one, other), THIRD(one, other), SECOND(one, other)};
             UNROLL for (int q = 0; q < 3; ++q)
                 UNROLL for (int k = 0; k < RUN; ++k)
                     if (j >= k && j - k < TAPS)
-                        sum[q][k] += WINDOW[j - k] * value[q];
+                        sum[q][k] += WINDOW[j - k] * select(ZERO, value[q], there);
         }
         const mask_t lanes = column + LANE_NUMBERS, inside = (lanes >= 0) & (lanes < width - HALO);
         UNROLL for (int k = 0; k < RUN; ++k)
@@ -155,7 +154,7 @@ void loss_backward(__global stored_t *rendered,                    // [H', W', C
 #ifdef SSIM
     __local float sums[CHANNELS * SUMS] __attribute__((aligned(16)));
     if (ssim_scale > 0.0f) {
-        gather_down(partials + MARGIN, left, top, width, height, pitch, sums);
+        gather_down(partials + 2 * MARGIN, left, top, width, height, pitch, sums);
         barrier(CLK_LOCAL_MEM_FENCE);
         gather_across(sums);
         barrier(CLK_LOCAL_MEM_FENCE);

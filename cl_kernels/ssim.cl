@@ -65,10 +65,9 @@ void blur_down(__local const float *xs, __local const shade_t *ys, __local float
     }
 }
 
-// SSIM of LANES windows, and A, E, C to two planes from `out` on. With C = d/dE[xy], E = C + 2 d/dE[xx + yy] and
+// SSIM of LANES windows, and A, E, C to `out`. With C = d/dE[xy], E = C + 2 d/dE[xx + yy] and
 // A = d/d(mean x), no sum of them cancels: their first 21 bits are enough.
-lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, float robust, __global int *out,
-                   int plane)
+lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, float robust, __global int *out)
 {
     const lanes_t a2 = 2.0f * (product - mx * my) + C2;
 #ifdef STRUCTURE
@@ -92,8 +91,9 @@ lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, flo
 #define KEPT(x) (x)
 #endif
     const words_t e = AS_WORDS(KEPT(v_both)) + HALF_LOST / 2;
-    STORE_LANES((AS_WORDS(KEPT(v_mean)) + HALF_LOST & ~LOST) | e >> 21, out);
-    STORE_LANES((AS_WORDS(KEPT(v_product)) + HALF_LOST & ~LOST) | (e >> 10 & LOST), out + plane);
+    const words_t one = (AS_WORDS(KEPT(v_mean)) + HALF_LOST & ~LOST) | e >> 21;
+    const words_t other = (AS_WORDS(KEPT(v_product)) + HALF_LOST & ~LOST) | (e >> 10 & LOST);
+    STORE_PAIRS(one, other, out)
 #ifdef ROBUST
     return fmax(similar, 1.0f - robust);
 #else
@@ -138,10 +138,10 @@ void ssim_forward(__global const stored_t *rendered,               // [H', W', C
             if (row >= rows || left + x >= columns)
                 continue;
             __local const float *at = sums + y * STRIDE + x;
-            __global int *out = partials + MARGIN + c * 2 * plane + row * pitch + left + x;
+            __global int *out = partials + 2 * (MARGIN + c * plane + row * pitch + left + x);
             const lanes_t similar = similarity(
                 blur_across(at), blur_across(at + TILE_H * STRIDE), blur_across(at + 2 * TILE_H * STRIDE),
-                blur_across(at + 3 * TILE_H * STRIDE), robust, out, plane);
+                blur_across(at + 3 * TILE_H * STRIDE), robust, out);
 #ifdef TRACK_LOSS
             const int from = max((int)get_group_id(0) * TILE_W, left + t % CHUNKS * LANES);
             if (row >= (int)get_group_id(1) * TILE_H)

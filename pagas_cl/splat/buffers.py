@@ -95,7 +95,7 @@ def dimensions(config: Config, target: Size, others: Sequence[Size], contexts: i
         pixels=target.pixels, most_pixels=max(size.pixels for size in sizes), cameras=len(sizes), contexts=contexts,
         photos=1 + contexts, samples=SampleGrid.over(target).count, layers=channels + 1, places=side**2,
         bins=max((size.width + side) * (size.height + side) for size in sizes),
-        partials=2 * channels * max(pitch(size.width) * size.height for size in sizes) + 2 * MARGIN,
+        partials=2 * (channels * max(pitch(size.width) * size.height for size in sizes) + 2 * MARGIN),
         words=[size.pixels // 32 + 2 for size in others[:contexts]], losses=max(config.pyramid.steps) + 1,
         blocks=prod(blocks(target)),
         surfaces=[size.pixels for size in others[:contexts]] if keeps_surfaces(config, contexts) else [],

@@ -85,8 +85,8 @@ def test_ssim(device, scene, settings):
         color, _ = image_of(stage, view, number)
         run_once(device.queue, loss.launches(stage.programs, stage.buffers, view, 1)[:1])
         width, height, plane = view.size.width, view.size.height, pitch(view.size.width) * view.size.height
-        words = download(device, stage.buffers.partials, 6 * plane + MARGIN, np.uint32)[MARGIN:].reshape(3, 2, height, -1)
-        partials = lengthened(np.moveaxis(words[..., :height - 10, :width - 10], 0, -1))
+        words = download(device, stage.buffers.partials, (3 * plane + MARGIN, 2), np.uint32)[MARGIN:]
+        partials = lengthened(words.reshape(3, height, -1, 2)[:, :height - 10, :width - 10].transpose(3, 1, 2, 0))
         x = color if context.mask is None else np.where(context.mask[..., None], color, context.image)
         v_mean, v_both, v_product = map(losses.blur_vjp, partials)
         value, gradient = losses.ssim(x, context.image, config.loss.robust, config.loss.structure)
