@@ -79,11 +79,11 @@ def channels_of(config: Config) -> int:
 
 
 def keeps_surfaces(config: Config, contexts: int) -> bool:
-    """Whether context views keep z-buffers of their own: where depths move little enough between two turns of a view."""
+    """Whether context views keep z-buffers of their own: where depths move little enough until a view's next turn."""
     solver, splatting = config.solver, config.splatting
-    turn = contexts / min(solver.views_per_step or contexts, contexts)
+    a_step = min(solver.views_per_step or contexts, contexts)
     return (splatting.occlusion and splatting.blend == "order_free" and solver.rate_unit == "parallax"
-            and turn * solver.rate <= MOST_MOVED)
+            and contexts * solver.rate <= a_step * MOST_MOVED)
 
 
 def dimensions(config: Config, target: Size, others: Sequence[Size], contexts: int) -> dict:

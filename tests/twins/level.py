@@ -15,8 +15,7 @@ from twins.gradient_filter import filter_gradient
 from twins.step import Adam, Plateau, late_share
 from twins.units import depth_threshold, median_depth
 
-
-MOST_MOVED = 0.5         # pixels of parallax that depths may move by before the first surfaces are looked for again
+MOST_MOVED = 0.4         # pixels of parallax that depths may move by before the first surfaces are looked for again
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +55,15 @@ def run_level(depth, target: Photo, contexts: list[Photo], config: Config, state
     adam = Adam.start(depth.shape, solver.beta1, solver.beta2)
     schedule = Plateau(solver.rate, solver.patience, solver.rate_floor)
     contexts, moved = list(contexts), [np.inf] * len(contexts)
-    turn = len(contexts) / len(views_of_step(0, len(contexts), solver.views_per_step))
+    a_step = len(views_of_step(0, len(contexts), solver.views_per_step))
     keeps = (config.splatting.blend == "order_free" and config.splatting.occlusion
-             and solver.rate_unit == "parallax" and turn * solver.rate <= MOST_MOVED)
+             and solver.rate_unit == "parallax" and len(contexts) * solver.rate <= a_step * MOST_MOVED)
     for step in range(steps):
         views = views_of_step(step, len(contexts), solver.views_per_step)
         for view in [v for v in views if keeps and moved[v] > MOST_MOVED]:
             moved[view] = 0.0
-            contexts[view] = replace(contexts[view], z_first=first_surfaces(depth, target, contexts[view], config, state))
+            first = first_surfaces(depth, target, contexts[view], config, state)
+            contexts[view] = replace(contexts[view], z_first=first)
         photos, smooth = parts_of_loss(depth, target, contexts, config, state, views,
                                        raised=step >= solver.photos_first(steps))
         filtered = filter_gradient(photos[1], state.parallax, solver.gradient_filter)
