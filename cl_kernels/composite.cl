@@ -1,27 +1,11 @@
 // Order-free blend (method section 4): scatter weights and weighted colours as whole numbers.
 //
-// sums holds, per context pixel, fixed-point [weight, red, green, blue] ([weight, grey] with GREY).
+// sums holds, per context pixel, fixed-point [weight, red, green, blue] ([weight, grey] with GREY). It is empty before
+// the first view; from then on loss.cl empties what it reads, or each strip begins by emptying its own rows.
 #include "box.clh"
 #include "strip.clh"
 #include "weights.clh"
 #include "exposed.clh"
-
-#ifdef GREY
-typedef uint2 sums_t;
-#else
-typedef uint4 sums_t;
-#endif
-
-// An empty image, at once: a launch takes as long as much of the writing.
-__kernel void clear(int count, __global uint *z_first,             // [count]
-                    __global sums_t *sums)                         // [count]
-{
-    EACH(i, count)
-#ifdef OCCLUSION
-    z_first[i] = as_uint(INFINITY);
-#endif
-    sums[i] = 0;
-}
 
 #ifdef INT64_ATOMICS
 #pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable
@@ -117,6 +101,9 @@ __kernel void splat_order_free(__global const float *depth, __global const uchar
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     const Strip strip = own_strip(context);
+    const int row_sums = context.width * (CHANNELS + 1);
+    for (int i = strip.from * row_sums; i < strip.to * row_sums; ++i)
+        sums[i] = 0;
     EACH_LANDING(item, row, landing, strip, target, BLOCKS_ACROSS(target)) {
         int column;
         const Gaussians g = load_gaussians(depth, target, context, item, row, radius, low_pass, &column);

@@ -1,37 +1,40 @@
 // The gradient that a step follows: that of the photos averaged over neighbouring pixels (method section 6), and what
 // smoothness adds to it (section 5). The average is a tent of FILTER_RADIUS pixels to each side, in pixels of parallax,
-// along rows, then columns. Neighbours that are off together push together; noise does not.
+// along columns, then rows. Neighbours that are off together push together; noise does not.
 #include "planar.clh"
 
 #ifdef FILTER_RADIUS
 #define SHARE(k) ((FILTER_RADIUS + 1 - (k)) / (float)((FILTER_RADIUS + 1) * (FILTER_RADIUS + 1)))
-#define ROWS (TILE_H + 2 * FILTER_RADIUS)      // of which a tile's averages along columns are made
+#define PULL_W (TILE_W + 2 * FILTER_RADIUS)    // columns of which a tile's averages along rows are made
+#define PULL_ACROSS ((PULL_W + COLUMNS - 1) / COLUMNS)
 
-columns_t by_parallax(__global const float *gradient, __global const float *depth_per_parallax, int x, int y, int width,
-                      int height)
+// Averages along columns, of RUN rows at a time: what is read serves all of them.
+void filter_down(__global const float *gradient, __global const float *depth_per_parallax, int left, int top,
+                 int width, int height, __local float columns[TILE_H * PULL_W])
 {
-    return load_around(gradient, x, y, width, height) * load_around(depth_per_parallax, x, y, width, height);
-}
-
-void filter_across(__global const float *gradient, __global const float *depth_per_parallax, int left, int top,
-                   int width, int height, __local float rows[ROWS * TILE_W])
-{
-    for (int t = get_local_id(0); t < ROWS * TILE_ACROSS; t += TILE_GROUP) {
-        const int x = left + t % TILE_ACROSS * COLUMNS, y = top + t / TILE_ACROSS - FILTER_RADIUS;
-        columns_t sum = SHARE(0) * load_around(gradient, x, y, width, height)
-                        * load_around(depth_per_parallax, x, y, width, height);
-        UNROLL for (int k = 1; k <= FILTER_RADIUS; ++k)
-            sum += SHARE(k) * (by_parallax(gradient, depth_per_parallax, x - k, y, width, height)
-                               + by_parallax(gradient, depth_per_parallax, x + k, y, width, height));
-        STORE_COLUMNS(sum, rows + t * COLUMNS);
+    for (int t = get_local_id(0); t < TILE_H / RUN * PULL_ACROSS; t += TILE_GROUP) {
+        const int column = span_start(t % PULL_ACROSS, COLUMNS, PULL_W), row = t / PULL_ACROSS * RUN;
+        columns_t sum[RUN];
+        UNROLL for (int k = 0; k < RUN; ++k)
+            sum[k] = ZERO;
+        UNROLL for (int j = -FILTER_RADIUS; j < RUN + FILTER_RADIUS; ++j) {
+            const int x = left + column - FILTER_RADIUS, y = top + row + j;
+            const columns_t pull = load_around(gradient, x, y, width, height)
+                                   * load_around(depth_per_parallax, x, y, width, height);
+            UNROLL for (int k = 0; k < RUN; ++k)
+                if (abs(j - k) <= FILTER_RADIUS)
+                    sum[k] += SHARE(abs(j - k)) * pull;
+        }
+        UNROLL for (int k = 0; k < RUN; ++k)
+            STORE_COLUMNS(sum[k], columns + (row + k) * PULL_W + column);
     }
 }
 
-columns_t filter_down(__local const float *middle)
+columns_t filter_across(__local const float *middle)
 {
     columns_t sum = SHARE(0) * LOAD_COLUMNS(middle);
     UNROLL for (int k = 1; k <= FILTER_RADIUS; ++k)
-        sum += SHARE(k) * (LOAD_COLUMNS(middle - k * TILE_W) + LOAD_COLUMNS(middle + k * TILE_W));
+        sum += SHARE(k) * (LOAD_COLUMNS(middle - k) + LOAD_COLUMNS(middle + k));
     return sum;
 }
 #endif
@@ -45,8 +48,8 @@ void filter_gradient(__global const float *gradient,               // of the pho
 {
     const int left = get_group_id(0) * TILE_W, top = get_group_id(1) * TILE_H;
 #ifdef FILTER_RADIUS
-    __local float rows[ROWS * TILE_W];
-    filter_across(gradient, depth_per_parallax, left, top, width, height, rows);
+    __local float columns[TILE_H * PULL_W];
+    filter_down(gradient, depth_per_parallax, left, top, width, height, columns);
 #endif
 #ifdef PLANAR
     __local float bends[2 * BENT];
@@ -59,7 +62,7 @@ void filter_gradient(__global const float *gradient,               // of the pho
             continue;
 #ifdef FILTER_RADIUS
         const columns_t length = load_around(depth_per_parallax, x, y, width, height);
-        columns_t sum = filter_down(rows + (row + FILTER_RADIUS) * TILE_W + column);
+        columns_t sum = filter_across(columns + row * PULL_W + column + FILTER_RADIUS);
         sum = select(ZERO, sum / length, length > 0.0f);
 #else
         columns_t sum = load_around(gradient, x, y, width, height);

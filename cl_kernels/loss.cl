@@ -6,7 +6,7 @@
 
 #ifdef SSIM
 // Vertical windows of the three partials of each channel, over the windows that hold a pixel of the tile.
-void gather_down(__global const float *partials, int left, int top, int width, int height, int pitch,
+void gather_down(__global const int *partials, int left, int top, int width, int height, int pitch,
                  __local float *sums)
 {
     const int plane = pitch * height;
@@ -18,14 +18,13 @@ void gather_down(__global const float *partials, int left, int top, int width, i
             sum[0][k] = sum[1][k] = sum[2][k] = ZERO;
         UNROLL for (int j = 0; j < TAPS + RUN - 1; ++j) {
             const mask_t there = row + j >= 0 && row + j < height - HALO ? -1 : 0;       // read all the same
-            __global const float *at = partials + 3 * c * plane + clamp(row + j, 0, height - HALO - 1) * pitch
-                                       + min(column, width - COLUMNS);
-            UNROLL for (int q = 0; q < 3; ++q) {
-                const columns_t value = select(ZERO, LOAD_COLUMNS(at + q * plane), there);
+            const int place = c * plane + clamp(row + j, 0, height - HALO - 1) * pitch + min(column, width - COLUMNS);
+            LOAD_TWO(int, partials + 2 * place, one, other)
+            const columns_t value[3] = {FIRST(one, other), THIRD(one, other), SECOND(one, other)};
+            UNROLL for (int q = 0; q < 3; ++q)
                 UNROLL for (int k = 0; k < RUN; ++k)
                     if (j >= k && j - k < TAPS)
-                        sum[q][k] += WINDOW[j - k] * value;
-            }
+                        sum[q][k] += WINDOW[j - k] * select(ZERO, value[q], there);
         }
         const mask_t lanes = column + LANE_NUMBERS, inside = (lanes >= 0) & (lanes < width - HALO);
         UNROLL for (int k = 0; k < RUN; ++k)
@@ -58,8 +57,8 @@ void gather_across(__local float *sums)
 columns_t dssim_dcolor(__local const float *sums, int c, int place, columns_t x, columns_t y)
 {
     __local const float *at = sums + c * SUMS + place;
-    return LOAD_COLUMNS(at) + 2.0f * x * LOAD_COLUMNS(at + TILE_H * STRIDE)
-           + y * LOAD_COLUMNS(at + 2 * TILE_H * STRIDE);
+    return LOAD_COLUMNS(at) + x * LOAD_COLUMNS(at + TILE_H * STRIDE)
+           + (y - x) * LOAD_COLUMNS(at + 2 * TILE_H * STRIDE);
 }
 #endif
 
@@ -143,9 +142,9 @@ long whole_loss(columns_t loss, int repeated)
 #endif
 
 __kernel TILE_LOOP
-void loss_backward(__global const stored_t *rendered,              // [H', W', CHANNELS + 1], see rendered.clh
+void loss_backward(__global stored_t *rendered,                    // [H', W', CHANNELS + 1], see rendered.clh
                    __global const uchar4 *photo, int width, int height, int pitch,
-                   __global const float *partials,                 // as window.clh says
+                   __global const int *partials,                   // as window.clh says
                    __global const uint *seen,                      // [H' W' / 32] a bit a pixel
                    float huber, float inverse_huber, float robust, float l1_scale, float ssim_scale,
                    __global float *v_rendered,                     // [H', W', CHANNELS + 1]
@@ -155,7 +154,7 @@ void loss_backward(__global const stored_t *rendered,              // [H', W', C
 #ifdef SSIM
     __local float sums[CHANNELS * SUMS] __attribute__((aligned(16)));
     if (ssim_scale > 0.0f) {
-        gather_down(partials + MARGIN, left, top, width, height, pitch, sums);
+        gather_down(partials + 2 * MARGIN, left, top, width, height, pitch, sums);
         barrier(CLK_LOCAL_MEM_FENCE);
         gather_across(sums);
         barrier(CLK_LOCAL_MEM_FENCE);
@@ -171,6 +170,9 @@ void loss_backward(__global const stored_t *rendered,              // [H', W', C
         if (x >= width || y >= height)
             continue;
         const Rendered r = load_rendered(rendered, photo, pixel);
+#if defined(ORDER_FREE) && ONE_PIXEL
+        *(__global PAINT(uint) *)(rendered + pixel * (CHANNELS + 1)) = 0;      // no other reads it: composite.cl
+#endif
         const columns_t weight = pixel_weight(photo, r, seen, x, y, width, height);
 #ifdef COVERAGE_WEIGHT
         const columns_t full_weight = weight * r.coverage;

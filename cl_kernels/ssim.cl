@@ -1,5 +1,5 @@
-// SSIM of a rendered context view and its photo (method section 5): for each window that lies inside the image, the
-// derivatives by its means: d SSIM / d (mean x, E[xx + yy], E[xy]), per channel. A window is named by its first pixel.
+// SSIM of a rendered context view and its photo (method section 5): for each window that lies inside the image, what its
+// pixels (x, y) make its derivative by x of, A + E x + C (y - x), per channel. A window is named by its first pixel.
 #include "window.clh"
 
 #define C1 1e-4f
@@ -65,9 +65,9 @@ void blur_down(__local const float *xs, __local const shade_t *ys, __local float
     }
 }
 
-// SSIM of LANES windows, and its derivatives to three planes from `out` on.
-lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, float robust, __global float *out,
-                   int plane)
+// SSIM of LANES windows, and A, E, C to `out`. With C = d/dE[xy], E = C + 2 d/dE[xx + yy] and
+// A = d/d(mean x), no sum of them cancels: their first 21 bits are enough.
+lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, float robust, __global int *out)
 {
     const lanes_t a2 = 2.0f * (product - mx * my) + C2;
 #ifdef STRUCTURE
@@ -77,12 +77,12 @@ lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, flo
 #endif
     const lanes_t b2 = fmax(squares - mx * mx - my * my, 0.0f) + C2;
     const lanes_t inverse = 1.0f / (b1 * b2), similar = a1 * a2 * inverse;
-    const lanes_t v_squares = -similar * b1 * inverse, v_product = 2.0f * a1 * inverse;
+    const lanes_t v_product = 2.0f * a1 * inverse, v_both = v_product * (b2 - a2) * b1 * inverse;
 #ifdef STRUCTURE
-    const lanes_t v_mean = -my * v_product - 2.0f * mx * v_squares;
+    const lanes_t v_mean = (mx - my) * v_product - mx * v_both;
 #else
-    const lanes_t v_mean = 2.0f * (my * a2 * inverse - mx * similar * b2 * inverse) - my * v_product
-                            - 2.0f * mx * v_squares;
+    const lanes_t luminance = 2.0f * a2 * b2 * inverse * inverse * (my * (mx + my) + C1);
+    const lanes_t v_mean = (mx - my) * (v_product - luminance) - mx * v_both;
 #endif
 #ifdef ROBUST
     const JOIN(int, LANES) kept = similar >= 1.0f - robust;
@@ -90,9 +90,10 @@ lanes_t similarity(lanes_t mx, lanes_t my, lanes_t squares, lanes_t product, flo
 #else
 #define KEPT(x) (x)
 #endif
-    STORE_LANES(KEPT(v_mean), out);
-    STORE_LANES(KEPT(v_squares), out + plane);
-    STORE_LANES(KEPT(v_product), out + 2 * plane);
+    const words_t e = AS_WORDS(KEPT(v_both)) + HALF_LOST / 2;
+    const words_t one = (AS_WORDS(KEPT(v_mean)) + HALF_LOST & ~LOST) | e >> 21;
+    const words_t other = (AS_WORDS(KEPT(v_product)) + HALF_LOST & ~LOST) | (e >> 10 & LOST);
+    STORE_PAIRS(one, other, out)
 #ifdef ROBUST
     return fmax(similar, 1.0f - robust);
 #else
@@ -115,7 +116,7 @@ long dissimilarity(lanes_t similar, int first, int from, int end)
 __kernel TILE_LOOP
 void ssim_forward(__global const stored_t *rendered,               // [H', W', CHANNELS + 1], see rendered.clh
                   __global const uchar4 *photo, int width, int height, int pitch,
-                  __global float *partials,                        // as window.clh says
+                  __global int *partials,                          // as window.clh says
                   float robust, float loss_scale, __global uint *total)          // a sum of 64 bits
 {
     __local float xs[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));
@@ -137,10 +138,10 @@ void ssim_forward(__global const stored_t *rendered,               // [H', W', C
             if (row >= rows || left + x >= columns)
                 continue;
             __local const float *at = sums + y * STRIDE + x;
-            __global float *out = partials + MARGIN + c * 3 * plane + row * pitch + left + x;
+            __global int *out = partials + 2 * (MARGIN + c * plane + row * pitch + left + x);
             const lanes_t similar = similarity(
                 blur_across(at), blur_across(at + TILE_H * STRIDE), blur_across(at + 2 * TILE_H * STRIDE),
-                blur_across(at + 3 * TILE_H * STRIDE), robust, out, plane);
+                blur_across(at + 3 * TILE_H * STRIDE), robust, out);
 #ifdef TRACK_LOSS
             const int from = max((int)get_group_id(0) * TILE_W, left + t % CHUNKS * LANES);
             if (row >= (int)get_group_id(1) * TILE_H)

@@ -111,8 +111,8 @@ def _step(device, target, contexts, depth, config, repeats, copy):
     moved = stage_bytes(config, level.target.size.pixels, max(view.size.pixels for view in level.views))
     stages = []
     for name, (ms, count) in stage_times(device.queue, launches, repeats).items():
-        fills = sum(launch.size for launch in launches if launch.stage == name and hasattr(launch, "size"))
-        megabytes = (fills or moved.get(name, 0) * count) / 1e6
+        fills = [launch.size for launch in launches if launch.stage == name and hasattr(launch, "size")]
+        megabytes = (sum(fills) + moved.get(name, 0) * (count - len(fills))) / 1e6
         stages.append(Stage(name, count, ms, megabytes, megabytes * 1e6 / copy / (ms * 1e-3) if ms else 0.0))
     per_step = level.views_per_step
     level.release()
@@ -123,16 +123,16 @@ def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:
     """Bytes that one launch of each stage must move, for a target of `n` and a context view of `m` pixels."""
     channels = 1 if config.loss.grey else 3
     image = 4 * (channels + 1)  # with coverage; the same of what is passed back to it
-    partials = 12 * channels if config.loss.ssim else 0
+    partials = 8 * channels if config.loss.ssim else 0
     first = 4 if config.splatting.occlusion else 0
     places = 4 * (2 * reach(config.splatting.radius) + 1) ** 2  # weights around a bin
     return {
-        "clear": (first + image) * m, "find_landing": 4 * n, "nearest": 4 * n + 8 * m,
+        "find_landing": 4 * n, "nearest": 4 * n + 8 * m,
         "splat_order_free": 8 * n + (first + 2 * image) * m,
         "gather_gradient": 16 * n + (first + image) * m,
         "link_bins": (12 + places) * n + 8 * m, "composite_alpha": (12 + places) * n + (4 + image) * m,
         "composite_alpha_vjp": (12 + 2 * places) * n + (4 + image) * m, "gather_alpha": (12 + places) * n + 4 * m,
-        "ssim_forward": (image + 4 + partials) * m, "loss_backward": (2 * image + 4 + partials) * m,
+        "ssim_forward": (image + 4 + partials) * m, "loss_backward": (3 * image + 4 + partials) * m,
         "filter_gradient": 24 * n, "adam": 36 * n,
     }
 

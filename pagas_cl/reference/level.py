@@ -15,12 +15,14 @@ from pagas_cl.scene.camera import Camera, footprint, viewing_distance
 @dataclass(frozen=True, eq=False)
 class Photo:
     """One view as the twin sees it: camera, image (H, W, 3) float64 in 0..1, mask (H, W) bool or None, and of a
-    context view the gain and offset of each channel from the target's photo, (3, 2) or None."""
+    context view the gain and offset of each channel from the target's photo, (3, 2) or None, and its first surfaces
+    where they are kept, (H * W,)."""
 
     camera: Camera
     image: np.ndarray
     mask: np.ndarray | None = None
     exposure: np.ndarray | None = None
+    z_first: np.ndarray | None = None
 
     @classmethod
     def from_view(cls, view) -> "Photo":
@@ -71,7 +73,7 @@ def render(depth, target: Photo, context: Photo, config: Config, state: State) -
         own = np.clip(gain * own + offset, 0, 1)
     colors = losses.comparable(own, config.loss)
     return composite(projected, colors.reshape(-1, colors.shape[-1]), photo, config.splatting,
-                     threshold_in(target, context, config, state))
+                     threshold_in(target, context, config, state), context.z_first)
 
 
 def view_loss(depth, target: Photo, context: Photo, config: Config, state: State, seen_mask=None):

@@ -96,15 +96,15 @@ def nearest_surface(pairs: Pairs, pixels: int) -> np.ndarray:
     return z_first
 
 
-def shares(pairs: Pairs, pixels: int, splatting: Splatting, delta: float) -> np.ndarray:
+def shares(pairs: Pairs, pixels: int, splatting: Splatting, delta: float, z_first=None) -> np.ndarray:
     """How much of each pair's weight takes part, 0 to 1, shape (P,).
 
     "alpha": all of it up to z_first + delta, nothing behind; of the 128 nearest alone. Order-free: fading((z - z_first)
-    / delta).
+    / delta). `z_first` (pixels,): as it was kept, that of the pairs by default.
     """
     share = np.ones(len(pairs.z))
     if splatting.occlusion:
-        z_first = nearest_surface(pairs, pixels)
+        z_first = nearest_surface(pairs, pixels) if z_first is None else z_first
         limit = np.full(pixels, float(delta))
         if splatting.depth_relative > 0:
             limit = np.minimum(limit, splatting.depth_relative * z_first)

@@ -18,7 +18,8 @@ from pagas_cl.runtime.device import Device
 
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$')
 GROUP_1D, GROUP_2D = (128,), (32, 4)
-OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-single-precision-constant", "-w")     # warnings: nobody reads them
+OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-single-precision-constant", "-cl-denorms-are-zero",
+           "-w")     # warnings: nobody reads them
 
 
 @cache

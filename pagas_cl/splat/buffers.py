@@ -12,7 +12,7 @@ import pyopencl as cl
 from pagas_cl.config import Config
 from pagas_cl.runtime.arena import Buffers, declared
 from pagas_cl.scene.camera import Camera
-from pagas_cl.splat.constants import MARGIN
+from pagas_cl.splat.constants import MARGIN, MOST_MOVED
 from pagas_cl.splat.options import is_planar, reach
 from pagas_cl.splat.tile import blocks, pitch
 
@@ -78,6 +78,14 @@ def channels_of(config: Config) -> int:
     return 1 if config.loss.grey else 3
 
 
+def keeps_surfaces(config: Config, contexts: int) -> bool:
+    """Whether context views keep z-buffers of their own: where depths move little enough until a view's next turn."""
+    solver, splatting = config.solver, config.splatting
+    a_step = min(solver.views_per_step or contexts, contexts)
+    return (splatting.occlusion and splatting.blend == "order_free" and solver.rate_unit == "parallax"
+            and contexts * solver.rate <= a_step * MOST_MOVED)
+
+
 def dimensions(config: Config, target: Size, others: Sequence[Size], contexts: int) -> dict:
     """What the buffers of a level are made of, by the names that their fields below use: lengths, and whether an effect
     is on. `others` are all images but the target's, of which the first `contexts` are context views."""
@@ -87,9 +95,10 @@ def dimensions(config: Config, target: Size, others: Sequence[Size], contexts: i
         pixels=target.pixels, most_pixels=max(size.pixels for size in sizes), cameras=len(sizes), contexts=contexts,
         photos=1 + contexts, samples=SampleGrid.over(target).count, layers=channels + 1, places=side**2,
         bins=max((size.width + side) * (size.height + side) for size in sizes),
-        partials=3 * channels * max(pitch(size.width) * size.height for size in sizes) + 2 * MARGIN,
+        partials=2 * (channels * max(pitch(size.width) * size.height for size in sizes) + 2 * MARGIN),
         words=[size.pixels // 32 + 2 for size in others[:contexts]], losses=max(config.pyramid.steps) + 1,
         blocks=prod(blocks(target)),
+        surfaces=[size.pixels for size in others[:contexts]] if keeps_surfaces(config, contexts) else [],
         occlusion=config.splatting.occlusion, alpha=config.splatting.blend == "alpha", ssim=config.loss.ssim > 0,
         exposure=config.loss.exposure, unseen_mask=config.loss.unseen_mask, smooth=smooth,
         filtered=config.solver.gradient_filter > 0 or is_planar(config), normal=config.smoothness.kind == "normal",
@@ -117,7 +126,8 @@ class EvidenceBuffers(SurfaceBuffers):
     """What serves the steps, and the evidence after them."""
 
     rendered: MaybeBuffer = declared(
-        ("most_pixels", "layers"), np.float32, "", "the view at hand: colour and coverage, or whole sums of them")
+        ("most_pixels", "layers"), np.float32, "", "the view at hand: colour and coverage, or whole sums of them",
+        start=_ZERO)
     v_rendered: MaybeBuffer = declared(("most_pixels", "layers"), np.float32, "1", "N dL/d rendered")
 
 
@@ -140,9 +150,11 @@ class LevelBuffers(EvidenceBuffers, ExposureBuffers):
     gradient: MaybeBuffer = declared(("pixels",), np.float32, "1 / units", "N dL/d depth of the photos", start=_ZERO)
     first: MaybeBuffer = declared(("pixels",), np.float32, "1", "Adam's mean of the gradient", start=_ZERO)
     second: MaybeBuffer = declared(("pixels",), np.float32, "1", "Adam's mean of its square", start=_ZERO)
+    surfaces: tuple[cl.Buffer, ...] = declared(
+        (), np.uint32, "units", "of each context view: z_first, kept for some steps", each="surfaces")
     state: MaybeBuffer = declared((8,), np.float32, "", "of the schedule, as in step.cl", start=_ZERO)
     partials: MaybeBuffer = declared(
-        ("partials",), np.float32, "1", "derivatives of SSIM by the means of its windows", needed="ssim")
+        ("partials",), np.uint32, "1", "derivatives of SSIM by the means of its windows", needed="ssim")
     followed: MaybeBuffer = declared(
         ("pixels",), np.float32, "1 / units", "N dL/d depth that a step follows; None: `gradient`", needed="filtered")
     heads: MaybeBuffer = declared(

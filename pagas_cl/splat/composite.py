@@ -12,9 +12,7 @@ def launches(programs, buffers, view) -> list:
     if programs.config.splatting.blend == "alpha":
         return [programs.bind("alpha.cl", "link_bins", view.target_size.grid, buffers, view),
                 _blend(programs, buffers, view, "composite_alpha")]
-    return [programs.bind("composite.cl", "clear", (view.size.pixels,), buffers, count=view.size.pixels,
-                          sums=buffers.rendered),
-            *project.nearest(programs, buffers, view, cleared=True),
+    return [*project.nearest(programs, buffers, view),
             programs.bind_scatter("composite.cl", "splat_order_free", buffers, view, sums=buffers.rendered)]
 
 

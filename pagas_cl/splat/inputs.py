@@ -23,12 +23,13 @@ class LevelView:
     target_size: Size
     target_photo: cl.Buffer
     pixels: np.ndarray | None = None    # uint8 (H, W, 4) to fill `photo` with first, where several photos share it
+    z_first: cl.Buffer | None = None    # a z-buffer of its own
 
     @cached_property
     def arguments(self) -> dict:
         """As kernels name them."""
         return {"view": self.number, "photo": self.photo, "target_photo": self.target_photo,
-                "threshold": self.threshold, **self.size.extent}
+                "threshold": self.threshold, **self.size.extent, **({"z_first": self.z_first} if self.z_first else {})}
 
     def fetch(self) -> list:
         """What brings the photo to its buffer; nothing where it is there."""

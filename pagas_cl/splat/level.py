@@ -1,6 +1,8 @@
 """One pyramid level: the steps of the flow, one after the other, for every context view (method sections 3 to 6)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+from math import inf
 
 import numpy as np
 import pyopencl as cl
@@ -10,6 +12,7 @@ from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import run_once
 from pagas_cl.splat import composite, exposure, gradient_filter, loss, project, smooth, step
 from pagas_cl.splat.buffers import EvidenceBuffers, LevelBuffers
+from pagas_cl.splat.constants import MOST_MOVED
 from pagas_cl.splat.inputs import LevelInput
 from pagas_cl.splat.options import Programs
 
@@ -60,6 +63,7 @@ class Level:
             cl.enqueue_copy(device.queue, self.buffers.exposure, exposure.neutral(len(self.views)))
         self.phase = None
         self.target_view, self.view_launches, self.smooth, self.ending = [], [], [], []
+        self._moved = [inf] * len(self.views)      # pixels of parallax at most, since each view's z-buffer was made
 
     def prepare(self):
         """Take units and unseen masks under the run's initial depth, which buffers.depth holds."""
@@ -89,9 +93,13 @@ class Level:
         self.smooth = gradient_filter.launches(*given) + smooth.launches(*given)
 
     def _bind_views(self, config: Config):
+        before = self.programs.config.splatting.radius
         self.programs = self._first if config == self.config else Programs(self.device, config, self.given.cameras)
         _release(self.target_view, *self.view_launches)
-        self.view_launches = [self._view(view) for view in self.views]
+        self.view_launches = [self._view(replace(view, z_first=own)) for view, own in
+                              zip_longest(self.views, self.buffers.surfaces)]
+        if config.splatting.radius != before:
+            self._moved = [inf] * len(self.views)
         # the target's own view has no gradient; it counts in the loss alone
         self.target_view = self._view(self.target) if config.loss.target_view and config.solver.patience else []
 
@@ -110,8 +118,15 @@ class Level:
     def step_launches(self, number: int) -> list:
         """Launches that make the gradient of step `number` (from 0), context views in turn."""
         k, n = self.views_per_step, len(self.view_launches)
-        chosen = [self.view_launches[(number * k + j) % n] for j in range(k)]
+        chosen = [self._turn((number * k + j) % n) for j in range(k)]
         return [launch for part in (self.target_view, *chosen, self.smooth) for launch in part]
+
+    def _turn(self, view: int) -> list:
+        """The launches of context view `view`, with its z-buffer made anew only where depths have moved."""
+        if self.buffers.surfaces and self._moved[view] <= MOST_MOVED:
+            return [launch for launch in self.view_launches[view] if launch.stage != "nearest"]
+        self._moved[view] = 0.0
+        return self.view_launches[view]
 
     def solver(self) -> step.Solver:
         """Adam from its first step."""
@@ -131,6 +146,7 @@ class Level:
             for launch in self.step_launches(number):
                 launch.enqueue(queue)
             ended = solver.enqueue(number, steps)
+            self._moved = [moved + solver.rate(number, steps) for moved in self._moved]
             queue.flush()
             step_progress.enqueued(number + 1, ended)
             if solver.finished(number):

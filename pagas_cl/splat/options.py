@@ -122,12 +122,13 @@ class Programs:
         """A Launch of `kernel`, which adds to the pixels where the target's Gaussians land: over the target's pixels,
         or over strips of the view where work-items handle several pixels."""
         if self._columns == 1:
-            return self.bind_rows(file, kernel, buffers, view, landing=None, **arguments)
+            return self._bind_columns(file, kernel, view.target_size.grid, buffers, view,
+                                      {"landing": None, **arguments}, BOX_GROUP)
         return self._bind_columns(file, kernel, strips(self.device, view.size), buffers, view, arguments)
 
-    def _bind_columns(self, file, kernel, grid, buffers, view, arguments) -> Launch:
-        return self._bind(file, (f"COLUMNS={self._columns}",), kernel, grid, row_group(self._columns), buffers, view,
-                          arguments)
+    def _bind_columns(self, file, kernel, grid, buffers, view, arguments, group=None) -> Launch:
+        return self._bind(file, (f"COLUMNS={self._columns}",), kernel, grid, group or row_group(self._columns), buffers,
+                          view, arguments)
 
     def _bind(self, file, more, kernel, grid, group, buffers, view, arguments) -> Launch:
         if (file, more) not in self._built:

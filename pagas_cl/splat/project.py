@@ -17,11 +17,11 @@ def before_steps(programs, buffers, target, contexts: int) -> list:
     return launches
 
 
-def nearest(programs, buffers, view, cleared=False, **depth) -> list:
-    """buffers.landing and buffers.z_first of `view`, which may be `cleared` already, under buffers.depth, or the
-    `depth` given; without occlusion only the former."""
+def nearest(programs, buffers, view, **depth) -> list:
+    """buffers.landing, and the z-buffer of `view` (buffers.z_first where it has none of its own), stage "nearest",
+    under buffers.depth, or the `depth` given; without occlusion only the former."""
     launches = programs.bind_landing(buffers, view, **depth)
     if programs.config.splatting.occlusion:
-        launches += [] if cleared else [Fill(buffers.z_first, _INFINITY, 4 * view.size.pixels)]
-        launches += [programs.bind_scatter("project.cl", "nearest", buffers, view, **depth)]
+        launches += [Fill(view.z_first or buffers.z_first, _INFINITY, 4 * view.size.pixels, "nearest"),
+                     programs.bind_scatter("project.cl", "nearest", buffers, view, **depth)]
     return launches

@@ -53,6 +53,10 @@ class Solver:
                        damping=settings.damping_at(number, steps), share=self._share(number, steps))
         return self._adam.enqueue(self.device.queue)
 
+    def rate(self, number: int, steps: int) -> float:
+        """Of step `number`, before the schedule lowers it: how far a depth goes at most, where beta1 is beta2."""
+        return self.settings.rate * self._share(number, steps)
+
     def _share(self, number: int, steps: int) -> float:
         """Of the rate, at step `number`: 1 over the first half, then linearly down to final_rate."""
         late = max(0.0, 2 * (number + 1) / steps - 1)

@@ -33,7 +33,7 @@ class Tile:
 
 # For ssim.cl and loss.cl: what fits into 32 kB of local memory, with few work-items that are idle in either pass; rows
 # start on 16 bytes.
-SCALAR = Tile(48, 10, 128, 1, 4, run=5), Tile(52, 12, 192, 1, 4, run=4)
+SCALAR = Tile(32, 12, 128, 1, 4, run=4), Tile(32, 16, 128, 1, 4, run=8)
 FILTERED = Tile(32, 16, 256, 1, 4)        # for gradient_filter.cl
 
 
@@ -42,10 +42,10 @@ def columns_of(device, width: int) -> int:
     return device.lanes if device.lanes <= width else 1
 
 
-def row_group(columns: int) -> tuple[int, int]:
+def row_group(columns: int) -> tuple[int, int] | None:
     """Work-items of a group over an image: one where each holds a vector (PoCL's loop over several such items crashes
-    at some image sizes), else a box of pixels that shares local memory (box.clh)."""
-    return (1, 1) if columns > 1 else BOX_GROUP
+    at some image sizes), else the usual number."""
+    return (1, 1) if columns > 1 else None
 
 
 def strips(device, size) -> tuple[int, int]:

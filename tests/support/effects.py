@@ -54,7 +54,8 @@ EFFECTS = {
         is_on=lambda config: config.splatting.occlusion,
         on=dict(splatting__occlusion=True, splatting__depth_relative=0.5),
         off=dict(splatting__occlusion=False),
-        macros=("OCCLUSION", "DEPTH_RELATIVE"), parameters=("z_first", "threshold", "relative"), buffers=("z_first",),
+        macros=("OCCLUSION", "DEPTH_RELATIVE"), parameters=("z_first", "threshold", "relative"),
+        buffers=("z_first", "surfaces0", "surfaces1"),
         cases={"order-free no occlusion": dict(splatting__occlusion=False),
                "order-free relative": dict(splatting__depth_relative=0.01)}),
     "unseen_mask": Effect(

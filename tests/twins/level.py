@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.reference.level import Photo, State, parts_of_loss, prepare
-from pagas_cl.reference.project import is_valid
+from pagas_cl.reference.pairs import candidates, nearest_surface
+from pagas_cl.reference.project import is_valid, project
 from twins import resample
 from twins.gradient_filter import filter_gradient
 from twins.step import Adam, Plateau, late_share
 from twins.units import depth_threshold, median_depth
+
+MOST_MOVED = 0.4         # pixels of parallax that depths may move by before the first surfaces are looked for again
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +41,29 @@ def views_of_step(step: int, number: int, per_step: int) -> list[int]:
     return [(step * per_step + i) % number for i in range(per_step)]
 
 
+def first_surfaces(depth, target: Photo, context: Photo, config: Config, state: State) -> np.ndarray:
+    """The first surface in each pixel of the view of `context`, (H * W,)."""
+    size = context.camera.width, context.camera.height
+    projected = project(depth, target.camera, context.camera, config.splatting.low_pass, state.scene_scale)
+    return nearest_surface(candidates(projected, *size, config.splatting), size[0] * size[1])
+
+
 def run_level(depth, target: Photo, contexts: list[Photo], config: Config, state: State, steps: int):
     """Adam on one level: the depth in units after at most `steps` steps, and the loss before each of them."""
     solver, history = config.solver, []
     length = state.parallax if solver.rate_unit == "parallax" else np.where(state.parallax > 0, state.distance, 0.0)
     adam = Adam.start(depth.shape, solver.beta1, solver.beta2)
     schedule = Plateau(solver.rate, solver.patience, solver.rate_floor)
+    contexts, moved = list(contexts), [np.inf] * len(contexts)
+    a_step = len(views_of_step(0, len(contexts), solver.views_per_step))
+    keeps = (config.splatting.blend == "order_free" and config.splatting.occlusion
+             and solver.rate_unit == "parallax" and len(contexts) * solver.rate <= a_step * MOST_MOVED)
     for step in range(steps):
         views = views_of_step(step, len(contexts), solver.views_per_step)
+        for view in [v for v in views if keeps and moved[v] > MOST_MOVED]:
+            moved[view] = 0.0
+            first = first_surfaces(depth, target, contexts[view], config, state)
+            contexts[view] = replace(contexts[view], z_first=first)
         photos, smooth = parts_of_loss(depth, target, contexts, config, state, views,
                                        raised=step >= solver.photos_first(steps))
         filtered = filter_gradient(photos[1], state.parallax, solver.gradient_filter)
@@ -54,8 +72,9 @@ def run_level(depth, target: Photo, contexts: list[Photo], config: Config, state
         rate = schedule.next_rate(value)
         if rate == 0:
             break
-        depth = adam.step(depth, gradient, length, rate * late_share(step, steps, solver.final_rate),
-                          solver.damping_at(step, steps))
+        share = late_share(step, steps, solver.final_rate)
+        depth = adam.step(depth, gradient, length, rate * share, solver.damping_at(step, steps))
+        moved = [pixels + solver.rate * share for pixels in moved]
     return depth, history
 
 
