@@ -47,7 +47,7 @@ def run_level(depth, target: Photo, contexts: list[Photo], config: Config, state
     for step in range(steps):
         views = views_of_step(step, len(contexts), solver.views_per_step)
         photos, smooth = parts_of_loss(depth, target, contexts, config, state, views,
-                                       raised=step >= solver.photos_first(steps))
+                                       raised=step >= solver.raised_from(steps))
         filtered = filter_gradient(photos[1], state.parallax, solver.gradient_filter)
         value, gradient = photos[0] + smooth[0], filtered + smooth[1]
         history.append(value)
