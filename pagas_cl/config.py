@@ -111,12 +111,12 @@ class Smoothness(Stage):
 class Solver(Stage):
     """Adam and its schedule (method section 6)."""
 
-    rate: float = real(0.0525, 1e-12, 100)
+    rate: float = real(0.042, 1e-12, 100)
     """Step per iteration in `rate_unit`."""
     rate_unit: str = one_of("parallax", "parallax", "distance")
     """Either "parallax": pixels of parallax of each pixel; or "distance": the median distance of the cameras from the
     point they look at (the paper's)."""
-    damping: float = real(4e-3, 0, 1e3)
+    damping: float = real(6e-3, 0, 1e3)
     """Adam's epsilon, relative to a gradient of 1 per pixel of parallax (typical ones are 0.01 to 0.05): a gradient far
     below it moves a depth in proportion, not by a whole step in the direction of its sign."""
     early_damping: float = real(5.0, 1, 1e3)
@@ -166,7 +166,7 @@ class Pyramid(Stage):
         all(0 < a < b for a, b in zip(scales, scales[1:])) and scales[-1:] == (1,),
         "rising numbers above 0, the last one 1"))
     """Image size of each level as a share of the full size; the last one is 1."""
-    steps: tuple[int, ...] = setting((120,), lambda steps, pyramid: (
+    steps: tuple[int, ...] = setting((150,), lambda steps, pyramid: (
         len(steps) == len(pyramid.scales) and all(is_whole(n, 0, 10**6) for n in steps),
         f"{len(pyramid.scales)} whole numbers from 0 to 1000000, one a scale"))
     """Most steps of each level."""
@@ -220,7 +220,7 @@ class Agreement(Stage):
 
     rounds: int = whole(0, 0, 20)
     """How often each depth is averaged with what its context views' depth maps say; 0: not at all."""
-    steps: float = real(0.12, 0, 10)
+    steps: float = real(0.095, 0, 10)
     """Steps of the photos between two rounds, as a share of those of the last level; each is longer by 1.4."""
     pixels: float = real(2.0, 1e-3, 100)
     """A depth map that says something else by more than this, pixels of parallax, is of another surface."""
