@@ -129,7 +129,7 @@ class Solver(Stage):
     gradient_filter: int = whole(2, 0, 16)
     """Radius, pixels, of the tent over which the gradient of the photos is averaged before each step: neighbours that
     are off together push together, noise does not. 0 leaves each pixel its own."""
-    photos_first: float = real(0.4, 0, 1)
+    photos_first: float = real(0.42, 0, 1)
     """Share of a level's steps in which the photos move the depth, before smoothness is raised for few context views
     and specularity. Much smoothness takes out what the photos disagree on in tens of steps, but would let a depth that
     is far off follow them only over hundreds."""
