@@ -88,6 +88,9 @@ class Smoothness(Stage):
     full_views: int = whole(10, 1, 1000)
     """With fewer context views than this the weight is larger, by (full_views / context views)^(2/3): fewer photos
     average less noise. 1 keeps it. Only once the photos have moved the depth (Solver.photos_first)."""
+    early: float = real(1.0, 0, 1)
+    """Share of the weight until then: with less a depth that is far off follows the photos further, and one that is
+    nearly right follows their noise."""
     texture: float = real(0.0, 0, 1)
     """How much w_grad lowers the weight: 1 - texture * w_grad."""
     specularity: float = real(0.0, 0, 1e4)
@@ -108,7 +111,7 @@ class Smoothness(Stage):
 class Solver(Stage):
     """Adam and its schedule (method section 6)."""
 
-    rate: float = real(0.035, 1e-12, 100)
+    rate: float = real(0.042, 1e-12, 100)
     """Step per iteration in `rate_unit`."""
     rate_unit: str = one_of("parallax", "parallax", "distance")
     """Either "parallax": pixels of parallax of each pixel; or "distance": the median distance of the cameras from the
@@ -126,6 +129,10 @@ class Solver(Stage):
     gradient_filter: int = whole(2, 0, 16)
     """Radius, pixels, of the tent over which the gradient of the photos is averaged before each step: neighbours that
     are off together push together, noise does not. 0 leaves each pixel its own."""
+    photos_first: float = real(0.42, 0, 1)
+    """Share of a level's steps in which the photos move the depth, before smoothness is raised for few context views
+    and specularity. Much smoothness takes out what the photos disagree on in tens of steps, but would let a depth that
+    is far off follow them only over hundreds."""
     patience: int = whole(0, 0, 10**6)
     """Steps without a better loss before the rate falls by 10; 0 keeps the rate."""
     rate_floor: float = real(0.01, 0, 1)
@@ -146,11 +153,9 @@ class Solver(Stage):
         """Of step 0, 1, ... of `steps`."""
         return self.damping * (1 + (self.early_damping - 1) * max(0.0, 1 - 5 * step / steps))
 
-    def photos_first(self, steps: int) -> int:
-        """Steps of a level before smoothness is raised for few context views and specularity: half of them, in which
-        the photos move the depth. Much smoothness takes out what the photos disagree on in tens of steps, but would
-        let a depth that is far off follow them only over hundreds. 0 where the loss may end the level at any step."""
-        return 0 if self.patience else steps // 2
+    def raised_from(self, steps: int) -> int:
+        """The step, from 0, of `steps` that smoothness is raised before: 0 where the loss may end the level at any."""
+        return 0 if self.patience else int(self.photos_first * steps)
 
 
 @dataclass(frozen=True)
@@ -161,7 +166,7 @@ class Pyramid(Stage):
         all(0 < a < b for a, b in zip(scales, scales[1:])) and scales[-1:] == (1,),
         "rising numbers above 0, the last one 1"))
     """Image size of each level as a share of the full size; the last one is 1."""
-    steps: tuple[int, ...] = setting((180,), lambda steps, pyramid: (
+    steps: tuple[int, ...] = setting((150,), lambda steps, pyramid: (
         len(steps) == len(pyramid.scales) and all(is_whole(n, 0, 10**6) for n in steps),
         f"{len(pyramid.scales)} whole numbers from 0 to 1000000, one a scale"))
     """Most steps of each level."""
@@ -215,7 +220,7 @@ class Agreement(Stage):
 
     rounds: int = whole(0, 0, 20)
     """How often each depth is averaged with what its context views' depth maps say; 0: not at all."""
-    steps: float = real(0.08, 0, 10)
+    steps: float = real(0.095, 0, 10)
     """Steps of the photos between two rounds, as a share of those of the last level; each is longer by 1.4."""
     pixels: float = real(2.0, 1e-3, 100)
     """A depth map that says something else by more than this, pixels of parallax, is of another surface."""

@@ -31,6 +31,7 @@ CONTRADICTED = 0.04      # share of depths that others contradict, above which t
 SHADED = 0.02            # mean residual: highlights leave 0.009 to 0.0195 on made scenes, shading, haze 0.028 or more
 _BEFORE_RELIT = ("shading", "view_dependence")       # effects that photos as they are decide
 SHINY_DISCONTINUITY = 0.6  # smoothness.discontinuity at least: what a highlight bends is no discontinuity
+FAR_EARLY = 0.33         # smoothness.early at most where the depth is far off: how far steps reach, smoothness decides
 LOW_PASS = 0.06          # px^2: about what a photo's own pixel blurs; more than that blurs what is to be compared
 
 
@@ -75,6 +76,7 @@ def _smoothness(config, decision, _):
 def _pyramid(config, decision, _):
     if not decision.on:
         return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps[-1:])
+    config = config.with_settings(smoothness__early=min(config.smoothness.early, FAR_EARLY))
     if len(config.pyramid.scales) > 1:
         return config
     steps = config.pyramid.steps[0]

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from pagas_cl.config import Config, Effects, Loss, Pyramid, Smoothness, Solver, Splatting
+from pagas_cl.config import Agreement, Config, Effects, Loss, Pyramid, Smoothness, Solver, Splatting
 from pagas_cl.errors import InputError
 
 # What the published DTU experiments use (arXiv 2604.22129): the yardstick, not a recommendation.
@@ -13,21 +13,24 @@ PAPER = Config(
     solver=Solver(rate=1e-5, rate_unit="distance", damping=1e-8, early_damping=1.0, beta2=0.999, gradient_filter=0,
                   final_rate=1.0, patience=10, views_per_step=0, max_move=1e9, tolerance=2.0, mismatch=2.0),
     pyramid=Pyramid(scales=(0.5, 1.0), steps=(100, 100)),
+    agreement=Agreement(steps=0.08),
     effects=Effects.every("set"),
 )
 # The knee of the front of error against time (`pagas-cl tradeoff`; the tables are in tests/bench/FRONT.md): one context
-# view a step, in turn, is as good per step as all of them; four times the steps gain 2 percent with ten context views,
-# 5 with one.
+# view a step, in turn, is as good per step as all of them; five times the steps gain 2 percent with ten context views,
+# 5 with one. Steps x rate / damping is how far it converges, rate / damping at most 7 that rounding stays rounding.
 BALANCED = Config()
 # Gives up colour, most steps, two context views and the measuring of effects (photos of one exposure, a depth within a
 # pixel or two of parallax): 1.2 to 2.5 times the error of "balanced" in a quarter of its time or less.
 FAST = replace(BALANCED.with_settings(
     loss__grey=True, smoothness__discontinuity=0.5, solver__rate=0.16, solver__damping=1e-3, solver__early_damping=1.0,
-    solver__beta1=0.7, solver__gradient_filter=3, solver__final_rate=0.1, pyramid__steps=(20,), context__number=8),
+    solver__beta1=0.7, solver__gradient_filter=3, solver__photos_first=0.5, solver__final_rate=0.1,
+    pyramid__steps=(20,), context__number=8, agreement__steps=0.08),
     effects=Effects.every("set"))
-# Past the knee: four times the steps, shorter ones, and less smoothing; 1.7 to 5 percent less error.
+# Past the knee: five times the steps, shorter ones, and less smoothing; 1.7 to 5 percent less error.
 ACCURATE = BALANCED.with_settings(smoothness__weight=0.1, smoothness__discontinuity=0.25, solver__rate=0.008,
-                                  solver__damping=3e-3, solver__early_damping=1.0, pyramid__steps=(800,))
+                                  solver__damping=3e-3, solver__early_damping=1.0, solver__photos_first=0.5,
+                                  pyramid__steps=(800,), agreement__steps=0.08)
 PRESETS: dict[str, Config] = {"fast": FAST, "balanced": BALANCED, "accurate": ACCURATE, "paper": PAPER}
 
 

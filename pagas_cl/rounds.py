@@ -139,8 +139,8 @@ def _few(config: Config, contexts: int) -> Config:
     anywhere around (solver.mismatch) do not tell one depth from another."""
     return config.with_settings(solver__early_damping=1.0, solver__rate=min(100.0, _LONGER * config.solver.rate),
                                 smoothness__weight=config.smoothness.weight_with(contexts),
-                                smoothness__full_views=1, effects__pyramid="set", effects__mismatch="set",
-                                solver__mismatch=2.0)
+                                smoothness__full_views=1, smoothness__early=1.0, solver__mismatch=2.0,
+                                effects__pyramid="set", effects__mismatch="set")
 
 
 def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement,

@@ -99,6 +99,11 @@ def test_photos_that_are_off_match_elsewhere_whatever_the_depth():
     assert off > right == 0.25 and replace(CALM, far_off=0.1, misaligned=1.0).depth_far_off == 0
 
 
+def test_smoothness_weighs_less_at_first_where_the_depth_is_far_off():
+    far, near = (decide(BALANCED, replace(CALM, far_off=share))[0].smoothness.early for share in (0.5, 0.0))
+    assert 0 < far < near == 1
+
+
 def test_gloss_is_not_judged_through_a_depth_that_is_far_off():
     assert replace(CALM, specularity=0.5, far_off=0.5).residual == 0
     assert replace(CALM, specularity=0.5, far_off=0.25).residual == 0.5

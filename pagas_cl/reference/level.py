@@ -97,14 +97,13 @@ def loss_and_gradient(depth, target: Photo, contexts: list[Photo], config: Confi
 
 def parts_of_loss(depth, target: Photo, contexts: list[Photo], config: Config, state: State, views=None, raised=True):
     """Value and gradient of `loss_and_gradient`, of the photos and of the smoothness by themselves; `raised`: whether
-    smoothness weighs what few context views call for."""
+    smoothness weighs what few context views call for, or what it does before."""
     views = range(len(contexts)) if views is None else views
     parts = [view_loss(depth, target, contexts[v], config, state, state.seen[v]) for v in views]
     if config.loss.target_view:
         parts.append(view_loss(depth, target, target, config, state))
     held = config.smoothness
-    if raised:
-        held = replace(held, weight=held.weight_with(len(contexts)))
+    held = replace(held, weight=held.weight_with(len(contexts)) if raised else held.early * held.weight)
     value, gradient = smoothness(depth, is_valid(depth), held, state.kappa, target.camera.rays(), state.texture)
     photos = tuple(sum(part[k] for part in parts) / len(parts) for k in (0, 1))
     return (float(photos[0]), depth.size * photos[1]), (float(value), depth.size * gradient)

@@ -124,6 +124,7 @@ _STEP_LIMITS = [
     ("solver__mismatch", 0.0), ("solver__mismatch", 2.0), ("solver__early_damping", 1.0),
     ("solver__early_damping", 1e3), ("smoothness__specularity", 0.0), ("smoothness__specularity", 1e4),
     ("smoothness__full_views", 1), ("smoothness__full_views", 1000), ("splatting__final_radius", 0.5),
+    ("smoothness__early", 0.0), ("solver__photos_first", 0.0), ("solver__photos_first", 1.0),
 ]
 _SWITCHES = ("gradient_weight", "coverage_weight", "unseen_mask", "grey", "exposure", "structure", "target_view")
 SETTINGS = [

@@ -37,10 +37,10 @@ class Schedule:
     @classmethod
     def of(cls, config: Config, steps: int, again: bool = False) -> "Schedule":
         """For so many steps; `again`: from a refined depth, so that one fit of exposure will do."""
-        photos_first, radius = config.solver.photos_first(steps), config.splatting.final_radius
+        raised_from, radius = config.solver.raised_from(steps), config.splatting.final_radius
         narrow = config.with_settings(splatting__radius=radius, splatting__final_radius=0.0) if radius else config
-        return cls({start: Phase(narrow if start >= steps // 2 else config, start >= photos_first)
-                    for start in sorted({0, photos_first, steps // 2})},
+        return cls({start: Phase(narrow if start >= steps // 2 else config, start >= raised_from)
+                    for start in sorted({0, raised_from, steps // 2})},
                    frozenset(exposure.fitted_before(1 if again else steps) if config.loss.exposure else ()))
 
     @property
@@ -83,7 +83,7 @@ class Level:
             self._bind_views(phase.config)
 
     def _weigh_smoothness(self, raised: bool):
-        weight = self.config.smoothness.weight
+        weight = self.config.smoothness.early * self.config.smoothness.weight
         if raised:
             run_once(self.device.queue,
                      smooth.raising(self._first, self.buffers, self.target, self.given.specularity))

@@ -49,14 +49,22 @@ def depths_of_steps(device, monkeypatch, **settings):
     return depths
 
 
-@pytest.mark.parametrize("patience, first", [(0, 3), (10, 0)])
+@pytest.mark.parametrize("patience, first", [(0, 2), (10, 0)])
 @pytest.mark.parametrize("raised", [dict(smoothness__full_views=40), dict(smoothness__specularity=9.0)],
                          ids=["few", "specularity"])
 def test_the_photos_come_first(device, monkeypatch, raised, patience, first):
-    """What smoothness is raised by counts from the middle of the steps on; from the start where the loss may end it."""
+    """What smoothness is raised by counts from two fifths of the steps on; from the start where the loss may end it."""
     plain = dict(smoothness__full_views=1, smoothness__specularity=0.0, solver__patience=patience)
     pairs = zip(depths_of_steps(device, monkeypatch, **plain), depths_of_steps(device, monkeypatch, **plain | raised))
     assert [(a == b).all() for a, b in pairs] == [step < first for step in range(6)]
+
+
+def test_smoothness_weighs_its_early_share_until_then(device, monkeypatch):
+    early, late, half = (depths_of_steps(device, monkeypatch, **settings) for settings in (
+        dict(smoothness__early=0.5), dict(), dict(smoothness__weight=0.5 * BALANCED.smoothness.weight,
+                                                  solver__photos_first=1.0)))
+    assert [(a == b).all() for a, b in zip(early, half)] == [True, True, *[False] * 4]
+    assert not any((a == b).all() for a, b in zip(early, late))
 
 
 @pytest.mark.slow

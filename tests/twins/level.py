@@ -65,7 +65,7 @@ def run_level(depth, target: Photo, contexts: list[Photo], config: Config, state
             first = first_surfaces(depth, target, contexts[view], config, state)
             contexts[view] = replace(contexts[view], z_first=first)
         photos, smooth = parts_of_loss(depth, target, contexts, config, state, views,
-                                       raised=step >= solver.photos_first(steps))
+                                       raised=step >= solver.raised_from(steps))
         filtered = filter_gradient(photos[1], state.parallax, solver.gradient_filter)
         value, gradient = photos[0] + smooth[0], filtered + smooth[1]
         history.append(value)
