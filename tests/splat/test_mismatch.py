@@ -52,8 +52,8 @@ def test_equals_the_twin(device, made, noisy, monkeypatch):
         return told
 
     monkeypatch.setattr(mismatch, "take_back", spied)
-    refined(made, noisy, device, "on")
-    (told, before, after, given), = found
+    result = refined(made, noisy, device, "on")
+    ((told, resolved), before, after, given), = found
     want, share = twin.taken_back(*given)
     ok, unit = given[3] == twin.REFINED, np.where(given[2] > 0, given[2], 1)
     assert SampleGrid.over(Size(96, 72)).stride == 2
@@ -61,6 +61,9 @@ def test_equals_the_twin(device, made, noisy, monkeypatch):
     np.testing.assert_array_equal(after[~ok], before[~ok])
     grid = np.s_[1::2, 1::2]
     assert told == pytest.approx(np.median(share[grid][ok[grid]]), abs=0.02)
+    bends = twin.resolved(before, *given[3:])[grid]
+    assert 0.01 < resolved == pytest.approx(np.median(bends[np.isfinite(bends)]), abs=0.01)
+    assert result.report["resolved"] == resolved
 
 
 def test_photos_that_match_are_refined_as_ever(device, made):
