@@ -15,7 +15,7 @@ ROUNDING = 0.054                 # share of a grey level's square: variance of t
 
 
 def take_back(evidence, status: cl.Buffer, initial: cl.Buffer, always: bool) -> tuple[float, float]:
-    """Smooth evidence.buffers.depth as far as its detail is noise, where most of it is or `always`. Waits for the device.
+    """Smooth evidence.buffers.depth as far as its detail is noise, where most of it is or `always`. Waits for it.
 
     Returns medians over the refined pixels, NaN without any: the share of the detail that is noise; and, before it is
     smoothed, the square of what the surface bends from pixel to pixel, over the variance that the photos leave."""
