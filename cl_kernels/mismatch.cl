@@ -76,7 +76,8 @@ float noise_in(__global const float *sums, int i)
 __kernel void sample_detail(__global const float *initial, __global const float *depth,
                             __global const float *depth_per_parallax, __global const uchar *status,
                             __global const float *sums, __global const float *smooth,
-                            __global const float *evidence, float every, __constant float *cameras,
+                            __global const float *evidence, float every, __global const float *of_all,
+                            __constant float *cameras,
                             int stride, int across, int count, __global float *rows)               // [2, samples]
 {
     const Camera target = load_camera(cameras, 0);
@@ -86,7 +87,8 @@ __kernel void sample_detail(__global const float *initial, __global const float 
     const float u = depth_per_parallax[i], detail = detail_of(initial[i], depth[i], u, smooth[i]);
     const bool inside = at.x > 0 && at.y > 0 && at.x < target.width - 1 && at.y < target.height - 1;
     const float bend = status[i] == REFINED && inside ? bend_at(depth, i, target.width, u) : NAN;
-    rows[count + k] = every * vload3(i, evidence).z * u * u * bend * bend;
+    const float information = fmax(every * vload3(i, evidence).z, vload3(i, of_all).z);     // where less is noise
+    rows[count + k] = information * u * u * bend * bend;
     rows[k] = status[i] != REFINED ? NAN : fabs(detail) < FINE ? 0.0f : noise_in(sums, i);
 }
 

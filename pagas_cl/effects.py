@@ -236,7 +236,7 @@ def filter_between(resolved: float, others: int, config: Config) -> int:
     not known."""
     if config.effects.agreement == "set" or resolved != resolved:
         return config.solver.gradient_filter
-    widest = min(WIDEST, 1 / max(resolved * left_by_mean(others), 1e-3) ** 2)
+    widest = min(WIDEST, 1 / max(resolved * left_by_mean(others), 0.1) ** 3)
     return max(config.solver.gradient_filter, round(widest))
 
 

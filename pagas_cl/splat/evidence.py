@@ -212,6 +212,11 @@ class Evidence:
         return medians
 
     @property
+    def after(self) -> cl.Buffer:
+        """What was weighed of the depth as the steps left it, (cost, views, information) a pixel."""
+        return self._after
+
+    @property
     def _both(self) -> dict:
         """What was weighed, as kernels name it."""
         return {"before": self._before, "after": self._after, "count": self.size.pixels}

@@ -35,8 +35,8 @@ def take_back(evidence, status: cl.Buffer, initial: cl.Buffer, always: bool) -> 
     run_once(device.queue, [
         *launches, bind("weigh_detail", smooth=changes, count=size.pixels, values=sums, **asked_of),
         *evidence.sum_around(sums, 2, rows, sums),
-        bind("sample_detail", (grid.count,), sums=sums, smooth=changes, rows=samples.values, **asked_of,
-             **grid.arguments),
+        bind("sample_detail", (grid.count,), sums=sums, smooth=changes, rows=samples.values,
+             of_all=evidence.after, **asked_of, **grid.arguments),
         samples.summarize()])
     share, resolved = samples.read()[:, QUANTILE].tolist()
     if always or share > NOISY_DETAIL:
