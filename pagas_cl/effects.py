@@ -27,7 +27,7 @@ DIFFERENT = 0.02         # pixels of parallax by which refined depth maps differ
                          # no photo resolves
 AGREEMENT_ROUNDS = 2     # each averages; between them, and not after the last, the photos have some steps
 MATCHED = 0.03           # share of a patch's variance that photos may leave unexplained for the default smoothness
-WIDEST = 8               # pixels of the filter between rounds
+WIDEST, WELL_RESOLVED = 8, 5.0      # pixels of the filter between rounds; `resolved` of which one is enough
 CONTRADICTED = 0.04      # share of depths that others contradict, above which those are left out of a fusion
 SHADED = 0.02            # mean residual: highlights leave 0.009 to 0.0195 on made scenes, shading, haze 0.028 or more
 _BEFORE_RELIT = ("shading", "view_dependence")       # effects that photos as they are decide
@@ -236,8 +236,8 @@ def filter_between(resolved: float, others: int, config: Config) -> int:
     not known."""
     if config.effects.agreement == "set" or resolved != resolved:
         return config.solver.gradient_filter
-    widest = min(WIDEST, 1 / max(resolved * left_by_mean(others), 0.1) ** 3)
-    return max(config.solver.gradient_filter, round(widest))
+    pixels = (WELL_RESOLVED / max(resolved * left_by_mean(others), 0.1)) ** 2
+    return max(config.solver.gradient_filter, round(min(WIDEST, pixels)))
 
 
 def decide_agreement(spread: float, config: Config) -> Decision:

@@ -114,8 +114,8 @@ def test_between_rounds_smoothness_weighs_what_averages_leave_and_photos_do_not_
 
 
 def test_between_rounds_the_filter_is_wide_where_photos_resolve_less_than_averages_leave():
-    assert [filter_between(resolved, 1, BALANCED) for resolved in (0.0, 0.5, 1 / 1.6, 1.0, 9.0)] == [WIDEST, 8, 4, 2, 2]
-    assert filter_between(1 / 1.6 / (0.3 + 0.7 / 3), 5, BALANCED) == 4      # of six maps
+    assert [filter_between(resolved, 1, BALANCED) for resolved in (0.0, 1.0, 2.5, 3.5, 9.0)] == [WIDEST, 8, 4, 2, 2]
+    assert filter_between(2.5 / (0.3 + 0.7 / 3), 5, BALANCED) == 4      # of six maps
     unknown, wide = float("nan"), BALANCED.with_settings(solver__gradient_filter=12)
     assert filter_between(unknown, 5, BALANCED) == 2 and filter_between(0.0, 5, wide) == 12
     assert filter_between(0.0, 5, BALANCED.with_settings(effects__agreement="set")) == 2

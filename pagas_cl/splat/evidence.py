@@ -31,7 +31,7 @@ class EvidenceDecision:
     held_out: tuple[tuple[float, float], ...]
     silent: int
     mismatch: float                     # share of its detail that is noise; and square of what it bends over the
-    resolved: float                     # variance that photos leave: medians, NaN where they were not asked for
+    resolved: float                     # variance that photos leave (mismatch.py); NaN where they were not asked for
 
     def release(self):
         self.status.release()

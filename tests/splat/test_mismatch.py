@@ -64,7 +64,7 @@ def test_equals_the_twin(device, made, noisy, monkeypatch):
     grid = np.s_[1::2, 1::2]
     assert told == pytest.approx(np.median(share[grid][ok[grid]]), abs=0.02)
     bends = twin.resolved(before, given[3], np.maximum(given[4], of_all[0]))[grid]
-    assert 0.01 < resolved == pytest.approx(np.median(bends[np.isfinite(bends)]), abs=0.01)
+    assert 0.01 < resolved == pytest.approx(np.quantile(bends[np.isfinite(bends)], 0.75), abs=0.02)
     assert result.report["resolved"] == resolved
 
 
