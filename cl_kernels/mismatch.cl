@@ -3,7 +3,7 @@
 //   find_changes     pixels of parallax, by inverse depth
 //   smooth_changes   averaged with both neighbours a few pixels away, along one axis; several times gives the average
 //   weigh_detail     square of the detail over the variance that the photos leave; the mean around a pixel tells
-//   sample_detail    the share of the detail that is noise, on a grid of samples
+//   sample_detail    the share of the detail that is noise, and how well photos resolve the bends, on a grid of samples
 //   take_back        that share goes
 #include "lookup.clh"
 
@@ -57,6 +57,15 @@ __kernel void weigh_detail(__global const float *initial, __global const float *
     vstore2(known ? (float2)(detail * detail * information, 1.0f) : 0.0f, i, values);
 }
 
+// Pixels of parallax by which the surface bends at i, along rows and columns; NaN where it ends.
+float bend_at(__global const float *depth, int i, int width, float u)
+{
+    const float d = depth[i], left = depth[i - 1], right = depth[i + 1], above = depth[i - width],
+                below = depth[i + width];
+    return left > 0.0f && right > 0.0f && above > 0.0f && below > 0.0f
+        ? (fabs(second_difference(left, d, right)) + fabs(second_difference(above, d, below))) * d * d / u : NAN;
+}
+
 // Share of the detail around a pixel that is noise.
 float noise_in(__global const float *sums, int i)
 {
@@ -66,14 +75,20 @@ float noise_in(__global const float *sums, int i)
 
 __kernel void sample_detail(__global const float *initial, __global const float *depth,
                             __global const float *depth_per_parallax, __global const uchar *status,
-                            __global const float *sums, __global const float *smooth, __constant float *cameras,
-                            int stride, int across, int count, __global float *rows)               // [samples]
+                            __global const float *sums, __global const float *smooth,
+                            __global const float *evidence, float every, __global const float *of_all,
+                            __constant float *cameras,
+                            int stride, int across, int count, __global float *rows)               // [2, samples]
 {
     const Camera target = load_camera(cameras, 0);
     EACH(k, count)
     const int2 at = sample_place(k, stride, across, target);
     const int i = at.y * target.width + at.x;
-    const float detail = detail_of(initial[i], depth[i], depth_per_parallax[i], smooth[i]);
+    const float u = depth_per_parallax[i], detail = detail_of(initial[i], depth[i], u, smooth[i]);
+    const bool inside = at.x > 0 && at.y > 0 && at.x < target.width - 1 && at.y < target.height - 1;
+    const float bend = status[i] == REFINED && inside ? bend_at(depth, i, target.width, u) : NAN;
+    const float information = fmax(every * vload3(i, evidence).z, vload3(i, of_all).z);     // where less is noise
+    rows[count + k] = information * u * u * bend * bend;
     rows[k] = status[i] != REFINED ? NAN : fabs(detail) < FINE ? 0.0f : noise_in(sums, i);
 }
 

@@ -27,6 +27,7 @@ DIFFERENT = 0.02         # pixels of parallax by which refined depth maps differ
                          # no photo resolves
 AGREEMENT_ROUNDS = 2     # each averages; between them, and not after the last, the photos have some steps
 MATCHED = 0.03           # share of a patch's variance that photos may leave unexplained for the default smoothness
+WIDEST, WELL_RESOLVED = 8, 5.0      # pixels of the filter between rounds; `resolved` of which one is enough
 CONTRADICTED = 0.04      # share of depths that others contradict, above which those are left out of a fusion
 SHADED = 0.02            # mean residual: highlights leave 0.009 to 0.0195 on made scenes, shading, haze 0.028 or more
 _BEFORE_RELIT = ("shading", "view_dependence")       # effects that photos as they are decide
@@ -219,11 +220,26 @@ def between_rounds(config: Config) -> Config | None:
 
 def left_to_smooth(decisions: Sequence[Decision], others: int, measured: Measurements | None) -> float:
     """What smoothness has left to do in a mean with so many others, unless noise has set it: the share of its variance
-    that such an average leaves (agreement.cl), times what photos do not explain, where it was measured anew."""
+    that such an average leaves, times what photos do not explain, where it was measured anew."""
     if any(decision.effect == "noise" and decision.on for decision in decisions):
         return 1.0
     mismatched = 0.0 if measured is None or measured.local_specularity is None else measured.mismatched
-    return (IN_COMMON + (1 - IN_COMMON) * min(1.0, 2 / (others + 1))) * max(1.0, mismatched / MATCHED)
+    return left_by_mean(others) * max(1.0, mismatched / MATCHED)
+
+
+def left_by_mean(others: int) -> float:
+    """Share of the variance of a depth that its mean with those of so many others leaves (agreement.cl)."""
+    return IN_COMMON + (1 - IN_COMMON) * min(1.0, 2 / (others + 1))
+
+
+def filter_between(resolved: float, others: int, config: Config) -> int:
+    """solver.gradient_filter of the steps after a mean with so many others: wider, the less the photos resolve what the
+    surface bends from pixel to pixel (`resolved`, EvidenceDecision), of what the mean leaves; as it is where that is
+    not known."""
+    if config.effects.agreement == "set" or resolved != resolved:
+        return config.solver.gradient_filter
+    pixels = (WELL_RESOLVED / max(resolved * left_by_mean(others), 0.1)) ** 2
+    return max(config.solver.gradient_filter, round(min(WIDEST, pixels)))
 
 
 def decide_agreement(spread: float, config: Config) -> Decision:

@@ -14,7 +14,15 @@ from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 from pagas_cl.config import MOST_WEIGHT, Config
-from pagas_cl.effects import agreement_rounds, between_rounds, decide_agreement, left_to_smooth, settle, shaded
+from pagas_cl.effects import (
+    agreement_rounds,
+    between_rounds,
+    decide_agreement,
+    filter_between,
+    left_to_smooth,
+    settle,
+    shaded,
+)
 from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.progress import Progress
 from pagas_cl.result import DepthResult
@@ -175,6 +183,8 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
             share = left_to_smooth(decisions, len(comparison.others), measured)
             own = own.with_settings(         # at full size, whatever noise asks for, or a depth that is far off
                 pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps,
+                solver__gradient_filter=filter_between(result.report.get("resolved", float("nan")),
+                                                       len(comparison.others), config),
                 smoothness__weight=min(MOST_WEIGHT, share * own.smoothness.weight))
             return refine_levels(target, used, result.depth, own, device, photos, progress=told, measured=measured,
                                  normalized=normalized, start=start, held_out=held_out)

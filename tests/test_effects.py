@@ -11,7 +11,7 @@ from support.effects import EFFECTS as CASES
 from twins import exposure
 
 from pagas_cl.config import Effects
-from pagas_cl.effects import EFFECTS, LOW_PASS, decide, left_to_smooth
+from pagas_cl.effects import EFFECTS, LOW_PASS, WIDEST, decide, filter_between, left_to_smooth
 from pagas_cl.errors import InputError
 from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import BALANCED, PAPER
@@ -116,6 +116,14 @@ def test_between_rounds_smoothness_weighs_what_averages_leave_and_photos_do_not_
     assert clear == pytest.approx(0.3 + 0.7 / 3) == left_to_smooth([], 5, near) and left_to_smooth([], 1, None) == 1
     assert left_to_smooth([], 5, anew) == pytest.approx(3 * clear)
     assert left_to_smooth(decide(BALANCED, replace(anew, specularity=0.02))[1], 5, anew) == 1
+
+
+def test_between_rounds_the_filter_is_wide_where_photos_resolve_less_than_averages_leave():
+    assert [filter_between(resolved, 1, BALANCED) for resolved in (0.0, 1.0, 2.5, 3.5, 9.0)] == [WIDEST, 8, 4, 2, 2]
+    assert filter_between(2.5 / (0.3 + 0.7 / 3), 5, BALANCED) == 4      # of six maps
+    unknown, wide = float("nan"), BALANCED.with_settings(solver__gradient_filter=12)
+    assert filter_between(unknown, 5, BALANCED) == 2 and filter_between(0.0, 5, wide) == 12
+    assert filter_between(0.0, 5, BALANCED.with_settings(effects__agreement="set")) == 2
 
 
 def test_unknown_choice_is_refused():

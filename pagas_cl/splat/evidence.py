@@ -30,7 +30,8 @@ class EvidenceDecision:
     cost: tuple[float, float]
     held_out: tuple[tuple[float, float], ...]
     silent: int
-    mismatch: float                     # share of its detail that is noise, NaN where it was not asked for
+    mismatch: float                     # share of its detail that is noise; and square of what it bends over the
+    resolved: float                     # variance that photos leave (mismatch.py); NaN where they were not asked for
 
     def release(self):
         self.status.release()
@@ -172,18 +173,18 @@ class Evidence:
                              **self._both)])
         for evidence in held_out:       # each by itself: in a mean, one that errs as the context views do hides another
             self._refuse(evidence, status)
-        extent, noise, config = self.size.extent, float("nan"), self.programs.config
+        extent, found, config = self.size.extent, (float("nan"), float("nan")), self.programs.config
         self._run([self.bind("feather", initial=self._initial, status=status, **extent)])
         if mismatch.is_asked(config):
-            noise = mismatch.take_back(self, status, self._initial, config.effects.mismatch == "on")
+            found = mismatch.take_back(self, status, self._initial, config.effects.mismatch == "on")
         self._run([self.bind("bends", file="deviation.cl", bent=bent, **extent),
                    self.bind("deviate", file="deviation.cl", status=status, before=self._before, after=self._after,
                              bent=bent, error_factor=self.prior.error_factor, misaligned=self.prior.misaligned,
                              mismatch=solver.mismatch, deviation=deviation, **extent)])
         if not told:
-            return EvidenceDecision(status, deviation, (float("nan"), float("nan")), (), 0, noise)
+            return EvidenceDecision(status, deviation, (float("nan"), float("nan")), (), 0, *found)
         costs, judged = self.costs(), tuple(evidence.judge() for evidence in held_out)
-        return EvidenceDecision(status, deviation, costs, judged, self._hold_silent(status, deviation), noise)
+        return EvidenceDecision(status, deviation, costs, judged, self._hold_silent(status, deviation), *found)
 
     def _hold_silent(self, status: cl.Buffer, deviation: cl.Buffer) -> int:
         """Take back what smoothness alone moved; returns the number of depths that are where they were, then."""
@@ -209,6 +210,11 @@ class Evidence:
         medians = self.medians()
         self.release()
         return medians
+
+    @property
+    def after(self) -> cl.Buffer:
+        """What was weighed of the depth as the steps left it, (cost, views, information) a pixel."""
+        return self._after
 
     @property
     def _both(self) -> dict:

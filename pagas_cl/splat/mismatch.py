@@ -10,36 +10,41 @@ from pagas_cl.splat.measure import Rows
 
 SPACINGS = (1, 2, 3, 4, 6)       # pixels between those that are averaged, one after the other: 5.7 pixels in all
 VIEWS = 3                        # context views that are asked
+MOST = 16.0                      # square of bends over variance: more tells no more
 ROUNDING = 0.054                 # share of a grey level's square: variance of two photos' luma, rounded to 8 bit
 
 
-def take_back(evidence, status: cl.Buffer, initial: cl.Buffer, always: bool) -> float:
-    """Smooth evidence.buffers.depth as far as its detail is noise, where most of it is or `always`. Returns the share
-    of the detail that is noise, median over the refined pixels, NaN without any. Waits for the device."""
+def take_back(evidence, status: cl.Buffer, initial: cl.Buffer, always: bool) -> tuple[float, float]:
+    """Smooth evidence.buffers.depth as far as its detail is noise, where most of it is or `always`. Waits for it.
+
+    Returns of the refined pixels, NaN without any: the share of the detail that is noise, median; and, before it is
+    smoothed, the square of what the surface bends from pixel to pixel, over the variance that the photos leave, of
+    which three quarters have less: detail that a quarter of the surface has is worth keeping."""
     device, size, (sums, rows) = evidence.device, evidence.size, evidence.scratch
     asked, grid = evidence.views[:VIEWS], SampleGrid.over(size)
     changes, smooth = (device.memory.buffer(device.context, 4 * size.pixels) for _ in range(2))
-    told, samples = evidence.of_accepted(asked, ROUNDING), Rows(device, [(0, 1, 0.5)], grid.count)
+    told, samples = evidence.of_accepted(asked, ROUNDING), Rows(device, [(0, 1, 0.5), (0, MOST, 0.75)], grid.count)
 
     def bind(kernel, over=(size.pixels,), **arguments):
         return evidence.bind(kernel, file="mismatch.cl", grid=over, status=status, initial=initial, **arguments)
 
+    asked_of = {"evidence": told, "every": len(evidence.views) / len(asked)}
     launches = [bind("find_changes", count=size.pixels, changes=changes)]
     for far in SPACINGS:
         launches += [bind("smooth_changes", size.grid, changes=one, smooth=other, dx=dx, dy=dy, **size.extent)
                      for one, other, dx, dy in ((changes, smooth, far, 0), (smooth, changes, 0, far))]
     run_once(device.queue, [
-        *launches, bind("weigh_detail", evidence=told, smooth=changes, count=size.pixels, values=sums,
-                        every=len(evidence.views) / len(asked)),
+        *launches, bind("weigh_detail", smooth=changes, count=size.pixels, values=sums, **asked_of),
         *evidence.sum_around(sums, 2, rows, sums),
-        bind("sample_detail", (grid.count,), sums=sums, smooth=changes, rows=samples.values, **grid.arguments),
+        bind("sample_detail", (grid.count,), sums=sums, smooth=changes, rows=samples.values,
+             of_all=evidence.after, **asked_of, **grid.arguments),
         samples.summarize()])
-    share = float(samples.read()[0, QUANTILE])
+    share, resolved = samples.read()[:, QUANTILE].tolist()
     if always or share > NOISY_DETAIL:
         run_once(device.queue, [bind("take_back", sums=sums, smooth=changes, count=size.pixels)])
     for buffer in (changes, smooth, told):
         buffer.release()
-    return share
+    return share, resolved
 
 
 def is_asked(config: Config) -> bool:
@@ -49,4 +54,4 @@ def is_asked(config: Config) -> bool:
 
 def nbytes(pixels: int, samples: int) -> int:
     """Bytes of the device that it takes."""
-    return 20 * pixels + Rows.nbytes(1, samples)
+    return 20 * pixels + Rows.nbytes(2, samples)

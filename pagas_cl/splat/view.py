@@ -33,7 +33,8 @@ class Refinement:
     where there are none."""
     silent: int                 # depths that only smoothness moved, far from any that a photo speaks for: they are kept
     steps: tuple[int, ...]      # those done at each level
-    mismatch: float             # as EvidenceDecision has it, NaN where it was not asked for
+    mismatch: float             # both as EvidenceDecision has them
+    resolved: float
     losses: list[float]         # of each step, where the schedule follows it
     device_bytes: int           # most that this process held on the device meanwhile, photos of other views included
     planned_bytes: int          # planned before it began, without those
@@ -165,4 +166,4 @@ class _Run:
         for held in (buffers, contexts, decision, self.normalized):
             held.release()
         return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out, decision.silent, steps,
-                          decision.mismatch, losses, self.device.memory.peak, planned)
+                          decision.mismatch, decision.resolved, losses, self.device.memory.peak, planned)

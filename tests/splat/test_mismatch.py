@@ -38,7 +38,7 @@ def refined(made, contexts, device, choice):
 
 
 def test_equals_the_twin(device, made, noisy, monkeypatch):
-    take_back, found = mismatch.take_back, []
+    take_back, found, of_all = mismatch.take_back, [], []
 
     def spied(evidence, status, initial, always):
         def read(buffer, *more, dtype=np.float32):
@@ -46,14 +46,16 @@ def test_equals_the_twin(device, made, noisy, monkeypatch):
 
         before = read(evidence.buffers.depth)
         given = (read(initial), before, read(evidence.buffers.depth_per_parallax), read(status, dtype=np.uint8),
-                 read(evidence.of_accepted(evidence.views, mismatch.ROUNDING), 3)[..., 2])
+                 read(evidence.of_accepted(evidence.views[:mismatch.VIEWS], mismatch.ROUNDING), 3)[..., 2]
+                 * len(evidence.views) / mismatch.VIEWS)
+        of_all.append(read(evidence.after, 3)[..., 2])
         told = take_back(evidence, status, initial, always)
         found.append((told, before, read(evidence.buffers.depth), given))
         return told
 
     monkeypatch.setattr(mismatch, "take_back", spied)
-    refined(made, noisy, device, "on")
-    (told, before, after, given), = found
+    result = refined(made, noisy, device, "on")
+    ((told, resolved), before, after, given), = found
     want, share = twin.taken_back(*given)
     ok, unit = given[3] == twin.REFINED, np.where(given[2] > 0, given[2], 1)
     assert SampleGrid.over(Size(96, 72)).stride == 2
@@ -61,6 +63,9 @@ def test_equals_the_twin(device, made, noisy, monkeypatch):
     np.testing.assert_array_equal(after[~ok], before[~ok])
     grid = np.s_[1::2, 1::2]
     assert told == pytest.approx(np.median(share[grid][ok[grid]]), abs=0.02)
+    bends = twin.resolved(before, given[3], np.maximum(given[4], of_all[0]))[grid]
+    assert 0.01 < resolved == pytest.approx(np.quantile(bends[np.isfinite(bends)], 0.75), abs=0.02)
+    assert result.report["resolved"] == resolved
 
 
 def test_photos_that_match_are_refined_as_ever(device, made):

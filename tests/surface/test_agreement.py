@@ -10,8 +10,8 @@ from conftest import plane_depth
 from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_small_scene
 from twins import agreement as twin
 
-from pagas_cl import rounds
-from pagas_cl.effects import decide_agreement
+from pagas_cl import rounds, splat
+from pagas_cl.effects import decide_agreement, filter_between
 from pagas_cl.presets import preset
 from pagas_cl.refine import refine_views
 from pagas_cl.result import DepthResult
@@ -186,6 +186,21 @@ def test_rounds_are_told_of(scene, wanted):
     assert not same(refine_views(*scene, config=QUICK), wanted)
     for result in wanted:
         assert len(result.report["differences"]) == 2 and result.report["effects"][-1]["effect"] == "agreement"
+
+
+def test_steps_between_rounds_are_filtered_as_the_photos_call_for(scene, monkeypatch):
+    refine_levels, told = splat.refine_levels, []
+
+    def spied(*given, **named):
+        told.append((named["start"] is not None, given[3].solver.gradient_filter))
+        return refine_levels(*given, **named)
+
+    monkeypatch.setattr(splat, "refine_levels", spied)
+    want = [filter_between(result.report["resolved"], 3, ROUNDS) for result in refine_views(*scene, config=ROUNDS)]
+    assert told == [(True, radius) for radius in want] and max(want) > ROUNDS.solver.gradient_filter
+    told.clear()
+    refine_views(*scene, config=ROUNDS.with_settings(effects__mismatch="off"))
+    assert told == [(True, ROUNDS.solver.gradient_filter)] * 8
 
 
 def test_the_order_of_views_and_where_they_are_worked_on_do_not_matter(scene, wanted, tmp_path):

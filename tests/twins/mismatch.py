@@ -30,6 +30,17 @@ def smoothed(changes, initial, parallax, status):
     return changes
 
 
+def resolved(depth, status, information):
+    """By pixel the square of what the surface bends, over the variance that photos leave (1 / `information`); NaN where
+    that is not known. All (H, W), device units."""
+    ok = status == REFINED
+    near = [_moved(depth, dv, du) for dv, du in ((0, -1), (0, 1), (-1, 0), (1, 0))]
+    known = ok & np.logical_and.reduce([each > 0 for each in near])
+    w, left, right, above, below = (1 / np.where(known, each, np.nan) for each in (depth, *near))
+    bends = (np.abs(left + right - 2 * w) + np.abs(above + below - 2 * w)) / w**2
+    return information * bends**2
+
+
 def taken_back(initial, depth, parallax, status, information):
     """The depth without the detail that is noise, and by pixel the share of it that is, as it calls for it (0 where it
     is fine); all (H, W), device units."""
