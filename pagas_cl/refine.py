@@ -155,7 +155,9 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
               "planned_bytes": refined.planned_bytes, "measured": measured.figures if measured else {},
-              "seconds": time.perf_counter() - start, "resolved": refined.resolved}
+              "seconds": time.perf_counter() - start}
+    if refined.resolved == refined.resolved:
+        report["resolved"] = refined.resolved
     if reason:
         log.warning("view %s is kept as it came: %s", target.name, reason)
         return DepthResult.unrefined(target.camera, depth, reason, report, target.name)
