@@ -104,7 +104,9 @@ def test_a_worker_is_killed_and_another_joins(scene, cluster, tmp_path):
                executor=cluster.client.get_executor(pure=False), extras=False)
     assert happened and bytes_of(out) == bytes_of(alone) and len(bytes_of(out)) == VIEWS
     began, ended = said(out, "began"), said(out, "ended")
-    assert sorted(ended) == sorted(view.name for view in views)  # no finished view is done again
+    missed = {view.name for view in views} - set(ended)
+    assert set(began) == missed | set(ended) and len(ended) == len(set(ended))     # no finished view is done again
+    assert len(missed) <= 1                                      # the worker was killed once its files were there
     assert len(began) - len(set(began)) <= 1                     # the killed worker's view is begun twice
     assert len(list((out / ".pagas_cl" / "journal").iterdir())) >= 3
     assert cluster.workers["127.0.0.3"].wait(10) == -signal.SIGKILL
