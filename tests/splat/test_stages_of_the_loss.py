@@ -48,6 +48,7 @@ def test_the_order_free_image(device, scene, grey):
     one = 2.0 ** fixed_bits(heaviest_pixel(scene.target.camera))
     for view, context in zip(stage.views[1:], scene.contexts):
         shape = (view.size.height, view.size.width, channels + 1)
+        stage.put(rendered=np.zeros(shape))             # as the loss leaves it
         sums = stage.run(composite.launches(stage.programs, stage.buffers, view), "rendered", shape, np.uint32) / one
         want = render(scene.moved.astype(np.float64), scene.target, context, config, stage.twin)
         weight = want.total.reshape(shape[:2])
