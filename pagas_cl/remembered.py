@@ -12,6 +12,7 @@ from pagas_cl.runtime import cache
 from pagas_cl.runtime.info import DeviceInfo
 from pagas_cl.runtime.trial import identity, kernels
 
+_KIND = "times"    # in the cache
 _SIZES = 6        # amounts of work of which a stage's times are kept, the last ones
 _ALIKE = 1.3      # factor between amounts of work that are one
 
@@ -48,13 +49,12 @@ class Remembered:
         text = {stage: [[amount, [[round(done, 4), round(seconds, 4)] for done, seconds in course]]
                         for amount, course in seen] for stage, seen in self._seen.items()}
         try:
-            cache.write_whole(cache.folder() / "times" / f"{self._key}.json",
-                              json.dumps({"kernels": kernels(), "stages": text}))
+            cache.write_whole(cache.path_of(_KIND, self._key), json.dumps({"kernels": kernels(), "stages": text}))
         except OSError as error:
             log.debug("what the stages took is not kept for the next run: %s", error)
 
     def _read(self) -> dict[str, list[tuple[float, Course]]]:
-        kept = cache.read("times", self._key) or {}
+        kept = cache.read(_KIND, self._key) or {}
         if kept.get("kernels") != kernels():
             return {}
         try:

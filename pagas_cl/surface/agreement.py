@@ -129,9 +129,9 @@ class Agreement:
         """What `average` left, on the host, float32 and uint8 of shape (H, W): in the arrays of `own`, or new ones."""
         import pyopencl as cl
 
-        found = {name: getattr(self.own, name) for name in averaged}
+        own = {name: getattr(self.own, name) for name in averaged}
+        found = own if reuse else {name: np.empty_like(array) for name, array in own.items()}
         for name, buffer in averaged.items():
-            found[name] = found[name] if reuse else np.empty_like(found[name])
             cl.enqueue_copy(self.device.queue, found[name], buffer)
         return found
 
