@@ -37,12 +37,11 @@ def known_devices(names: str | Sequence[str] | None = None) -> list[tuple[Device
     asked = [None if names is None else "auto"] if every else [names] if isinstance(names, str) else names or ()
     for name in asked:
         for pair in devices.candidates(found, name):
+            if every and chosen and (pair[0].kind != chosen[0][0].kind or pair[0].kind == "CPU"):
+                break       # a trial of those that are not wanted may take half a minute
             lanes = try_device(pair[0]).lanes
             if lanes and pair[1] not in [other for _, other, _ in chosen]:
                 chosen.append((*pair, lanes))
-    if every:
-        best = [device for device in chosen if device[0].kind == chosen[0][0].kind]
-        chosen = best[:1] if best and best[0][0].kind == "CPU" else best
     if not chosen:
         raise DeviceError(f"no OpenCL device of {names!r} works: see 'pagas-cl devices'")
     return chosen
