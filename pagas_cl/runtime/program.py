@@ -2,8 +2,9 @@
 
 import re
 import warnings
+import weakref
 from collections import defaultdict, deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -105,6 +106,15 @@ def _first_line(log: str) -> str:
     return errors[0] if errors else log.strip().splitlines()[0]
 
 
+def _nothing() -> Any:
+    """What a reference to nothing refers to."""
+
+
+def _reference_to(value: Any) -> Callable[[], Any]:
+    """A weak one: the driver is to have a buffer back that nobody else holds. To nothing where there can be none."""
+    return weakref.ref(value) if hasattr(value, "__weakref__") else _nothing
+
+
 class _Kernel:
     """A kernel whose arguments are set by name."""
 
@@ -115,13 +125,16 @@ class _Kernel:
         # set_arg takes a number for four other things first, by exceptions: 10 us each, more than a launch
         self._set_number = getattr(self.cl_kernel, "_set_arg_buf", self.cl_kernel.set_arg)
         self._numbers: dict[str, Any] = {}
+        self._buffers: dict[str, Callable[[], Any]] = {}
 
     def set(self, arguments: Mapping[str, Any]) -> None:
-        for name, value in arguments.items():
+        for name, value in arguments.items():       # it keeps the others from the last time
             index, kind = self.places[name]
             if not kind:
-                self.cl_kernel.set_arg(index, value)
-            elif self._numbers.get(name) != value:        # it keeps the others from the last time
+                if value is None or self._buffers.get(name, _nothing)() is not value:
+                    self.cl_kernel.set_arg(index, value)
+                    self._buffers[name] = _reference_to(value)
+            elif self._numbers.get(name) != value:
                 self._set_number(index, _number(value, kind, self.name))
                 self._numbers[name] = value
 

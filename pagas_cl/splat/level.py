@@ -1,7 +1,6 @@
 """One pyramid level: the steps of the flow, one after the other, for every context view (method sections 3 to 6)."""
 
 from dataclasses import dataclass, replace
-from itertools import zip_longest
 from math import inf
 
 import numpy as np
@@ -62,7 +61,8 @@ class Level:
         if config.loss.exposure:
             cl.enqueue_copy(device.queue, self.buffers.exposure, exposure.neutral(len(self.views)))
         self.phase = None
-        self.target_view, self.view_launches, self.smooth, self.ending = [], [], [], []
+        self.target_view, self.smooth, self.ending = [], [], []
+        self._view_launches: dict[int, list] = {}
         self._moved = [inf] * len(self.views)      # pixels of parallax at most, since each view's z-buffer was made
 
     def prepare(self):
@@ -80,7 +80,7 @@ class Level:
         if phase.raised != before.raised:
             self._weigh_smoothness(phase.raised)
         if phase.config != before.config:
-            self._bind_views(phase.config)
+            self._change_programs(phase.config)
 
     def _weigh_smoothness(self, raised: bool):
         weight = self.config.smoothness.early * self.config.smoothness.weight
@@ -92,16 +92,23 @@ class Level:
         given = self._first, self.buffers, self.target, weight
         self.smooth = gradient_filter.launches(*given) + smooth.launches(*given)
 
-    def _bind_views(self, config: Config):
+    def _change_programs(self, config: Config):
         before = self.programs.config.splatting.radius
         self.programs = self._first if config == self.config else Programs(self.device, config, self.given.cameras)
-        _release(self.target_view, *self.view_launches)
-        self.view_launches = [self._view(replace(view, z_first=own)) for view, own in
-                              zip_longest(self.views, self.buffers.surfaces)]
+        _release(self.target_view, *self._view_launches.values())
+        self._view_launches = {}
         if config.splatting.radius != before:
             self._moved = [inf] * len(self.views)
         # the target's own view has no gradient; it counts in the loss alone
         self.target_view = self._view(self.target) if config.loss.target_view and config.solver.patience else []
+
+    def launches_of(self, number: int) -> list:
+        """All launches of context view `number` in one step: bound when it is first asked for, while the device is at
+        the steps before."""
+        if number not in self._view_launches:
+            surface = self.buffers.surfaces[number] if self.buffers.surfaces else None
+            self._view_launches[number] = self._view(replace(self.views[number], z_first=surface))
+        return self._view_launches[number]
 
     def _view(self, view) -> list:
         """All launches of one context view, or of the target's own, in one step."""
@@ -117,16 +124,16 @@ class Level:
 
     def step_launches(self, number: int) -> list:
         """Launches that make the gradient of step `number` (from 0), context views in turn."""
-        k, n = self.views_per_step, len(self.view_launches)
+        k, n = self.views_per_step, len(self.views)
         chosen = [self._turn((number * k + j) % n) for j in range(k)]
         return [launch for part in (self.target_view, *chosen, self.smooth) for launch in part]
 
     def _turn(self, view: int) -> list:
         """The launches of context view `view`, with its z-buffer made anew only where depths have moved."""
         if self.buffers.surfaces and self._moved[view] <= MOST_MOVED:
-            return [launch for launch in self.view_launches[view] if launch.stage != "nearest"]
+            return [launch for launch in self.launches_of(view) if launch.stage != "nearest"]
         self._moved[view] = 0.0
-        return self.view_launches[view]
+        return self.launches_of(view)
 
     def solver(self) -> step.Solver:
         """Adam from its first step."""
@@ -174,8 +181,8 @@ class Level:
         return self.buffers.hand_over(EvidenceBuffers)
 
     def _release_launches(self):
-        _release(self.ending, self.target_view, self.smooth, *self.view_launches)
-        self.ending, self.target_view, self.smooth, self.view_launches = [], [], [], []
+        _release(self.ending, self.target_view, self.smooth, *self._view_launches.values())
+        self.ending, self.target_view, self.smooth, self._view_launches = [], [], [], {}
 
 
 def _release(*groups):

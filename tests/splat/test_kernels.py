@@ -134,7 +134,7 @@ def test_the_schedule_follows_the_whole_loss(device, scene, kind):
 def level_launches(device, config, scene):
     """Every kernel of a step that was bound with its tile."""
     level = start_level(device, config, scene)
-    return [launch for launch in level.view_launches[0] if hasattr(launch, "kernel")]
+    return [launch for launch in level.launches_of(0) if hasattr(launch, "kernel")]
 
 
 @pytest.mark.parametrize("tiles", [SCALAR, (Tile(16, 8, 32, 1, 4), Tile(24, 4, 64, 1, 4))], ids=["gpu", "small"])
