@@ -31,6 +31,8 @@ from pagas_cl.scene.view import View
 from pagas_cl.surface.agreement import Agreement, Told, send
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from pagas_cl.runtime.device import Device
     from pagas_cl.splat import PhotoStore
 
@@ -90,11 +92,16 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     own one, on a device with memory of its own, which holds what others ask of it: the system takes as long to give new
     memory as a round takes. The others are as in refine.refine_one.
     """
+    from pagas_cl.runtime.memory import room
+
     own, *others = results[0], *(result for result in results[1:] if not result.reason)
     own = own if isinstance(own, DepthResult) else own.loaded()         # it may be on disk
     start, found = time.perf_counter(), {}
     if own.reason or not others:
         return own
+    new_arrays = partial(room, own.depth.shape, *(getattr(own, name).dtype for name in _ARRAYS))
+    reuse = reuse and not photos.on_host
+    promised = None if reuse else new_arrays()
     photos.trim(_BYTES * max(_pixels(result) for result in results))
 
     def owner(result: Any) -> Any:
@@ -115,14 +122,15 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
         photos.forget(map(owner, others))
     if averaged is not None:
         report["differences"] = spreads
-        reuse = reuse and not photos.on_host and photos.on_leaving(own, partial(_take_back, own, device))
+        held = reuse and photos.on_leaving(own, partial(_take_back, own, device))
+        into = (lambda: [getattr(own, name) for name in _ARRAYS]) if held else (promised or new_arrays()).result
         if steps is not None:
             told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
             few = _few(steps, len(report["contexts"]))
-            stepped, left = _steps(views, partners, comparison, averaged, few, device, photos, told, reuse)
+            stepped, left = _steps(views, partners, comparison, averaged, few, device, photos, told, into)
             found = {name: getattr(stepped, name) for name in _ARRAYS}
         else:
-            found = comparison.read(averaged, reuse)
+            found = comparison.read(averaged, dict(zip(_ARRAYS, into())))
     comparison.release()
     report["seconds"] = report.get("seconds", 0.0) + time.perf_counter() - start
     result = replace(own, report=report, **found)
@@ -153,7 +161,8 @@ def _few(config: Config, contexts: int) -> Config:
 
 def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement,
            averaged: Mapping[str, Any], config: Config, device: Device, photos: PhotoStore,
-           told: Callable[[int, int], None] | None, reuse: bool) -> tuple[Any, Told]:
+           told: Callable[[int, int], None] | None,
+           into: Callable[[], list[np.ndarray]]) -> tuple[Any, Told]:
     """From what was `averaged`, for what the view called for when it was refined, or calls for now; and the same on the
     device."""
     from pagas_cl.splat import NormalizedDepth, refine_levels
@@ -173,7 +182,6 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
         left[:] = [comparison.agreed(averaged["status"], *found)]
         return left[0].depth, left[0].parallax, left[0].deviation, left[0].status
 
-    into = [getattr(result, name) for name in _ARRAYS] if reuse else None
     start = Start(averaged["depth"], agreed, Told.nbytes(_pixels(result), True), into)
 
     def attempt(photos: PhotoStore) -> Any:

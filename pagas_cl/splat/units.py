@@ -19,13 +19,13 @@ _LEFT = np.float32, np.float32, np.float32, np.uint8      # depth, parallax, dev
 @dataclass(frozen=True)
 class Start:
     """Where steps start from in place of the initial depth, on the device in scene units: `depth`; and `agreed`, which
-    of depth, parallax, deviation and status, on the device, makes those that are given back, in `nbytes` more; `into`:
-    arrays for these on the host, in this order, where there are some."""
+    of depth, parallax, deviation and status, on the device, makes those that are given back, in `nbytes` more; `into()`
+    gives arrays for these on the host, in this order."""
 
     depth: cl.Buffer
     agreed: Callable[..., tuple[cl.Buffer, ...]]
     nbytes: int
-    into: Sequence[np.ndarray] | None = None
+    into: Callable[[], Sequence[np.ndarray]]
 
 
 class NormalizedDepth:
@@ -85,7 +85,7 @@ class NormalizedDepth:
                  scene_scale=self._device_scale(), depth=refined, parallax=parallax, status=status,
                  deviation=deviation)])
         found = (refined, parallax, deviation, status)
-        left = self._room.result() if self._room else (start and start.into) or [
+        left = start.into() if start else self._room.result() if self._room else [
             np.empty(shape, dtype) for dtype in _LEFT]
         for array, buffer in zip(left, start.agreed(*found) if start else found):
             cl.enqueue_copy(self._device.queue, array, buffer)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -125,15 +125,13 @@ class Agreement:
                   parallax=found.parallax, surer=found.deviation, found=found.status, inverse=found.inverse)
         return found
 
-    def read(self, averaged: dict[str, Any], reuse: bool = False) -> dict[str, np.ndarray]:
-        """What `average` left, on the host, float32 and uint8 of shape (H, W): in the arrays of `own`, or new ones."""
+    def read(self, averaged: Mapping[str, Any], into: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """What `average` left, on the host, float32 and uint8 of shape (H, W), in arrays of `into` by its names."""
         import pyopencl as cl
 
-        own = {name: getattr(self.own, name) for name in averaged}
-        found = own if reuse else {name: np.empty_like(array) for name, array in own.items()}
         for name, buffer in averaged.items():
-            cl.enqueue_copy(self.device.queue, found[name], buffer)
-        return found
+            cl.enqueue_copy(self.device.queue, into[name], buffer)
+        return {name: into[name] for name in averaged}
 
     def release(self) -> None:
         """Give back what was made here."""

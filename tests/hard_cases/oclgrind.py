@@ -80,7 +80,8 @@ def inside() -> None:
         else:
             on = replace(device, lanes=4) if "lanes" in name else device        # as on a CPU
             start = None if "grey, L1" not in name else Start(      # as rounds have it
-                upload(device, np.float32(scene.depth)), lambda *found: found, 0)
+                upload(device, np.float32(scene.depth)), lambda *found: found, 0,
+                lambda: [np.empty(scene.depth.shape, kind) for kind in ("f4", "f4", "f4", "u1")])
             refine_levels(scene.target, scene.contexts, scene.depth, config, on, start=start)
     scene = make.base(size=(17, 12))
     adjust_cameras(scene, device)
