@@ -296,7 +296,9 @@ class Config:
                     f"expected stage.field, of the stages {', '.join(stage.name for stage in fields(self))}")))
             stage, _, name = key.partition(".")
             by_stage.setdefault(stage, {})[name] = value
-        return replace(self, **{stage: replace(getattr(self, stage), **values) for stage, values in by_stage.items()})
+        changed = {stage: replace(getattr(self, stage), **values) for stage, values in by_stage.items()
+                   if any(getattr(getattr(self, stage), name) != value for name, value in values.items())}
+        return replace(self, **changed) if changed else self
 
     def as_dict(self) -> dict[str, dict[str, Any]]:
         """Plain nested dictionary, ready for JSON."""

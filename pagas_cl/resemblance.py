@@ -80,5 +80,5 @@ def adding(explained: np.ndarray, parallax: np.ndarray) -> list[int]:
 def _by_tile(values: np.ndarray) -> np.ndarray:
     """Sums (views, tiles) of (views, down, across)."""
     rows, columns = (np.arange(size) * _TILES // size for size in values.shape[1:])
-    tile = (rows[:, None] * _TILES + columns).ravel()
-    return np.array([np.bincount(tile, each.ravel().astype(np.float64), _TILES**2) for each in values])
+    tile = (np.arange(len(values))[:, None] * _TILES**2 + (rows[:, None] * _TILES + columns).ravel()).ravel()
+    return np.bincount(tile, values.ravel().astype(np.float64), len(values) * _TILES**2).reshape(-1, _TILES**2)

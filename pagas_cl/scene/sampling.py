@@ -6,7 +6,7 @@ import numpy as np
 
 SAMPLES = 2000  # depths of a view that planning looks at
 NEAR, FAR = 1e-3, 1e6     # units: nearer and farther depths have no Gaussian
-MEDIAN_SAMPLES = 65536
+MEDIAN_SAMPLES = 8192
 
 
 @dataclass(frozen=True, eq=False)
