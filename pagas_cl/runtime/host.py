@@ -1,6 +1,7 @@
 """Memory and threads of this process on the host."""
 
 import ctypes
+import os
 import sys
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -11,9 +12,10 @@ from typing import TypeVar
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 _MMAP_THRESHOLD = -3      # M_MMAP_THRESHOLD of malloc.h
+_THREADS = min(8, 2 + (os.cpu_count() or 8))      # more of them hold one another up
 
 
-def side_by_side(work: Callable[[Item], Answer], items: Iterable[Item], threads: int = 8) -> list[Answer]:
+def side_by_side(work: Callable[[Item], Answer], items: Iterable[Item], threads: int = _THREADS) -> list[Answer]:
     """`work` of each, in their order, so many at a time: for what decoders and NumPy do, which let other threads on."""
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(work, items))

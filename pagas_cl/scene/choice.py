@@ -41,11 +41,11 @@ class ContextChooser:
     """Chooses for one target after another; what all targets share is worked out once.
 
     `depths` are the cameras' initial ones, (H, W) in scene units. A target needs one; another view without one is taken
-    to hide nothing.
+    to hide nothing. `samples` of its depths are looked at.
     """
 
     def __init__(self, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None],
-                 settings: Context = Context()):
+                 settings: Context = Context(), samples: int = SAMPLES):
         if len(cameras) != len(depths):
             raise InputError(f"there are {len(cameras)} cameras and {len(depths)} depth maps, expected one each")
         for camera, depth in zip(cameras, depths):
@@ -53,6 +53,7 @@ class ContextChooser:
                 raise InputError(f"depth map of {camera.name!r} is {depth.shape[1]} x {depth.shape[0]}, its camera "
                                  f"says {camera.width} x {camera.height}")
         self.cameras, self.depths, self.settings = list(cameras), list(depths), settings
+        self._samples = samples if len(cameras) <= 1000 else min(samples, SAMPLES // 4)
         if cameras:
             self._centers = np.array([c.center - cameras[0].center for c in cameras])
             self._rotations = np.array([c.world_to_camera[:3, :3] for c in cameras])
@@ -82,14 +83,13 @@ class ContextChooser:
     def _points(self, target: int) -> tuple[np.ndarray, np.ndarray]:
         """Sampled surface points of the target, (N, 3) relative to the first camera's centre, and their depth (N,)."""
         camera, depth = self.cameras[target], self.depths[target]
-        samples = SAMPLES if len(self.cameras) <= 1000 else SAMPLES // 4
         if depth is None:
             return np.zeros((0, 3)), np.zeros(0)
         if isinstance(depth, DepthSample):
-            keep = slice(None, None, max(1, -(-len(depth.rows) // samples)))
+            keep = slice(None, None, max(1, -(-len(depth.rows) // self._samples)))
             rows, columns, z = depth.rows[keep], depth.columns[keep], depth.depth[keep]
         else:
-            rows, columns = sample_pixels(depth, samples)
+            rows, columns = sample_pixels(depth, self._samples)
             z = depth[rows, columns]
         z = z.astype(np.float64)
         return (camera.rays_at(rows, columns) * z[:, None]) @ self._rotations[target] + self._centers[target], z

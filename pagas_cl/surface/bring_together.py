@@ -56,7 +56,7 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
     `unit_is_known`: whether their unit is not to be asked for. Deterministic; a few maps are loaded at a time.
     """
     held = side_by_side(lambda k: None if (depth := depths[k]) is None else
-                        _small(views[k], depth_array(depth), len(views)), range(len(views)), 8)
+                        _small(views[k], depth_array(depth), len(views)), range(len(views)))
     cameras = [view.camera if map is None else view.camera.resized(map.shape[1], map.shape[0])
                for view, map in zip(views, held)]
     have = [k for k, map in enumerate(held) if map is not None and (map > 0).any()]

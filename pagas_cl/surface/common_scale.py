@@ -19,7 +19,7 @@ from pagas_cl.scene.view import View
 from pagas_cl.surface.photo_sweep import AGREE, LEAST, SIDES, STEP, Greys, Sweep, peaks
 
 RANGE = 0.35            # largest |log s|
-_VIEWS, _OTHERS = 8, 3
+_VIEWS, _OTHERS, _POINTS = 8, 3, 400
 _FIRST, _MANY = 4, 20   # each so many-th pair is asked first, where they are so many
 WELL = 0.8              # correlation of photos that are not off by much
 _FINER = 3.0            # steps to each side that the finer sweep covers
@@ -116,7 +116,7 @@ def _pairs(cameras: Sequence[Camera], depths: Sequence[np.ndarray | None]) -> li
     """Some views, and others that see much of them at an angle."""
     usable = [k for k, depth in enumerate(depths) if depth is not None]
     asked = [usable[k] for k in evenly(len(usable), _VIEWS)] if usable else []
-    chooser = ContextChooser(cameras, depths)
+    chooser = ContextChooser(cameras, depths, samples=_POINTS)
     return [(i, j) for i, choice in zip(asked, side_by_side(chooser.choose, asked))
             for j in choice.indices[:_OTHERS]]
 

@@ -64,7 +64,7 @@ def reduced(camera: Camera, depth: np.ndarray) -> Reduced:
 def pairs_of(views: Sequence[Reduced]) -> list[tuple[int, int]]:
     """(i, j): views j that see much of what view i sees."""
     settings = Context(number=_NEIGHBOURS, min_angle=0.0)
-    chooser = ContextChooser([view.camera for view in views], [view.depth for view in views], settings)
+    chooser = ContextChooser([view.camera for view in views], [view.depth for view in views], settings, _SAMPLES)
     seen = [i for i, view in enumerate(views) if len(view.samples)]
     return [(i, j) for i, choice in zip(seen, side_by_side(chooser.choose, seen)) for j in choice.indices]
 
