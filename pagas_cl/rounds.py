@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -92,16 +93,12 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     own one, on a device with memory of its own, which holds what others ask of it: the system takes as long to give new
     memory as a round takes. The others are as in refine.refine_one.
     """
-    from pagas_cl.runtime.memory import room
-
     own, *others = results[0], *(result for result in results[1:] if not result.reason)
     own = own if isinstance(own, DepthResult) else own.loaded()         # it may be on disk
     start, found = time.perf_counter(), {}
     if own.reason or not others:
         return own
-    new_arrays = partial(room, own.depth.shape, *(getattr(own, name).dtype for name in _ARRAYS))
-    reuse = reuse and not photos.on_host
-    promised = None if reuse else new_arrays()
+    promised = None if reuse and not photos.on_host else _room_like(own)
     photos.trim(_BYTES * max(_pixels(result) for result in results))
 
     def owner(result: Any) -> Any:
@@ -122,8 +119,8 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
         photos.forget(map(owner, others))
     if averaged is not None:
         report["differences"] = spreads
-        held = reuse and photos.on_leaving(own, partial(_take_back, own, device))
-        into = (lambda: [getattr(own, name) for name in _ARRAYS]) if held else (promised or new_arrays()).result
+        held = promised is None and photos.on_leaving(own, partial(_take_back, own, device))
+        into = partial(_arrays_of, own) if held else (promised or _room_like(own)).result
         if steps is not None:
             told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
             few = _few(steps, len(report["contexts"]))
@@ -198,6 +195,16 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
                                  normalized=normalized, start=start, held_out=held_out)
 
     return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out), left[0]
+
+
+def _arrays_of(result: DepthResult) -> list[np.ndarray]:
+    return [getattr(result, name) for name in _ARRAYS]
+
+
+def _room_like(result: DepthResult) -> Future[list[np.ndarray]]:
+    from pagas_cl.runtime.memory import room
+
+    return room(result.depth.shape, *(array.dtype for array in _arrays_of(result)))
 
 
 def _pixels(result: DepthResult) -> int:

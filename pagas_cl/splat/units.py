@@ -1,19 +1,18 @@
 """Launches of units.cl: depths from scene units to the device's units, and back."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
 from dataclasses import dataclass
 
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.runtime.memory import download, room, upload
+from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.sampling import scene_scale_of
 from pagas_cl.splat.constants import SHARED
 
 _NONE_YET = np.array([np.inf, 0], np.float32)
-_LEFT = np.float32, np.float32, np.float32, np.uint8      # depth, parallax, deviation, status
+LEFT = np.float32, np.float32, np.float32, np.uint8      # depth, parallax, deviation, status
 
 
 @dataclass(frozen=True)
@@ -56,15 +55,10 @@ class NormalizedDepth:
             bind(build(device, "units.cl", SHARED), "normalize_depth", (depth.size,), given=self.given, visible=visible,
                  count=depth.size, scene_scale=self._device_scale(), scaled=int(doubles), depth=self.buffer,
                  bounds=bounds)])
-        self._room: Future[list[np.ndarray]] | None = None
         nearest, farthest = download(device, bounds, 2)
         self.depth_range = max(0.0, float(farthest - nearest))
         for buffer in filter(None, (visible, bounds)):
             buffer.release()
-
-    def expect_arrays(self, shape: tuple[int, ...]):
-        """Have memory touched for what `denormalize` gives, while the device works."""
-        self._room = room(shape, *_LEFT)
 
     def start_from(self, start: cl.Buffer, depth, count: int):
         """Put into `depth`, a buffer in units, what `start` has in scene units, where both have one."""
@@ -72,24 +66,23 @@ class NormalizedDepth:
             bind(build(self._device, "units.cl", SHARED), "start_from", (count,), start=start, count=count,
                  scene_scale=self._device_scale(), depth=depth)])
 
-    def denormalize(self, refined, parallax, status, deviation, shape, start: Start | None = None):
-        """(depth, parallax, deviation, status) on the host, scene units, from the buffers of `shape` in units; what
-        `start` makes of them where it is given. Once.
+    def denormalize(self, refined, parallax, status, deviation, into: Sequence[np.ndarray],
+                    start: Start | None = None) -> Sequence[np.ndarray]:
+        """(depth, parallax, deviation, status) on the host, scene units, from the buffers in units; what `start` makes
+        of them where it is given. In the arrays `into`, float32 and uint8 of shape (H, W). Once.
 
         A depth that was not refined comes back with the bits that it came with; a surface without a Gaussian counts as
         kept.
         """
-        n = shape[0] * shape[1]
+        n = into[0].size
         run_once(self._device.queue, [
             bind(build(self._device, "units.cl", SHARED), "denormalize_depth", (n,), given=self.given, count=n,
                  scene_scale=self._device_scale(), depth=refined, parallax=parallax, status=status,
                  deviation=deviation)])
         found = (refined, parallax, deviation, status)
-        left = start.into() if start else self._room.result() if self._room else [
-            np.empty(shape, dtype) for dtype in _LEFT]
-        for array, buffer in zip(left, start.agreed(*found) if start else found):
+        for array, buffer in zip(into, start.agreed(*found) if start else found):
             cl.enqueue_copy(self._device.queue, array, buffer)
-        return left
+        return into
 
     def release(self):
         if self._own:

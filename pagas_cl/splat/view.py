@@ -1,11 +1,13 @@
 """Refine the depth map of one view: a pure function of target, contexts, depth and settings (method section 7)."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
+from pagas_cl.runtime.memory import room
 from pagas_cl.scene.camera import viewing_distance
 from pagas_cl.splat.budget import plan_for
 from pagas_cl.splat.buffers import Size, level_size
@@ -16,7 +18,7 @@ from pagas_cl.splat.measure import Probe
 from pagas_cl.splat.photos import PhotoStore, StreamedPhotos
 from pagas_cl.splat.resample import Resampler
 from pagas_cl.splat.shading import relit
-from pagas_cl.splat.units import NormalizedDepth, Start
+from pagas_cl.splat.units import LEFT, NormalizedDepth, Start
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +65,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     device.memory.begin(planned.nbytes + photos.beside((target, *contexts, *held_out)))
     run = _Run(target, contexts, depth, config, device, photos, held_out=held_out, normalized=normalized,
                specularity=measured.local_specularity if measured else None)
-    if start is None:        # of few steps, which hide little
-        run.normalized.expect_arrays(depth.shape)
+    into = start.into if start else room(depth.shape, *LEFT).result
     before, done, losses, total = None, [], [], sum(config.pyramid.steps)
     for number, (scale, steps) in enumerate(zip(config.pyramid.scales, config.pyramid.steps)):
         level = run.level(scale, before, start)
@@ -79,7 +80,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
             del level            # its photos too, before those of the next one
     if progress and done[-1] < steps:                # the schedule has ended it
         progress(total, total)
-    return run.finish(level, EvidencePrior.of(measured), tuple(done), losses, planned.nbytes, start)
+    return run.finish(level, EvidencePrior.of(measured), tuple(done), losses, planned.nbytes, start, into)
 
 
 def full_level(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None) -> Level:
@@ -156,13 +157,13 @@ class _Run:
         return level
 
     def finish(self, level: Level, prior: EvidencePrior, steps, losses, planned: int,
-               start: Start | None) -> Refinement:
+               start: Start | None, into: Callable[[], Sequence[np.ndarray]]) -> Refinement:
         programs, buffers, initial = level.programs, level.hand_over(), self.normalized.buffer
         contexts, held_out = Evidence(programs, buffers, level.views, initial, prior), [
             Evidence(programs, buffers, [view], initial, prior) for view in level.judges]
         decision = contexts.decide(held_out, start is None)
         depth, parallax, deviation, status = self.normalized.denormalize(
-            buffers.depth, buffers.depth_per_parallax, decision.status, decision.deviation, self.depth.shape, start)
+            buffers.depth, buffers.depth_per_parallax, decision.status, decision.deviation, into(), start)
         for held in (buffers, contexts, decision, self.normalized):
             held.release()
         return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out, decision.silent, steps,
