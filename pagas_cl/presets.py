@@ -18,7 +18,7 @@ PAPER = Config(
 )
 # The knee of the front of error against time (`pagas-cl tradeoff`; the tables are in tests/bench/FRONT.md): one context
 # view a step, in turn, is as good per step as all of them; five times the steps gain 2 percent with ten context views,
-# 5 with one. Steps x rate / damping is how far it converges, rate / damping at most 7 that rounding stays rounding.
+# 7 with one. Steps x rate / damping is how far it converges, rate / damping at most 7 that rounding stays rounding.
 BALANCED = Config()
 # Gives up colour, most steps, two context views and the measuring of effects (photos of one exposure, a depth within a
 # pixel or two of parallax): 1.2 to 2.5 times the error of "balanced" in a quarter of its time or less.
@@ -27,7 +27,7 @@ FAST = replace(BALANCED.with_settings(
     solver__beta1=0.7, solver__gradient_filter=3, solver__photos_first=0.5, solver__final_rate=0.1,
     pyramid__steps=(20,), context__number=8, agreement__steps=0.08),
     effects=Effects.every("set"))
-# Past the knee: five times the steps, shorter ones, and less smoothing; 1.7 to 5 percent less error.
+# Past the knee: five times the steps, shorter ones, and less smoothing; 1.6 to 7 percent less error.
 ACCURATE = BALANCED.with_settings(smoothness__weight=0.1, smoothness__discontinuity=0.25, solver__rate=0.008,
                                   solver__damping=3e-3, solver__early_damping=1.0, solver__photos_first=0.5,
                                   pyramid__steps=(800,), agreement__steps=0.08)
