@@ -51,7 +51,7 @@ class Expected:
     def rounds(self, pictures: bool) -> None:
         """Refining all views, and their pictures."""
         for stage, seconds in self._refining():
-            self._device(stage, seconds, {"refine": 5.3, "agree, round 1": 0.7}.get(stage, 0.0))
+            self._device(stage, seconds, {"refine": 5.3, "agree, round 1": 1.5}.get(stage, 0.0))
         if pictures:
             self._host("pictures", _PICTURES)
 

@@ -32,7 +32,7 @@ from pagas_cl.surface.subdivide import undivided
 
 _DETAIL, FLAT = 1.5, 0.04     # footprints: edges that hold what photos show; how flat is flat
 _MEMORY, _SHARE = 300.0, 14e-6   # MB for the mesh, where more is free: 660 000 triangles; the same a pixel of all views
-_FITTED, _SOLVED = 0.75, 0.85   # of all that makes the mesh, measured: what is done then
+_FITTED, _CHECKED = 0.57, 1.2  # measured: of what is left, that of the last level; rounds by time, what follows them
 _POLISH = 1                  # rounds of the solve on a fused mesh, which lies on the depth maps
 
 
@@ -77,12 +77,12 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
         division, surface = _detailed(given, observed, device, finest, subdivide or _DETAIL, flat, least_views, most,
                                       solving.at)
         rounds = 1
-        solving.at(_FITTED)
+        solving.further(_FITTED)
     elif subdivide is not None:
         division = split_edges(given.vertices, given.faces, subdivide * finest)
         surface = Surface(division.vertices(given.vertices), division.faces)
     solved = solve_mesh(surface, observed, device, least_views=least_views, rounds=rounds)
-    solving.at(_SOLVED)
+    solving.further(rounds / (rounds + _CHECKED))
     before = given.vertices if division is None else division.vertices(given.vertices)
     vertices, faults = without_new(device, given, division, solved.vertices)
     moved = unlike(vertices, before)

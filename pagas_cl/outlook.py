@@ -14,6 +14,7 @@ from typing import TypeAlias
 
 _PART = 0.02      # of a stage, after which it is noted again how long it took
 _FIRM = 0.1       # what is expected counts as so much of a stage that was seen
+_KNOWN = 0.3      # the same of how fast the machine is, where it was seen here before
 _SMALL = 0.2      # share of a stage that its first piece may be, and be left out of account
 _USUAL = 0.5      # seconds that are seen before anything is known of the machine
 
@@ -141,8 +142,8 @@ class Outlook:
     def left(self) -> float:
         """Seconds that were left at the last call; NaN where nobody can tell."""
         kinds = {stage.kind for stage in self._stages.values()}
-        usual = max([1.0, *(self._speed(kind, 1.0) for kind in kinds)])    # what slows one down slows the others
-        speed = {kind: self._speed(kind, usual) for kind in kinds}
+        alone = {kind: self._speed(kind, 1.0) for kind in kinds}
+        speed = {kind: self._speed(kind, max([1.0, *(alone[other] for other in kinds - {kind})])) for kind in kinds}
         return sum(stage.left(speed[stage.kind]) for stage in self._stages.values())
 
     def courses(self) -> dict[str, tuple[float, float, Course]]:
@@ -154,5 +155,5 @@ class Outlook:
     def _speed(self, kind: str, usual: float) -> float:
         seen = [stage for stage in self._stages.values() if stage.kind == kind and stage.begun and stage.course]
         took = [stage.after_first() for stage in seen]
-        firm = _USUAL + _FIRM * sum(stage.expected(1.0) for stage in self._stages.values() if stage.known)
+        firm = _USUAL + _KNOWN * sum(stage.expected(1.0) for stage in self._stages.values() if stage.known)
         return (sum(spent for spent, _ in took) + firm * usual) / (sum(expected for _, expected in took) + firm)

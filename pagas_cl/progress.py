@@ -33,6 +33,10 @@ class ViewProgress:
             self._most = done
             self.progress(self.stage, done, self.total)
 
+    def further(self, share: float) -> None:
+        """Such a share of what was left is done."""
+        self.at(self._most + share * (self.total - self._most))
+
     def inside(self, done: int) -> Progress | None:
         """Progress of refine_depth for the view after the first `done`; None where nobody is told."""
         return self.progress and (lambda stage, steps, of: self.at(done + _STEPS * steps / of))

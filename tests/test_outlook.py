@@ -164,6 +164,14 @@ def test_kernels_that_are_built_with_the_first_view_do_not_count_for_the_others(
         assert_true(run(outlook, clock, ("refine", 2.0, 1, 10), ("solve", 5.0, 0, 4)))
 
 
+def test_a_short_stage_that_was_guessed_wrong_says_little_of_what_was_seen_here():
+    """Of a first run that built kernels it is only guessed what each stage took without them."""
+    outlook, clock = Outlook(clock := Clock()), clock
+    for stage, seconds in (("cameras", 0.2), ("refine", 14.0), ("solve", 6.0)):
+        outlook.expect(stage, even(seconds), known=True)
+    assert_true(run(outlook, clock, ("cameras", 1.2, 0, 1), ("refine", 1.4, 0, 10), ("solve", 0.6, 0, 10)))
+
+
 def test_only_stages_that_came_to_their_end_have_a_course():
     outlook, clock = Outlook(clock := Clock()), clock
     outlook.expect("cameras", even(10.0))

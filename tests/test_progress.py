@@ -118,3 +118,12 @@ def test_work_that_tells_nothing(tmp_path, device):
         refine_all(refine_one, views, depths, range(VIEWS), QUICK, executor=executor, folder=tmp_path / "out",
                    progress=lambda *given: told.append(given))
     assert [given[1] for given in told] == list(range(VIEWS + 1))
+
+
+def test_a_share_of_what_was_left():
+    told = []
+    stage = ViewProgress(lambda stage, done, total: told.append(done), 2)
+    stage.at(0)
+    for share in (0.5, 0.5, 0.0, 1.0):
+        stage.further(share)
+    assert told == pytest.approx([0, 1, 1.5, 2])

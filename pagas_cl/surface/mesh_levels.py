@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 COARSE, DETAIL = 6.0, 1.5   # footprints: edges to begin with, and the longest that are never split
 _OFF = 0.5                  # times `flat` that the middle of an edge lies off, for which it is split
 _LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
-_DONE = (0.0, 0.07, 0.16, 0.36)     # of all that makes the mesh when a level begins, the last one where memory ends it
+_DONE = (0.0, 0.07, 0.16)   # of all that makes the mesh when a level begins, but the last one (measured);
+_SPLIT, _AFTER = 1.6, 1     # rounds of the solve, by time: an earlier level; what comes after the last one
 TRIANGLE_BYTES = 450        # of host and device memory together, at the peak (measured)
 _FULL = 0.9                 # of the triangles that the memory is for, from which on nothing more is split
 
@@ -33,18 +34,20 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     more than twice `flat` footprints, at most to `most` triangles: the largest deviations first.
 
     `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` hears how much of
-    all that makes the mesh is done, as measured where memory ended it after one level. Gives how the mesh was split,
+    all that makes the mesh is done: where the last level begins, by the triangles of all. Gives how the mesh was split,
     where its vertices are, and which of them are at one place (V',).
     """
     mesh = _Splitting(surface, unit)
     mesh.split_longer(max(COARSE, detail), most // 2)
     orientation = orientation_of(surface, Drawing(device, surface), views)
+    split = 0.0     # triangles times rounds of the levels so far
     for level in range(_LEVELS + 1):
         last = level == _LEVELS or len(mesh.edges) > _FULL * most
-        at(_DONE[_LEVELS if last and level else level])
+        rounds = _ROUNDS + (level < _LEVELS) if last else 1
+        at(split / (split + (rounds + _AFTER) * len(mesh.edges)) if last else _DONE[level])
+        split += _SPLIT * len(mesh.edges)
         now = OnDevice(device, Surface(mesh.points, with_area(mesh.edges.faces)))
-        solved = solve_welded(now, views, least_views=least_views, orientation=orientation,
-                              rounds=_ROUNDS + (level < _LEVELS) if last else 1)
+        solved = solve_welded(now, views, least_views=least_views, orientation=orientation, rounds=rounds)
         mesh.points = solved.vertices
         if last:
             now.release()

@@ -371,6 +371,19 @@ def test_mesh_to_mesh_needs_no_open3d(device, monkeypatch, tmp_path):
     assert set(read_mesh(tmp_path / "fine.ply").attributes) == {"part", "deviation", "views"}
 
 
+def test_progress_follows_the_triangles(made, device):
+    """Less is done when the last level begins, the more triangles it has beside those of the levels before."""
+    views, begun = observed(made), []
+    for step, most in ((8.0, 12_000), (2.0, 30_000), (8.0, 100_000)):     # one short level, a long one, all three
+        coarse, heard = Surface(*made.initial_mesh(step)), []
+        size = footprints(coarse.vertices, [v.camera for v in views], [v.depth for v in views])
+        fit_mesh(coarse, views, device, size, flat=0.05, most=most, at=heard.append)
+        assert heard[0] == 0 and heard == sorted(heard)
+        begun.append(heard[-1])
+    short, long, whole = begun
+    assert 0 < short < 0.6 * long and 0.2 < long < 0.25 and 1.3 * long < whole < 0.5
+
+
 @pytest.mark.parametrize("most", [100_000, 12_000])
 def test_triangles_go_where_the_detail_is(made, device, most):
     """Coarse to fine: no more triangles than there is memory for, nearer to the truth than the mesh split everywhere;
