@@ -10,7 +10,8 @@ import typer
 
 from pagas_cl.commands._given import look, together
 from pagas_cl.errors import InputError, log, plain
-from pagas_cl.scene.check import CameraReport, check_views, mesh_of_depths
+from pagas_cl.scene.check import CameraReport, check_views
+from pagas_cl.scene.sheets import mesh_of_depths
 
 
 def command(

@@ -17,10 +17,9 @@ from pagas_cl.scene import fit as sentences
 from pagas_cl.scene import patches
 from pagas_cl.scene.align import Alignment, align, focus
 from pagas_cl.scene.camera import FLIP, Camera, inverse_pose
-from pagas_cl.scene.depthmap import depth_down
 from pagas_cl.scene.fit import GOOD, Fit, Reading, fitted
-from pagas_cl.scene.inputs import Cameras, Depth, Images, as_cameras, as_views, depth_array
-from pagas_cl.scene.mesh import Mesh, Surface, grid_faces, to_surface
+from pagas_cl.scene.inputs import Cameras, Images, as_cameras, as_views
+from pagas_cl.scene.mesh import Mesh, Surface, to_surface
 from pagas_cl.scene.view import View
 
 _SAMPLES = 20_000
@@ -31,8 +30,6 @@ _MUCH = 0.1          # share of the mesh that images show on the average where i
 _FOUND = 0.8         # correlation at which no other place of the mesh is tried
 _SEES = 0.002        # the same of the fewer samples that photos are compared at
 _CLEAR = 0.15        # a pose reading must correlate better by this much
-_SIDE, _VIEWS = 96, 6      # of a mesh of depth maps: pixels of their longer side; views that are taken
-_EDGE = 0.05               # its triangles whose depths differ by more than this share span a depth edge
 UNITS = (1e-3, 1e-2, 0.0254, 0.1, 0.3048, 1 / 0.3048, 10.0, 1 / 0.0254, 100.0, 1e3)   # metric, inches, feet
 
 
@@ -212,29 +209,6 @@ def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None) -> Cam
     readings += [replace(half, better=half.better and not (fit and fit.apart)) for half in halves[1:]]
     (half, sentence), at_command_line = told
     return CameraReport(right, sentence, half, best.name, tuple(readings), checks, fit, at_command_line)
-
-
-def mesh_of_depths(cameras: Sequence[Camera], depths: Sequence[Depth | None]) -> Surface:
-    """A coarse mesh to compare the photos over, without Open3D: triangles between neighbouring pixels of a few of the
-    depth maps, made small, each view its own sheet."""
-    have = [k for k, depth in enumerate(depths) if depth is not None]
-    vertices, faces, count = list[np.ndarray](), list[np.ndarray](), 0
-    for k in (have[n] for n in patches.evenly(len(have), _VIEWS)) if have else ():
-        full = depth_array(depths[k])
-        scale = min(1.0, _SIDE / max(full.shape))
-        camera = cameras[k].resized(max(2, round(full.shape[1] * scale)), max(2, round(full.shape[0] * scale)))
-        depth = depth_down(full, camera.width, camera.height).astype(np.float64)
-        points = (camera.rays() * depth[..., None] - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
-        found = grid_faces(camera.width, camera.height)
-        at = depth.ravel()[found]
-        kept = found[(at > 0).all(axis=1) & (at.max(axis=1) < (1 + _EDGE) * at.min(axis=1))]
-        used, renumbered = np.unique(kept, return_inverse=True)
-        vertices.append(points.reshape(-1, 3)[used])
-        faces.append(renumbered.reshape(-1, 3) + count)
-        count += len(used)
-    if not count:
-        raise InputError("no depth map has a surface: nothing can be compared with the photos")
-    return Surface(np.concatenate(vertices), np.concatenate(faces).astype(np.int32))
 
 
 def _fit(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Samples, compared: bool, given: Reading,

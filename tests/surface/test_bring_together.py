@@ -8,9 +8,9 @@ import pytest
 from support.camera_noise import noisy
 from support.scenes import relief_scene
 
-from pagas_cl.scene.check import mesh_of_depths
 from pagas_cl.scene.depth_source import Adjusted
 from pagas_cl.scene.exr import read_exr
+from pagas_cl.scene.sheets import mesh_of_depths
 from pagas_cl.surface import common_scale, depth_alignment
 from pagas_cl.surface.bring_together import bring_together
 from pagas_cl.surface.common_scale import find_common_scale
