@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -93,12 +92,14 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     own one, on a device with memory of its own, which holds what others ask of it: the system takes as long to give new
     memory as a round takes. The others are as in refine.refine_one.
     """
+    from pagas_cl.splat.units import room_for
+
     own, *others = results[0], *(result for result in results[1:] if not result.reason)
     own = own if isinstance(own, DepthResult) else own.loaded()         # it may be on disk
     start, found = time.perf_counter(), {}
     if own.reason or not others:
         return own
-    promised = None if reuse and not photos.on_host else _room_like(own)
+    promised = None if reuse and not photos.on_host else room_for(own.depth.shape)
     photos.trim(_BYTES * max(_pixels(result) for result in results))
 
     def owner(result: Any) -> Any:
@@ -120,7 +121,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     if averaged is not None:
         report["differences"] = spreads
         held = promised is None and photos.on_leaving(own, partial(_take_back, own, device))
-        into = partial(_arrays_of, own) if held else (promised or _room_like(own)).result
+        into = partial(_arrays_of, own) if held else (promised or room_for(own.depth.shape)).result
         if steps is not None:
             told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
             few = _few(steps, len(report["contexts"]))
@@ -158,8 +159,7 @@ def _few(config: Config, contexts: int) -> Config:
 
 def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement,
            averaged: Mapping[str, Any], config: Config, device: Device, photos: PhotoStore,
-           told: Callable[[int, int], None] | None,
-           into: Callable[[], list[np.ndarray]]) -> tuple[Any, Told]:
+           told: Callable[[int, int], None] | None, into: Callable[[], list[np.ndarray]]) -> tuple[Any, Told]:
     """From what was `averaged`, for what the view called for when it was refined, or calls for now; and the same on the
     device."""
     from pagas_cl.splat import NormalizedDepth, refine_levels
@@ -199,12 +199,6 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
 
 def _arrays_of(result: DepthResult) -> list[np.ndarray]:
     return [getattr(result, name) for name in _ARRAYS]
-
-
-def _room_like(result: DepthResult) -> Future[list[np.ndarray]]:
-    from pagas_cl.runtime.memory import room
-
-    return room(result.depth.shape, *(array.dtype for array in _arrays_of(result)))
 
 
 def _pixels(result: DepthResult) -> int:

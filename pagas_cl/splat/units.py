@@ -1,18 +1,24 @@
 """Launches of units.cl: depths from scene units to the device's units, and back."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.memory import download, room, upload
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.sampling import scene_scale_of
 from pagas_cl.splat.constants import SHARED
 
 _NONE_YET = np.array([np.inf, 0], np.float32)
-LEFT = np.float32, np.float32, np.float32, np.uint8      # depth, parallax, deviation, status
+_LEFT = np.float32, np.float32, np.float32, np.uint8      # depth, parallax, deviation, status
+
+
+def room_for(shape: tuple[int, ...]) -> Future[list[np.ndarray]]:
+    """Arrays of `shape` for what NormalizedDepth.denormalize leaves, promised."""
+    return room(shape, *_LEFT)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
-from pagas_cl.runtime.memory import room
 from pagas_cl.scene.camera import viewing_distance
 from pagas_cl.splat.budget import plan_for
 from pagas_cl.splat.buffers import Size, level_size
@@ -18,7 +17,7 @@ from pagas_cl.splat.measure import Probe
 from pagas_cl.splat.photos import PhotoStore, StreamedPhotos
 from pagas_cl.splat.resample import Resampler
 from pagas_cl.splat.shading import relit
-from pagas_cl.splat.units import LEFT, NormalizedDepth, Start
+from pagas_cl.splat.units import NormalizedDepth, Start, room_for
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +64,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     device.memory.begin(planned.nbytes + photos.beside((target, *contexts, *held_out)))
     run = _Run(target, contexts, depth, config, device, photos, held_out=held_out, normalized=normalized,
                specularity=measured.local_specularity if measured else None)
-    into = start.into if start else room(depth.shape, *LEFT).result
+    into = start.into if start else room_for(depth.shape).result
     before, done, losses, total = None, [], [], sum(config.pyramid.steps)
     for number, (scale, steps) in enumerate(zip(config.pyramid.scales, config.pyramid.steps)):
         level = run.level(scale, before, start)

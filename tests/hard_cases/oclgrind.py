@@ -49,7 +49,7 @@ def inside() -> None:
     from pagas_cl.selftest import BLENDS
     from pagas_cl.selftest import scenes as make
     from pagas_cl.splat import PhotoStore, composite, options, refine_levels, relit_views
-    from pagas_cl.splat.units import Start
+    from pagas_cl.splat.units import Start, room_for
     from pagas_cl.surface import mesh_solve
     from pagas_cl.surface.agree import counts
 
@@ -81,7 +81,7 @@ def inside() -> None:
             on = replace(device, lanes=4) if "lanes" in name else device        # as on a CPU
             start = None if "grey, L1" not in name else Start(      # as rounds have it
                 upload(device, np.float32(scene.depth)), lambda *found: found, 0,
-                lambda: [np.empty(scene.depth.shape, kind) for kind in ("f4", "f4", "f4", "u1")])
+                room_for(scene.depth.shape).result)
             refine_levels(scene.target, scene.contexts, scene.depth, config, on, start=start)
     scene = make.base(size=(17, 12))
     adjust_cameras(scene, device)

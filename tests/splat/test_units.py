@@ -9,7 +9,7 @@ from twins import units as twin
 from pagas_cl.reference.project import normalized_depth
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.scene.sampling import FAR, MEDIAN_SAMPLES, NEAR, scene_scale_of
-from pagas_cl.splat.units import LEFT, NormalizedDepth
+from pagas_cl.splat.units import NormalizedDepth, room_for
 
 pytestmark = pytest.mark.kernels
 
@@ -24,7 +24,7 @@ def normalize(device, depth, mask=None):
 
 def denormalize(device, normalized, refined, parallax, deviation, status):
     buffers = [upload(device, a) for a in (refined, parallax, status, deviation)]
-    return normalized.denormalize(*buffers, [np.empty(refined.shape, kind) for kind in LEFT])
+    return normalized.denormalize(*buffers, room_for(refined.shape).result())
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int32])
