@@ -4,16 +4,13 @@ import multiprocessing
 import os
 import socket
 import time
-from collections import Counter, OrderedDict
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
 from multiprocessing.connection import wait
 from threading import Lock, Thread
-
-import numpy as np
 
 from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputError, PagasError
 from pagas_cl.jobs.finished import find_finished, work_folder, write_finished
@@ -22,74 +19,13 @@ from pagas_cl.jobs.task import Batch, Record, ViewTask, code_version
 from pagas_cl.runtime.claim import claim_device, give_back
 from pagas_cl.runtime.device import translate_cl_errors
 from pagas_cl.runtime.host import trim
-from pagas_cl.scene.view import View
 
 STOP = "stop"              # a file of this name in the work folder asks every worker to end after its present view
 _READERS = min(6, os.cpu_count() or 6)      # photos that are decoded at a time
 _WRITERS = 3               # results that are written, and views that are read, at a time, beside a device with memory
-_PHOTO_BYTES = 1 << 30     # most memory for decoded photos
 _one_at_a_time = Lock()    # tasks of one process share a device's queue
 _worker_contexts: dict = {}
 _lost: list[str] = []      # the view at which the device failed, until one is refined
-
-
-class PhotoMemory:
-    """The photos and masks used last, up to `limit` bytes, so that each is read once; until the device
-    has them (release). Any thread may ask."""
-
-    def __init__(self, limit: int = _PHOTO_BYTES):
-        self.limit, self._held, self._lock = limit, OrderedDict(), Lock()
-
-    def remembered(self, view: View, digest: str) -> View:
-        """The same view, whose photo and mask come from here."""
-        mask = None if view.mask is None else Remembered(self, (digest, "mask"), view.load_mask)
-        return View(view.camera, Remembered(self, (digest, "image"), view.load_image), mask, view.name)
-
-    def get(self, key, load) -> np.ndarray:
-        """The array `key`, by `load()` where it is not held; who comes while it is loaded waits for it."""
-        with self._lock:
-            first = key not in self._held
-            promise = self._held.setdefault(key, Future())
-            self._held.move_to_end(key)  # last in the order of use
-        if first:
-            try:
-                pixels = load()
-            except BaseException as error:
-                self.forget(key)
-                promise.set_exception(error)
-            else:
-                promise.set_result(pixels)
-                self._make_room(key)
-        return promise.result()
-
-    def forget(self, key) -> None:
-        """Let go of the array `key`, if it is here."""
-        with self._lock:
-            self._held.pop(key, None)
-
-    def _make_room(self, last) -> None:
-        with self._lock:
-            sizes = {key: promise.result().nbytes for key, promise in self._held.items() if promise.done()}
-            for key in [key for key in sizes if key != last]:
-                if sum(sizes.values()) <= self.limit:
-                    break
-                del sizes[key], self._held[key]
-
-
-@dataclass(frozen=True, eq=False)
-class Remembered:
-    """Stands for a view's photo or mask."""
-
-    memory: PhotoMemory
-    key: tuple
-    read: Callable[[], np.ndarray]
-
-    def load(self) -> np.ndarray:
-        return self.memory.get(self.key, self.read)
-
-    def release(self) -> None:
-        """It is where it was wanted."""
-        self.memory.forget(self.key)
 
 
 class WorkerContext:
@@ -98,14 +34,11 @@ class WorkerContext:
     def __init__(self, device):
         from pagas_cl.splat import PhotoStore
 
-        self.device, self.photos, self._memory, self._views = device, PhotoStore(device), PhotoMemory(), {}
+        self.device, self.photos, self._views = device, PhotoStore(device), {}
 
     def views(self, batch: Batch) -> dict:
         """The batch's views, those of earlier batches as the same objects, so that their photos are found again."""
-        for k, view in batch.views.items():
-            if batch.digests[k] not in self._views:
-                self._views[batch.digests[k]] = self._memory.remembered(view, batch.digests[k])
-        return {k: self._views[batch.digests[k]] for k in batch.views}
+        return {k: self._views.setdefault(batch.digests[k], view) for k, view in batch.views.items()}
 
 
 def follow_parent() -> None:
@@ -152,7 +85,7 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
     with _one_at_a_time, ThreadPoolExecutor(_READERS) as readers, ThreadPoolExecutor(_WRITERS) as writer:
         context = _worker_context(batch.device)
         waiting = 1 if context.photos.on_host else _WRITERS
-        views, photos, ended, ahead = context.views(batch), context.photos if batch.photos else None, [], {}
+        views, ended, ahead = context.views(batch), [], {}
         for number, task in enumerate(batch.tasks):
             if (work_folder(batch.folder) / STOP).exists():
                 break
@@ -162,7 +95,7 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
                 continue
             for one in batch.tasks[number:number + 1 + waiting]:
                 if one.name not in ahead:
-                    ahead[one.name] = _read_ahead(readers, one, views, photos)
+                    ahead[one.name] = _read_ahead(batch, one, views, readers)
             depth, ahead[task.name] = ahead[task.name], None
             ended.append(_attempt(batch, task, views, depth, writer, inside and inside(len(ended))))
             if len(ended) > waiting and isinstance(ended[-1 - waiting], Future):
@@ -172,12 +105,11 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
     return ended
 
 
-def _read_ahead(readers: ThreadPoolExecutor, task: ViewTask, views: dict, photos) -> Future:
-    """Have the photos of `task` read that the PhotoStore has not (None: none is wanted), and its depth map, which is
-    what is promised."""
+def _read_ahead(batch: Batch, task: ViewTask, views: dict, readers: ThreadPoolExecutor) -> Future:
+    """Have the photos of `task` read, where they are wanted, and its depth map, which is what is promised."""
     depth = readers.submit(task.depth.load)
-    for k in task.partners.all if photos else ():
-        readers.submit(lambda view=views[k]: photos.has(view) or view.load_image())  # who needs it is told of faults
+    for k in task.partners.all if batch.photos else ():
+        _worker_context(batch.device).photos.read_ahead(views[k], readers)
     return depth
 
 

@@ -1,7 +1,7 @@
 """Photos on the device: all of them, each uploaded once, or one at a time."""
 
 from collections.abc import Callable, Hashable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from pagas_cl.splat.buffers import Size
 PHOTO_MARGIN = 16         # pixels behind a photo that may be read
 _READERS, _READ = 8, 1 << 24      # photos read at a time, and most pixels of them
 _ON_A_CPU = 256 << 20     # bytes kept of what other views may want, where the device's memory is the host's
+_AHEAD = 1 << 30          # most bytes of photos that are read before they are asked for
 
 
 class PhotoStore:
@@ -28,17 +29,25 @@ class PhotoStore:
         self.limit = limit_bytes or min(device.memory.limit // 4, _ON_A_CPU if self.on_host else device.memory.limit)
         self._held: dict[Hashable, tuple] = {}        # by owner: what is on the device, bytes
         self._leaving: dict[Hashable, Callable[[Any], None]] = {}      # by owner, who is told before it goes
+        self._ahead: dict[Any, Future[np.ndarray]] = {}                # by view
 
-    def photo(self, view, pixels: np.ndarray | None = None) -> cl.Buffer:
-        """Buffer of (height, width) uchar4 of `view`, a pagas_cl.scene.view.View; `pixels` where it has been read."""
+    def photo(self, view) -> cl.Buffer:
+        """Buffer of (height, width) uchar4 of `view`, a pagas_cl.scene.view.View."""
         def send() -> cl.Buffer:
+            pixels = self._ahead.pop(view).result() if view in self._ahead else _read(view)
             buffer = photo_buffer(self.device, size)
-            cl.enqueue_copy(self.device.queue, buffer, _read(view) if pixels is None else pixels)
-            _forget_on_host(view)
+            cl.enqueue_copy(self.device.queue, buffer, pixels)
             return buffer
 
         size = _full_size(view).pixels
         return self.held(view, photo_bytes(size), send)
+
+    def read_ahead(self, view, readers: Executor) -> None:
+        """Have `readers` read the photo of `view`, for when it is asked for; who asks is told of faults. Not where it
+        is here, or too much waits already."""
+        waiting = sum(photo_bytes(_full_size(other).pixels) for other in self._ahead)
+        if not (self.has(view) or view in self._ahead or waiting > _AHEAD):
+            self._ahead[view] = readers.submit(_read, view)
 
     def held(self, owner: Hashable, nbytes: int, send: Callable[[], Any]) -> Any:
         """What `send()` brings to the device for `owner`, `nbytes` of it: kept as long as photos are."""
@@ -79,8 +88,10 @@ class PhotoStore:
         some = max(1, min(_READERS, _READ // max((_full_size(view).pixels for view in new), default=1)))
         with ThreadPoolExecutor(some) as readers:
             for k in range(0, len(new), some):
-                for view, pixels in zip(new[k:k + some], readers.map(_read, new[k:k + some])):
-                    self.photo(view, pixels)
+                for view in new[k:k + some]:
+                    self.read_ahead(view, readers)
+                for view in new[k:k + some]:
+                    self.photo(view)
         return [_resized(self.device, resampler, self.photo(view), _full_size(view), size)
                 for view, size in zip(views, sizes)], ()
 
@@ -88,6 +99,7 @@ class PhotoStore:
         """Forget every photo, and the buffers that wait for another view."""
         for owner in list(self._held):
             self._let_go(owner)
+        self._ahead.clear()
         self.device.memory.clear()
 
     def beside(self, views) -> int:
@@ -159,19 +171,11 @@ class StreamedPhotos:
     def _full(self, view) -> np.ndarray:
         if id(view) not in self._pixels:
             self._pixels[id(view)] = view, _read(view)
-            _forget_on_host(view)
         return self._pixels[id(view)][1]
 
 
 def _read(view) -> np.ndarray:
     return rgba(view.load_image(), view.load_mask())
-
-
-def _forget_on_host(view) -> None:
-    """Where its photo and mask were read ahead, they need not wait any longer."""
-    for source in (view.image, view.mask):
-        if hasattr(source, "release"):
-            source.release()
 
 
 def _full_size(view) -> Size:

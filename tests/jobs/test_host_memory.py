@@ -26,8 +26,7 @@ def test_a_photo_is_here_or_on_the_device(scene, tmp_path, device):
     def look(stage, done, total):
         for context in list(worker._worker_contexts.values()):
             looked.append(stage)
-            twice.extend(view.name for view in context._views.values()
-                         if context.photos.has(view) and view.image.key in context._memory._held)
+            twice.extend(view.name for view in context.photos._ahead.keys() & context.photos._held.keys())
 
     refine_views(views, depths, config=QUICK, device=device, folder=tmp_path, progress=look)
     assert looked and not twice

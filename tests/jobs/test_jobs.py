@@ -19,7 +19,6 @@ from pagas_cl.jobs import refine_all, task
 from pagas_cl.jobs.plan import Planner, along_curve, groups, on_disk
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch
-from pagas_cl.jobs.worker import PhotoMemory
 from pagas_cl.refine import refine_one, refine_views
 from pagas_cl.scene import files
 from pagas_cl.scene.choice import PartnerChooser
@@ -102,18 +101,6 @@ def test_a_photo_is_read_once(scene, tmp_path, monkeypatch):
     config = QUICK.with_settings(effects__cameras="off")        # which are measured before, from photos of their own
     refine_views(views, depths, config=config, folder=tmp_path)
     assert len(read) == len(set(read)) == len(views)
-
-
-def test_photos_are_kept_while_there_is_room():
-    memory, loads = PhotoMemory(limit=250), []
-
-    def get(key):
-        return memory.get(key, lambda: (loads.append(key), np.zeros(100, np.uint8))[1])
-
-    for key in "aabcba":  # c pushes a out
-        get(key)
-    assert loads == list("abca")
-    PhotoMemory(limit=1).get("large", lambda: np.zeros(100))
 
 
 # -- who fails ---------------------------------------------------------------------------------------------------

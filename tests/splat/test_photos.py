@@ -1,6 +1,7 @@
 """Photos on the device: each is read once, several at a time where the device leaves the host idle."""
 
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from pagas_cl import InputError, preset, refine_mesh, refine_views
 from pagas_cl.runtime.memory import download
 from pagas_cl.scene.view import View
 from pagas_cl.splat.buffers import Size
-from pagas_cl.splat.photos import PhotoStore, rgba
+from pagas_cl.splat.photos import PhotoStore, photo_bytes, rgba
 
 pytestmark = pytest.mark.kernels
 
@@ -40,6 +41,28 @@ def test_several_photos_are_read_at_a_time(made, device, reads):
     moved = [replace(view) for view in views]
     store.replace(views, moved)
     assert all(map(store.has, moved)) and not any(map(store.has, views))
+
+
+def test_photos_are_read_ahead_while_there_is_room(made, device, reads, monkeypatch):
+    views, store = made.views, PhotoStore(device)
+    monkeypatch.setattr("pagas_cl.splat.photos._AHEAD", photo_bytes(64 * 48))
+    with ThreadPoolExecutor(2) as readers:
+        for view in [*views, *views]:       # the second one is the first beyond it
+            store.read_ahead(view, readers)
+    assert list(reads) == [view.name for view in views[:2]]
+    for view in views:
+        store.photo(view)
+    store.read_ahead(views[0], ThreadPoolExecutor(1))      # it is there
+    assert set(reads.values()) == {1} and len(reads) == len(views)
+
+
+def test_who_asks_for_a_photo_is_told_why_it_cannot_be_read(made, device, tmp_path):
+    store, view = PhotoStore(device), replace(made.views[0], image=tmp_path / "gone.png")
+    with ThreadPoolExecutor(1) as readers:
+        store.read_ahead(view, readers)
+    for _ in range(2):
+        with pytest.raises(InputError, match="gone.png"):
+            store.photo(view)
 
 
 def test_a_photo_is_read_once_from_mesh_to_mesh(made, device, reads):
