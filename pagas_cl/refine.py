@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -134,18 +135,31 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     config, depth, device = settings_of(preset, config), checked_depth(depth, target), open_device(device)
     if not contexts:
         return DepthResult.unrefined(target.camera, depth, "no context views were given", name=target.name)
+    photos = photos or PhotoStore(device)
+    return _refined(target, contexts, depth, config, device, photos, progress, held_out,
+                    _once_on_device(target, depth, device))
+
+
+def _once_on_device(target: View, depth: np.ndarray, device: Device) -> Callable[[], NormalizedDepth]:
+    """The depth on the device for whoever asks first, and all others."""
+    return cache(lambda: NormalizedDepth(target, depth, device))
+
+
+def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
+             photos: PhotoStore, progress: Progress | None, held_out: Sequence[View],
+             on_device: Callable[[], NormalizedDepth]) -> DepthResult:
+    """refine_depth, of checked arguments."""
     start = time.perf_counter()
     steps_done = (lambda done, total: progress(f"refine {target.name}", done, total)) if progress else None
 
     def attempt(photos: PhotoStore) -> tuple[Refinement, list[Decision], Measurements | None]:
-        normalized = NormalizedDepth(target, depth, device)
+        normalized = on_device()
         with settle(target, contexts, depth, config, device, photos, normalized=normalized) as (
                 own, decisions, measured, used):
             refined = refine_levels(target, used, depth, own, device, photos, progress=steps_done, held_out=held_out,
                                     measured=measured, normalized=normalized)
         return refined, decisions, measured
 
-    photos = photos or PhotoStore(device)
     refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)
     if refined.mismatch == refined.mismatch:
         decisions.append(decide_mismatch(refined.mismatch, config))
@@ -248,9 +262,10 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
     if not partners.contexts:
         log.warning("view %s is kept as it came: %s", target.name, partners.reason)
         return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
-    asked, decision = views_to_ask(views, partners, depth, config, device, photos)
-    result = refine_depth(target, [views[k] for k in asked.contexts], depth, config=config, device=device,
-                          progress=progress, photos=photos, held_out=[views[k] for k in asked.held_out])
+    on_device = _once_on_device(target, depth, device)
+    asked, decision = views_to_ask(views, partners, depth, config, device, photos, on_device)
+    result = _refined(target, [views[k] for k in asked.contexts], depth, config, device, photos, progress,
+                      [views[k] for k in asked.held_out], on_device)
     result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
     result.report["left_out"] = [k for k in partners.all if k not in asked.all]         # by place: not all have names
     return result

@@ -1,7 +1,7 @@
 """Which of the views that were chosen for a target are asked: those that add to what is known of its depth, by how much
 they resemble it, and how far its depth moves in them (method section 7)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from pagas_cl.effects import Decision
 from pagas_cl.runtime.device import Device
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.view import View
-from pagas_cl.splat import PhotoStore, probe_view
+from pagas_cl.splat import NormalizedDepth, PhotoStore, probe_view
 from pagas_cl.splat.budget import fit_memory
 from pagas_cl.splat.constants import MEAN, NUMBER
 
@@ -26,16 +26,19 @@ _LITTLE = 1e-6       # that one of those adds at least
 
 
 def views_to_ask(views: Sequence[View] | Mapping[int, View], partners: Partners, depth: np.ndarray, config: Config,
-                 device: Device, photos: PhotoStore) -> tuple[Partners, Decision | None]:
+                 device: Device, photos: PhotoStore,
+                 on_device: Callable[[], NormalizedDepth] | None = None) -> tuple[Partners, Decision | None]:
     """`partners` without the context and held-out views that would take more than they add, and why; all of them, and
-    None, where that is not asked for, or where fewer are usable than are wanted. Parameters as in refine_one."""
+    None, where that is not asked for, or where fewer are usable than are wanted. `on_device()`: `depth` there, if it
+    is; else parameters as in refine_one."""
     usable, choice = (*partners.contexts, *partners.held_out), config.effects.resemblance
     if choice in ("off", "set") or len(usable) < config.context.number:
         return partners, None
     target, others = views[partners.target], [views[k] for k in usable]
     scale = min(1.0, _COARSE / max(target.camera.width, target.camera.height))
-    found = fit_memory(lambda photos: probe_view(target, others, depth, config, device, photos, scale=scale), target,
-                       others, config, device, photos)
+    found = fit_memory(lambda photos: probe_view(target, others, depth, config, device, photos, scale=scale,
+                                                 normalized=on_device and on_device()),
+                       target, others, config, device, photos)
     parallax = found.view_samples["parallax"]
     told = np.flatnonzero((parallax[:, NUMBER] >= _LEAST) & np.isfinite(found.explained).any(axis=(1, 2)))
     if not len(told):

@@ -125,6 +125,19 @@ def upload(device: Device, array: np.ndarray) -> cl.Buffer:
     return buffer
 
 
+_constants: dict[tuple[int, bytes], cl.Buffer] = {}
+
+
+def constant(device: Device, array: np.ndarray) -> cl.Buffer:
+    """A buffer that holds the few numbers of `array`, made once a device, to be read: an upload waits for all that
+    was enqueued before it."""
+    key = device.context.int_ptr, array.tobytes()
+    if key not in _constants:
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        _constants[key] = cl.Buffer(device.context, flags, hostbuf=np.ascontiguousarray(array))
+    return _constants[key]
+
+
 def download(device: Device, buffer: cl.Buffer, shape: int | tuple[int, ...],
              dtype: npt.DTypeLike = np.float32) -> np.ndarray:
     """A copy of `buffer` as an array of `shape`; waits for what is enqueued before it."""

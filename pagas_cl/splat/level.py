@@ -7,7 +7,7 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
-from pagas_cl.runtime.memory import download
+from pagas_cl.runtime.memory import constant, download
 from pagas_cl.runtime.program import run_once
 from pagas_cl.splat import composite, exposure, gradient_filter, loss, project, smooth, step
 from pagas_cl.splat.buffers import EvidenceBuffers, LevelBuffers
@@ -59,7 +59,7 @@ class Level:
         self.buffers = LevelBuffers.allocated(device, given.dimensions(config))
         cl.enqueue_copy(device.queue, self.buffers.cameras, given.camera_table)
         if config.loss.exposure:
-            cl.enqueue_copy(device.queue, self.buffers.exposure, exposure.neutral(len(self.views)))
+            cl.enqueue_copy(device.queue, self.buffers.exposure, constant(device, exposure.neutral(len(self.views))))
         self.phase = None
         self.target_view, self.smooth, self.ending = [], [], []
         self._view_launches: dict[int, list] = {}

@@ -9,7 +9,7 @@ import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.runtime.arena import declared, total_bytes
-from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.memory import constant, download
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.splat import exposure, project
 from pagas_cl.splat.buffers import ExposureBuffers, MaybeBuffer, SampleGrid, SurfaceBuffers, dimensions
@@ -40,12 +40,12 @@ class Rows:
         self.summary = device.memory.buffer(device.context, 16 * self.rows)
         table = np.zeros((self.rows, 4), np.float32)
         table[:, :3] = rules
-        self._rules = upload(device, table)
+        self._rules = constant(device, table)
 
     @staticmethod
     def nbytes(rows: int, count: int) -> int:
         """Bytes of the device that they take."""
-        return rows * (4 * count + 32)
+        return rows * (4 * count + 16)
 
     def summarize(self):
         """The launch that fills `summary`."""
@@ -148,13 +148,13 @@ class Probe:
         self.samples = Rows(device, [(0, 1, 0.5)] * 3, count)
         self.buffers = ProbeBuffers.allocated(device, given.dimensions(config))
         cl.enqueue_copy(device.queue, self.buffers.cameras, given.camera_table)
-        cl.enqueue_copy(device.queue, self.buffers.exposure, exposure.neutral(number))
+        cl.enqueue_copy(device.queue, self.buffers.exposure, constant(device, exposure.neutral(number)))
         write(self.buffers.depth)
         run_once(device.queue, project.before_steps(self.programs, self.buffers, self.target, number))
 
     def read(self) -> ProbeResult:
         """Measure all context views."""
-        image_noise = ImageNoise(self.device, self.target.photo, self.target.size)     # its upload waits for all before
+        image_noise = ImageNoise(self.device, self.target.photo, self.target.size)
         for view in self.views:
             run_once(self.device.queue, [
                 *view.fetch(), *project.nearest(self.programs, self.buffers, view), *self.sample(view),

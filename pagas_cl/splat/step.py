@@ -6,7 +6,7 @@ from collections import deque
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.runtime.memory import download
+from pagas_cl.runtime.memory import constant, download
 from pagas_cl.splat.constants import BEST, DONE, LOSS, LOSS_ONE, RATE
 
 _LOOK_EVERY = 10          # steps between two looks of the host at the schedule
@@ -26,7 +26,7 @@ class Solver:
         solver = self.settings
         state = np.zeros(8, np.float32)
         state[RATE], state[BEST] = solver.rate, np.inf
-        cl.enqueue_copy(self.device.queue, buffers.state, state)
+        cl.enqueue_copy(self.device.queue, buffers.state, constant(self.device, state))
         self._adam = programs.bind(
             "step.cl", "adam", (size.pixels,), buffers, followed=buffers.followed or buffers.gradient,
             count=size.pixels, first_scale=1.0, second_scale=1.0, beta1=solver.beta1, beta2=solver.beta2,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.runtime.memory import download, room, upload
+from pagas_cl.runtime.memory import constant, download, room, upload
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.sampling import scene_scale_of
 from pagas_cl.splat.constants import SHARED
@@ -56,7 +56,8 @@ class NormalizedDepth:
         else:
             self.buffer = device.memory.buffer(device.context, 4 * depth.size)
         visible = None if mask is None else upload(device, mask.astype(bool, copy=False))
-        bounds = upload(device, _NONE_YET)
+        bounds = device.memory.buffer(device.context, 8)
+        cl.enqueue_copy(device.queue, bounds, constant(device, _NONE_YET))
         run_once(device.queue, [
             bind(build(device, "units.cl", SHARED), "normalize_depth", (depth.size,), given=self.given, visible=visible,
                  count=depth.size, scene_scale=self._device_scale(), scaled=int(doubles), depth=self.buffer,

@@ -128,7 +128,7 @@ def test_workers_that_all_lost_their_device_end_the_run(scene, tmp_path, monkeyp
 
     def context(name):
         asked[0] += 1
-        if asked[0] > 6:
+        if asked[0] > 10:
             raise DeviceError("no device left")
         return plain(name)
 
