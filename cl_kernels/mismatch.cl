@@ -92,10 +92,13 @@ __kernel void sample_detail(__global const float *initial, __global const float 
     rows[k] = status[i] != REFINED ? NAN : fabs(detail) < FINE ? 0.0f : noise_in(sums, i);
 }
 
+// told: of the rows of sample_detail (summary.cl); the first one's quantile is to be more than `enough`.
 __kernel void take_back(__global const float *initial, __global const float *depth_per_parallax,
                         __global const uchar *status, __global const float *sums, __global const float *smooth,
-                        int count, __global float *depth)
+                        __global const float4 *told, int always, float enough, int count, __global float *depth)
 {
+    if (!always && !(told[0].z > enough))
+        return;
     EACH(i, count)
     const float d0 = initial[i], d = depth[i], u = depth_per_parallax[i];
     if (status[i] != REFINED)

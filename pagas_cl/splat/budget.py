@@ -13,7 +13,7 @@ from pagas_cl.runtime.device import translate_cl_errors
 from pagas_cl.scene.camera import Camera
 from pagas_cl.splat import mismatch
 from pagas_cl.splat.buffers import EvidenceBuffers, LevelBuffers, Size, dimensions, level_size
-from pagas_cl.splat.evidence import HISTOGRAM
+from pagas_cl.splat.evidence import sums_bytes
 from pagas_cl.splat.measure import probe_bytes
 from pagas_cl.splat.photos import PhotoStore, StreamedPhotos, photo_bytes
 
@@ -80,7 +80,8 @@ def _at(scale: float, full: tuple[Size, ...], contexts: int, config: Config, str
         judges = 2 if len(full) > 1 + contexts else 1
         after = total_bytes(EvidenceBuffers.plan(lengths)) + depths
         beside = mismatch.nbytes(full[0].pixels, lengths["samples"]) if mismatch.is_asked(config) else 0
-        after += 29 * full[0].pixels + max(beside, 24 * (judges - 1) * full[0].pixels + HISTOGRAM * (judges - 1))
+        after += 29 * full[0].pixels + max(beside, 24 * (judges - 1) * full[0].pixels)
+        after += sums_bytes(len(full) - 1 - contexts)
     return Plan(_photos(full, sizes, streamed), max(during, after))
 
 

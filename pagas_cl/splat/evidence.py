@@ -1,7 +1,7 @@
 """Launches of patches.cl, evidence.cl and deviation.cl: which depths the photos confirm, how sure each is (method
 section 7)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -14,8 +14,13 @@ from pagas_cl.splat import mismatch, project
 from pagas_cl.splat.buffers import EvidenceBuffers
 from pagas_cl.splat.constants import CLEAR_NOISE, COST_BINS, COST_GROUP, COST_ONE
 
-_SUM_GROUPS = 256
-HISTOGRAM = 8 * COST_BINS   # bytes that count them, before and after
+_SUM_GROUPS, _UNKNOWN = 256, (float("nan"), float("nan"))
+_SUMS, _HISTOGRAM = 24 * _SUM_GROUPS, 8 * COST_BINS   # bytes that add costs up, and count them, before and after
+
+
+def sums_bytes(held_out: int) -> int:
+    """Bytes of the device that sums take which are read in the end."""
+    return _SUMS + held_out * _HISTOGRAM
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,24 +135,33 @@ class Evidence:
             buffer.release()
         self._before = self._after = None
 
-    def costs(self) -> tuple[float, float]:
-        """Mean 1 - correlation before and after, over the pixels that are seen both times."""
-        sums = self._buffer(24 * _SUM_GROUPS)
+    # What is summed up is promised, by what waits for it, so that the device goes on with what is enqueued next.
+
+    def costs(self) -> Callable[[], tuple[float, float]]:
+        """Mean 1 - correlation before and after, over the pixels that are seen both times; NaN where there are none."""
+        sums = self._buffer(_SUMS)
         self._run([self.bind("sum_costs", grid=(_SUM_GROUPS * COST_GROUP,), group=(COST_GROUP,), sums=sums,
                              **self._both)])
-        before, after, pixels = download(self.device, sums, (_SUM_GROUPS, 3), np.int64).sum(axis=0).tolist()
-        sums.release()
-        return (before / pixels / COST_ONE, after / pixels / COST_ONE) if pixels else (float("nan"), float("nan"))
 
-    def medians(self) -> tuple[float, float]:
-        """Median 1 - correlation before and after, over the pixels that are seen both times;
-        NaN where there are none."""
-        counts = self._buffer(HISTOGRAM)
-        self._run([Fill(counts, np.uint32(0), HISTOGRAM),
+        def read() -> tuple[float, float]:
+            before, after, pixels = download(self.device, sums, (_SUM_GROUPS, 3), np.int64).sum(axis=0).tolist()
+            sums.release()
+            return (before / pixels / COST_ONE, after / pixels / COST_ONE) if pixels else _UNKNOWN
+
+        return read
+
+    def medians(self) -> Callable[[], tuple[float, float]]:
+        """The same of medians."""
+        counts = self._buffer(_HISTOGRAM)
+        self._run([Fill(counts, np.uint32(0), _HISTOGRAM),
                    self.bind("count_costs", grid=(self.size.pixels,), counts=counts, **self._both)])
-        before, after = download(self.device, counts, (2, COST_BINS), np.uint32)
-        counts.release()
-        return _median(before), _median(after)
+
+        def read() -> tuple[float, float]:
+            before, after = download(self.device, counts, (2, COST_BINS), np.uint32)
+            counts.release()
+            return _median(before), _median(after)
+
+        return read
 
     def _refuse(self, evidence: "Evidence", status: cl.Buffer):
         """Reject too what matches worse in the held-out view's photo, seen over its surroundings."""
@@ -173,7 +187,7 @@ class Evidence:
                              **self._both)])
         for evidence in held_out:       # each by itself: in a mean, one that errs as the context views do hides another
             self._refuse(evidence, status)
-        extent, found, config = self.size.extent, (float("nan"), float("nan")), self.programs.config
+        extent, found, config = self.size.extent, lambda: _UNKNOWN, self.programs.config
         self._run([self.bind("feather", initial=self._initial, status=status, **extent)])
         if mismatch.is_asked(config):
             found = mismatch.take_back(self, status, self._initial, config.effects.mismatch == "on")
@@ -182,20 +196,25 @@ class Evidence:
                              bent=bent, error_factor=self.prior.error_factor, misaligned=self.prior.misaligned,
                              mismatch=solver.mismatch, deviation=deviation, **extent)])
         if not told:
-            return EvidenceDecision(status, deviation, (float("nan"), float("nan")), (), 0, *found)
-        costs, judged = self.costs(), tuple(evidence.judge() for evidence in held_out)
-        return EvidenceDecision(status, deviation, costs, judged, self._hold_silent(status, deviation), *found)
+            return EvidenceDecision(status, deviation, _UNKNOWN, (), 0, *found())
+        costs, judged = self.costs(), [evidence.judge() for evidence in held_out]
+        silent = self._hold_silent(status, deviation)
+        return EvidenceDecision(status, deviation, costs(), tuple(medians() for medians in judged), silent(), *found())
 
-    def _hold_silent(self, status: cl.Buffer, deviation: cl.Buffer) -> int:
-        """Take back what smoothness alone moved; returns the number of depths that are where they were, then."""
+    def _hold_silent(self, status: cl.Buffer, deviation: cl.Buffer) -> Callable[[], int]:
+        """Take back what smoothness alone moved; the number of depths that are where they were, then."""
         counts, (one, other), grid = self._buffer(4), self.scratch, (self.size.pixels,)
         known = {"count": self.size.pixels, "status": status, "deviation": deviation}
         self._run([Fill(counts, np.uint32(0), 4), self.bind("mark_spoken", grid=grid, spoken=one, **known),
                    *self.sum_around(one, 2, other, one),
                    self.bind("hold_silent", grid=grid, initial=self._initial, around=one, silent=counts, **known)])
-        silent = int(download(self.device, counts, 1, np.uint32)[0])
-        counts.release()
-        return silent
+
+        def read() -> int:
+            silent = int(download(self.device, counts, 1, np.uint32)[0])
+            counts.release()
+            return silent
+
+        return read
 
     def of_accepted(self, views, floor_share: float) -> cl.Buffer:
         """What the photos of `views` say of the depth as it is now."""
@@ -204,7 +223,7 @@ class Evidence:
         self._add(views, {"depth": self.buffers.depth, "evidence": evidence}, floor_share=floor_share)
         return evidence
 
-    def judge(self) -> tuple[float, float]:
+    def judge(self) -> Callable[[], tuple[float, float]]:
         """Medians under the depth as it is now."""
         self.weigh()
         medians = self.medians()

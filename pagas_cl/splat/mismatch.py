@@ -1,5 +1,7 @@
 """Launches of mismatch.cl: detail that photos do not support is taken back (method section 5.2)."""
 
+from collections.abc import Callable
+
 import pyopencl as cl
 
 from pagas_cl.config import Config
@@ -14,12 +16,12 @@ MOST = 16.0                      # square of bends over variance: more tells no 
 ROUNDING = 0.054                 # share of a grey level's square: variance of two photos' luma, rounded to 8 bit
 
 
-def take_back(evidence, status: cl.Buffer, initial: cl.Buffer, always: bool) -> tuple[float, float]:
-    """Smooth evidence.buffers.depth as far as its detail is noise, where most of it is or `always`. Waits for it.
+def take_back(evidence, status: cl.Buffer, initial: cl.Buffer, always: bool) -> Callable[[], tuple[float, float]]:
+    """Smooth evidence.buffers.depth as far as its detail is noise, where most of it is or `always`.
 
-    Returns of the refined pixels, NaN without any: the share of the detail that is noise, median; and, before it is
-    smoothed, the square of what the surface bends from pixel to pixel, over the variance that the photos leave, of
-    which three quarters have less: detail that a quarter of the surface has is worth keeping."""
+    Returns what waits for it and tells, of the refined pixels, NaN without any: the share of the detail that is noise,
+    median; and, before it is smoothed, the square of what the surface bends from pixel to pixel, over the variance that
+    the photos leave, of which three quarters have less: detail that a quarter of the surface has is worth keeping."""
     device, size, (sums, rows) = evidence.device, evidence.size, evidence.scratch
     asked, grid = evidence.views[:VIEWS], SampleGrid.over(size)
     changes, smooth = (device.memory.buffer(device.context, 4 * size.pixels) for _ in range(2))
@@ -38,13 +40,12 @@ def take_back(evidence, status: cl.Buffer, initial: cl.Buffer, always: bool) -> 
         *evidence.sum_around(sums, 2, rows, sums),
         bind("sample_detail", (grid.count,), sums=sums, smooth=changes, rows=samples.values,
              of_all=evidence.after, **asked_of, **grid.arguments),
-        samples.summarize()])
-    share, resolved = samples.read()[:, QUANTILE].tolist()
-    if always or share > NOISY_DETAIL:
-        run_once(device.queue, [bind("take_back", sums=sums, smooth=changes, count=size.pixels)])
-    for buffer in (changes, smooth, told):
+        samples.summarize(),
+        bind("take_back", sums=sums, smooth=changes, count=size.pixels, told=samples.summary, always=int(always),
+             enough=NOISY_DETAIL)])
+    for buffer in (changes, smooth, told, samples.values):
         buffer.release()
-    return share, resolved
+    return lambda: tuple(samples.read()[:, QUANTILE].tolist())
 
 
 def is_asked(config: Config) -> bool:

@@ -77,7 +77,7 @@ def entered_level(device, config, scene):
 @pytest.fixture
 def without_holding(monkeypatch):
     """What no photo speaks for is held in a test of its own."""
-    monkeypatch.setattr(Evidence, "_hold_silent", lambda *_: 0)
+    monkeypatch.setattr(Evidence, "_hold_silent", lambda *_: lambda: 0)
 
 
 def test_verdicts_equal_the_twin(device, without_holding):
@@ -163,7 +163,7 @@ def test_means_and_medians_of_nothing_are_not_known(device):
     seen[::2] = 1, 1, 0
     for buffer, array in ((judge._before, seen), (judge._after, seen[::-1].copy())):       # never both times
         cl.enqueue_copy(device.queue, buffer, array)
-    assert np.isnan(judge.costs()).all() and np.isnan(judge.medians()).all()
+    assert np.isnan(judge.costs()()).all() and np.isnan(judge.medians()()).all()
     assert np.isnan(twin.mean_costs(seen, seen[::-1])).all()
     level.release()
 

@@ -50,7 +50,7 @@ def test_equals_the_twin(device, made, noisy, monkeypatch):
                  * len(evidence.views) / mismatch.VIEWS)
         of_all.append(read(evidence.after, 3)[..., 2])
         told = take_back(evidence, status, initial, always)
-        found.append((told, before, read(evidence.buffers.depth), given))
+        found.append((told(), before, read(evidence.buffers.depth), given))
         return told
 
     monkeypatch.setattr(mismatch, "take_back", spied)
