@@ -196,7 +196,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     names : collection of str, optional
         Views to refine; all that have a depth map by default. The others are context views still.
     on_view : callable of (view, initial depth, DepthResult), optional
-        Called when a view is finished, in the last round (with `folder`: its batch of 32); what it returns is dropped.
+        Called when a view is finished, in the last round (with `folder`: its batch of 64); what it returns is dropped.
     executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
         Where the views are refined instead of in this process; see pagas_cl.jobs.
     folder : path, optional

@@ -19,7 +19,7 @@ from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.view import View
 
 _BATCH = 16      # most views in a batch
-_HERE = 32       # views in a batch of this process: between two of them the device waits
+_HERE = 64       # views in a batch of this process: between two of them the device waits
 _SHARES = 8      # batches for each worker, so that a slow one leaves its share to others
 
 

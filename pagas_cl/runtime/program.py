@@ -112,7 +112,10 @@ def _nothing() -> Any:
 
 def _reference_to(value: Any) -> Callable[[], Any]:
     """A weak one: the driver is to have a buffer back that nobody else holds. To nothing where there can be none."""
-    return weakref.ref(value) if hasattr(value, "__weakref__") else _nothing
+    try:
+        return weakref.ref(value)
+    except TypeError:
+        return _nothing
 
 
 class _Kernel:
@@ -127,16 +130,17 @@ class _Kernel:
         self._numbers: dict[str, Any] = {}
         self._buffers: dict[str, Callable[[], Any]] = {}
 
-    def set(self, arguments: Mapping[str, Any]) -> None:
-        for name, value in arguments.items():       # it keeps the others from the last time
-            index, kind = self.places[name]
-            if not kind:
-                if value is None or self._buffers.get(name, _nothing)() is not value:
-                    self.cl_kernel.set_arg(index, value)
-                    self._buffers[name] = _reference_to(value)
-            elif self._numbers.get(name) != value:
-                self._set_number(index, _number(value, kind, self.name))
-                self._numbers[name] = value
+    def set(self, names: Iterable[str], values: Mapping[str, Any]) -> None:
+        """The arguments `names`, as `values` has them; it keeps the others from the last time, and what is the same."""
+        for name in names:
+            (index, kind), value = self.places[name], values[name]
+            if kind:
+                if self._numbers.get(name) != value:
+                    self._set_number(index, _number(value, kind, self.name))
+                    self._numbers[name] = value
+            elif value is None or self._buffers.get(name, _nothing)() is not value:
+                self.cl_kernel.set_arg(index, value)
+                self._buffers[name] = _reference_to(value)
 
 
 def _number(value: Any, kind: str, name: str) -> np.generic:
@@ -172,11 +176,11 @@ class Launch:
 
     def set(self, **values: Any) -> None:
         """Other values for some arguments, by name."""
-        self.bound.set(values)
+        self.bound.set(values, values)
 
     def change(self, **values: Any) -> None:
         """The same, of those that the kernel has."""
-        self.bound.set({name: value for name, value in values.items() if name in self.bound.places})
+        self.bound.set(values.keys() & self.bound.places.keys(), values)
 
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         return cl.enqueue_nd_range_kernel(queue, self.bound.cl_kernel, self.global_size, self.local_size)
@@ -271,14 +275,14 @@ def bind(program: Program, name: str, global_size: Sequence[int], local_size: Se
     has none of that name.
     """
     signature = program.signatures[name]
-    values = {**known, **arguments}
+    values = {**known, **arguments} if arguments else known
     if not (arguments.keys() <= signature.keys() <= values.keys()):
         unknown, missing = arguments.keys() - signature, signature.keys() - values.keys()
         raise TypeError(f"kernel {name} takes {', '.join(signature)}: missing {sorted(missing)}, unknown "
                         f"{sorted(unknown)}")
     source = (program.key, name)
     kernel = _idle[source].popleft() if _idle[source] else _Kernel(program, name)
-    kernel.set({argument: values[argument] for argument in signature})
+    kernel.set(signature, values)
     group = tuple(local_size) if local_size else usual_group(global_size)
     if group:
         global_size = [-(-items // side) * side for items, side in zip(global_size, group)]

@@ -1,7 +1,7 @@
 """A pinhole camera in the one convention that is used everywhere inside (method section 2)."""
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -144,17 +144,21 @@ class Camera:
 
     def resized(self, width: int, height: int) -> "Camera":
         """The same camera for the image resampled to `width` x `height` (the image's corners stay in place)."""
-        if (width, height) == (self.width, self.height):
-            return self
-        sx, sy = width / self.width, height / self.height
-        return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx,
-                       cy=self.cy * sy)
+        return self if (width, height) == (self.width, self.height) else _resized(self, width, height)
 
     def relative_to(self, target: "Camera") -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Rotation R (3, 3) and translation tau (3,) from `target`'s camera frame to this one (method section 3)."""
         rotation = self.world_to_camera[:3, :3] @ target.world_to_camera[:3, :3].T
         # the centres' difference keeps its digits when both are far from the origin
         return rotation, self.world_to_camera[:3, :3] @ (target.center - self.center)
+
+
+@lru_cache(4096)
+def _resized(camera: Camera, width: int, height: int) -> Camera:
+    """The same one each time: a view is asked by many others, at the sizes of theirs."""
+    sx, sy = width / camera.width, height / camera.height
+    return replace(camera, width=width, height=height, fx=camera.fx * sx, fy=camera.fy * sy, cx=camera.cx * sx,
+                   cy=camera.cy * sy)
 
 
 def viewing_distance(cameras: list[Camera]) -> float:
