@@ -18,7 +18,7 @@ SHIFTS, OFFSETS = 7, 4        # moves of a patch along the direction of depth, a
 # Noise (standard deviation, 0 to 1) and misalignment (pixels) that the default weight of the smoothness is made for:
 # chosen on the scenes of tests/bench/effects.py.
 CLEAR_NOISE, MISALIGNED = 0.004, 0.13
-MOST_MOVED = 0.4              # pixels of parallax that depths may move by before a z-buffer is made anew (level.py)
+MOST_MOVED = 0.5              # pixels of parallax that depths may move by before a z-buffer is made anew (level.py)
 NOISY_DETAIL = 0.5            # share of a refined map's detail that is noise, above which that goes (mismatch.py)
 # The same of specularity, one residual (what the exposure fit leaves, measure.cl) in two statistics, so that it takes
 # two bars: whether a view is specular, by the 95th percentile of its samples (median over the context views), and

@@ -15,7 +15,7 @@ from twins.gradient_filter import filter_gradient
 from twins.step import Adam, Plateau, late_share
 from twins.units import depth_threshold, median_depth
 
-MOST_MOVED = 0.4         # pixels of parallax that depths may move by before the first surfaces are looked for again
+MOST_MOVED = 0.5         # pixels of parallax that depths may move by before the first surfaces are looked for again
 
 
 @dataclass(frozen=True, eq=False)
