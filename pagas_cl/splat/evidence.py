@@ -3,7 +3,6 @@ section 7)."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 import pyopencl as cl
@@ -13,6 +12,7 @@ from pagas_cl.runtime.program import Fill, run_once
 from pagas_cl.splat import mismatch, project
 from pagas_cl.splat.buffers import EvidenceBuffers
 from pagas_cl.splat.constants import CLEAR_NOISE, COST_BINS, COST_GROUP, COST_ONE
+from pagas_cl.splat.inputs import enqueue_each
 
 _SUM_GROUPS, _UNKNOWN = 256, (float("nan"), float("nan"))
 _SUMS, _HISTOGRAM = 24 * _SUM_GROUPS, 8 * COST_BINS   # bytes that add costs up, and count them, before and after
@@ -106,20 +106,9 @@ class Evidence:
                   {"depth": self.buffers.depth, "evidence": self._after})
 
     def _add(self, views, *given: dict, floor_share: float = 1.0):
-        """What the photos of `views` say of depth maps, added to the evidence of each. Launches are bound once for all
-        views of a size."""
-        bound: dict = {}
-        for view in views:
-            for fetched in view.fetch():
-                fetched.enqueue(self.device.queue)
-            if view.size not in bound:
-                bound[view.size] = self._launches(view, floor_share=floor_share, **given[0])
-            for one in given:
-                for launch in bound[view.size]:
-                    launch.change(**one, view=view.number, photo=view.photo, threshold=view.threshold)
-                    launch.enqueue(self.device.queue)
-        for launch in chain(*bound.values()):
-            launch.release()
+        """What the photos of `views` say of depth maps, added to the evidence of each."""
+        enqueue_each(self.device.queue, views,
+                     lambda view: self._launches(view, floor_share=floor_share, **given[0]), *given)
 
     def _launches(self, view, depth: cl.Buffer, evidence: cl.Buffer, floor_share: float) -> list:
         warped, grey = self.scratch

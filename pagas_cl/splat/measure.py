@@ -14,6 +14,7 @@ from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.splat import exposure, project
 from pagas_cl.splat.buffers import ExposureBuffers, MaybeBuffer, SampleGrid, SurfaceBuffers, dimensions
 from pagas_cl.splat.constants import MEAN, NUMBER, OFFSETS, QUANTILE, SHARED, SHIFTS, SUMMARY_GROUP, define
+from pagas_cl.splat.inputs import enqueue_each
 from pagas_cl.splat.options import Programs
 from pagas_cl.splat.tile import columns_of
 
@@ -155,10 +156,9 @@ class Probe:
     def read(self) -> ProbeResult:
         """Measure all context views."""
         image_noise = ImageNoise(self.device, self.target.photo, self.target.size)
-        for view in self.views:
-            run_once(self.device.queue, [
-                *view.fetch(), *project.nearest(self.programs, self.buffers, view), *self.sample(view),
-                exposure.match(self.programs, self.buffers, view)])
+        enqueue_each(self.device.queue, self.views, lambda view: [
+            *project.nearest(self.programs, self.buffers, view), *self.sample(view),
+            exposure.match(self.programs, self.buffers, view)])
         run_once(self.device.queue, self._judge())
         views, samples = self.view_samples.read().reshape(-1, len(_ROWS), 4), self.samples.read()
         specularity = np.empty((self.grid.down, self.grid.across), np.float32)
