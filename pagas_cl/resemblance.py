@@ -11,7 +11,7 @@ from pagas_cl.effects import Decision
 from pagas_cl.runtime.device import Device
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.view import View
-from pagas_cl.splat import NormalizedDepth, PhotoStore, probe_view
+from pagas_cl.splat import NormalizedDepth, PhotoStore, explained_by
 from pagas_cl.splat.budget import fit_memory
 from pagas_cl.splat.constants import MEAN, NUMBER
 
@@ -36,14 +36,13 @@ def views_to_ask(views: Sequence[View] | Mapping[int, View], partners: Partners,
         return partners, None
     target, others = views[partners.target], [views[k] for k in usable]
     scale = min(1.0, _COARSE / max(target.camera.width, target.camera.height))
-    found = fit_memory(lambda photos: probe_view(target, others, depth, config, device, photos, scale=scale,
-                                                 normalized=on_device and on_device()),
-                       target, others, config, device, photos)
-    parallax = found.view_samples["parallax"]
-    told = np.flatnonzero((parallax[:, NUMBER] >= _LEAST) & np.isfinite(found.explained).any(axis=(1, 2)))
+    parallax, explained = fit_memory(lambda photos: explained_by(
+        target, others, depth, config, device, photos, scale=scale, normalized=on_device and on_device()),
+        target, others, config, device, photos)
+    told = np.flatnonzero((parallax[:, NUMBER] >= _LEAST) & np.isfinite(explained).any(axis=(1, 2)))
     if not len(told):
         return partners, None
-    added = {usable[told[k]] for k in adding(found.explained[told], parallax[told, MEAN])}
+    added = {usable[told[k]] for k in adding(explained[told], parallax[told, MEAN])}
     unlike = {usable[k] for k in told} - added
     contexts, held_out = (tuple(k for k in chosen if k not in unlike)
                           for chosen in (partners.contexts, partners.held_out))

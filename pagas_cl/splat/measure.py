@@ -108,7 +108,6 @@ class ProbeResult:
     textureless: float
     stride: int                             # pixels of the target between samples
     local_specularity: np.ndarray           # float32 (down, across): mean over the context views, NaN = unknown
-    explained: np.ndarray                   # float32 (contexts, down, across): of a patch by each photo, NaN = unknown
 
 
 @dataclass(eq=False)
@@ -134,7 +133,7 @@ def probe_bytes(config: Config, sizes, views: int) -> int:
 class Probe:
     """The full-size level as far as measuring needs it, and rows of samples.
 
-    Everything is enqueued; `read` is the only wait for the device.
+    Everything is enqueued; what reads is the only wait for the device.
     """
 
     def __init__(self, device, config: Config, given, write):
@@ -160,17 +159,29 @@ class Probe:
             *project.nearest(self.programs, self.buffers, view), *self.sample(view),
             exposure.match(self.programs, self.buffers, view)])
         run_once(self.device.queue, self._judge())
-        views, samples = self.view_samples.read().reshape(-1, len(_ROWS), 4), self.samples.read()
+        views, samples = self._read_views(), self.samples.read()
         specularity = np.empty((self.grid.down, self.grid.across), np.float32)
         cl.enqueue_copy(self.device.queue, specularity, self.samples.values, src_offset=8 * self.grid.count)
-        explained, row = np.empty((len(self.views), *specularity.shape), np.float32), 4 * self.grid.count
+        table = download(self.device, self.buffers.exposure, (1 + len(self.views), 2, 3))
+        return ProbeResult(views, samples[0], samples[1], table[1:].transpose(0, 2, 1).astype(np.float64),
+                           *image_noise.read(), self.grid.stride, specularity)
+
+    def read_explained(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the context views, without what the exposure fit tells: the row "parallax", (contexts, 4), as in
+        ProbeResult; and the share of a patch that each photo explains, float32 (contexts, down, across), NaN =
+        unknown."""
+        enqueue_each(self.device.queue, self.views, lambda view: [
+            *project.nearest(self.programs, self.buffers, view), *self.sample(view)])
+        run_once(self.device.queue, [self.view_samples.summarize()])
+        explained, row = np.empty((len(self.views), self.grid.down, self.grid.across), np.float32), 4 * self.grid.count
         cl.enqueue_copy(self.device.queue, explained, self.view_samples.values, host_origin=(0, 0),
                         buffer_origin=(row * (len(_ROWS) - 1), 0), region=(row, len(self.views)),
                         buffer_pitches=(row * len(_ROWS),), host_pitches=(row,))
-        table = download(self.device, self.buffers.exposure, (1 + len(self.views), 2, 3))
-        return ProbeResult({name: views[:, row] for row, (name, *_) in enumerate(_ROWS)}, samples[0], samples[1],
-                           table[1:].transpose(0, 2, 1).astype(np.float64), *image_noise.read(), self.grid.stride,
-                           specularity, explained)
+        return self._read_views()["parallax"], explained
+
+    def _read_views(self) -> dict[str, np.ndarray]:
+        views = self.view_samples.read().reshape(-1, len(_ROWS), 4)
+        return {name: views[:, row] for row, (name, *_) in enumerate(_ROWS)}
 
     def sample(self, view) -> list:
         """Samples of the context view, by the nearest surfaces that buffers.z_first holds for it."""

@@ -13,7 +13,7 @@ from pagas_cl.splat.buffers import Size, level_size
 from pagas_cl.splat.evidence import Evidence, EvidencePrior
 from pagas_cl.splat.inputs import LevelInput
 from pagas_cl.splat.level import Level, Schedule
-from pagas_cl.splat.measure import Probe
+from pagas_cl.splat.measure import Probe, ProbeResult
 from pagas_cl.splat.photos import PhotoStore, StreamedPhotos
 from pagas_cl.splat.resample import Resampler
 from pagas_cl.splat.shading import relit
@@ -88,12 +88,19 @@ def full_level(target, contexts, depth: np.ndarray, config: Config, device, phot
 
 
 def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
-               normalized: NormalizedDepth | None = None, scale: float = 1.0):
-    """What the context views show under the initial depth, at `scale` of their size: a measure.ProbeResult."""
-    run = _Run(target, contexts, depth, config, device, photos or PhotoStore(device), normalized=normalized)
-    given = run.at(scale)
-    probe = Probe(device, config, given, lambda out: run.write_initial(out, given.sizes[0]))
+               normalized: NormalizedDepth | None = None) -> ProbeResult:
+    """What the context views show under the initial depth."""
+    probe = _probe(target, contexts, depth, config, device, photos or PhotoStore(device), normalized)
     found = probe.read()
+    probe.release()
+    return found
+
+
+def explained_by(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore, *, scale: float,
+                 normalized: NormalizedDepth | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """What Probe.read_explained finds at `scale` of the photos' size."""
+    probe = _probe(target, contexts, depth, config, device, photos, normalized, scale)
+    found = probe.read_explained()
     probe.release()
     return found
 
@@ -102,12 +109,16 @@ def relit_views(target, contexts, depth, config: Config, device, photos, *,
                 normalized: NormalizedDepth | None = None) -> list:
     """`contexts` with photos lit as the target's is, as far as the depth tells (method section 5.3); parameters are
     those of probe_view. Let go of them with photos.forget."""
-    run = _Run(target, contexts, depth, config, device, photos, normalized=normalized)
-    given = run.at(1.0)
-    probe = Probe(device, config, given, lambda out: run.write_initial(out, given.sizes[0]))
+    probe = _probe(target, contexts, depth, config, device, photos, normalized)
     found = relit(probe, contexts, photos)
     probe.release()
     return found
+
+
+def _probe(target, contexts, depth, config, device, photos, normalized, scale: float = 1.0) -> Probe:
+    run = _Run(target, contexts, depth, config, device, photos, normalized=normalized)
+    given = run.at(scale)
+    return Probe(device, config, given, lambda out: run.write_initial(out, given.sizes[0]))
 
 
 class _Run:
