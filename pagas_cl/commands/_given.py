@@ -1,6 +1,7 @@
 """What a command was given: the scene's format, photos and cameras, and where its surface is; found by looking, told in
 three lines."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 from pagas_cl.commands._start import depth_files
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.depthmap import find_depth
-from pagas_cl.scene.files import opened
+from pagas_cl.scene.files import digest_file, opened
 from pagas_cl.scene.mesh_file import SUFFIXES
 from pagas_cl.scene.ply import HEADER, header_of
 from pagas_cl.scene.readers import read_scene
@@ -137,7 +138,11 @@ def together(given: Given, align: bool) -> list:
     depths, unknown = given.depths or [], given.unit == "not said by PNG files"
     if not align and not unknown:
         return depths
-    result = bring_together(given.scene.views, depths, given.unit_is_known)
+    with ThreadPoolExecutor(2) as hashing:      # what the run asks of the files next
+        for view, depth in zip(given.scene.views, depths):
+            hashing.submit(digest_file, getattr(view.image, "path", view.image))
+            hashing.submit(getattr, depth, "digest", None)
+        result = bring_together(given.scene.views, depths, given.unit_is_known)
     for sentence in result.said:
         log.warning("%s", sentence)
     if unknown and result.unit == 1 and not result.agreement >= 0.5:

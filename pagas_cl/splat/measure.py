@@ -2,6 +2,7 @@
 one photo; and of summary.cl, what rows of numbers come to, so that few leave the device (method section 8)."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import sqrt
 
 import numpy as np
@@ -118,6 +119,7 @@ class ProbeBuffers(SurfaceBuffers, ExposureBuffers):
     totals: MaybeBuffer = declared((SHIFTS + 2, "samples"), np.float32, "1", "of the views, as in measure.cl")
 
 
+@lru_cache(16)
 def probe_config(config: Config) -> Config:
     """Of the programs and buffers that measure, whatever the refinement will do."""
     return config.with_settings(splatting__occlusion=True, loss__unseen_mask=False, loss__exposure=True)
