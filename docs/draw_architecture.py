@@ -22,7 +22,7 @@ LEVELS = [
     [(360, "command line, filters", "__main__ commands filters", "typer, MeshLab scripts, Open3D"),
      (830, "studies", "tradeoffs costs bench demo selftest analysis expected remembered",
       "error against time, self-test, demo")],
-    [(360, "refine", "refine rounds cameras keep_mesh acceptance effects resemblance measurements",
+    [(360, "refine", "refine one_view rounds cameras keep_mesh acceptance effects resemblance measurements",
       "the method on one page"),
      (830, "report, evaluate, synthetic", "report evaluate synthetic", "pictures, figures, test scenes")],
     [(200, "jobs", "jobs progress outlook", "many views, devices, resuming"),

@@ -12,8 +12,9 @@ if TYPE_CHECKING:
     from pagas_cl.cameras.refine import CameraRefinement, refine_cameras
     from pagas_cl.config import Config
     from pagas_cl.errors import DeviceError, InputError, KernelBuildError, MissingExtraError, PagasError
+    from pagas_cl.one_view import refine_depth
     from pagas_cl.presets import preset
-    from pagas_cl.refine import refine_depth, refine_mesh, refine_views
+    from pagas_cl.refine import refine_mesh, refine_views
     from pagas_cl.result import DepthResult
     from pagas_cl.scene.camera import Camera
     from pagas_cl.scene.check import check_cameras
@@ -36,7 +37,8 @@ _HOME = {  # as the imports above
     "config": ["Config"],
     "errors": ["DeviceError", "InputError", "KernelBuildError", "MissingExtraError", "PagasError"],
     "presets": ["preset"],
-    "refine": ["refine_depth", "refine_mesh", "refine_views"],
+    "one_view": ["refine_depth"],
+    "refine": ["refine_mesh", "refine_views"],
     "result": ["DepthResult"],
     "scene.camera": ["Camera"],
     "scene.check": ["check_cameras"],

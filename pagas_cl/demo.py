@@ -88,7 +88,7 @@ def make_example(folder, format: str, width: int = 288, height: int = 216, conte
 
 
 def _refined(synthetic: SyntheticScene, config, device, progress):
-    from pagas_cl.refine import refine_depth
+    from pagas_cl.one_view import refine_depth
 
     results, view_progress = [], ViewProgress(progress, len(synthetic.views))
     for number, view in enumerate(synthetic.views):

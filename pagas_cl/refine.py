@@ -1,38 +1,32 @@
 """The method on one page (arXiv 2604.22129): photos, cameras and a coarse surface in, a finer surface out."""
 
-import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from pagas_cl.acceptance import nothing_reason, own_reason, rejection_reason
 from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
-from pagas_cl.effects import Decision, decide_consistency, decide_mismatch, settle
+from pagas_cl.effects import decide_consistency
 from pagas_cl.errors import InputError, log
 from pagas_cl.jobs import refine_all
 from pagas_cl.keep_mesh import FLAT, check_flat, check_subdivide, kept_mesh, polished
-from pagas_cl.measurements import Measurements
+from pagas_cl.one_view import refine_one
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
-from pagas_cl.resemblance import views_to_ask
 from pagas_cl.result import DepthResult, OnDisk, joined
 from pagas_cl.rounds import later_rounds
-from pagas_cl.runtime.device import Device, Devices, open_device
+from pagas_cl.runtime.device import Devices
 from pagas_cl.scene.check import check_seen
-from pagas_cl.scene.choice import PartnerChooser, Partners
-from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_depth, depth_array, depth_maps
+from pagas_cl.scene.choice import PartnerChooser
+from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, depth_array, depth_maps
 from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
 from pagas_cl.scene.reasons import warn_of_nothing
 from pagas_cl.scene.view import View
-from pagas_cl.splat import NormalizedDepth, PhotoStore, Refinement, photos_here, refine_levels
-from pagas_cl.splat.budget import fit_memory
+from pagas_cl.splat import PhotoStore, photos_here
 from pagas_cl.surface import blocks
 from pagas_cl.surface.agree import comparison_device, confirmed
 from pagas_cl.surface.fuse import weights_of
@@ -103,80 +97,6 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         return kept_mesh(given, views, results, config, output, subdivide, flat, device, progress=progress)
     fused = fuse_results(views, results, config, progress, executor=executor, folder=folder, device=device)
     return from_surface(fused, like=mesh)
-
-
-def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *, preset: str | None = None,
-                 config: Config | None = None, device: str | Device | None = None, progress: Progress | None = None,
-                 held_out: Sequence[View] = (), photos: PhotoStore | None = None) -> DepthResult:
-    """Refine the depth map of one view. Needs neither Open3D nor a mesh.
-
-    Parameters
-    ----------
-    target : View
-    contexts : list of View
-        The views that constrain it.
-    depth : array_like of shape (H, W)
-        Initial z-depth in scene units; 0, negative or not finite = no surface. Of the size of the target's photo.
-    held_out : sequence of View
-        Views that take no part. Where one of their photos matches worse through the refined depth than through the
-        initial one, the initial one stays; where what is left does not match them better on the whole, the view is
-        returned as it came, with the reason.
-    photos : PhotoStore, optional
-        Photos that are on the device already.
-    progress : callable of (stage, done, total), optional
-        Told of steps that the device has done, of those of all levels.
-    preset, config, device
-        As in refine_mesh.
-
-    Raises
-    ------
-    InputError, DeviceError
-    """
-    config, depth, device = settings_of(preset, config), checked_depth(depth, target), open_device(device)
-    if not contexts:
-        return DepthResult.unrefined(target.camera, depth, "no context views were given", name=target.name)
-    photos = photos or PhotoStore(device)
-    return _refined(target, contexts, depth, config, device, photos, progress, held_out,
-                    _once_on_device(target, depth, device))
-
-
-def _once_on_device(target: View, depth: np.ndarray, device: Device) -> Callable[[], NormalizedDepth]:
-    """The depth on the device for whoever asks first, and all others."""
-    return cache(lambda: NormalizedDepth(target, depth, device))
-
-
-def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
-             photos: PhotoStore, progress: Progress | None, held_out: Sequence[View],
-             on_device: Callable[[], NormalizedDepth]) -> DepthResult:
-    """refine_depth, of checked arguments."""
-    start = time.perf_counter()
-    steps_done = (lambda done, total: progress(f"refine {target.name}", done, total)) if progress else None
-
-    def attempt(photos: PhotoStore) -> tuple[Refinement, list[Decision], Measurements | None]:
-        normalized = on_device()
-        with settle(target, contexts, depth, config, device, photos, normalized=normalized) as (
-                own, decisions, measured, used):
-            refined = refine_levels(target, used, depth, own, device, photos, progress=steps_done, held_out=held_out,
-                                    measured=measured, normalized=normalized)
-        return refined, decisions, measured
-
-    refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)
-    if refined.mismatch == refined.mismatch:
-        decisions.append(decide_mismatch(refined.mismatch, config))
-    reason = (rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined)
-              or own_reason(target, depth, refined, [*held_out, *contexts], measured, device, photos))
-    report = {"contexts": [view.name for view in contexts], "held_out": [view.name for view in held_out],
-              "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
-              "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
-              "planned_bytes": refined.planned_bytes, "measured": measured.figures if measured else {},
-              "seconds": time.perf_counter() - start}
-    if refined.resolved == refined.resolved:
-        report["resolved"] = refined.resolved
-    if reason:
-        log.warning("view %s is kept as it came: %s", target.name, reason)
-        return DepthResult.unrefined(target.camera, depth, reason, report, target.name)
-    return DepthResult(target.camera, refined.depth, refined.status, refined.deviation, refined.parallax, "", report,
-                       target.name)
 
 
 def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names: Collection[str] | None = None,
@@ -250,25 +170,6 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     photos.clear()
     warn_of_nothing(views, depths, results)
     return results
-
-
-def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, depth: npt.ArrayLike, config: Config,
-               device: Device, photos: PhotoStore, progress: Progress | None = None) -> DepthResult:
-    """One of many views, with the partners chosen for it: a pure function, which any worker may run.
-
-    `views` by place: a list, or a dict with those that are needed. `progress` as in refine_depth.
-    """
-    target, depth = views[partners.target], checked_depth(depth, views[partners.target])
-    if not partners.contexts:
-        log.warning("view %s is kept as it came: %s", target.name, partners.reason)
-        return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
-    on_device = _once_on_device(target, depth, device)
-    asked, decision = views_to_ask(views, partners, depth, config, device, photos, on_device)
-    result = _refined(target, [views[k] for k in asked.contexts], depth, config, device, photos, progress,
-                      [views[k] for k in asked.held_out], on_device)
-    result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
-    result.report["left_out"] = [k for k in partners.all if k not in asked.all]         # by place: not all have names
-    return result
 
 
 def initial_depths(surface: Surface, views: Sequence[View], progress: Progress | None = None,

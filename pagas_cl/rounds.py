@@ -90,7 +90,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     `results`: of the round before, the view's own first, then those of others, in memory or on disk (StoredResult),
     from where they are read when the device has to have them. `reuse`: what this leaves has the arrays of the view's
     own one, on a device with memory of its own, which holds what others ask of it: the system takes as long to give new
-    memory as a round takes. The others are as in refine.refine_one.
+    memory as a round takes. The others are as in one_view.refine_one.
     """
     from pagas_cl.splat.units import room_for
 

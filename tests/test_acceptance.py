@@ -11,7 +11,8 @@ from support.acceptance_scenes import figures, moving, textureless, turned, wron
 
 from pagas_cl.acceptance import own_reason
 from pagas_cl.errors import NothingRefinedWarning
-from pagas_cl.refine import refine_depth, refine_views
+from pagas_cl.one_view import refine_depth
+from pagas_cl.refine import refine_views
 from pagas_cl.result import KEPT, NO_SURFACE, REFINED, REJECTED
 from pagas_cl.splat import PhotoStore
 

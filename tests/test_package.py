@@ -28,10 +28,12 @@ ALLOWED = {
     "effects": {"measurements", "runtime", "scene", "splat", "surface"}, "measurements": {"splat"},
     "rounds": {"scene", "runtime", "surface", "splat", "result", "effects", "progress"},
     "resemblance": {"scene", "runtime", "splat", "effects"},
-    "refine": {"acceptance", "resemblance", "cameras", "jobs", "scene", "runtime", "surface", "splat", "result",
-               "measurements", "effects", "keep_mesh", "progress", "rounds"},
+    "one_view": {"acceptance", "resemblance", "scene", "runtime", "splat", "result", "measurements", "effects",
+                 "progress"},
+    "refine": {"one_view", "cameras", "jobs", "scene", "runtime", "surface", "splat", "result", "effects", "keep_mesh",
+               "progress", "rounds"},
     "evaluate": {"scene"}, "synthetic": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
-    "selftest": {"scene", "runtime", "splat", "reference", "refine", "cameras", "synthetic"},
+    "selftest": {"scene", "runtime", "splat", "reference", "one_view", "cameras", "synthetic"},
 }
 WITHOUT_OPENCL = {"errors", "stage", "config", "presets", "progress", "scene", "reference", "report", "evaluate",
                   "synthetic", "result"}

@@ -6,8 +6,9 @@ import pytest
 from support.job_scenes import QUICK, load_small_scene, write_small_scene
 
 pytest.importorskip("pyopencl")
+from pagas_cl.one_view import refine_depth, refine_one
 from pagas_cl.progress import ViewProgress
-from pagas_cl.refine import refine_depth, refine_one, refine_views
+from pagas_cl.refine import refine_views
 from pagas_cl.splat.step import AHEAD, StepProgress
 
 pytestmark = pytest.mark.slow

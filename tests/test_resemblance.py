@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from support.scenes import relief_scene
 
+from pagas_cl.one_view import refine_one
 from pagas_cl.presets import BALANCED
-from pagas_cl.refine import refine_one, refine_views
+from pagas_cl.refine import refine_views
 from pagas_cl.resemblance import adding, views_to_ask
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.splat import PhotoStore

@@ -11,7 +11,7 @@ import sys
 import numpy as np
 
 from pagas_cl.errors import DeviceError, KernelBuildError
-from pagas_cl.refine import refine_depth
+from pagas_cl.one_view import refine_depth
 from pagas_cl.runtime import device as devices
 from pagas_cl.runtime.child import end_with_parent
 from pagas_cl.runtime.trial import identity

@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from pagas_cl.refine import refine_depth
+from pagas_cl.one_view import refine_depth
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.readers import read_scene

@@ -18,8 +18,8 @@ import time
 
 import numpy as np
 
+from pagas_cl.one_view import refine_depth
 from pagas_cl.presets import preset
-from pagas_cl.refine import refine_depth
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.view import View
 from pagas_cl.selftest import scenes as make

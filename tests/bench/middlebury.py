@@ -17,7 +17,7 @@ from scenes import BASELINE, CENTER_X, CENTER_Y, FOCAL, OFFSET, _smoothed
 from scipy import ndimage
 
 from pagas_cl.evaluate import compare_depth
-from pagas_cl.refine import refine_depth
+from pagas_cl.one_view import refine_depth
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.view import View

@@ -112,7 +112,7 @@ def hold_out(target: int, cameras, depths, context):
 
 def refine_without(target: int, held, views, depths, config, device, photos):
     """The view refined as one of all views but those in `held`."""
-    from pagas_cl.refine import refine_one
+    from pagas_cl.one_view import refine_one
     from pagas_cl.scene.choice import PartnerChooser
 
     left = [k for k in range(len(views)) if k not in held]

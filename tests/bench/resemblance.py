@@ -18,8 +18,8 @@ from agreement import eight_bit, gain
 from PIL import Image, ImageFilter
 
 from pagas_cl.evaluate import compare_depth
+from pagas_cl.one_view import refine_one
 from pagas_cl.presets import BALANCED
-from pagas_cl.refine import refine_one
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.splat import PhotoStore

@@ -23,8 +23,8 @@ def resident_mb() -> float:
 
 def soak(views: int = 200) -> list[tuple[float, float, int, float]]:
     """Seconds, resident MB, open files and MB held on the device after each tenth of the views."""
+    from pagas_cl.one_view import refine_depth
     from pagas_cl.presets import BALANCED
-    from pagas_cl.refine import refine_depth
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.view import View
     from pagas_cl.selftest import scenes as make

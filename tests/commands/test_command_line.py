@@ -114,7 +114,7 @@ def test_depth_maps_of_another_size_and_missing_ones(scene, tmp_path, capsys, fa
 
 
 def test_an_interrupted_run_keeps_what_is_done(scene, tmp_path, monkeypatch, fails):
-    import pagas_cl.refine as refining
+    import pagas_cl.one_view as refining
 
     whole, done = refining.refine_levels, []
 

@@ -40,7 +40,7 @@ def inside() -> None:
 
     import numpy as np
 
-    from pagas_cl.refine import refine_depth
+    from pagas_cl.one_view import refine_depth
     from pagas_cl.runtime import claim, program
     from pagas_cl.runtime import device as devices
     from pagas_cl.runtime.device import open_device

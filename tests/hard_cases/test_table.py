@@ -7,7 +7,7 @@ import os
 import numpy as np
 import pytest
 
-from pagas_cl.refine import refine_depth
+from pagas_cl.one_view import refine_depth
 from pagas_cl.selftest import BLENDS, cameras, run_case
 from pagas_cl.selftest import scenes as make
 from pagas_cl.selftest.large import SIZES, run_one

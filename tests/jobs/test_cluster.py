@@ -17,7 +17,8 @@ from support.job_scenes import QUICK, TESTS, bytes_of, compile_once, load_small_
 import pagas_cl.__main__ as command_line
 from pagas_cl.cameras.refine import refine_cameras
 from pagas_cl.jobs import refine_all
-from pagas_cl.refine import refine_one, refine_views
+from pagas_cl.one_view import refine_one
+from pagas_cl.refine import refine_views
 
 pytestmark = pytest.mark.slow
 

@@ -19,7 +19,8 @@ from pagas_cl.jobs import refine_all, task
 from pagas_cl.jobs.plan import Planner, along_curve, groups, on_disk
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch
-from pagas_cl.refine import refine_one, refine_views
+from pagas_cl.one_view import refine_one
+from pagas_cl.refine import refine_views
 from pagas_cl.scene import files
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.depth_source import DepthSource

@@ -18,7 +18,8 @@ from support.kill_trials import check_whole
 
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError
 from pagas_cl.jobs import run, worker
-from pagas_cl.refine import refine_depth, refine_views
+from pagas_cl.one_view import refine_depth
+from pagas_cl.refine import refine_views
 from pagas_cl.runtime import claim, program
 from pagas_cl.runtime import device as devices
 from pagas_cl.runtime.device import translate_cl_errors

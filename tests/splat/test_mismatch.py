@@ -10,8 +10,8 @@ from support.scenes import relief_scene
 from twins import mismatch as twin
 
 from pagas_cl.effects import decide_mismatch
+from pagas_cl.one_view import refine_depth
 from pagas_cl.presets import BALANCED, PAPER
-from pagas_cl.refine import refine_depth
 from pagas_cl.runtime.memory import download
 from pagas_cl.splat import mismatch
 from pagas_cl.splat.buffers import SampleGrid, Size

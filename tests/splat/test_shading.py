@@ -11,10 +11,11 @@ from twins import exposure as exposure_twin
 from twins import shading as twin
 
 from pagas_cl import effects
+from pagas_cl.one_view import refine_depth
 from pagas_cl.presets import BALANCED
 from pagas_cl.reference.level import Photo
 from pagas_cl.reference.project import project
-from pagas_cl.refine import refine_depth, refine_views
+from pagas_cl.refine import refine_views
 from pagas_cl.splat import PhotoStore, relit_views
 from pagas_cl.splat.buffers import SampleGrid, Size
 from pagas_cl.splat.photos import StreamedPhotos

@@ -9,8 +9,8 @@ from support.kernel_cases import Scene, start_level
 from support.scenes import relief_scene
 from twins.smooth import raised
 
+from pagas_cl.one_view import refine_depth
 from pagas_cl.presets import BALANCED
-from pagas_cl.refine import refine_depth
 
 pytestmark = pytest.mark.kernels
 

@@ -12,8 +12,9 @@ import numpy as np
 from support.scenes import relief_scene
 
 from pagas_cl.effects import EFFECTS
+from pagas_cl.one_view import refine_one
 from pagas_cl.presets import preset
-from pagas_cl.refine import refine_one, refine_views
+from pagas_cl.refine import refine_views
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.depthmap import find_depth, load_depth
 from pagas_cl.scene.readers import read_scene
