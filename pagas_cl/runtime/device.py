@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, NoDeviceError, log
 from pagas_cl.runtime import icd, listing
-from pagas_cl.runtime.host import return_large
+from pagas_cl.runtime.host import keep_freed
 from pagas_cl.runtime.info import DeviceInfo, number_in
 from pagas_cl.runtime.trial import Trial, try_device
 from pagas_cl.runtime.vendors import check_process, import_pyopencl
@@ -71,7 +71,6 @@ def open_device(name: str | Device | None = None, *, profiling: bool = False) ->
         check_process()
         return name
     cl, faults = import_pyopencl(), []
-    return_large()
     for info, cl_device in candidates(find_devices(cl), name):
         trial = try_device(info)
         try:
@@ -154,6 +153,7 @@ def opened(info: DeviceInfo, cl_device: Any, lanes: int, profiling: bool = False
     context = cl.Context([cl_device])
     queue = cl.CommandQueue(context, cl_device, cl.command_queue_properties.PROFILING_ENABLE if profiling else 0)
     device = Device(info, cl_device, context, queue, lanes, profiling)
+    keep_freed(info.kind != "CPU")       # which shares the host's memory
     device.memory      # noqa: B018  (InputError where PAGAS_CL_MEMORY is no number: now, and not in the first view)
     return device
 
