@@ -72,7 +72,7 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
                     "divided")
         factors[have] /= unit
     held = [None if map is None else map / np.float32(unit) for map in held]
-    small = [alignment.reduced(cameras[k], map) for k in have if (map := held[k]) is not None]
+    small = side_by_side(lambda k: alignment.reduced(cameras[k], held[k]), have)       # type: ignore[arg-type]
     x, before, after, left = _aligned(small) if len(small) > 1 else (None, 0.0, 0.0, list[int]())
     if x is not None:
         own = np.exp(x[:, 0])
@@ -127,7 +127,8 @@ def _disagreement(views: Sequence[alignment.Reduced], pairs: Sequence[tuple[int,
     found = []
     for i, j in pairs:
         r = np.abs(alignment.residuals(views[i], views[j], x[i], x[j])[0])
-        found.append(float(np.nanmedian(r)) if np.isfinite(r).sum() >= 5 else float("nan"))
+        r = r[np.isfinite(r)]
+        found.append(float(np.median(r)) if len(r) >= 5 else float("nan"))
     return np.array(found)
 
 

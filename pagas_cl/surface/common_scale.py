@@ -102,13 +102,15 @@ def _by_patches(sweep: Sweep, start: float, bent: float) -> tuple[float, float]:
 
 def _fitted(rows: np.ndarray, y: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """x of y = rows x, and its standard errors; y times `pixels` has errors alike, some of them large."""
-    rows, y, weights = rows * pixels[:, None], y * pixels, np.ones(len(y))
+    rows, y, weights, x = rows * pixels[:, None], y * pixels, np.ones(len(y)), np.zeros(rows.shape[1])
     for _ in range(20):
-        weighted = rows * weights[:, None]
+        weighted, before = rows * weights[:, None], x
         inverse = np.linalg.inv(weighted.T @ rows + 1e-9 * np.eye(rows.shape[1]))
         x = inverse @ weighted.T @ y
         left = y - rows @ x
         weights = 1 / (1 + (left / max(3 * float(np.median(np.abs(left))), 0.1)) ** 2) ** 2
+        if np.abs(x - before).max() < 1e-7:
+            break
     return x, np.sqrt(((inverse @ (weighted * left[:, None]).T) ** 2).sum(axis=1)) + 1e-12
 
 
