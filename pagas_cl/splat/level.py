@@ -141,9 +141,9 @@ class Level:
 
     def run(self, steps: int, progress=None, schedule: Schedule | None = None) -> int:
         """At most `steps` steps; returns how many were enqueued. `progress(done, total)` is told of those that are
-        done."""
+        done, of the last few by `tell_rest`."""
         schedule = schedule or Schedule.of(self.config, steps)
-        queue, solver, step_progress = self.device.queue, self.solver(), step.StepProgress(progress, steps)
+        queue, solver, self._told = self.device.queue, self.solver(), step.StepProgress(progress, steps)
         self.ending = solver.launches
         for number in range(steps):
             if number in schedule.fits:
@@ -155,12 +155,15 @@ class Level:
             ended = solver.enqueue(number, steps)
             self._moved = [moved + solver.rate(number, steps) for moved in self._moved]
             queue.flush()
-            step_progress.enqueued(number + 1, ended)
+            self._told.enqueued(number + 1, ended)
             if solver.finished(number):
                 steps = number + 1
                 break
-        step_progress.finish()
         return steps
+
+    def tell_rest(self):
+        """Wait for the last steps of `run`: when what comes after them is enqueued."""
+        self._told.finish()
 
     def read(self, name: str, shape, dtype=np.float32) -> np.ndarray:
         """Copy of the buffer `name` on the host."""

@@ -74,12 +74,15 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
         if level.buffers.history is not None:
             losses += level.read("history", max(config.pyramid.steps))[:done[-1]].tolist()
         if scale < 1:
+            level.tell_rest()
             before = level.buffers.take("depth"), level.target.size
             level.release()
             del level            # its photos too, before those of the next one
+    found = run.finish(level, EvidencePrior.of(measured), tuple(done), losses, planned.nbytes, start, into)
+    level.tell_rest()
     if progress and done[-1] < steps:                # the schedule has ended it
         progress(total, total)
-    return run.finish(level, EvidencePrior.of(measured), tuple(done), losses, planned.nbytes, start, into)
+    return found
 
 
 def full_level(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None) -> Level:
