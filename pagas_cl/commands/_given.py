@@ -1,6 +1,7 @@
 """What a command was given: the scene's format, photos and cameras, and where its surface is; found by looking, told in
 three lines."""
 
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 from pagas_cl.commands._start import depth_files
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.depthmap import find_depth
-from pagas_cl.scene.files import digest_file, opened
+from pagas_cl.scene.files import opened
 from pagas_cl.scene.mesh_file import SUFFIXES
 from pagas_cl.scene.ply import HEADER, header_of
 from pagas_cl.scene.readers import read_scene
@@ -133,15 +134,15 @@ def _has_faces(path: Path) -> bool:
         return any(name == "face" and count for name, count, _ in header_of(file.read(HEADER))[1])
 
 
-def together(given: Given, align: bool) -> list:
-    """The depth maps, brought together where they are not and `align` allows it; told."""
+def together(given: Given, align: bool, meanwhile: Iterable[Callable[[], Any]] = ()) -> list:
+    """The depth maps, brought together where they are not and `align` allows it; told. `meanwhile` some threads do what
+    will be asked for next; who asks is told of faults."""
     depths, unknown = given.depths or [], given.unit == "not said by PNG files"
     if not align and not unknown:
         return depths
-    with ThreadPoolExecutor(2) as hashing:      # what the run asks of the files next
-        for view, depth in zip(given.scene.views, depths):
-            hashing.submit(digest_file, getattr(view.image, "path", view.image))
-            hashing.submit(getattr, depth, "digest", None)
+    with ThreadPoolExecutor(2) as others:
+        for work in meanwhile:
+            others.submit(work)
         result = bring_together(given.scene.views, depths, given.unit_is_known)
     for sentence in result.said:
         log.warning("%s", sentence)

@@ -28,6 +28,7 @@ from pagas_cl.effects import Decision
 from pagas_cl.errors import InputError, PagasError, log, need
 from pagas_cl.expected import Expected
 from pagas_cl.jobs.finished import one_run, remove_run
+from pagas_cl.jobs.task import view_digest
 from pagas_cl.keep_mesh import check_kept, check_subdivide, kept_mesh, write_whole
 from pagas_cl.refine import fuse_results, refine_views
 from pagas_cl.report import Report, picture_files
@@ -138,7 +139,7 @@ def command(
             depths = initial_depths(found, mesh, None, None, progress, folder, names, place["device"])
             more["effects__cameras"] = "set"
         else:
-            depths = together(given, align)
+            depths = together(given, align, _digests(given))
             depths = depths if folder is not None else loaded(depths)
         if time_per_view is not None or time_budget is not None:
             config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
@@ -171,6 +172,13 @@ def command(
         if folder is not None and save_depth is None:
             remove_run(folder)
         expected.remember()
+
+
+def _digests(given):
+    """What planning the run asks of its files."""
+    for view, depth in zip(given.scene.views, given.depths):
+        yield partial(view_digest, view)
+        yield partial(getattr, depth, "digest", None)
 
 
 def _settled_cameras(found, mesh, config, place, folder, progress, page):

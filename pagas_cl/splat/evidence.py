@@ -3,6 +3,7 @@ section 7)."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -132,23 +133,25 @@ class Evidence:
         self._run([self.bind("sum_costs", grid=(_SUM_GROUPS * COST_GROUP,), group=(COST_GROUP,), sums=sums,
                              **self._both)])
 
-        def read() -> tuple[float, float]:
-            before, after, pixels = download(self.device, sums, (_SUM_GROUPS, 3), np.int64).sum(axis=0).tolist()
-            sums.release()
+        def means(found: np.ndarray) -> tuple[float, float]:
+            before, after, pixels = found.sum(axis=0).tolist()
             return (before / pixels / COST_ONE, after / pixels / COST_ONE) if pixels else _UNKNOWN
 
-        return read
+        return self._promised(sums, (_SUM_GROUPS, 3), np.int64, means)
 
     def medians(self) -> Callable[[], tuple[float, float]]:
         """The same of medians."""
         counts = self._buffer(_HISTOGRAM)
         self._run([Fill(counts, np.uint32(0), _HISTOGRAM),
                    self.bind("count_costs", grid=(self.size.pixels,), counts=counts, **self._both)])
+        return self._promised(counts, (2, COST_BINS), np.uint32, lambda found: (_median(found[0]), _median(found[1])))
 
-        def read() -> tuple[float, float]:
-            before, after = download(self.device, counts, (2, COST_BINS), np.uint32)
-            counts.release()
-            return _median(before), _median(after)
+    def _promised(self, sums: cl.Buffer, shape, dtype, told: Callable[[np.ndarray], Any]) -> Callable[[], Any]:
+        """What `told` makes of `sums`, read when it is asked for: they are given back then."""
+        def read() -> Any:
+            found = download(self.device, sums, shape, dtype)
+            sums.release()
+            return told(found)
 
         return read
 
@@ -197,13 +200,7 @@ class Evidence:
         self._run([Fill(counts, np.uint32(0), 4), self.bind("mark_spoken", grid=grid, spoken=one, **known),
                    *self.sum_around(one, 2, other, one),
                    self.bind("hold_silent", grid=grid, initial=self._initial, around=one, silent=counts, **known)])
-
-        def read() -> int:
-            silent = int(download(self.device, counts, 1, np.uint32)[0])
-            counts.release()
-            return silent
-
-        return read
+        return self._promised(counts, 1, np.uint32, lambda found: int(found[0]))
 
     def of_accepted(self, views, floor_share: float) -> cl.Buffer:
         """What the photos of `views` say of the depth as it is now."""

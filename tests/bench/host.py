@@ -41,9 +41,10 @@ def watched() -> Counter:
     for module, path in STAGES:
         module = import_module(f"pagas_cl.{module}")
         *owner, name = path.split(".")
-        work, new = getattr(getattr(module, owner[0]) if owner else module, name), None
+        holder = getattr(module, owner[0]) if owner else module
+        work = getattr(holder, name)
         new = watch(path, work)
-        setattr(getattr(module, owner[0]) if owner else module, name, new)
+        setattr(holder, name, new)
         for other in [] if owner else [m for n, m in sys.modules.items() if n.startswith("pagas_cl")]:
             if getattr(other, name, None) is work:
                 setattr(other, name, new)
