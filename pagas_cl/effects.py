@@ -155,12 +155,12 @@ def _decision(config: Config, name: str, measured: Measurements) -> Decision:
 @contextmanager
 def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
            photos: PhotoStore, *, normalized: NormalizedDepth | None = None,
-           known: Mapping[str, Any] | None = None) -> Iterator[_Settled]:
+           known: Measurements | None = None) -> Iterator[_Settled]:
     """Decide which effects this view calls for: context of the settings that follow, the decisions, what they rest on,
     and the context views, relit where that is called for; `photos` let go of those at its end.
 
-    Parameters are those of refine_depth; `normalized`: the depth where it is on the device already; `known`: figures
-    that were measured under an earlier depth, which hold where they last.
+    Parameters are those of refine_depth; `normalized`: the depth where it is on the device already; `known`: what was
+    measured beforehand.
     """
     found = _settled(target, contexts, depth, config, device, photos, normalized, known)
     try:
@@ -171,13 +171,11 @@ def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Co
 
 def _settled(target, contexts, depth, config: Config, device, photos, normalized, known=None) -> _Settled:
     asked = config.effects.shading
-    if asked == "on" or (asked == "set" and config.loss.shading):
+    if relit_first(config):
         contexts = relit_views(target, contexts, depth, config, device, photos, normalized=normalized)
     if not config.effects.measured:
         return *decide(config, None), None, contexts
-    measured = Measurements(**known) if known else None
-    if measured is None or not measured.lasting:
-        measured = measure(target, contexts, depth, config, device, photos, normalized=normalized)
+    measured = known or measure(target, contexts, depth, config, device, photos, normalized=normalized)
     settled, decisions = decide(config, measured)
     if asked == "auto" and settled.loss.shading:        # what else is called for, relit photos tell
         again = _settled(target, contexts, depth, shaded(config), device, photos, normalized)
@@ -187,6 +185,11 @@ def _settled(target, contexts, depth, config: Config, device, photos, normalized
         log.debug("view %s: %s %s (%.4g, threshold %.4g)", target.name, decision.effect, "on" if decision.on else "off",
                   decision.evidence, decision.threshold)
     return settled, decisions, measured, contexts
+
+
+def relit_first(config: Config) -> bool:
+    """Whether photos are relit before anything is measured of them."""
+    return config.effects.shading == "on" or (config.effects.shading == "set" and config.loss.shading)
 
 
 def shaded(config: Config) -> Config:

@@ -2,7 +2,7 @@
 (method section 7)."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 
 import numpy as np
@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from pagas_cl.acceptance import nothing_reason, own_reason, rejection_reason
 from pagas_cl.config import Config
-from pagas_cl.effects import Decision, decide_mismatch, settle
-from pagas_cl.errors import log
-from pagas_cl.measurements import Measurements
+from pagas_cl.effects import Decision, decide_mismatch, relit_first, settle
+from pagas_cl.errors import DeviceMemoryError, InputError, log
+from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress
 from pagas_cl.resemblance import views_to_ask
@@ -22,7 +22,7 @@ from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.inputs import checked_depth
 from pagas_cl.scene.view import View
 from pagas_cl.splat import NormalizedDepth, PhotoStore, Refinement, refine_levels
-from pagas_cl.splat.budget import fit_memory
+from pagas_cl.splat.budget import fit_memory, plan_for
 
 
 def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *, preset: str | None = None,
@@ -61,22 +61,69 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
 
 
 def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, depth: npt.ArrayLike, config: Config,
-               device: Device, photos: PhotoStore, progress: Progress | None = None) -> DepthResult:
+               device: Device, photos: PhotoStore, progress: Progress | None = None, *,
+               before: "BeforeSteps | None" = None, meanwhile: Callable[[], None] | None = None) -> DepthResult:
     """One of many views, with the partners chosen for it: a pure function, which any worker may run.
 
-    `views` by place: a list, or a dict with those that are needed. `progress` as in refine_depth.
+    `views` by place: a list, or a dict with those that are needed. `progress` as in refine_depth. `before`: what was
+    found of it already; `meanwhile()` as of splat.refine_levels.
     """
     target, depth = views[partners.target], checked_depth(depth, views[partners.target])
     if not partners.contexts:
         log.warning("view %s is kept as it came: %s", target.name, partners.reason)
         return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
-    on_device = _once_on_device(target, depth, device)
-    asked, decision = views_to_ask(views, partners, depth, config, device, photos, on_device)
+    before = before or BeforeSteps(views, partners, depth, config, device, photos)
+    before.finish()
+    asked, decision = before.asked, before.decision
     result = _refined(target, [views[k] for k in asked.contexts], depth, config, device, photos, progress,
-                      [views[k] for k in asked.held_out], on_device)
+                      [views[k] for k in asked.held_out], before.on_device, before.measured, meanwhile)
     result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
     result.report["left_out"] = [k for k in partners.all if k not in asked.all]         # by place: not all have names
     return result
+
+
+class BeforeSteps:
+    """What is found of one of many views before its first step: its depth on the device, the views that are asked, and
+    what they show. In parts, while the device is at the steps of another view, on the queue beside those (`go_on`); or
+    what is left of it at once, in its turn (`finish`). Parameters are those of refine_one."""
+
+    def __init__(self, views: Sequence[View] | Mapping[int, View], partners: Partners, depth: np.ndarray,
+                 config: Config, device: Device, photos: PhotoStore):
+        self.asked, self.decision, self.measured = partners, None, None
+        self._given = views, partners, depth, config, device, photos
+        self._parts = self._find()
+
+    def _find(self) -> Iterator[None]:
+        views, partners, depth, config, device, photos = self._given
+        target = views[partners.target]
+        depth = checked_depth(depth, target)
+        self.on_device = _once_on_device(target, depth, device)
+        self.on_device()
+        yield
+        self.asked, self.decision = views_to_ask(views, partners, depth, config, device, photos, self.on_device)
+        yield
+        if config.effects.measured and not relit_first(config):
+            contexts = [views[k] for k in self.asked.contexts]
+            self.measured = fit_memory(
+                lambda photos: measure(target, contexts, depth, config, device.beside, photos,
+                                       normalized=self.on_device()), target, contexts, config, device, photos)
+
+    def go_on(self) -> None:
+        """Another part, where it does not take the device's memory from what it is at; of faults is told in its
+        turn."""
+        views, partners, depth, config, device, photos = self._given
+        cameras = [views[k].camera for k in partners.all]
+        if not partners.contexts or not device.memory.has_room(plan_for(cameras, len(partners.contexts), config).nbytes):
+            return
+        try:
+            next(self._parts, None)
+        except (InputError, DeviceMemoryError):
+            self._parts = self._find()
+
+    def finish(self) -> None:
+        """All that is left."""
+        for _ in self._parts:
+            pass
 
 
 def _once_on_device(target: View, depth: np.ndarray, device: Device) -> Callable[[], NormalizedDepth]:
@@ -86,17 +133,18 @@ def _once_on_device(target: View, depth: np.ndarray, device: Device) -> Callable
 
 def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
              photos: PhotoStore, progress: Progress | None, held_out: Sequence[View],
-             on_device: Callable[[], NormalizedDepth]) -> DepthResult:
-    """refine_depth, of arguments that were checked."""
+             on_device: Callable[[], NormalizedDepth], known: Measurements | None = None,
+             meanwhile: Callable[[], None] | None = None) -> DepthResult:
+    """refine_depth, of arguments that were checked; `known` as of settle."""
     start = time.perf_counter()
     steps_done = (lambda done, total: progress(f"refine {target.name}", done, total)) if progress else None
 
     def attempt(photos: PhotoStore) -> tuple[Refinement, list[Decision], Measurements | None]:
         normalized = on_device()
-        with settle(target, contexts, depth, config, device, photos, normalized=normalized) as (
+        with settle(target, contexts, depth, config, device, photos, normalized=normalized, known=known) as (
                 own, decisions, measured, used):
             refined = refine_levels(target, used, depth, own, device, photos, progress=steps_done, held_out=held_out,
-                                    measured=measured, normalized=normalized)
+                                    measured=measured, normalized=normalized, meanwhile=meanwhile)
         return refined, decisions, measured
 
     refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)

@@ -14,7 +14,7 @@ from pagas_cl.effects import decide_consistency
 from pagas_cl.errors import InputError, log
 from pagas_cl.jobs import refine_all
 from pagas_cl.keep_mesh import FLAT, check_flat, check_subdivide, kept_mesh, polished
-from pagas_cl.one_view import refine_one
+from pagas_cl.one_view import BeforeSteps, refine_one
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
 from pagas_cl.result import DepthResult, OnDisk, joined
@@ -142,7 +142,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     depths, later = depths if cameras is None else cameras.scaled(depths), later_rounds(config, len(asked))
     if photos is None:
         return refine_all(refine_one, views, depths, asked, config, device=device, executor=executor, folder=folder,
-                          extras=extras, progress=progress, on_view=on_view, later=later)
+                          extras=extras, progress=progress, on_view=on_view, later=later, before=BeforeSteps)
     opened, results, view_progress = photos.device, [], ViewProgress(progress, len(asked))
     arrays: list[Any] = [None if depth is None else depth_array(depth) for depth in depths]
     chooser = PartnerChooser([view.camera for view in views], arrays, config.context)

@@ -37,7 +37,7 @@ def views_to_ask(views: Sequence[View] | Mapping[int, View], partners: Partners,
     target, others = views[partners.target], [views[k] for k in usable]
     scale = min(1.0, _COARSE / max(target.camera.width, target.camera.height))
     parallax, explained = fit_memory(lambda photos: explained_by(
-        target, others, depth, config, device, photos, scale=scale, normalized=on_device and on_device()),
+        target, others, depth, config, device.beside, photos, scale=scale, normalized=on_device and on_device()),
         target, others, config, device, photos)
     told = np.flatnonzero((parallax[:, NUMBER] >= _LEAST) & np.isfinite(explained).any(axis=(1, 2)))
     if not len(told):

@@ -24,6 +24,7 @@ from pagas_cl.effects import (
     shaded,
 )
 from pagas_cl.errors import DeviceMemoryError
+from pagas_cl.measurements import Measurements
 from pagas_cl.progress import Progress
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.choice import Partners
@@ -179,12 +180,14 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
         left[:] = [comparison.agreed(averaged["status"], *found)]
         return left[0].depth, left[0].parallax, left[0].deviation, left[0].status
 
+    figures = result.report.get("measured")         # under an earlier depth
+    known = Measurements(**figures) if figures else None
     start = Start(averaged["depth"], agreed, Told.nbytes(_pixels(result), True), into)
 
     def attempt(photos: PhotoStore) -> Any:
         normalized = NormalizedDepth(target, result.depth, device, comparison.told.depth, result.scene_scale)
         with settle(target, contexts, result.depth, config, device, photos, normalized=normalized,
-                    known=result.report.get("measured")) as (own, decisions, measured, used):
+                    known=known if known and known.lasting else None) as (own, decisions, measured, used):
             share = left_to_smooth(decisions, len(comparison.others), measured)
             own = own.with_settings(         # at full size, whatever noise asks for, or a depth that is far off
                 pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps,

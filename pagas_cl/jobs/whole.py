@@ -33,7 +33,7 @@ from pagas_cl.scene.reasons import warn_of_nothing
 
 
 def refine_all(work, views, depths, asked, config, *, device=None, executor=None, folder=None, extras=True,
-               progress=None, on_view=None, later=()) -> list:
+               progress=None, on_view=None, later=(), before=None) -> list:
     """Refine the views `asked`, resuming what an earlier run has finished.
 
     Parameters
@@ -56,19 +56,22 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
     later : sequence of rounds.Round
         What is done after it, round by round, with each view's result and those of its context views. What the rounds
         before the last one leave is in the work folder until all views are done.
+    before : callable, optional
+        See task.Batch; of the first round.
     """
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="pagas_cl-") as temporary:
             results = refine_all(work, views, depths, asked, config, device=device, executor=executor, folder=temporary,
-                                 progress=progress, on_view=on_view, later=later)
+                                 progress=progress, on_view=on_view, later=later, before=before)
             return [result if isinstance(result, DepthResult) else result.loaded() for result in results]
     folder = Path(folder).resolve()
     with one_run(folder):
         return _refine_in(folder, work, views, depths, asked, config, device, executor, extras, progress, on_view,
-                          later)
+                          later, before)
 
 
-def _refine_in(folder, work, views, depths, asked, config, device, executor, extras, progress, on_view, later) -> list:
+def _refine_in(folder, work, views, depths, asked, config, device, executor, extras, progress, on_view, later,
+               before) -> list:
     store = Store(work_folder(folder) / "inputs")
     for depth in depths:
         file = depth.file if isinstance(depth, DepthSource) else None
@@ -83,7 +86,7 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
     del samples
     claim_names(folder, [planner.stems[index] for index in asked])
     workers = Workers(executor, device)
-    template = Batch(work, {}, {}, (), config, folder, workers.device, code_version(), extras)
+    template = Batch(work, {}, {}, (), config, folder, workers.device, code_version(), extras, before=before)
     _make_ready(folder)
     runs, failed, wanted = [], [], _wanted(planner, asked, folder, extras, later)
     places = [*(round_folder(folder, number) for number in range(len(later))), folder]
@@ -105,7 +108,7 @@ def _refine_in(folder, work, views, depths, asked, config, device, executor, ext
             asked_next = [k for k in asked if views[k].name not in lost]
             wanted[number + 1] = [k for k in wanted[number + 1] if k in asked_next]
             planner = planner.after(place, asked_next, later[number].work)
-            template = replace(template, work=later[number].work, photos=later[number].photos)
+            template = replace(template, work=later[number].work, photos=later[number].photos, before=None)
         collect = _Collect(asked, views, depths, folder, progress, on_view, _stage(len(later)))
         for record in failed:
             collect(record)

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import datetime
-from functools import cache
+from functools import cache, partial
 from multiprocessing.connection import wait
 from threading import Lock, Thread
 
@@ -35,6 +35,7 @@ class WorkerContext:
         from pagas_cl.splat import PhotoStore
 
         self.device, self.photos, self._views = device, PhotoStore(device), {}
+        self.before: dict = {}      # by key of a task, what was found of it ahead
 
     def views(self, batch: Batch) -> dict:
         """The batch's views, those of earlier batches as the same objects, so that their photos are found again."""
@@ -97,7 +98,8 @@ def run_batch(batch: Batch, inside=None) -> list[Record]:
                 if one.name not in ahead:
                     ahead[one.name] = _read_ahead(batch, one, views, readers)
             depth, ahead[task.name] = ahead[task.name], None
-            ended.append(_attempt(batch, task, views, depth, writer, inside and inside(len(ended))))
+            following = [(one, ahead[one.name]) for one in batch.tasks[number + 1:number + 2]]
+            ended.append(_attempt(batch, task, views, depth, writer, inside and inside(len(ended)), following))
             if len(ended) > waiting and isinstance(ended[-1 - waiting], Future):
                 ended[-1 - waiting] = ended[-1 - waiting].result()     # no more than these wait to be written
         ended = [record.result() if isinstance(record, Future) else record for record in ended]
@@ -113,13 +115,16 @@ def _read_ahead(batch: Batch, task: ViewTask, views: dict, readers: ThreadPoolEx
     return depth
 
 
-def _attempt(batch: Batch, task: ViewTask, views: dict, depth: Future, writer: ThreadPoolExecutor, progress):
-    """The record of `task` if it fails, else what promises it: `writer` is to write the result."""
+def _attempt(batch: Batch, task: ViewTask, views: dict, depth: Future, writer: ThreadPoolExecutor, progress, following):
+    """The record of `task` if it fails, else what promises it: `writer` is to write the result. `following`: the task
+    after it and its depth map, if there is one."""
     context, start = _worker_context(batch.device), time.perf_counter()
+    ahead = {"before": context.before.pop(task.key, None), "meanwhile": partial(
+        _find_ahead, batch, views, following, context)} if batch.before and not context.photos.on_host else {}
     note_down(batch.folder, "began", task.name)
     try:
         result = batch.work(views, task.partners, depth.result(), batch.config, context.device, context.photos,
-                            progress)
+                            progress, **ahead)
     except OutputError:
         raise
     except Exception as error:  # whatever it is, the other views must not suffer
@@ -137,6 +142,16 @@ def _attempt(batch: Batch, task: ViewTask, views: dict, depth: Future, writer: T
         batch.keep((batch.folder, task.key), result, context.device, context.photos)
     about = {"device": context.device.info.title, "worker": worker_name(), "task_seconds": time.perf_counter() - start}
     return writer.submit(_write, batch, task, result, about)
+
+
+def _find_ahead(batch: Batch, views: dict, following, context: WorkerContext) -> None:
+    """Some of what can be found of the task that follows, once its depth map is read."""
+    for task, depth in following:
+        if depth.done() and not depth.exception():
+            if task.key not in context.before:
+                context.before[task.key] = batch.before(views, task.partners, depth.result(), batch.config,
+                                                        context.device, context.photos)
+            context.before[task.key].go_on()
 
 
 def _write(batch: Batch, task: ViewTask, result, about: dict) -> Record:

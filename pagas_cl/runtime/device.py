@@ -41,6 +41,22 @@ class Device:
     """Whether events of `queue` carry times."""
 
     @cached_property
+    def beside(self) -> "Device":
+        """The same device with another queue, where what is asked at once does not wait for what `queue` is at; itself
+        where it is a CPU, which has nothing to spare.
+
+        Its buffers are never those that were given back here, which `queue` may be at still. What is made there may
+        be used here when it was waited for.
+        """
+        if self.info.kind == "CPU":
+            return self
+        from pagas_cl.runtime.memory import MemoryBeside
+
+        other = replace(self, queue=_queue(self.context, self.cl_device, self.profiling))
+        vars(other).update(beside=other, memory=MemoryBeside(self.memory))
+        return other
+
+    @cached_property
     def memory(self) -> "Memory":
         """The buffers that this process holds on the device, counted."""
         from pagas_cl.runtime.memory import Memory, limit_of
@@ -151,11 +167,15 @@ def opened(info: DeviceInfo, cl_device: Any, lanes: int, profiling: bool = False
     cannot be opened."""
     cl = import_pyopencl()
     context = cl.Context([cl_device])
-    queue = cl.CommandQueue(context, cl_device, cl.command_queue_properties.PROFILING_ENABLE if profiling else 0)
-    device = Device(info, cl_device, context, queue, lanes, profiling)
+    device = Device(info, cl_device, context, _queue(context, cl_device, profiling), lanes, profiling)
     keep_freed(info.kind != "CPU")       # which shares the host's memory
     device.memory      # noqa: B018  (InputError where PAGAS_CL_MEMORY is no number: now, and not in the first view)
     return device
+
+
+def _queue(context: Any, cl_device: Any, profiling: bool) -> Any:
+    cl = import_pyopencl()
+    return cl.CommandQueue(context, cl_device, cl.command_queue_properties.PROFILING_ENABLE if profiling else 0)
 
 
 # What the driver says when a device fails in the middle of work.

@@ -139,11 +139,11 @@ class Level:
         """Adam from its first step."""
         return step.Solver(self._first, self.buffers, self.target.size, self.given.viewing_distance)
 
-    def run(self, steps: int, progress=None, schedule: Schedule | None = None) -> int:
+    def run(self, steps: int, progress=None, schedule: Schedule | None = None, meanwhile=None) -> int:
         """At most `steps` steps; returns how many were enqueued. `progress(done, total)` is told of those that are
-        done, of the last few by `tell_rest`."""
+        done, of the last few by `tell_rest`; `meanwhile()` as of StepProgress."""
         schedule = schedule or Schedule.of(self.config, steps)
-        queue, solver, self._told = self.device.queue, self.solver(), step.StepProgress(progress, steps)
+        queue, solver, self._told = self.device.queue, self.solver(), step.StepProgress(progress, steps, meanwhile)
         self.ending = solver.launches
         for number in range(steps):
             if number in schedule.fits:

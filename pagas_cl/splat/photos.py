@@ -35,8 +35,8 @@ class PhotoStore:
         """Buffer of (height, width) uchar4 of `view`, a pagas_cl.scene.view.View."""
         def send() -> cl.Buffer:
             pixels = self._ahead.pop(view).result() if view in self._ahead else _read(view)
-            buffer = photo_buffer(self.device, size)
-            cl.enqueue_copy(self.device.queue, buffer, pixels)
+            buffer = photo_buffer(self.device.beside, size)
+            cl.enqueue_copy(self.device.beside.queue, buffer, pixels)        # and waits for it
             return buffer
 
         size = _full_size(view).pixels
@@ -92,7 +92,7 @@ class PhotoStore:
                     self.read_ahead(view, readers)
                 for view in new[k:k + some]:
                     self.photo(view)
-        return [_resized(self.device, resampler, self.photo(view), _full_size(view), size)
+        return [_resized(resampler, self.photo(view), _full_size(view), size)
                 for view, size in zip(views, sizes)], ()
 
     def clear(self) -> None:
@@ -136,13 +136,12 @@ class StreamedPhotos:
     """Stands in for a PhotoStore where the device has little memory: photos stay on the host, and the kernels read the
     same bytes from one place that each photo is copied to."""
 
-    def __init__(self, device):
-        self.device = device
+    def __init__(self):
         self._pixels: dict[int, tuple] = {}
 
     def level(self, views, sizes: list[Size], resampler):
         """Buffers of the photos of `views` at `sizes`, all but the first one the same, and what each is filled with."""
-        place = photo_buffer(self.device, max((size.pixels for size in sizes[1:]), default=1))
+        place = photo_buffer(resampler.device, max((size.pixels for size in sizes[1:]), default=1))
         target = self._at(views[0], sizes[0], resampler)
         host = tuple(self._on_host(view, size, resampler) for view, size in zip(views[1:], sizes[1:]))
         return [target, *[place] * len(host)], host
@@ -157,15 +156,15 @@ class StreamedPhotos:
         """None is on the device."""
 
     def _at(self, view, size: Size, resampler) -> cl.Buffer:
-        buffer = photo_buffer(self.device, _full_size(view).pixels)
-        cl.enqueue_copy(self.device.queue, buffer, self._full(view))
-        return _resized(self.device, resampler, buffer, _full_size(view), size)
+        buffer = photo_buffer(resampler.device, _full_size(view).pixels)
+        cl.enqueue_copy(resampler.device.queue, buffer, self._full(view))
+        return _resized(resampler, buffer, _full_size(view), size)
 
     def _on_host(self, view, size: Size, resampler) -> np.ndarray:
         if size == _full_size(view):
             return self._full(view)
         pixels = np.empty((size.height, size.width, 4), np.uint8)
-        cl.enqueue_copy(self.device.queue, pixels, self._at(view, size, resampler))
+        cl.enqueue_copy(resampler.device.queue, pixels, self._at(view, size, resampler))
         return pixels
 
     def _full(self, view) -> np.ndarray:
@@ -182,11 +181,11 @@ def _full_size(view) -> Size:
     return Size(view.camera.width, view.camera.height)
 
 
-def _resized(device, resampler, source: cl.Buffer, size: Size, to: Size) -> cl.Buffer:
+def _resized(resampler, source: cl.Buffer, size: Size, to: Size) -> cl.Buffer:
     """A photo at the size `to`; `source` itself where nothing changes."""
     if size == to:
         return source
-    out = photo_buffer(device, to.pixels)
+    out = photo_buffer(resampler.device, to.pixels)
     resampler.shrink_photo(source, size, out, to)
     return out
 

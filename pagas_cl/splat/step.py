@@ -11,6 +11,7 @@ from pagas_cl.splat.constants import BEST, DONE, LOSS, LOSS_ONE, RATE
 
 _LOOK_EVERY = 10          # steps between two looks of the host at the schedule
 AHEAD = 8          # steps that stay enqueued beyond the one that is told of: the device never waits for the host
+FAR_AHEAD = 24     # where the host has something else to do
 
 
 def loss_of(device, buffers) -> float:
@@ -70,16 +71,19 @@ class Solver:
 
 
 class StepProgress:
-    """Calls `progress(done, total)` after each step; does nothing where that is None."""
+    """Calls `progress(done, total)` after each step; does nothing where that is None. `meanwhile()` is called whenever
+    so many steps are enqueued that the device has something to do for as long as that takes."""
 
-    def __init__(self, progress, total: int):
-        self.progress, self.total, self._under_way = progress, total, deque()
+    def __init__(self, progress, total: int, meanwhile=None):
+        self.progress, self.total, self._under_way, self._meanwhile = progress, total, deque(), meanwhile
 
     def enqueued(self, number: int, event):
         """Step `number` (from 1) was; `event` ends it."""
+        if self._meanwhile and number % FAR_AHEAD == 0:
+            self._meanwhile()
         if self.progress:
             self._under_way.append((number, event))
-        while len(self._under_way) > AHEAD:
+        while len(self._under_way) > (FAR_AHEAD if self._meanwhile else AHEAD):
             self._wait()
 
     def finish(self):

@@ -43,15 +43,16 @@ class Refinement:
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
                   progress=None, held_out=(), measured=None, normalized: NormalizedDepth | None = None,
-                  start: Start | None = None) -> Refinement:
+                  start: Start | None = None, meanwhile: Callable[[], None] | None = None) -> Refinement:
     """Run the pyramid on one view with at least one context view; `depth` (H, W), z in scene units, 0 = no surface.
 
     `photos` are a PhotoStore (a new one by default) or StreamedPhotos; `progress(done, total)` is told of the steps
     that the device has done, of those of all levels; `held_out` views take no part and judge the result; evidence and
     deviations depend on `measured` (Measurements); `normalized` is the depth where it is on the device already, and is
     used up. `start`: where the steps of a full-size level alone start from, in place of `depth`, which the evidence
-    compares with; it is not told then what photos say of the whole (cost, held_out). DeviceMemoryError comes before the
-    first step, where the device may not hold what is planned.
+    compares with; it is not told then what photos say of the whole (cost, held_out). `meanwhile()` is called now and
+    then when the device has steps of full size to go on with. DeviceMemoryError comes before the first step, where the
+    device may not hold what is planned.
     """
     photos = photos or PhotoStore(device)
     cameras = [view.camera for view in (target, *contexts, *held_out)]
@@ -70,7 +71,7 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
         level = run.level(scale, before, start)
         earlier = sum(config.pyramid.steps[:number])
         done.append(level.run(steps, progress and (lambda done, _, earlier=earlier: progress(earlier + done, total)),
-                              Schedule.of(config, steps, start is not None)))
+                              Schedule.of(config, steps, start is not None), meanwhile if scale == 1 else None))
         if level.buffers.history is not None:
             losses += level.read("history", max(config.pyramid.steps))[:done[-1]].tolist()
         if scale < 1:
