@@ -39,7 +39,7 @@ def choose_pairs(cameras: Sequence[Camera], depths: Sequence[np.ndarray], contex
     that one tells what another view's surface hides."""
     settings = replace(context, number=min(context.number, MOST) + 1, min_angle=min(context.min_angle, 0.5))
     samples = [for_planning(depth, len(cameras)) for depth in depths]
-    usable = [choice.indices for choice in _choices(ContextChooser(cameras, samples, settings), hide)]
+    usable = [choice.indices for choice in ContextChooser(cameras, samples, settings, hide=hide).all()]
     held: list[tuple[int, int]] = []
     taken: set[int] = set()
     for one, others in enumerate(usable):
@@ -51,19 +51,9 @@ def choose_pairs(cameras: Sequence[Camera], depths: Sequence[np.ndarray], contex
     apart = {frozenset(pair) for pair in held}
     used = [tuple(k for k in others if frozenset((one, k)) not in apart)[:MOST] for one, others in enumerate(usable)]
     far = replace(settings, number=WIDE_AMONG, min_overlap=max(context.min_overlap, WIDE_OVERLAP))
-    wide = _widest(_choices(ContextChooser(cameras, samples, far), hide),
+    wide = _widest(ContextChooser(cameras, samples, far, hide=hide).all(),
                    apart | {frozenset((one, k)) for one, others in enumerate(used) for k in others})
     return Pairs(tuple(used), tuple(held), wide).without(set())
-
-
-def _choices(chooser: ContextChooser, hide: bool) -> list[ContextChoice]:
-    """What is chosen for each view."""
-    samples, choices = chooser.depths, []
-    for one, sample in enumerate(samples):
-        if not hide:
-            chooser.depths = [sample if k == one else None for k in range(len(samples))]
-        choices.append(chooser.choose(one))
-    return choices
 
 
 def _widest(choices: Sequence[ContextChoice], near: set[frozenset[int]]) -> tuple[tuple[int, int], ...]:

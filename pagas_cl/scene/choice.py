@@ -41,11 +41,11 @@ class ContextChooser:
     """Chooses for one target after another; what all targets share is worked out once.
 
     `depths` are the cameras' initial ones, (H, W) in scene units. A target needs one; another view without one is taken
-    to hide nothing. `samples` of its depths are looked at.
+    to hide nothing, and so are all where they do not `hide`. `samples` of its depths are looked at.
     """
 
     def __init__(self, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None],
-                 settings: Context = Context(), samples: int = SAMPLES):
+                 settings: Context = Context(), samples: int = SAMPLES, hide: bool = True):
         if len(cameras) != len(depths):
             raise InputError(f"there are {len(cameras)} cameras and {len(depths)} depth maps, expected one each")
         for camera, depth in zip(cameras, depths):
@@ -59,7 +59,7 @@ class ContextChooser:
             self._rotations = np.array([c.world_to_camera[:3, :3] for c in cameras])
             self._focal, self._middle, self._size = np.moveaxis(
                 np.array([((c.fx, c.fy), (c.cx, c.cy), (c.width, c.height)) for c in cameras], np.float64), 1, 0)
-            farthest, widths, cells = zip(*map(_farthest, depths))
+            farthest, widths, cells = zip(*(_farthest(depth if hide else None) for depth in depths))
             self._farthest, self._rows = farthest, np.array([widths, cells])
 
     def choose(self, target: int) -> ContextChoice:
@@ -81,6 +81,10 @@ class ContextChooser:
         reason = "" if len(order) == wanted > 0 else self._reason(len(order), inside, seen, useful, angle)
         return ContextChoice(tuple(int(candidates[k]) for k in order), tuple(float(overlap[k]) for k in order),
                              tuple(float(np.median(angle[k][useful[k]])) for k in order), reason)
+
+    def all(self) -> list[ContextChoice]:
+        """What is chosen for each view."""
+        return [self.choose(target) for target in range(len(self.cameras))]
 
     def _points(self, target: int) -> tuple[np.ndarray, np.ndarray]:
         """Sampled surface points of the target, (N, 3) relative to the first camera's centre, and their depth (N,)."""
