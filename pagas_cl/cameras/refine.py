@@ -173,7 +173,7 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
                   _lenses(given, unknowns, lenses), numbers, _map_numbers(unknowns))
     if state.map_numbers:
         small = [alignment.reduced(camera, depth) for camera, depth in zip(given, surfaces)]
-        first_maps = alignment.solve(small, alignment.pairs_of(small))
+        first_maps = alignment.solve(alignment.Overlaps.of(small))
         state.maps[:, 0] = np.exp(first_maps[:, 0]) + first_maps[:, 1]        # in the middle of the depth
         rounds.run(MAPS, state)
     first, outliers = state.copy(), wrong_views(rounds, state, Stage(0.25, 0.7, 0))

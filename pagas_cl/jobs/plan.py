@@ -13,7 +13,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.jobs.finished import EarlierResults
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch, ViewTask, task_key, view_digest
-from pagas_cl.runtime.host import side_by_side
+from pagas_cl.runtime.host import FEW, side_by_side
 from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.view import View
@@ -41,7 +41,7 @@ class Planner:
 
     def settle(self, asked: Collection[int]) -> None:
         """Choose the partners of all views `asked` at once, and forget the depth maps."""
-        side_by_side(self.partners, asked)
+        side_by_side(self.partners, asked, FEW)
         self._chooser = None
 
     def after(self, folder: Path, refined: Collection[int], work) -> "Planner":

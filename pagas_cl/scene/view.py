@@ -12,7 +12,16 @@ import numpy.typing as npt
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth_source import DepthSource
-from pagas_cl.scene.images import Loads, as_mask, as_photo, image_size, read_mask, read_photo
+from pagas_cl.scene.images import (
+    Loads,
+    as_mask,
+    as_photo,
+    image_size,
+    photo_to,
+    read_mask,
+    read_photo,
+    read_small,
+)
 from pagas_cl.scene.names import place_of
 
 
@@ -51,6 +60,14 @@ class View:
     def load_image(self) -> npt.NDArray[np.uint8]:
         """The photo, uint8 of shape (H, W, 3)."""
         return self._loaded(self.image, "image", read_photo)
+
+    def load_small(self, sizes: Sequence[tuple[int, int]]) -> list[npt.NDArray[np.uint8]]:
+        """The photo at other sizes, (width, height), the largest first: uint8 (height, width, 3) each."""
+        if isinstance(self.image, Path):
+            self._check_size(image_size(self.image), (self.camera.width, self.camera.height), "image")
+            return read_small(self.image, sizes)
+        photo = self.load_image()
+        return [photo_to(photo, *size) for size in sizes]
 
     def load_mask(self) -> npt.NDArray[np.bool_] | None:
         """The mask, bool of shape (H, W), true = keep; None where there is none."""

@@ -5,7 +5,7 @@ evidence is clear, and told.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -106,30 +106,19 @@ def _small(view: View, depth: np.ndarray, count: int) -> np.ndarray:
 def _aligned(small: list[alignment.Reduced]) -> tuple[np.ndarray | None, float, float, list[int]]:
     """The unknowns, or None where they are not called for; disagreement before and after, on samples that took no part;
     views that disagree still."""
-    pairs = alignment.pairs_of(small)
-    judges = [replace(view, rays=view.rays[1::2], samples=view.samples[1::2]) for view in small]
-    x = np.zeros((len(small), 2))
-    before = after = _disagreement(judges, pairs, x)
-    if pairs and not np.nanmedian(before) < _SAME:
-        x = alignment.solve([replace(view, rays=view.rays[::2], samples=view.samples[::2]) for view in small], pairs)
-        after = _disagreement(judges, pairs, x)
+    maps = alignment.Overlaps.of(small)
+    judges, x = maps.some(slice(1, None, 2)), np.zeros((len(small), 2))
+    before = after = judges.disagreement(x)
+    if len(maps.pairs) and not np.nanmedian(before) < _SAME:
+        x = alignment.solve(maps.some(slice(0, None, 2)))
+        after = judges.disagreement(x)
     sizes = np.abs(np.exp(x[:, 0]) - 1 + x[:, 1])
-    called = np.nanmedian(after) < _BETTER * np.nanmedian(before) and sizes.max() > _MATTERS if pairs else False
+    called = np.nanmedian(after) < _BETTER * np.nanmedian(before) and sizes.max() > _MATTERS if len(before) else False
     now = after if called else before
-    left = [k for k in range(len(small)) if (own := [now[p] for p, pair in enumerate(pairs) if k in pair])
+    left = [k for k in range(len(small)) if len(own := now[(maps.pairs == k).any(axis=1)])
             and np.nanmedian(own) > _STILL]
     medians = [float(np.nanmedian(part)) if np.isfinite(part).any() else 0.0 for part in (before, after)]
     return (x if called else None), medians[0], medians[1] if called else medians[0], left
-
-
-def _disagreement(views: Sequence[alignment.Reduced], pairs: Sequence[tuple[int, int]], x: np.ndarray) -> np.ndarray:
-    """Median |r| of each pair, NaN where they do not meet."""
-    found = []
-    for i, j in pairs:
-        r = np.abs(alignment.residuals(views[i], views[j], x[i], x[j])[0])
-        r = r[np.isfinite(r)]
-        found.append(float(np.median(r)) if len(r) >= 5 else float("nan"))
-    return np.array(found)
 
 
 def _doubts(names: list[str], common: CommonScale, off: float) -> list[str]:

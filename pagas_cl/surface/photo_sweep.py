@@ -8,7 +8,7 @@ import numpy as np
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import depth_down, depth_up
-from pagas_cl.scene.images import bilinear, photo_to
+from pagas_cl.scene.images import bilinear
 from pagas_cl.scene.patches import evenly, grey_of
 from pagas_cl.scene.view import View
 
@@ -19,7 +19,7 @@ LEAST = 30              # patches that say something
 _PATCHES, _HALF = 200, 3
 _FLAT = 2.0             # grey levels of 255: patches of less texture are not compared
 _MOST = 241             # values of s in a sweep
-_AT_ONCE = 1 << 16      # samples looked up at a time: a thread holds the others up between two looks, not in one
+_AT_ONCE = 1 << 18     # samples looked up at a time: between two looks threads hold one another up
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +46,9 @@ class Greys:
         return [self._small[k][side] for k in chosen]
 
     def _read(self, k: int) -> dict[int, np.ndarray]:
-        photo = self.views[k].load_image()
-        return {side: np.ascontiguousarray(grey_of(photo_to(photo, *_within(side, self.views[k].camera))))
-                for side in SIDES}
+        sides = sorted(SIDES, reverse=True)
+        small = self.views[k].load_small([_within(side, self.views[k].camera) for side in sides])
+        return {side: np.ascontiguousarray(grey_of(photo)) for side, photo in zip(sides, small)}
 
 
 class Sweep:

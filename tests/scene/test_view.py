@@ -6,7 +6,7 @@ from PIL import Image
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.images import as_mask, as_photo, read_mask, read_photo
+from pagas_cl.scene.images import as_mask, as_photo, photo_to, read_mask, read_photo
 from pagas_cl.scene.view import Scene, View
 
 
@@ -41,6 +41,20 @@ def test_exif_orientation_is_not_applied(tmp_path, photo):
     exif[0x0112] = 6
     image.save(tmp_path / "turned.png", exif=exif)
     assert read_photo(tmp_path / "turned.png").shape == (10, 20, 3)
+
+
+@pytest.mark.parametrize("name", ["small.jpg", "small.png"])
+def test_small_photos_are_in_the_place_of_large_ones(tmp_path, name):
+    """Decoded smaller or not, of a size that no eighth divides: its content stays where it is."""
+    y, x = np.mgrid[:387, :523].astype(np.float32)
+    waves = 128 + 60 * np.sin(x / 31) * np.cos(y / 23)
+    Image.fromarray(np.stack([waves] * 3, -1).astype(np.uint8)).save(tmp_path / name, quality=95)
+    view, sizes = View(camera(523, 387), tmp_path / name), [(101, 77), (40, 30)]
+    for small, size in zip(view.load_small(sizes), sizes):
+        assert small.shape == (*size[::-1], 3) and small.dtype == np.uint8
+        assert np.abs(small.astype(float) - photo_to(view.load_image(), *size)).max() < 3
+    with pytest.raises(InputError, match="is 523 x 387"):
+        View(camera(500, 387), tmp_path / name).load_small(sizes)
 
 
 @pytest.mark.parametrize("pixels, words", [

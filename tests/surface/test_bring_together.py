@@ -9,11 +9,14 @@ from support.camera_noise import noisy
 from support.scenes import relief_scene
 
 from pagas_cl.scene.depth_source import Adjusted
+from pagas_cl.scene.depthmap import resize_depth
 from pagas_cl.scene.exr import read_exr
+from pagas_cl.scene.images import bilinear
 from pagas_cl.scene.sheets import mesh_of_depths
 from pagas_cl.surface import common_scale, depth_alignment
 from pagas_cl.surface.bring_together import bring_together
 from pagas_cl.surface.common_scale import find_common_scale
+from pagas_cl.surface.depth_alignment import Overlaps
 from pagas_cl.synthetic.examples import as_network, frames_of
 from pagas_cl.synthetic.exports_rgbd import write_exr
 
@@ -84,8 +87,29 @@ def test_views_without_depth_and_result_are_free_of_scene_units(made, networks):
     alone = [networks[0], None, None]       # photos say the factor of a single map
     assert error(bring_together(made.views, alone).apply(alone)[:1], made) < 0.5 < 2 < error(alone[:1], made)
     assert bring_together(made.views, [None] * 3).said == ()
-    x, y = (depth_alignment.solve(*_reduced(made, networks, scale)) for scale in (1.0, 1e-4))
+    x, y = (depth_alignment.solve(Overlaps.of(_reduced(made, networks, scale))) for scale in (1.0, 1e-4))
     assert np.abs(x - y).max() < 1e-6
+
+
+def test_pairs_beside_one_another_are_compared_as_each_by_itself(made, coarse):
+    """Maps of three sizes, with different numbers of samples: each sample is carried and looked up in its own."""
+    sizes = [(64, 48), (80, 60), (40, 60)]
+    views = [depth_alignment.reduced(view.camera.resized(*size), resize_depth(depth, *size)) for view, depth, size in
+             zip(made.views, coarse, sizes)]
+    maps, x = Overlaps.of(views), np.array([[0.1, 0.02], [-0.05, 0.01], [0.0, -0.03]])
+    assert len({len(view.samples) for view in views}) > 1 and len(maps.pairs) >= 4
+    found, given = maps.residuals(x)
+    for pair, r, other in zip(maps.pairs, found, given):
+        i, j = (views[k] for k in pair)
+        (a, b), (c, d) = x[pair] * [[1, i.middle], [1, j.middle]]
+        rotation, tau = j.camera.relative_to(i.camera)
+        at = (i.rays * (np.exp(a) * i.samples + b)[:, None]) @ rotation.T + tau
+        u, v = at[:, 0] / at[:, 2] * j.camera.fx + j.camera.cx, at[:, 1] / at[:, 2] * j.camera.fy + j.camera.cy
+        told = np.flatnonzero(np.isfinite(r[:len(i.samples)]))
+        assert len(told) > 50 and not np.isfinite(r[len(i.samples):]).any()
+        seen = bilinear(j.depth.astype(np.float64), u[told], v[told])
+        assert other[told] == pytest.approx(seen, rel=1e-12)
+        assert r[told] == pytest.approx(np.log(at[told, 2] / (np.exp(c) * seen + d)), abs=1e-12)
 
 
 def _reduced(made, depths, scale):
@@ -94,7 +118,7 @@ def _reduced(made, depths, scale):
         pose = view.camera.world_to_camera.copy()
         pose[:3, 3] *= scale
         views.append(depth_alignment.reduced(replace(view.camera, world_to_camera=pose), depth * np.float32(scale)))
-    return views, [(i, j) for i in range(len(views)) for j in range(len(views)) if i != j]
+    return views
 
 
 @pytest.mark.parametrize("pixels, words", [(2, "off by about [1-6].* pixels across"), (60, "paired wrongly")])
