@@ -1,28 +1,27 @@
-"""One view: which photos are asked, which effects are called for, the levels, and whether what came out is believed
-(method section 7)."""
+"""One view: which effects are called for, the levels, and whether what came out is believed (method section 7)."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 
 import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.acceptance import nothing_reason, own_reason, rejection_reason
+from pagas_cl.before_steps import BeforeSteps
 from pagas_cl.config import Config
-from pagas_cl.effects import Decision, decide_mismatch, relit_first, settle
-from pagas_cl.errors import DeviceMemoryError, InputError, log
-from pagas_cl.measurements import Measurements, measure
+from pagas_cl.effects import Decision, decide_mismatch, settle
+from pagas_cl.errors import log
+from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress
-from pagas_cl.resemblance import views_to_ask
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device, open_device
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.inputs import checked_depth
 from pagas_cl.scene.view import View
 from pagas_cl.splat import NormalizedDepth, PhotoStore, Refinement, refine_levels
-from pagas_cl.splat.budget import fit_memory, plan_for
+from pagas_cl.splat.budget import fit_memory
 
 
 def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *, preset: str | None = None,
@@ -57,12 +56,12 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
         return DepthResult.unrefined(target.camera, depth, "no context views were given", name=target.name)
     photos = photos or PhotoStore(device)
     return _refined(target, contexts, depth, config, device, photos, progress, held_out,
-                    _once_on_device(target, depth, device))
+                    cache(lambda: NormalizedDepth(target, depth, device)))
 
 
 def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, depth: npt.ArrayLike, config: Config,
                device: Device, photos: PhotoStore, progress: Progress | None = None, *,
-               before: "BeforeSteps | None" = None, meanwhile: Callable[[], None] | None = None) -> DepthResult:
+               before: BeforeSteps | None = None, meanwhile: Callable[[], None] | None = None) -> DepthResult:
     """One of many views, with the partners chosen for it: a pure function, which any worker may run.
 
     `views` by place: a list, or a dict with those that are needed. `progress` as in refine_depth. `before`: what was
@@ -80,55 +79,6 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
     result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
     result.report["left_out"] = [k for k in partners.all if k not in asked.all]         # by place: not all have names
     return result
-
-
-class BeforeSteps:
-    """What is found of one of many views before its first step: its depth on the device, the views that are asked, and
-    what they show. In parts, while the device is at the steps of another view, on the queue beside those (`go_on`); or
-    what is left of it at once, in its turn (`finish`). Parameters are those of refine_one."""
-
-    def __init__(self, views: Sequence[View] | Mapping[int, View], partners: Partners, depth: np.ndarray,
-                 config: Config, device: Device, photos: PhotoStore):
-        self.asked, self.decision, self.measured = partners, None, None
-        self._given = views, partners, depth, config, device, photos
-        self._parts = self._find()
-
-    def _find(self) -> Iterator[None]:
-        views, partners, depth, config, device, photos = self._given
-        target = views[partners.target]
-        depth = checked_depth(depth, target)
-        self.on_device = _once_on_device(target, depth, device)
-        self.on_device()
-        yield
-        self.asked, self.decision = views_to_ask(views, partners, depth, config, device, photos, self.on_device)
-        yield
-        if config.effects.measured and not relit_first(config):
-            contexts = [views[k] for k in self.asked.contexts]
-            self.measured = fit_memory(
-                lambda photos: measure(target, contexts, depth, config, device.beside, photos,
-                                       normalized=self.on_device()), target, contexts, config, device, photos)
-
-    def go_on(self) -> None:
-        """Another part, where it does not take the device's memory from what it is at; of faults is told in its
-        turn."""
-        views, partners, depth, config, device, photos = self._given
-        cameras = [views[k].camera for k in partners.all]
-        if not partners.contexts or not device.memory.has_room(plan_for(cameras, len(partners.contexts), config).nbytes):
-            return
-        try:
-            next(self._parts, None)
-        except (InputError, DeviceMemoryError):
-            self._parts = self._find()
-
-    def finish(self) -> None:
-        """All that is left."""
-        for _ in self._parts:
-            pass
-
-
-def _once_on_device(target: View, depth: np.ndarray, device: Device) -> Callable[[], NormalizedDepth]:
-    """The depth on the device for whoever asks first, and all others."""
-    return cache(lambda: NormalizedDepth(target, depth, device))
 
 
 def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,

@@ -1,5 +1,6 @@
 """The method on one page (arXiv 2604.22129): photos, cameras and a coarse surface in, a finer surface out."""
 
+from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -8,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from pagas_cl.before_steps import BeforeSteps
 from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import decide_consistency
 from pagas_cl.errors import InputError, log
 from pagas_cl.jobs import refine_all
 from pagas_cl.keep_mesh import FLAT, check_flat, check_subdivide, kept_mesh, polished
-from pagas_cl.one_view import BeforeSteps, refine_one
+from pagas_cl.one_view import refine_one
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
 from pagas_cl.result import DepthResult, OnDisk, joined
@@ -147,10 +149,13 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     arrays: list[Any] = [None if depth is None else depth_array(depth) for depth in depths]
     chooser = PartnerChooser([view.camera for view in views], arrays, config.context)
     partners = {index: chooser.choose(index) for index in asked}
+    found = deque(BeforeSteps(views, partners[index], arrays[index], config, opened, photos) for index in asked)
     for done, index in enumerate(asked):
         view_progress.at(done)
+        own = found.popleft()
+        following = found[0].go_on if found and not photos.on_host else None
         results.append(refine_one(views, partners[index], arrays[index], config, opened, photos,
-                                  progress=view_progress.inside(done)))
+                                  progress=view_progress.inside(done), before=own, meanwhile=following))
         if cameras is not None:
             results[-1].report["camera"] = {"moved": float(cameras.moved[index]), "accepted": cameras.accepted}
         if on_view and not later:

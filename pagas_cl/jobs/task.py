@@ -47,7 +47,7 @@ class Batch:
     code: str                   # the code_version that planned it
     extras: bool = True         # whether status, deviation and parallax are kept beside the depth
     photos: bool = True         # whether the work looks at photos
-    before: Callable | None = None  # (views, partners, depth, config, device, photos): what can be found of a view ahead
+    before: Callable | None = None  # (views, partners, depth, config, device, photos): what is found of a view ahead
     keep: Callable | None = None    # (owner, result, device, photos): has what the next round asks for stay there
 
     def only(self, tasks) -> "Batch":
