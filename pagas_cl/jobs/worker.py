@@ -22,7 +22,7 @@ from pagas_cl.runtime.host import trim
 
 STOP = "stop"              # a file of this name in the work folder asks every worker to end after its present view
 _READERS = min(6, os.cpu_count() or 6)      # photos that are decoded at a time
-_WRITERS = 3               # results that are written, and views that are read, at a time, beside a device with memory
+_WRITERS = 4               # results that are written, and views that are read, at a time, beside a device with memory
 _one_at_a_time = Lock()    # tasks of one process share a device's queue
 _worker_contexts: dict = {}
 _lost: list[str] = []      # the view at which the device failed, until one is refined
