@@ -94,7 +94,8 @@ def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: 
         with settle(target, contexts, depth, config, device, photos, normalized=normalized, known=known) as (
                 own, decisions, measured, used):
             refined = refine_levels(target, used, depth, own, device, photos, progress=steps_done, held_out=held_out,
-                                    measured=measured, normalized=normalized, meanwhile=meanwhile)
+                                    measured=measured, normalized=normalized,
+                                    meanwhile=meanwhile if isinstance(photos, PhotoStore) else None)
         return refined, decisions, measured
 
     refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)

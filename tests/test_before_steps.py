@@ -7,7 +7,7 @@ import pytest
 from support.scenes import relief_scene
 
 from pagas_cl.before_steps import BeforeSteps
-from pagas_cl.errors import InputError
+from pagas_cl.errors import DeviceError, DeviceLostError, InputError
 from pagas_cl.measurements import measure
 from pagas_cl.presets import BALANCED
 from pagas_cl.refine import refine_views
@@ -72,17 +72,49 @@ def test_not_where_memory_is_scarce(made, with_memory, known):
     assert known == [False] * 7
 
 
-@pytest.mark.kernels
-def test_a_view_is_none_the_worse_for_the_next_one(made, with_memory, known, tmp_path, monkeypatch):
-    views, depths = made
-    wanted = refine_views(views, depths, config=QUICK, device=with_memory)
+def failing(monkeypatch, view, fault, times=float("inf")):
+    """Measuring the view called `view` fails so often; the names of all that are measured."""
+    asked = []
 
-    def unreadable(target, *given, **more):
-        if target.name == views[3].name:
-            raise InputError("its photo is gone")
+    def failing(target, *given, **more):
+        asked.append(target.name)
+        if target.name == view and asked.count(view) <= times:
+            raise fault
         return measure(target, *given, **more)
 
-    monkeypatch.setattr("pagas_cl.before_steps.measure", unreadable)
+    monkeypatch.setattr("pagas_cl.before_steps.measure", failing)
+    return asked
+
+
+@pytest.mark.kernels
+@pytest.mark.parametrize("fault", [InputError("its photo is gone"), DeviceError("too large"), MemoryError("no more")],
+                         ids=lambda fault: type(fault).__name__)
+def test_a_view_is_none_the_worse_for_the_next_one(made, with_memory, known, tmp_path, monkeypatch, fault):
+    """Whatever fails is told of the view that it belongs to; looking ahead fails once and no more."""
+    views, depths = made
+    wanted = refine_views(views, depths, config=QUICK, device=with_memory)
+    asked = failing(monkeypatch, views[3].name, fault)
     results = refine_views(views, depths, config=QUICK, device=with_memory, folder=tmp_path)
-    assert [result.report.get("failed") for result in results] == [None] * 3 + ["its photo is gone"] + [None] * 3
+    assert [k for k, result in enumerate(results) if "failed" in result.report] == [3]
+    assert str(fault) in results[3].report["failed"]
     assert arrays(results[:3] + results[4:]) == arrays(wanted[:3] + wanted[4:])
+    assert asked.count(views[3].name) == (2 if isinstance(fault, InputError) else 4)      # ahead, and in its turns
+
+
+@pytest.mark.kernels
+def test_a_device_that_is_lost_ahead_is_opened_again(made, with_memory, known, tmp_path, monkeypatch):
+    """The view that it was at is begun anew, and the one that loses it is not looked at ahead any more."""
+    views, depths = made
+    wanted = refine_views(views, depths, config=QUICK, device=with_memory)
+    asked = failing(monkeypatch, views[3].name, DeviceLostError("it answers no more"), times=2)
+    results = refine_views(views, depths, config=QUICK, device=with_memory, folder=tmp_path)
+    assert arrays(results) == arrays(wanted) and asked.count(views[3].name) == 3
+
+
+@pytest.mark.kernels
+def test_the_view_before_is_told_of_in_memory(made, with_memory, known, monkeypatch):
+    (views, depths), told = made, []
+    failing(monkeypatch, views[3].name, DeviceError("too large"))
+    with pytest.raises(DeviceError, match="too large"):
+        refine_views(views, depths, config=QUICK, device=with_memory, on_view=lambda view, *_: told.append(view.name))
+    assert told == [view.name for view in views[:3]]

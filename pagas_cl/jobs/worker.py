@@ -26,6 +26,11 @@ _WRITERS = 4               # results that are written, and views that are read, 
 _one_at_a_time = Lock()    # tasks of one process share a device's queue
 _worker_contexts: dict = {}
 _lost: list[str] = []      # the view at which the device failed, until one is refined
+_lost_ahead: set[str] = set()      # keys of tasks at which it failed while it was at the one before
+
+
+class _LostAheadError(DeviceLostError):
+    """The device was lost at the task that follows: the view that it was at is begun anew."""
 
 
 class WorkerContext:
@@ -35,7 +40,7 @@ class WorkerContext:
         from pagas_cl.splat import PhotoStore
 
         self.device, self.photos, self._views = device, PhotoStore(device), {}
-        self.before: dict = {}      # by key of a task, what was found of it ahead
+        self.before: dict = {}      # what was found of the task that follows, by its key
 
     def views(self, batch: Batch) -> dict:
         """The batch's views, those of earlier batches as the same objects, so that their photos are found again."""
@@ -131,7 +136,8 @@ def _attempt(batch: Batch, task: ViewTask, views: dict, depth: Future, writer: T
         record = _failed(batch, task, error)
         if not isinstance(error, InputError):
             _worker_contexts.pop(batch.device, None)  # the device may be in any state: opened anew for the next view
-        if isinstance(error, DeviceLostError):        # where it then fails again, this worker has none
+        if isinstance(error, DeviceLostError) and not isinstance(error, _LostAheadError):
+            # where it then fails again, this worker has none
             if _lost:
                 _lost.clear()
                 raise
@@ -147,11 +153,16 @@ def _attempt(batch: Batch, task: ViewTask, views: dict, depth: Future, writer: T
 def _find_ahead(batch: Batch, views: dict, following, context: WorkerContext) -> None:
     """Some of what can be found of the task that follows, once its depth map is read."""
     for task, depth in following:
-        if depth.done() and not depth.exception():
-            if task.key not in context.before:
-                context.before[task.key] = batch.before(views, task.partners, depth.result(), batch.config,
-                                                        context.device, context.photos)
+        if task.key in _lost_ahead or not depth.done() or depth.exception():
+            continue
+        if task.key not in context.before:
+            context.before = {task.key: batch.before(views, task.partners, depth.result(), batch.config, context.device,
+                                                     context.photos)}
+        try:
             context.before[task.key].go_on()
+        except DeviceLostError as error:
+            _lost_ahead.add(task.key)
+            raise _LostAheadError(str(error)) from error
 
 
 def _write(batch: Batch, task: ViewTask, result, about: dict) -> Record:
@@ -184,6 +195,7 @@ def close_worker_contexts() -> None:
             context.photos.clear()
         _worker_contexts.clear()
         _lost.clear()
+        _lost_ahead.clear()
         give_back()
     trim()
 

@@ -36,7 +36,7 @@ class PhotoStore:
         def send() -> cl.Buffer:
             pixels = self._ahead.pop(view).result() if view in self._ahead else _read(view)
             buffer = photo_buffer(self.device.beside, size)
-            cl.enqueue_copy(self.device.beside.queue, buffer, pixels)        # and waits for it
+            cl.enqueue_copy(self.device.beside.queue, buffer, pixels).wait()      # another queue will use it
             return buffer
 
         size = _full_size(view).pixels

@@ -109,16 +109,20 @@ def _aligned(small: list[alignment.Reduced]) -> tuple[np.ndarray | None, float, 
     maps = alignment.Overlaps.of(small)
     judges, x = maps.some(slice(1, None, 2)), np.zeros((len(small), 2))
     before = after = judges.disagreement(x)
-    if len(maps.pairs) and not np.nanmedian(before) < _SAME:
+    if _median(before) >= _SAME:
         x = alignment.solve(maps.some(slice(0, None, 2)))
         after = judges.disagreement(x)
     sizes = np.abs(np.exp(x[:, 0]) - 1 + x[:, 1])
-    called = np.nanmedian(after) < _BETTER * np.nanmedian(before) and sizes.max() > _MATTERS if len(before) else False
+    called = _median(after) < _BETTER * _median(before) and sizes.max() > _MATTERS
     now = after if called else before
-    left = [k for k in range(len(small)) if len(own := now[(maps.pairs == k).any(axis=1)])
-            and np.nanmedian(own) > _STILL]
-    medians = [float(np.nanmedian(part)) if np.isfinite(part).any() else 0.0 for part in (before, after)]
-    return (x if called else None), medians[0], medians[1] if called else medians[0], left
+    left = [k for k in range(len(small)) if _median(now[(maps.pairs == k).any(axis=1)]) > _STILL]
+    return (x if called else None), _median(before), _median(now), left
+
+
+def _median(values: np.ndarray) -> float:
+    """Of those that are finite; 0 where none is."""
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else 0.0
 
 
 def _doubts(names: list[str], common: CommonScale, off: float) -> list[str]:

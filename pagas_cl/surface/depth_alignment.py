@@ -82,7 +82,7 @@ class Overlaps:
     def of(cls, views: Sequence[Reduced]) -> "Overlaps":
         """Of depth maps that were cut down."""
         pairs, cameras = _pairs(views), [view.camera for view in views]
-        samples = np.full((len(views), max(len(view.samples) for view in views)), np.nan)
+        samples = np.full((len(views), max(2, *(len(view.samples) for view in views))), np.nan)
         rays, top = np.zeros((*samples.shape, 3)), np.cumsum([0, *(camera.height for camera in cameras)])
         surface = np.zeros((top[-1], max(camera.width for camera in cameras), 2), np.float32)
         for k, view in enumerate(views):

@@ -95,9 +95,9 @@ class Sweep:
             rotation, tau = camera.relative_to(patches.camera)
             self._turned[i, j] = np.ascontiguousarray(np.moveaxis(patches.rays @ rotation.T, -1, 0)), tau
         rays, tau = self._turned[i, j]
-        depth = np.exp(tried)[:, None, None] * self.bent(patches, bent)
-        x, y, z = (ray * depth + t for ray, t in zip(rays, tau))
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            depth = np.exp(tried)[:, None, None] * self.bent(patches, bent)
+            x, y, z = (ray * depth + t for ray, t in zip(rays, tau))
             u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
             good = ((z > 0) & (u > 1) & (v > 1) & (u < camera.width - 1) & (v < camera.height - 1)).all(axis=2)
         return u, v, good

@@ -112,6 +112,12 @@ def test_pairs_beside_one_another_are_compared_as_each_by_itself(made, coarse):
         assert r[told] == pytest.approx(np.log(at[told, 2] / (np.exp(c) * seen + d)), abs=1e-12)
 
 
+def test_maps_of_one_sample_say_nothing(made, coarse):
+    few = [np.where(np.arange(depth.size).reshape(depth.shape) == depth.size // 2, depth, 0) for depth in coarse]
+    found = bring_together(made.views, few)
+    assert (found.factors == 1).all() and found.disagreement == (0.0, 0.0)
+
+
 def _reduced(made, depths, scale):
     views = []
     for view, depth in zip(made.views, depths):
