@@ -13,13 +13,14 @@ from pagas_cl.errors import InputError
 from pagas_cl.jobs.finished import EarlierResults
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch, ViewTask, task_key, view_digest
-from pagas_cl.runtime.host import FEW, side_by_side
+from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.view import View
 
 _BATCH = 16      # most views in a batch
 _HERE = 64       # views in a batch of this process: between two of them the device waits
+_THREADS = 2     # that choose partners: each of many short calls of NumPy waits for Python's lock
 _SHARES = 8      # batches for each worker, so that a slow one leaves its share to others
 
 
@@ -41,7 +42,7 @@ class Planner:
 
     def settle(self, asked: Collection[int]) -> None:
         """Choose the partners of all views `asked` at once, and forget the depth maps."""
-        side_by_side(self.partners, asked, FEW)
+        side_by_side(self.partners, asked, _THREADS)
         self._chooser = None
 
     def after(self, folder: Path, refined: Collection[int], work) -> "Planner":

@@ -13,7 +13,6 @@ Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3      # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD of malloc.h
 _THREADS = min(8, 2 + (os.cpu_count() or 8))      # more of them hold one another up
-FEW = 2     # threads for what makes many short calls of NumPy, each of which waits for Python's lock
 
 
 def side_by_side(work: Callable[[Item], Answer], items: Iterable[Item], threads: int = _THREADS) -> list[Answer]:

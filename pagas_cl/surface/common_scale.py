@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pagas_cl.runtime.host import FEW, side_by_side
+from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.patches import evenly
@@ -119,8 +119,7 @@ def _pairs(cameras: Sequence[Camera], depths: Sequence[np.ndarray | None]) -> li
     usable = [k for k, depth in enumerate(depths) if depth is not None]
     asked = [usable[k] for k in evenly(len(usable), _VIEWS)] if usable else []
     chooser = ContextChooser(cameras, depths, samples=_POINTS)
-    return [(i, j) for i, choice in zip(asked, side_by_side(chooser.choose, asked, FEW))
-            for j in choice.indices[:_OTHERS]]
+    return [(i, j) for i in asked for j in chooser.choose(i).indices[:_OTHERS]]
 
 
 def find_unit(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],

@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pagas_cl.config import Context
-from pagas_cl.runtime.host import FEW, side_by_side
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import depth_down
@@ -135,8 +134,7 @@ def _pairs(views: Sequence[Reduced]) -> np.ndarray:
     settings = Context(number=_NEIGHBOURS, min_angle=0.0)
     chooser = ContextChooser([view.camera for view in views], [view.depth for view in views], settings, _SAMPLES)
     seen = [i for i, view in enumerate(views) if len(view.samples)]
-    choices = zip(seen, side_by_side(chooser.choose, seen, FEW))
-    return np.array([(i, j) for i, choice in choices for j in choice.indices], np.intp).reshape(-1, 2)
+    return np.array([(i, j) for i in seen for j in chooser.choose(i).indices], np.intp).reshape(-1, 2)
 
 
 def solve(maps: Overlaps) -> np.ndarray:
@@ -154,10 +152,10 @@ def _step(maps: Overlaps, x: np.ndarray) -> np.ndarray:
     """One step of Gauss-Newton from x, weights as of its residuals."""
     prior = 1 / np.array(_PRIOR) ** 2
     H, g = np.diag(np.tile(prior, len(x))), (x * prior).ravel()
-    found = [part.residuals(x) for part in maps.parts]
-    sizes = np.abs(np.concatenate([np.zeros(0), *(r[np.isfinite(r)] for r, _ in found)]))
+    found = [(part, *part.residuals(x)) for part in maps.parts]
+    sizes = np.abs(np.concatenate([np.zeros(0), *(r[np.isfinite(r)] for _, r, _ in found)]))
     scale = max(1.4826 * float(np.median(sizes)) if len(sizes) else 1.0, _FLOOR)
-    for part, (r, given) in zip(maps.parts, found):
+    for part, r, given in found:
         _add(part, x, r, given, scale, H, g)
     return -np.linalg.solve(H, g).reshape(-1, 2)
 
