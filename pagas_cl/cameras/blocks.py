@@ -16,8 +16,8 @@ from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.finished import one_run, work_folder
 from pagas_cl.jobs.plan import groups
 from pagas_cl.jobs.run import results_of
-from pagas_cl.jobs.worker import WorkerContext, close_worker_contexts
-from pagas_cl.runtime.device import elsewhere
+from pagas_cl.jobs.worker import Worker
+from pagas_cl.runtime.device import is_elsewhere
 from pagas_cl.runtime.memory import upload
 from pagas_cl.scene.camera import Camera
 
@@ -91,16 +91,16 @@ class Elsewhere:
         return frame.camera, photo, depth
 
 
-def blocks_of(part: Part, context: WorkerContext) -> dict[int, tuple[Block | None, np.ndarray]]:
+def blocks_of(part: Part, worker: Worker) -> dict[int, tuple[Block | None, np.ndarray]]:
     """In a worker: of each target its Block, and its depth map afterwards."""
     def frame(camera: Camera, photo: Path, depth: Path) -> Frame:
         def send():
-            return upload(context.device, np.load(photo))
-        return Frame(camera, context.photos.held(photo, 4 * camera.width * camera.height, send),
-                     upload(context.device, np.load(depth)))
+            return upload(worker.device, np.load(photo))
+        return Frame(camera, worker.photos.held(photo, 4 * camera.width * camera.height, send),
+                     upload(worker.device, np.load(depth)))
 
     frames = {k: frame(*files) for k, files in part.frames.items()}
-    adjuster = Adjuster(context.device, part.scene_scale, part.intrinsics)
+    adjuster = Adjuster(worker.device, part.scene_scale, part.intrinsics)
     found = blocks(adjuster, frames, part.wanted)
     depths = [adjuster.read(frames[one.target], frames[one.target].depth) for one in part.wanted]
     for used in frames.values():
@@ -111,7 +111,7 @@ def blocks_of(part: Part, context: WorkerContext) -> dict[int, tuple[Block | Non
 @contextmanager
 def blocks_by(executor, device, folder) -> Iterator[Callable[..., list[Block | None]]]:
     """Context: `blocks`, made where these arguments of refine_views say."""
-    if not elsewhere(executor, device):
+    if not is_elsewhere(executor, device):
         yield blocks
         return
     if folder is None:
@@ -127,6 +127,4 @@ def blocks_by(executor, device, folder) -> Iterator[Callable[..., list[Block | N
             with tempfile.TemporaryDirectory(prefix="cameras-", dir=work) as scratch:
                 yield Elsewhere(workers, Path(scratch))
         finally:
-            if workers.own:
-                workers.executor.shutdown(wait=True)
-            close_worker_contexts()
+            workers.close()

@@ -20,7 +20,7 @@ from pagas_cl.config import Config
 from pagas_cl.errors import InputError, log
 from pagas_cl.measurements import FAR_OFF, measure
 from pagas_cl.presets import settings_of
-from pagas_cl.progress import Progress
+from pagas_cl.progress import Reporter, progress_of
 from pagas_cl.runtime.device import Device, one_of, open_device, translate_cl_errors
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import PartnerChooser
@@ -91,7 +91,7 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
                    unknowns: Collection[str] = ("pose",), lenses: Sequence[int] | None = None,
                    gauge: Sequence[Camera] | None = None, measured: tuple[float, float] | None = None,
                    preset: str | None = None, config: Config | None = None, device: Any = None,
-                   progress: Progress | None = None, photos: PhotoStore | None = None,
+                   progress: Reporter = None, photos: PhotoStore | None = None,
                    executor: Executor | str | None = None, folder: str | Path | None = None) -> CameraRefinement:
     """Refine the cameras of `views`, so that their photos agree through the surface.
 
@@ -125,8 +125,8 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     here, config = open_device(one_of(device)), settings_of(preset, config)
     with (translate_cl_errors(here, "the refinement of the cameras"),
           blocks_by(executor, device, folder) as make_blocks):
-        return _refine(list(views), depths_or_mesh, tuple(unknowns), lenses, gauge, measured, config, here, progress,
-                       photos, make_blocks)
+        return _refine(list(views), depths_or_mesh, tuple(unknowns), lenses, gauge, measured, config, here,
+                       progress_of(progress), photos, make_blocks)
 
 
 def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], config: Config, device: Device,

@@ -117,6 +117,25 @@ def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoS
         raise DeviceMemoryError(f"{error}, even with one photo at a time; {what_fits(*given, device)}") from error
 
 
+def check_device_memory(views: Sequence[tuple[list[Camera], int]], config: Config, device) -> None:
+    """Before any work: DeviceMemoryError where `device` can hold the refinement of none of the `views`.
+
+    Of each: the cameras of its target, context and held-out views, and the number of context views. The leanest
+    settings are planned for, since effects that a view does not need may be off.
+    """
+    leanest = [config.with_settings(**change) for change in ({}, *LEANER)]
+
+    def least(cameras: list[Camera], contexts: int) -> int:
+        return min(plan_for(cameras, contexts, lean, streamed=True).nbytes for lean in leanest)
+
+    smallest = min(views, key=lambda view: sum(camera.width * camera.height for camera in view[0]))
+    needed = least(*smallest)
+    if needed > device.memory.limit:
+        raise DeviceMemoryError(f"a view of {smallest[0][0].width} x {smallest[0][0].height} needs "
+                                f"{needed / 1e6:,.1f} MB at least, {device.info.title} may hold "
+                                f"{device.memory.limit / 1e6:,.1f} MB; {what_fits(*smallest, config, device)}")
+
+
 def what_fits(cameras: list[Camera], contexts: int, config: Config, device) -> str:
     """What to change so that the view fits: a setting, or the size of the photos."""
     def fits(changed: Config, share: float = 1.0) -> bool:
