@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +13,7 @@ from pagas_cl.effects import Decision, decide_mismatch, settle
 from pagas_cl.errors import log
 from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
-from pagas_cl.progress import NONE, Reporter, progress_of, stage
+from pagas_cl.progress import NONE, OnStep, Reporter, progress_of, stage
 from pagas_cl.resemblance import views_to_ask
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device, open_device
@@ -23,8 +22,6 @@ from pagas_cl.scene.inputs import checked_depth
 from pagas_cl.scene.view import View
 from pagas_cl.splat import NormalizedDepth, PhotoStore, Refinement, refine_levels
 from pagas_cl.splat.budget import fit_memory
-
-OnStep: TypeAlias = Callable[[int, int], Any]
 
 
 def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *, preset: str | None = None,

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
 
 Item = TypeVar("Item")
+OnStep: TypeAlias = Callable[[int, int], Any]
+"""Called with (steps done, all steps) of a view."""
+
 _STEPS = 0.95     # of a view's time; what judges and writes its depth comes after them
 
 
@@ -83,8 +86,8 @@ def shown_on(stream: TextIO) -> Progress:
     return BarProgress(console) if console.is_terminal or console.is_jupyter else LineProgress(stream)
 
 
-def within_view(views: Stage, number: int) -> Callable[[int, int], None]:
-    """What is called with (steps done, all steps) of the view after the first `number` of a stage of views."""
+def within_view(views: Stage, number: int) -> OnStep:
+    """Of the view after the first `number` of a stage of views."""
     return lambda steps, of: views.advance(number + _STEPS * steps / of)
 
 

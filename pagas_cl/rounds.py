@@ -9,9 +9,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from pagas_cl.config import MOST_WEIGHT, Config
 from pagas_cl.effects import (
@@ -24,8 +24,10 @@ from pagas_cl.effects import (
     shaded,
 )
 from pagas_cl.errors import DeviceMemoryError
+from pagas_cl.jobs.task import Round
 from pagas_cl.measurements import Measurements
-from pagas_cl.result import DepthResult
+from pagas_cl.progress import OnStep
+from pagas_cl.result import DepthResult, RoundInput
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.view import View
 from pagas_cl.surface.agreement import Agreement, Told, send
@@ -36,7 +38,6 @@ if TYPE_CHECKING:
     from pagas_cl.runtime.device import Device
     from pagas_cl.splat import PhotoStore
 
-OnStep: TypeAlias = Callable[[int, int], Any]
 _BYTES = 64     # a pixel: more than a comparison takes beside the photos that wait on the device
 _ARRAYS = "depth", "parallax", "deviation", "status"
 _LONGER = 1.4   # steps of a few: as far as half as many again would
@@ -57,29 +58,10 @@ def _told(owner: Any, result: DepthResult, device: Device, photos: PhotoStore, w
     return photos.held(owner, Told.nbytes(_pixels(result), whole), lambda: send(result, device, whole))
 
 
-@dataclass(frozen=True)
-class RoundInput:
-    """A result of the round before: a DepthResult, or what reads its arrays from disk; `identity` is what the device
-    knows it by."""
-
-    identity: Any
-    result: Any
-
-
-@dataclass(frozen=True)
-class Round:
-    """One round: `work`, a function of a module as below, which any process finds; whether it looks at `photos`; and
-    `keep`, what is done with each result of the round before it."""
-
-    work: Callable[..., DepthResult]
-    photos: bool
-    keep: Callable[..., None] = keep
-
-
 def later_rounds(config: Config, views: int) -> list[Round]:
     """What is done with each of so many views after all of them were refined."""
     rounds = agreement_rounds(config, views)
-    return [Round(average_and_step, True)] * (rounds - 1) + [Round(average_depths, False)] * (rounds > 0)
+    return [Round(average_and_step, True, keep)] * (rounds - 1) + [Round(average_depths, False, keep)] * (rounds > 0)
 
 
 def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partners, given: Sequence[RoundInput],

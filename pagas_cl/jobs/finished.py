@@ -26,8 +26,7 @@ import numpy as np
 from pagas_cl.errors import InputError, OutputError, log
 from pagas_cl.jobs.store import translate_os_errors, written
 from pagas_cl.jobs.task import Record, ViewTask
-from pagas_cl.result import DepthResult, in_short, normals_of
-from pagas_cl.rounds import RoundInput
+from pagas_cl.result import DepthResult, RoundInput, in_short, normals_of
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import confidence_of, load_depth
 from pagas_cl.scene.files import DAMAGE, digest_of, opened, read_bytes, read_member, sum_of, write_arrays

@@ -14,8 +14,7 @@ from pagas_cl.errors import log
 from pagas_cl.jobs import finished
 from pagas_cl.jobs.store import translate_os_errors
 from pagas_cl.jobs.task import Record, ViewTask, on_a_line, worker_name
-from pagas_cl.result import DepthResult
-from pagas_cl.rounds import RoundInput
+from pagas_cl.result import DepthResult, RoundInput
 from pagas_cl.scene.camera import Camera
 
 _STOP = "stop"              # a file of this name in the work folder asks every worker to end after its present view
@@ -39,6 +38,9 @@ class Results(Protocol):
 
     def identity(self, task: ViewTask, result: DepthResult) -> Any:
         """What the device knows the result of `task` by (rounds.RoundInput)."""
+
+    def held(self) -> list[Any]:
+        """What the device may hold of them that nobody will ask for once the next round is done."""
 
     def note(self, what: str, name: str) -> None:
         """Write down that the view `name` "began", "ended" or "failed"."""
@@ -73,6 +75,10 @@ class FolderResults:
     def identity(self, task: ViewTask, result: DepthResult) -> Any:
         """As of Results."""
         return self.folder, task.key
+
+    def held(self) -> list[Any]:
+        """As of Results: they go when the device needs the room."""
+        return []
 
     def note(self, what: str, name: str) -> None:
         """A line in this process's journal: what it was at when it was lost can be read there."""
@@ -140,8 +146,8 @@ class MemoryResults:
         """The result of the view `stem`."""
         return self._results[stem]
 
-    def all(self) -> list[DepthResult]:
-        """Every result that is here."""
+    def held(self) -> list[DepthResult]:
+        """As of Results."""
         return list(self._results.values())
 
     def note(self, what: str, name: str) -> None:

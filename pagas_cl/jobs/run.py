@@ -19,7 +19,7 @@ from pagas_cl.jobs.task import Batch, Fault, Record, on_a_line
 from pagas_cl.jobs.worker import Worker, run_batch, run_part
 
 if TYPE_CHECKING:
-    from pagas_cl.rounds import OnStep
+    from pagas_cl.progress import OnStep
 
 TRIES = 3
 HOPELESS = 8        # views that fail before one is done, or batches that no worker has a device for: the run ends

@@ -60,6 +60,16 @@ class Batch:
                        digests={k: v for k, v in self.digests.items() if k in needed})
 
 
+@dataclass(frozen=True)
+class Round:
+    """What is done with each view after all were refined: `work` as in Batch; whether it looks at `photos`; and `keep`,
+    called with each result of the round before it (see Batch)."""
+
+    work: Callable
+    photos: bool
+    keep: Callable
+
+
 class Fault(str, Enum):
     """Why a view could not be refined. Only what is LOST is tried again: all else would come again."""
 

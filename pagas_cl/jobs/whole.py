@@ -17,7 +17,7 @@ from pagas_cl.jobs.keeping import Keeping, KeptInFolder, KeptInMemory
 from pagas_cl.jobs.plan import Planner, groups
 from pagas_cl.jobs.results import Results
 from pagas_cl.jobs.run import RunElsewhere, RunHere, error_of
-from pagas_cl.jobs.task import Batch, Fault, Record, ViewTask
+from pagas_cl.jobs.task import Batch, Fault, Record, Round, ViewTask
 from pagas_cl.jobs.worker import Worker
 from pagas_cl.progress import NONE, Progress, Stage, stage, within_view
 from pagas_cl.result import DepthResult
@@ -30,7 +30,7 @@ from pagas_cl.scene.view import View
 from pagas_cl.splat.budget import check_device_memory
 
 if TYPE_CHECKING:
-    from pagas_cl.rounds import OnStep, Round
+    from pagas_cl.progress import OnStep
     from pagas_cl.splat import PhotoStore
 
 
@@ -68,7 +68,7 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
     on_view : callable of (view, initial depth, result), optional
         Called in the order of `asked`, in which the results come too: StoredResult (DepthResult without a folder). A
         view that failed has no surface, and its error in `report["failed"]`.
-    later : sequence of rounds.Round
+    later : sequence of task.Round
         What is done after it, round by round, with each view's result and those of its context views. What the rounds
         before the last one leave is kept until all views are done.
     photos : PhotoStore, optional
@@ -107,13 +107,11 @@ class _Rounds:
 
     def run(self) -> list[Any]:
         """The results, in the order of the views that are refined."""
+        if isinstance(self._place, Worker):
+            check_device_memory([view.camera for view in self._scene.views], self._config, self._place.device)
         with self._keeping.opened():
             planner, asked = self._planned()
             self._keeping.begin([planner.stems[index] for index in asked])
-            if isinstance(self._place, Worker):
-                partners = [planner.partners(index) for index in asked]
-                check_device_memory([([self._scene.views[k].camera for k in one.all], len(one.contexts))
-                                     for one in partners], self._config, self._place.device)
             wanted = self._wanted(planner, asked)
             for number in range(self._last):
                 results = self._round(number, planner, wanted[number], asked)
@@ -121,9 +119,15 @@ class _Rounds:
                 asked_next = [k for k in asked if self._scene.views[k].name not in lost]
                 wanted[number + 1] = [k for k in wanted[number + 1] if k in asked_next]
                 planner = planner.after(results, asked_next, self._works[number + 1])
+                self._forget(number - 1)
             found = self._last_round(planner, wanted[-1], asked)
         warn_of_nothing(self._scene.views, self._scene.depths, found)     # which may read the depth maps
         return found
+
+    def _forget(self, number: int) -> None:
+        """Let go of what the device holds of a round whose results are used up."""
+        if number >= 0 and isinstance(self._place, Worker):
+            self._place.forget(self._keeping.results(number, self._last).held())
 
     def _planned(self) -> tuple[Planner, list[int]]:
         """Who makes the first round's tasks, and places of the views that can be refined."""

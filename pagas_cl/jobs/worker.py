@@ -21,7 +21,7 @@ from pagas_cl.runtime.device import translate_cl_errors
 from pagas_cl.runtime.host import trim
 
 if TYPE_CHECKING:
-    from pagas_cl.rounds import OnStep
+    from pagas_cl.progress import OnStep
     from pagas_cl.runtime.device import Device
     from pagas_cl.splat import PhotoStore
 

@@ -18,6 +18,7 @@ import pagas_cl.__main__ as command_line
 from pagas_cl.cameras.refine import refine_cameras
 from pagas_cl.jobs import refine_all
 from pagas_cl.one_view import refine_one
+from pagas_cl.progress import progress_of
 from pagas_cl.refine import refine_views
 
 pytestmark = pytest.mark.slow
@@ -101,7 +102,7 @@ def test_a_worker_is_killed_and_another_joins(scene, cluster, tmp_path):
             cluster.add("127.0.0.5")
 
     out = tmp_path / "out"
-    refine_all(work.slow_refine, views, depths, range(VIEWS), QUICK, folder=out, progress=progress,
+    refine_all(work.slow_refine, views, depths, range(VIEWS), QUICK, folder=out, progress=progress_of(progress),
                executor=cluster.client.get_executor(pure=False), extras=False)
     assert happened and bytes_of(out) == bytes_of(alone) and len(bytes_of(out)) == VIEWS
     began, ended = said(out, "began"), said(out, "ended")
