@@ -2,19 +2,22 @@
 
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pagas_cl.cameras import refine as camera_refinement
+from pagas_cl.cameras.blocks import MakeBlocks
 from pagas_cl.cameras.effect import resolve_cameras
 from pagas_cl.cameras.refine import CameraRefinement
 from pagas_cl.config import Config
 from pagas_cl.effects import decide_consistency
 from pagas_cl.errors import InputError, log
 from pagas_cl.jobs import refine_all
+from pagas_cl.jobs.camera_blocks import blocks_by
 from pagas_cl.jobs.finished import one_run, work_folder
 from pagas_cl.jobs.store import Store
 from pagas_cl.keep_mesh import FLAT, check_flat, check_subdivide, kept_mesh, polished
@@ -48,6 +51,10 @@ class Place:
     def photos(self) -> PhotoStore | None:
         """Room for photos on the one device of this process; None where other processes work."""
         return None if is_elsewhere(self.executor, self.device) else PhotoStore(open_device(one_of(self.device)))
+
+    def blocks(self) -> AbstractContextManager[MakeBlocks]:
+        """Context of what adds up the normal equations of cameras."""
+        return blocks_by(self.executor, self.device, self.folder)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +153,7 @@ def refine_scene(views: Sequence[View], mesh: Mesh | None, depths: Sequence[Dept
         views, cameras = list(views), None
         if mesh is not None:
             surface = to_surface(mesh)
-            views, config, cameras = resolve_cameras(views, surface, config, place.device, shown, photos,
-                                                     place.executor, place.folder)
+            views, config, cameras = resolve_cameras(views, surface, config, place.device, shown, photos, place.blocks)
             depths = initial_depths(surface, views, shown, _kept_in(place.folder), place.device)
         elif depths is None:
             raise InputError("expected a mesh or depth maps to start from, got neither")
@@ -220,8 +226,7 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
     depths = depth_maps(views, depths)
     asked = asked_views(views, depths, names)
     photos = photos or place.photos()
-    views, config, cameras = resolve_cameras(views, depths, config, place.device, progress, photos, place.executor,
-                                             place.folder)
+    views, config, cameras = resolve_cameras(views, depths, config, place.device, progress, photos, place.blocks)
     depths = depths if cameras is None else cameras.scaled(depths)
     results = refine_all(refine_one, views, depths, asked, config, device=place.device, executor=place.executor,
                          folder=place.folder, extras=extras, progress=progress, on_view=on_view,
@@ -230,6 +235,16 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
         for place_of_view, result in zip(asked, results):
             result.report["camera"] = {"moved": float(cameras.moved[place_of_view]), "accepted": cameras.accepted}
     return results
+
+
+def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, *,
+                   device: Devices | None = None, executor: Executor | str | None = None,
+                   folder: str | Path | None = None, **options: Any) -> CameraRefinement:
+    """Refine the cameras of `views`, so that their photos agree through the surface: cameras.refine.refine_cameras,
+    whose further parameters are `options`, with blocks of views added up where refine_views works. The same bytes."""
+    with blocks_by(executor, device, folder) as make_blocks:
+        return camera_refinement.refine_cameras(views, depths_or_mesh, device=one_of(device), make_blocks=make_blocks,
+                                                **options)
 
 
 def initial_depths(surface: Surface, views: Sequence[View], progress: Progress = NONE,

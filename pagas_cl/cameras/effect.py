@@ -1,11 +1,11 @@
 """The effect `cameras` (method section 8): whether cameras are refined before the views are, for a whole scene."""
 
-from collections.abc import Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
+from pagas_cl.cameras.blocks import MakeBlocks, blocks
 from pagas_cl.cameras.frames import depths_of
 from pagas_cl.cameras.refine import OFF, CameraRefinement, photos_off, refine_cameras
 from pagas_cl.config import Config
@@ -20,16 +20,17 @@ from pagas_cl.splat import PhotoStore
 
 FEWEST = 4                # views: three to tell how far a camera is off, and one more to judge
 MOST = 300                # views for which it is decided unasked: all depth maps are in memory at once
+OpenBlocks: TypeAlias = Callable[[], AbstractContextManager[MakeBlocks]]
 WORDS = "pixels that photos are off by across the direction of depth"
 
 
 def resolve_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, config: Config,
                     device: Any = None, progress: Progress = NONE, photos: PhotoStore | None = None,
-                    executor: Executor | str | None = None,
-                    folder: str | Path | None = None) -> tuple[list[View], Config, CameraRefinement | None]:
+                    open_blocks: OpenBlocks = lambda: nullcontext(blocks),
+                    ) -> tuple[list[View], Config, CameraRefinement | None]:
     """Decide effects.cameras: the views with the cameras that follow, settings in which it is "set", and the refinement
-    (None where none was called for). Arguments as in refine_cameras; `photos`, on the one device, serve whoever works
-    on the views after it."""
+    (None where the scene does not need it). Arguments as in refine_cameras; `photos`, on the one device, serve whoever
+    works on the views after it; `open_blocks()` is a context of its `make_blocks`."""
     settled = replace(config, effects=replace(config.effects, cameras="set"))
     choice = config.effects.cameras
     if not _may(choice, len(views)):
@@ -48,8 +49,9 @@ def resolve_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None
         log.info("%s", decision)
         if not decision.on:
             return list(views), settled, None
-    found = refine_cameras(views, depths_or_mesh, config=config, device=device, progress=progress, measured=off,
-                           photos=photos, executor=executor, folder=folder)
+    with open_blocks() as make_blocks:
+        found = refine_cameras(views, depths_or_mesh, config=config, device=here, progress=progress, measured=off,
+                               photos=photos, make_blocks=make_blocks)
     log.info("%s", found)
     moved = [view if camera is view.camera else replace(view, camera=camera)
              for view, camera in zip(views, found.cameras)]

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pagas_cl.cameras.adjust import PRIOR, Block, Frame
-from pagas_cl.cameras.blocks import Wanted, blocks
+from pagas_cl.cameras.blocks import MakeBlocks, Wanted, blocks
 from pagas_cl.cameras.frames import Frames, release, through
 from pagas_cl.cameras.motion import moved, placed, twist_between
 from pagas_cl.cameras.onto import onto_mesh
@@ -75,7 +75,7 @@ class Rounds:
     the views, units; `make_blocks`: blocks.blocks, or what does the same elsewhere."""
 
     def __init__(self, frames: Frames, pairs: Pairs, finest: float, typical: Sequence[float],
-                 progress: Progress = NONE, make_blocks=blocks):
+                 progress: Progress = NONE, make_blocks: MakeBlocks = blocks):
         self.frames, self.pairs, self.finest, self.typical, self.progress = frames, pairs, finest, typical, progress
         self.make_blocks = make_blocks
         self.adjuster = frames.adjuster

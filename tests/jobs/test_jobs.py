@@ -1,9 +1,11 @@
 """Many views through executors: the same bytes, shared photos read once, failing views left out, devices not shared."""
 
 import multiprocessing
+import pickle
 import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -15,10 +17,12 @@ from test_package import SOURCES
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError
-from pagas_cl.jobs import refine_all, task
+from pagas_cl.jobs import refine_all, run, task, worker
+from pagas_cl.jobs.executors import SerialExecutor
 from pagas_cl.jobs.keeping import KeptInFolder
 from pagas_cl.jobs.plan import Planner, along_curve, groups
 from pagas_cl.jobs.results import FolderResults
+from pagas_cl.jobs.run import HOPELESS
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch
 from pagas_cl.one_view import refine_one
@@ -165,6 +169,40 @@ def test_a_broken_executor_of_the_caller_is_told(scene, tmp_path):
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         with pytest.raises(DeviceError, match="start the same command again"):
             refine_all(work.killed_always, views, depths, range(8), QUICK, executor=pool, folder=tmp_path)
+
+
+class Pure(SerialExecutor):
+    """Keeps what equal arguments gave, as Dask's executor does unless it is told that functions are not pure."""
+
+    def __init__(self):
+        self.kept, self.sent = {}, 0
+
+    def submit(self, task, /, *arguments, **keywords):
+        self.sent += 1
+        key = pickle.dumps(arguments)
+        if key not in self.kept:
+            self.kept[key] = super().submit(task, *arguments, **keywords)
+        return self.kept[key]
+
+
+@pytest.mark.parametrize("refusals", [3, 1000])
+def test_a_worker_without_a_device_is_asked_again_but_not_for_ever(scene, tmp_path, monkeypatch, caplog, refusals):
+    views, depths = load_small_scene(scene)
+    claim, times = worker.claim_device, []
+
+    def refuse(names):
+        times.append(names)
+        if len(times) <= refusals:
+            raise DeviceError("every device is at work for another process")
+        return claim(names)
+
+    monkeypatch.setattr(worker, "claim_device", refuse)
+    monkeypatch.setattr(run, "_PAUSE", 0.0)
+    executor, few = Pure(), refusals < HOPELESS
+    with nullcontext() if few else pytest.raises(DeviceError, match="at work for another process"):
+        results = refine_all(work.copy_depth, views, depths, range(8), QUICK, executor=executor, folder=tmp_path)
+        assert all(r.depth.any() for r in results)
+    assert executor.sent <= 8 + HOPELESS and caplog.text.count("a worker cannot work") == 1
 
 
 def test_another_version_of_the_code_is_refused(scene, tmp_path, monkeypatch):
