@@ -1,10 +1,12 @@
 """The method on one page (arXiv 2604.22129): photos, cameras and a coarse surface in, a finer surface out."""
 
+import os
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ from pagas_cl.before_steps import BeforeSteps
 from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import decide_consistency
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import InputError, check_kind, kind_of, log, short
 from pagas_cl.jobs import refine_all
 from pagas_cl.keep_mesh import FLAT, check_flat, check_subdivide, kept_mesh, polished
 from pagas_cl.one_view import refine_one
@@ -21,7 +23,7 @@ from pagas_cl.presets import settings_of
 from pagas_cl.progress import Progress, ViewProgress
 from pagas_cl.result import DepthResult, OnDisk, joined
 from pagas_cl.rounds import later_rounds
-from pagas_cl.runtime.device import Devices
+from pagas_cl.runtime.device import Device, Devices
 from pagas_cl.scene.check import check_seen
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, depth_array, depth_maps
@@ -47,9 +49,10 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     Parameters
     ----------
     mesh : Open3D TriangleMesh (legacy or tensor), pymeshlab.Mesh, (vertices, faces), Surface, or the path of a file
-    cams : list of Camera, Open3D PinholeCameraTrajectory, or pycolmap Reconstruction
-    images : list of arrays (H, W, 3) (uint8, or floating point from 0 to 1) or paths, one a camera, or a folder
-    masks : list of arrays (H, W) bool or paths, optional
+    cams : list of Camera or Open3D PinholeCameraParameters, PinholeCameraTrajectory, or pycolmap Reconstruction
+    images : list of arrays (H, W, 3) (uint8, or floating point from 0 to 1), Pillow images or paths, one a camera, or a
+        folder
+    masks : list of arrays (H, W) bool, Pillow images or paths, optional
         True = used, of the target and of the context views; what is masked out of a view keeps its depth.
     preset : str, optional
         Name of the settings: "fast", "balanced" (where neither is given), "accurate" or "paper".
@@ -84,10 +87,11 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     ------
     InputError, DeviceError, MissingExtraError
     """
-    if output not in ("mesh", "tsdf", "displace"):
-        raise InputError(f"output is {output!r}, expected 'mesh', 'tsdf' or 'displace'")
+    if not isinstance(output, str) or output not in ("mesh", "tsdf", "displace"):
+        raise InputError(f"output is {short(output)}, expected 'mesh', 'tsdf' or 'displace'")
     check_subdivide(subdivide)
     check_flat(flat)
+    _check_place(device, executor, folder)
     config, views, surface = settings_of(preset, config), as_views(cams, images, masks), to_surface(mesh)
     photos = photos_here(device, executor, folder)
     views, config, _ = settle_cameras(views, surface, config, device, progress, photos, executor, folder)
@@ -137,6 +141,9 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     ------
     InputError, DeviceError
     """
+    _check_place(device, executor, folder)
+    check_kind("on_view", on_view, (Callable, NoneType), "a function of (view, initial depth, DepthResult)")
+    check_kind("photos", photos, (PhotoStore, NoneType), "a PhotoStore")
     config, depths = settings_of(preset, config), depth_maps(views, depths)
     asked = asked_views(views, depths, names)
     photos = photos_here(device, executor, folder, photos)
@@ -175,6 +182,16 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     photos.clear()
     warn_of_nothing(views, depths, results)
     return results
+
+
+def _check_place(device: Any, executor: Any, folder: Any) -> None:
+    """InputError where what says where the work is done is of a wrong kind."""
+    for name in device if isinstance(device, (list, tuple)) else [device]:
+        check_kind("device", name, (str, Device, NoneType), "the name of an OpenCL device, or a list of names")
+    if executor is not None and not isinstance(executor, str) and not hasattr(executor, "submit"):
+        raise InputError(f"executor is {kind_of(executor)}, expected a concurrent.futures.Executor, or the address of "
+                         "a Dask scheduler")
+    check_kind("folder", folder, (str, os.PathLike, NoneType), "the path of a folder")
 
 
 def initial_depths(surface: Surface, views: Sequence[View], progress: Progress | None = None,

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.readers.photos import refuse_shared_masks, tell_links
-from pagas_cl.scene.view import Scene
+from pagas_cl.scene.readers.photos import refuse_shared_masks, warn_of_alpha, warn_of_links
+from pagas_cl.scene.view import Scene, file_behind
 
 # In the order of looking: what names its convention and its photos itself comes first.
 FORMATS = {"cameras": "camera_file", "colmap": "colmap", "nerfstudio": "nerfstudio", "mvsnet": "mvsnet",
@@ -40,7 +40,8 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
         if format is not None or module.detect(folder):
             scene: Scene = module.read(folder, **options)
             refuse_shared_masks(scene.views, folder)
-            tell_links(scene.views, folder)
+            warn_of_links(scene.files, folder)
+            warn_of_alpha([path for view in scene.views if (path := file_behind(view.image)) is not None])
             if format is None and scene.depths is None:
                 _tell_depth(folder, name)
             return scene

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import InputError, log, short
+from pagas_cl.scene.files import is_file
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.lens import Lens, ThroughLens
 from pagas_cl.scene.placement import find_placement
@@ -81,13 +82,13 @@ def _view(model: Model, image: ModelImage, path: Path, folder: Path, lenses: dic
 
 
 def _check_photos(paths: dict[str, Path], photos: Path) -> None:
-    missing = [name for name, path in paths.items() if not path.is_file()]
+    missing = [name for name, path in paths.items() if not is_file(path)]
     if missing and not photos.is_dir():
         raise InputError(f"the folder {str(photos)!r} does not exist; the photos of the COLMAP model must be there")
     if missing:
         more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
         raise InputError(f"{len(missing)} of {len(paths)} photos of the COLMAP model are missing in {str(photos)!r}: "
-                         f"{', '.join(missing[:3])}{more}; copy them there, or remove them from the model")
+                         f"{', '.join(map(short, missing[:3]))}{more}; copy them there, or remove them from the model")
 
 
 def _refuse_small_cameras(model: Model, images: list[ModelImage], photos: Path) -> None:

@@ -13,7 +13,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.files import opened, read_member, translated
+from pagas_cl.scene.files import opened, translated
+from pagas_cl.scene.npy_files import read_member
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
 

@@ -31,6 +31,9 @@ class Packed:
     shape: tuple[int, int]
     dtype: str
 
+    def __str__(self) -> str:
+        return str(self.file)
+
     @property
     def digest(self) -> str:
         return f"{digest_file(self.file)} {self.shape} {self.dtype}"
