@@ -69,8 +69,8 @@ def read(folder: Path, *, photos: Path | None = None, confidence: float | None =
     rows = [_row(path) for path in files]
     source = f"{files[0].parent} (MapAnything)"
     originals = _originals(folder, photos and Path(photos), files, source)
-    return predictions.scene_of(rows, originals, [f"{path.stem}.png" for path in files], source, usual="cropped",
-                                camera_to_world=True, least=confidence)
+    return predictions.scene_of(folder, rows, originals, [f"{path.stem}.png" for path in files], source,
+                                usual="cropped", camera_to_world=True, least=confidence)
 
 
 def _row(path: Path) -> predictions.Row:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.errors import InputError, short
+from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.readers import photos, untrusted
@@ -70,6 +70,9 @@ def _depths(folder: Path, views: list[View]) -> tuple[DepthSource | None, ...] |
     files: list[Path | None] = [by_stem.get(view.stem) for view in views]
     if not any(files):
         if len(found) != len(views):
+            if found:
+                log.warning("%s has %d depth maps, none called as one of the %d photos is: they are not used",
+                            folder / "depth", len(found), len(views))
             return None
         files = list(found)
     return tuple(None if file is None else DepthSource(file, (view.camera.width, view.camera.height), DEPTH_SCALE)

@@ -100,6 +100,17 @@ def refuse_shared_masks(views: Iterable[View], folder: Path) -> None:
                                  f"one of its own, {mask.parent / other.name}.png and {mask.parent / view.name}.png")
 
 
+def check_masks(views: Sequence[View], masks: Path) -> None:
+    """InputError where a folder of masks has none of any view; logs which views have none."""
+    without = [view.name for view in views if view.mask is None]
+    if masks.is_dir() and len(without) == len(views):
+        raise InputError(f"no mask in {str(masks)!r} belongs to any photo; expected names like "
+                         f"{views[0].stem}.png or {views[0].name}.png")
+    if masks.is_dir() and without:
+        log.warning("%d of %d views have no mask in %s and are used whole: %s", len(without), len(views), masks,
+                    ", ".join(map(short, without[:5])))
+
+
 def one_photo_each(photos: list[Path], count: int, what: str) -> list[Path]:
     """`photos` if there are `count` of them, else InputError: the file names none, so that order is all there is."""
     if len(photos) != count:

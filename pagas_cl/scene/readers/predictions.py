@@ -89,7 +89,7 @@ def _matrices(ref: ArrayRef, rows: tuple[int, ...]) -> np.ndarray:
     return values
 
 
-def scene_of(rows: Sequence[Row], originals: Sequence[Path] | None, names: Sequence[str], source: str, *,
+def scene_of(folder: Path, rows: Sequence[Row], originals: Sequence[Path] | None, names: Sequence[str], source: str, *,
              usual: str = "stretched", camera_to_world: bool = False, least: float | None = None) -> Scene:
     """The scene: a view of each original photo, or of the network's own (called `names`) where there are none.
 
@@ -116,7 +116,7 @@ def scene_of(rows: Sequence[Row], originals: Sequence[Path] | None, names: Seque
             pixels = None if row.photo is None else _photo(row.photo, small).load()
             placement = find_placement(photo, small, pixels, where, usual)
         width, height = image_size(photo)
-        views.append(View(placement.photo_camera(camera, width, height), photo, None, name))
+        views.append(View(placement.photo_camera(camera, width, height), photo, photos.find_mask(folder, photo), name))
         depths.append(DepthSource(row.depth, (width, height), placement=placement, confidence=row.confidence))
     depths = with_least_confidence(depths, source, least)
     _tell(depths, originals is None, source)
