@@ -23,7 +23,7 @@ def plain(text: str) -> str:
 def short(value: object) -> str:
     """A value as a message may show it, whatever a stranger's file holds: its repr, its middle left out where it has
     more than 60 characters."""
-    text = repr(value)
+    text = repr(value).replace("\n", " ")
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST // 2 - 3]}...{text[-_LONGEST // 2:]}"
 
 
@@ -126,6 +126,8 @@ class UnloadableError(PagasError, ImportError):
     """An optional package is installed and cannot be loaded; the message says why, and what to do."""
 
     def __init__(self, package: str, purpose: str, cause: BaseException):
+        while cause.__cause__ is not None:      # packages raise errors of their own over the loader's
+            cause = cause.__cause__
         reason = " ".join(str(cause).split()) or type(cause).__name__
         remedy = next(words for sign, words in _REMEDIES if sign in reason)
         super().__init__(f"{purpose} needs {package}, which is installed and cannot be loaded ({reason}): {remedy}")
@@ -153,5 +155,5 @@ def need(package: str, extra: str, purpose: str) -> Any:
         if error.name == package:
             raise MissingExtraError(package, extra, purpose) from error
         raise UnloadableError(package, purpose, error) from error
-    except (ImportError, OSError, MemoryError) as error:
+    except (ImportError, OSError, MemoryError, RuntimeError) as error:
         raise UnloadableError(package, purpose, error) from error

@@ -148,7 +148,8 @@ def _matched(given: Images, cameras: list[Camera], what: str) -> list[Any]:
     if isinstance(given, Mapping):
         missing = [camera.name for camera in cameras if camera.name not in given]
         if missing:
-            raise InputError(f"{what}: none for camera {missing[0]!r} ({len(missing)} of {len(cameras)} are missing)")
+            raise InputError(f"{what}: none for camera {missing[0]!r} ({len(missing)} of {len(cameras)} are missing), "
+                             "expected one by each camera's name")
         return [given[camera.name] for camera in cameras]
     if isinstance(given, np.ndarray) and given.ndim < 4 and what == "images":
         raise InputError(f"{what} is one array of shape {given.shape}, expected one a camera, in a list")
