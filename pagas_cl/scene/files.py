@@ -1,4 +1,4 @@
-"""Files of any kind: reading with a limit, hashes by which inputs are told apart, and writing such that no name ever
+"""Files of any kind: reading with a limit, hashes that distinguish inputs, and writing such that no name ever
 holds half a file.
 """
 

@@ -1,4 +1,4 @@
-"""NumPy's files, .npy and .npz, from strangers: headers are checked before anything is unpacked, nothing is unpickled;
+"""NumPy's files, .npy and .npz, of any origin: headers are checked before anything is unpacked, nothing is unpickled;
 read by several threads at a time.
 
 NumPy parses a header with `ast.literal_eval`, which in CPython 3.11 fails now and then when two threads are in it

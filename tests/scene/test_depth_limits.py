@@ -146,7 +146,7 @@ def test_arrays_in_memory_are_compared_with_their_photo():
 @pytest.mark.parametrize("name", ["da3", "da3-npy", "vggt", "mapanything", "record3d", "polycam", "tum", "nerfstudio",
                                   "open3d", "scannet", "7scenes", "dvmvs", "record3d-exr"])
 def test_formats_with_depth_are_refused_before_the_run(tmp_path, name):
-    """Each format's depth maps, of photos that became a hundredth of the size: told by the headers alone."""
+    """Each format's depth maps, of photos that became a hundredth of the size: refused by the headers alone."""
     from support.scenes import relief_scene
 
     if name == "record3d-exr":

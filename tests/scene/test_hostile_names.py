@@ -120,12 +120,12 @@ def test_files_behind_links_are_logged(frames, tmp_path, caplog, what):
         (folder / "masks").mkdir()
         for path in (folder / "images").iterdir():
             Image.fromarray(np.full((48, 64), 255, np.uint8)).save(folder / "masks" / path.name)
-    (folder / what).rename(tmp_path / "elsewhere")
-    (folder / what).symlink_to(tmp_path / "elsewhere")
+    (folder / what).rename(tmp_path / "outside")
+    (folder / what).symlink_to(tmp_path / "outside")
     with caplog.at_level(logging.WARNING, "pagas_cl"):
         read_scene(folder)
     assert f"{len(frames)} photos, masks or depth maps" in caplog.text and "symbolic links" in caplog.text
-    assert str(tmp_path / "elsewhere") in caplog.text
+    assert str(tmp_path / "outside") in caplog.text
 
 
 @pytest.mark.parametrize("mode", ["RGB", "RGBA", "LA", "P"])

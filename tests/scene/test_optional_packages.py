@@ -1,4 +1,4 @@
-"""Optional packages that are absent, or there and not to be loaded: told apart, and what to do."""
+"""Optional packages that are absent, or there and not to be loaded: which it is, and what to do."""
 
 import importlib
 import re

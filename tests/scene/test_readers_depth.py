@@ -221,5 +221,5 @@ def test_what_is_left_out_is_logged(frames, tmp_path, caplog):
     says("1 cameras without a photo, or photos without", "mvsnet", lambda f: next((f / "images").iterdir()).unlink())
     says("1 of its 3 cameras have no photo", "neus", lambda f: sorted((f / "image").iterdir())[-1].unlink())
     says("seq-02 are other sequences", "7scenes", lambda f: (f / "seq-02").mkdir())
-    says("1 beside it are other models", "colmap", model)
+    says("1 next to it are other models", "colmap", model)
     says("2 depth maps, none called as one of the 3 photos", "open3d", fewer)

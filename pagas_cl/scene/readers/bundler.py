@@ -55,8 +55,8 @@ def _images(folder: Path, path: Path, count: int, outside: bool) -> list[Path]:
 
 def _photo(folder: Path, name: str, where: str, outside: bool) -> Path:
     path = photos.inside(folder, name, f"{where}: photo", outside=outside)
-    beside = photos.first_file(folder, (f"{place}/{path.name}" for place in photos.FOLDERS))
-    return beside if beside and not is_file(path) else photos.existing(path, where)
+    in_folder = photos.first_file(folder, (f"{place}/{path.name}" for place in photos.FOLDERS))
+    return in_folder if in_folder and not is_file(path) else photos.existing(path, where)
 
 
 def read_bundle(path: Path) -> tuple[list[tuple[float, np.ndarray, np.ndarray]], np.ndarray]:

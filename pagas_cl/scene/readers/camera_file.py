@@ -14,9 +14,9 @@ from typing import Any
 
 from pagas_cl.errors import InputError, short
 from pagas_cl.scene.camera import intrinsics
-from pagas_cl.scene.files import write_text
+from pagas_cl.scene.files import is_file, write_text
 from pagas_cl.scene.readers import untrusted
-from pagas_cl.scene.readers.photos import existing, find_mask, inside, view_of
+from pagas_cl.scene.readers.photos import find_mask, inside, view_of
 from pagas_cl.scene.view import Scene, View
 
 NAME = "cameras.json"
@@ -70,4 +70,7 @@ def _view(folder: Path, entry: dict[str, Any], where: str, outside: bool) -> Vie
 
 
 def _file(folder: Path, name: Any, what: str, outside: bool) -> Path:
-    return existing(inside(folder, name, what, outside=outside), what)
+    path = inside(folder, name, what, outside=outside)
+    if not is_file(path):
+        raise InputError(f"{what} {short(name)} is missing in {str(folder)!r}")
+    return path

@@ -56,7 +56,7 @@ def _warn_of_other_models(place: Path) -> None:
         others = sorted(path.name for path in place.parent.iterdir()
                         if path != place and any(is_file(path / f"images{end}") for end in (".bin", ".txt")))
         if others:
-            log.warning("%s is read; %s beside it are other models, of photos that this one may lack", place,
+            log.warning("%s is read; %s next to it are other models, of photos that this one may lack", place,
                         ", ".join(others[:5]))
 
 
