@@ -13,11 +13,11 @@ from itertools import groupby
 from pathlib import Path
 from xml.etree import ElementTree
 
-from pagas_cl.errors import InputError, log, need
+from pagas_cl.errors import InputError, log, need, short
 from pagas_cl.filters import native, parameters
 from pagas_cl.filters.names import HINT
 from pagas_cl.filters.parameters import FILTER
-from pagas_cl.scene.readers.untrusted import read_xml, short
+from pagas_cl.scene.readers.untrusted import read_xml
 
 _FILES = ("RichOpenFile", "RichSaveFile")
 _FILE_NAMES = re.compile(r"file|path|text(ure)?_?name|newname", re.IGNORECASE)

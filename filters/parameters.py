@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from pagas_cl.commands._settings import build_config, effect_settings
 from pagas_cl.config import Config
-from pagas_cl.errors import InputError, nearest_of
-from pagas_cl.scene.readers.untrusted import short, whole, word
+from pagas_cl.errors import InputError, nearest_of, short
+from pagas_cl.scene.readers.untrusted import whole, word
 
 FILTER = "PAGaS Depth Refinement"
 _WHOLE = {"RichInt": -2**31, "RichEnum": 0, "RichMesh": 0}      # the least value

@@ -7,14 +7,39 @@ import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 from importlib import import_module
+from typing import Any
 
 # what a terminal obeys, or what begins another line or direction of writing
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+
+_LONGEST = 60      # characters of a value in a message
 
 
 def plain(text: str) -> str:
     """One line of text as it may be shown: control characters, which names of files may hold, become escapes."""
     return _CONTROLS.sub(lambda found: ascii(found[0])[1:-1], text)
+
+
+def short(value: object) -> str:
+    """A value as a message may show it, whatever a stranger's file holds: its repr, its middle left out where it has
+    more than 60 characters."""
+    text = repr(value).replace("\n", " ")
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST // 2 - 3]}...{text[-_LONGEST // 2:]}"
+
+
+def kind_of(value: object) -> str:
+    """What a caller gave, as a message calls it: "None", "a list", "an array of float32"."""
+    if value is None:
+        return "None"
+    name, dtype = type(value).__name__.replace("ndarray", "array"), getattr(value, "dtype", None)
+    article = "an" if name[0].lower() in "aeiou" else "a"
+    return f"{article} {name}" + ("" if dtype is None else f" of {dtype}")
+
+
+def check_kind(name: str, value: object, kinds: tuple[Any, ...], expected: str) -> None:
+    """InputError where a caller's argument `name` is none of the types `kinds`; `expected`: what these are in words."""
+    if not isinstance(value, kinds):
+        raise InputError(f"{name} is {kind_of(value)}, expected {expected}")
 
 
 def _plainly(record: logging.LogRecord) -> bool:
@@ -97,21 +122,38 @@ class MissingExtraError(PagasError, ImportError):
         self.package, self.extra = package, extra
 
 
-class MissingLibraryError(PagasError, ImportError):
-    """An optional package is installed, and a system library that it loads is absent."""
+class UnloadableError(PagasError, ImportError):
+    """An optional package is installed and cannot be loaded; the message says why, and what to do."""
+
+    def __init__(self, package: str, purpose: str, cause: BaseException):
+        while cause.__cause__ is not None:      # packages raise errors of their own over the loader's
+            cause = cause.__cause__
+        reason = " ".join(str(cause).split()) or type(cause).__name__
+        remedy = next(words for sign, words in _REMEDIES if sign in reason)
+        super().__init__(f"{purpose} needs {package}, which is installed and cannot be loaded ({reason}): {remedy}")
+        self.package = package
 
 
-def need(package: str, extra: str, purpose: str):
-    """Import and return an optional `package`, or raise MissingExtraError naming the `extra` that brings it
-    (MissingLibraryError with the apt-get command where a system library is absent)."""
+# what the dynamic loader and Python say where a package's own code cannot be loaded, and what to do
+_NO_MEMORY = "too little memory is left for it: raise the limit (ulimit -v, a container's), or free some"
+_REMEDIES = (("cannot open shared object", "a system library is absent: apt-get install libusb-1.0-0 libgl1 libgomp1 "
+                                           "libx11-6 libopengl0"),
+             ("failed to map segment", _NO_MEMORY), ("annot allocate memory", _NO_MEMORY), ("MemoryError", _NO_MEMORY),
+             ("No module named", "a package that it needs is absent: pip install it, or this one again"),
+             ("", "install it again: pip install --force-reinstall"))
+
+
+def need(package: str, extra: str, purpose: str) -> Any:
+    """Import and return an optional `package`.
+
+    MissingExtraError, naming the `extra` that brings it, where it is not installed; UnloadableError where it is and
+    cannot be loaded.
+    """
     try:
         return import_module(package)
     except ModuleNotFoundError as error:
-        if error.name != package:
-            raise
-        raise MissingExtraError(package, extra, purpose) from error
-    except ImportError as error:
-        if "cannot open shared object" not in str(error):
-            raise
-        raise MissingLibraryError(f"{purpose} needs {package}, which cannot load a system library ({error}): apt-get "
-                                  "install libusb-1.0-0 libgl1 libgomp1 libx11-6 libopengl0") from error
+        if error.name == package:
+            raise MissingExtraError(package, extra, purpose) from error
+        raise UnloadableError(package, purpose, error) from error
+    except (ImportError, OSError, MemoryError, RuntimeError) as error:
+        raise UnloadableError(package, purpose, error) from error

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.errors import DeviceMemoryError, InputError, log
+from pagas_cl.errors import DeviceMemoryError, InputError, log, short
 from pagas_cl.progress import NONE, Progress, Stage, stage
 from pagas_cl.result import joined
 from pagas_cl.runtime.device import open_device
@@ -41,7 +41,7 @@ def check_subdivide(subdivide) -> None:
     """Raise InputError for a `subdivide` that is neither None nor a number of footprints."""
     number = isinstance(subdivide, (int, float)) and not isinstance(subdivide, bool)
     if subdivide is not None and not (number and 0.25 <= subdivide <= 1e6):
-        raise InputError(f"subdivide is {subdivide!r}, expected None or the longest edge in pixel footprints, "
+        raise InputError(f"subdivide is {short(subdivide)}, expected None or the longest edge in pixel footprints, "
                          "0.25 or more")
 
 
@@ -49,7 +49,7 @@ def check_flat(flat) -> None:
     """Raise InputError for a `flat` that is no share of a footprint."""
     number = isinstance(flat, (int, float)) and not isinstance(flat, bool)
     if not (number and 0 <= flat <= 100):
-        raise InputError(f"flat is {flat!r}, expected a distance from 0 to 100 pixel footprints")
+        raise InputError(f"flat is {short(flat)}, expected a distance from 0 to 100 pixel footprints")
 
 
 def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdivide: float | None = None,

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from types import NoneType
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +11,7 @@ import numpy.typing as npt
 from pagas_cl.acceptance import nothing_reason, own_reason, rejection_reason
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide_mismatch, settle
-from pagas_cl.errors import log
+from pagas_cl.errors import check_kind, log
 from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import NONE, OnStep, Reporter, progress_of, stage
@@ -18,7 +19,7 @@ from pagas_cl.resemblance import views_to_ask
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device, open_device
 from pagas_cl.scene.choice import Partners
-from pagas_cl.scene.inputs import checked_depth
+from pagas_cl.scene.inputs import checked_depth, checked_views
 from pagas_cl.scene.view import View
 from pagas_cl.splat import NormalizedDepth, PhotoStore, Refinement, refine_levels
 from pagas_cl.splat.budget import fit_memory
@@ -51,6 +52,10 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     ------
     InputError, DeviceError
     """
+    check_kind("target", target, (View,), "a pagas_cl.View")
+    check_kind("device", device, (str, Device, NoneType), "the name of an OpenCL device")
+    check_kind("photos", photos, (PhotoStore, NoneType), "a PhotoStore")
+    contexts, held_out = checked_views("contexts", contexts), checked_views("held_out", held_out)
     config, depth, device = settings_of(preset, config), checked_depth(depth, target), open_device(device)
     if not contexts:
         return DepthResult.unrefined(target.camera, depth, "no context views were given", name=target.name)

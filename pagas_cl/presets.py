@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from pagas_cl.config import Agreement, Config, Effects, Loss, Pyramid, Smoothness, Solver, Splatting
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, check_kind
 
 # What the published DTU experiments use (arXiv 2604.22129): the yardstick, not a recommendation.
 PAPER = Config(
@@ -36,6 +36,7 @@ PRESETS: dict[str, Config] = {"fast": FAST, "balanced": BALANCED, "accurate": AC
 
 def preset(name: str) -> Config:
     """The preset called `name`: "fast", "balanced", "accurate" or "paper"; InputError for any other."""
+    check_kind("preset", name, (str,), f"a name, one of {', '.join(PRESETS)}")
     if name not in PRESETS:
         raise InputError(f"unknown preset {name!r}, expected {' or '.join(repr(p) for p in PRESETS)}")
     return PRESETS[name]

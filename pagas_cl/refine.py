@@ -1,10 +1,12 @@
 """The method on one page (arXiv 2604.22129): photos, cameras and a coarse surface in, a finer surface out."""
 
+import os
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,7 @@ from pagas_cl.cameras.effect import resolve_cameras
 from pagas_cl.cameras.refine import CameraRefinement
 from pagas_cl.config import Config
 from pagas_cl.effects import decide_consistency
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import InputError, check_kind, kind_of, log, short
 from pagas_cl.jobs import refine_all
 from pagas_cl.jobs.camera_blocks import blocks_by
 from pagas_cl.jobs.finished import one_run, work_folder
@@ -26,7 +28,7 @@ from pagas_cl.presets import settings_of
 from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult, OnDisk, joined
 from pagas_cl.rounds import later_rounds
-from pagas_cl.runtime.device import Devices, is_elsewhere, one_of, open_device
+from pagas_cl.runtime.device import Device, Devices, is_elsewhere, one_of, open_device
 from pagas_cl.scene.check import check_seen
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, depth_maps
 from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
@@ -47,6 +49,14 @@ class Place:
     device: Devices | None = None
     executor: Executor | str | None = None
     folder: str | Path | None = None
+
+    def __post_init__(self) -> None:
+        for name in self.device if isinstance(self.device, (list, tuple)) else [self.device]:
+            check_kind("device", name, (str, Device, NoneType), "the name of an OpenCL device, or a list of names")
+        if not (isinstance(self.executor, (str, NoneType)) or hasattr(self.executor, "submit")):
+            raise InputError(f"executor is {kind_of(self.executor)}, expected a concurrent.futures.Executor, or the "
+                             "address of a Dask scheduler")
+        check_kind("folder", self.folder, (str, os.PathLike, NoneType), "the path of a folder")
 
     def photos(self) -> PhotoStore | None:
         """Room for photos on the one device of this process; None where other processes work."""
@@ -92,9 +102,10 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     Parameters
     ----------
     mesh : Open3D TriangleMesh (legacy or tensor), pymeshlab.Mesh, (vertices, faces), Surface, or the path of a file
-    cams : list of Camera, Open3D PinholeCameraTrajectory, or pycolmap Reconstruction
-    images : list of arrays (H, W, 3) (uint8, or floating point from 0 to 1) or paths, one a camera, or a folder
-    masks : list of arrays (H, W) bool or paths, optional
+    cams : list of Camera or Open3D PinholeCameraParameters, PinholeCameraTrajectory, or pycolmap Reconstruction
+    images : list of arrays (H, W, 3) (uint8, or floating point from 0 to 1), Pillow images or paths, one a camera, or a
+        folder
+    masks : list of arrays (H, W) bool, Pillow images or paths, optional
         True = used, of the target and of the context views; what is masked out of a view keeps its depth.
     preset : str, optional
         Name of the settings: "fast", "balanced" (where neither is given), "accurate" or "paper".
@@ -129,14 +140,14 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     ------
     InputError, DeviceError, MissingExtraError
     """
-    if output not in OUTPUTS:
-        raise InputError(f"output is {output!r}, expected 'mesh', 'tsdf' or 'displace'")
+    if not isinstance(output, str) or output not in OUTPUTS:
+        raise InputError(f"output is {short(output)}, expected 'mesh', 'tsdf' or 'displace'")
     check_subdivide(subdivide)
     check_flat(flat)
     given = to_surface(mesh) if output == "mesh" and isinstance(mesh, (str, Path)) else mesh
+    place = Place(device, executor, folder)
     return refine_scene(as_views(cams, images, masks), given, None, settings_of(preset, config),
-                        making=MeshOptions(output, subdivide, flat), place=Place(device, executor, folder),
-                        progress=progress).mesh
+                        making=MeshOptions(output, subdivide, flat), place=place, progress=progress).mesh
 
 
 def refine_scene(views: Sequence[View], mesh: Mesh | None, depths: Sequence[Depth | None] | None, config: Config, *,
@@ -215,6 +226,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     ------
     InputError, DeviceError
     """
+    check_kind("on_view", on_view, (Callable, NoneType), "a function of (view, initial depth, DepthResult)")
     return _refine_views(list(views), depths, names, settings_of(preset, config), Place(device, executor, folder),
                          progress_of(progress), on_view, extras)
 

@@ -29,7 +29,7 @@ def command(
     report: Path = typer.Option(None, "--report", help="Folder for tradeoff.json, the plot and a page to open; a "
                                                        "second run goes on where the first one ended."),
     ablation: str = typer.Option(None, "--ablation", metavar="PRESET", help="Instead of the front, the paper's "
-                                                                            "ablation of 'paper' or 'balanced'."),
+                                                                            "ablation, of this preset."),
     repeats: int = typer.Option(1, "--repeats", help="Timed runs of each setting; the median counts."),
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
     format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),

@@ -10,8 +10,9 @@ import numpy as np
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.evaluate.depth import Figures
-from pagas_cl.scene.files import DAMAGE, read_first, read_npy
+from pagas_cl.scene.files import DAMAGE
 from pagas_cl.scene.mesh import to_surface
+from pagas_cl.scene.npy_files import read_first, read_npy
 from pagas_cl.scene.patches import area_of, spread_over
 from pagas_cl.scene.readers.mesh_parts import check_parts
 

@@ -9,26 +9,37 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.files import DAMAGE, MOST_BYTES, digest_file, digest_of, read_member, translated
+from pagas_cl.scene.files import DAMAGE, digest_file, digest_of, translated
 from pagas_cl.scene.images import as_photo
+from pagas_cl.scene.npy_files import member_shape, npy_shape, read_member
 
 _HELD = 3      # whole arrays that are kept: depth, confidence, photos of one file
 
 
 @dataclass(frozen=True)
 class ArrayRef:
-    """An array on disk: `member` of an .npz, or the .npy where that is empty; `row` of its first axis, or all of it."""
+    """An array on disk: `member` of an .npz, or the .npy where that is empty; the part of it at `index`, or all."""
 
     file: Path
     member: str = ""
-    row: int | None = None
+    index: tuple[int, ...] = ()
 
     @property
     def digest(self) -> str:
-        return digest_of([f"{digest_file(self.file)} {self.member} {self.row}".encode()])
+        return digest_of([f"{digest_file(self.file)} {self.member} {self.index}".encode()])
 
     def __str__(self) -> str:
         return f"{self.file}" + (f", array {self.member!r}" if self.member else "")
+
+    def part(self, k: int) -> "ArrayRef":
+        """What is at place `k` of its first axis."""
+        return ArrayRef(self.file, self.member, (*self.index, k))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of what `load` gives, by the file's header; InputError where the file is damaged."""
+        with translated(f"{self} cannot be read: ", "; is the file damaged?"):
+            return _shape(self.file, self.member, os.stat(self.file).st_mtime_ns)[len(self.index):]
 
     def load(self) -> np.ndarray:
         """The numbers; InputError where the file is damaged or holds fewer rows."""
@@ -36,11 +47,9 @@ class ArrayRef:
             whole = _whole(self.file, self.member, os.stat(self.file).st_mtime_ns)
             if whole.dtype.kind not in "fiub":
                 raise ValueError(f"it has dtype {whole.dtype}, expected numbers")
-            if self.row is None:
-                return whole
-            if whole.ndim < 2 or len(whole) <= self.row:
-                raise ValueError(f"it has shape {whole.shape}, expected at least {self.row + 1} rows")
-            return np.asarray(whole[self.row])
+            if whole.ndim < len(self.index) or any(n <= k for n, k in zip(whole.shape, self.index)):
+                raise ValueError(f"it has shape {whole.shape}, expected one with a place {self.index}")
+            return np.asarray(whole[self.index]) if self.index else whole
 
 
 @lru_cache(maxsize=_HELD)
@@ -49,10 +58,15 @@ def _whole(file: Path, member: str, changed: int) -> np.ndarray:
         mapped: np.ndarray = np.load(file, mmap_mode="r", allow_pickle=False)
         return mapped
     with zipfile.ZipFile(file) as archive:
-        entry = archive.getinfo(f"{member}.npy")
-        if entry.file_size > MOST_BYTES:
-            raise ValueError(f"it unpacks to {entry.file_size / 1e9:.1f} GB, expected at most {MOST_BYTES / 1e9:.1f}")
-        return read_member(archive, entry)
+        return read_member(archive, archive.getinfo(f"{member}.npy"))
+
+
+@lru_cache(maxsize=1024)
+def _shape(file: Path, member: str, changed: int) -> tuple[int, ...]:
+    if not member:
+        return npy_shape(file)
+    with zipfile.ZipFile(file) as archive:
+        return member_shape(archive, archive.getinfo(f"{member}.npy"))
 
 
 def members(file: Path) -> list[str]:

@@ -1,22 +1,23 @@
 """A depth map that a scene's format names: where it is, its unit, what of it is left out, how it lies in the photo."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.depthmap import clean_depth, read_values
+from pagas_cl.scene.depth_formats import check_aspect, check_pixels, plane_of, read_values, stored_shape
+from pagas_cl.scene.depthmap import clean_depth, resize_depth
 from pagas_cl.scene.files import digest_file, digest_of, translated
 from pagas_cl.scene.images import Loads
-from pagas_cl.scene.placement import Placement, stretched
+from pagas_cl.scene.placement import Placement
 
 LEFT_OUT = 0.25       # depths of less than this share of the median confidence are left out
-_ASKED = 8            # maps of confidence that the median is taken of
+_SAMPLED = 8            # maps of confidence that the median is taken of
 
 
 class Stored(Loads, Protocol):
@@ -27,19 +28,29 @@ class Stored(Loads, Protocol):
         """Hash of what `load` gives."""
 
 
+class Shaped(Stored, Protocol):
+    """One whose shape is known before it is loaded."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of what `load` gives, by the file's header."""
+
+
 @dataclass(frozen=True)
 class DepthSource:
-    """Loads as float32 (H, W) of the view's `size` (width, height), z-depth in scene units, 0 = no surface.
+    """Loads as float32 (H, W) of the view's `size` (width, height), z-depth in scene units, 0 = no surface. What has
+    far more pixels than the view, or another shape where no `placement` says how it lies there, is refused by its
+    header.
 
     `scale`: the file's number for one scene unit; `placement`: how the photo lies in the map (stretched over it where
     None); `confidence` below `least` and depths equal to `invalid` are left out.
     """
 
-    file: Path | Stored
+    file: Path | Shaped
     size: tuple[int, int]
     scale: float = 1.0
     placement: Placement | None = None
-    confidence: Path | Stored | None = None
+    confidence: Path | Shaped | None = None
     least: float = 0.0
     invalid: float | None = None
 
@@ -54,8 +65,19 @@ class DepthSource:
         numbers = (self.size, self.scale, self.placement, self.least, self.invalid)
         return digest_of([f"{names} {numbers}".encode()])
 
+    def check(self) -> None:
+        """InputError where the headers say that depth or confidence cannot be of the view; nothing is decoded."""
+        for file in (self.file, self.confidence):
+            if file is not None:
+                shape, who = shape_of(file), f"{'depth map' if file is self.file else 'confidence'} {file}"
+                check_pixels(shape, self.size, who)
+                plane = plane_of(shape, who)
+                if self.placement is None:
+                    check_aspect(*plane, self.size, who)
+
     def load(self) -> npt.NDArray[np.float32]:
-        """The depth map; InputError where the file is damaged."""
+        """The depth map; InputError where the file is damaged, or as `check`."""
+        self.check()
         values = flat(self.file)
         if self.invalid is not None:
             values = np.where(values == self.invalid, 0, values)
@@ -67,8 +89,9 @@ class DepthSource:
                 sure = sure[np.ix_(rows, columns)]
             values = np.where(sure >= self.least, values, 0)
         depth = clean_depth(values if self.scale == 1 else values / self.scale, str(self.file))
-        placement = self.placement or stretched(self.size, (depth.shape[1], depth.shape[0]))
-        return placement.photo_depth(depth, *self.size)
+        if self.placement is None:
+            return resize_depth(depth, *self.size)
+        return self.placement.photo_depth(depth, *self.size)
 
     def low(self) -> float:
         """Share of the map, where the photo lies in it, that is left out for its confidence."""
@@ -110,6 +133,11 @@ def adjusted(depth: np.ndarray, factor: float, shift: float) -> npt.NDArray[np.f
     return moved.astype(np.float32)
 
 
+def shape_of(file: Path | Shaped) -> tuple[int, ...]:
+    """The shape of what a file, or what stands for it, holds, by the file's header."""
+    return stored_shape(file) if isinstance(file, Path) else file.shape
+
+
 def flat(file: Path | Stored, grey: bool = False) -> np.ndarray:
     """A map (H, W) out of a file, without axes of length 1; `grey`: an image of 8 bit will do."""
     if not isinstance(file, Path):
@@ -119,18 +147,29 @@ def flat(file: Path | Stored, grey: bool = False) -> np.ndarray:
             values = np.asarray(image if image.mode.startswith("I") else image.convert("L"))
     else:
         values = read_values(file)
-    while values.ndim > 2 and 1 in (values.shape[0], values.shape[-1]):
-        values = values[0] if values.shape[0] == 1 else values[..., 0]
-    if values.ndim != 2 or 0 in values.shape:
-        raise InputError(f"{file} has shape {values.shape}, expected (height, width)")
-    return values
+    return values.reshape(plane_of(values.shape, str(file)))
 
 
-def least_confidence(maps: Sequence[Path | Stored], where: str) -> float:
-    """The confidence below which depths are left out: a quarter of the median, counted from 1 where all are 1 or more
-    (networks write 1 + exp)."""
-    asked = np.unique(np.linspace(0, len(maps) - 1, _ASKED).astype(int))
-    values = np.concatenate([flat(maps[k], grey=True)[::4, ::4].ravel() for k in asked])
+_Depth = TypeVar("_Depth", DepthSource, DepthSource | None)
+
+
+def with_least_confidence(depths: Sequence[_Depth], where: str, least: float | None = None) -> list[_Depth]:
+    """The depth maps without what is of a confidence below `least`, measured where it is None."""
+    sure = [depth for depth in depths if depth is not None and depth.confidence is not None]
+    if not sure:
+        return list(depths)
+    found = _least_confidence(sure, where) if least is None else least
+    return [depth and replace(depth, least=found) for depth in depths]
+
+
+def _least_confidence(depths: Sequence[DepthSource], where: str) -> float:
+    """A quarter of the median, counted from 1 where all are 1 or more (networks write 1 + exp)."""
+    parts = []
+    for k in np.unique(np.linspace(0, len(depths) - 1, _SAMPLED).astype(int)):
+        depth = depths[k]
+        depth.check()
+        parts.append(flat(depth.confidence, grey=True)[::4, ::4].ravel())
+    values = np.concatenate(parts)
     if values.dtype.kind in "iub":       # levels, 0 = low
         return float(values[values > 0].min(initial=values.max()))
     values = values[np.isfinite(values)]
@@ -142,7 +181,7 @@ def least_confidence(maps: Sequence[Path | Stored], where: str) -> float:
 
 def tell_left_out(depths: Sequence[DepthSource | None], where: str) -> None:
     """Log the threshold of confidence and what it costs."""
-    asked = [depth for depth in depths if depth is not None and depth.confidence is not None]
-    if asked:
-        log.info("%s: depths of confidence below %.3g are left out, %.0f %%", where, asked[0].least,
-                 100 * np.mean([depth.low() for depth in asked[:_ASKED]]))
+    sure = [depth for depth in depths if depth is not None and depth.confidence is not None]
+    if sure:
+        log.info("%s: depths of confidence below %.3g are left out, %.0f %%", where, sure[0].least,
+                 100 * np.mean([depth.low() for depth in sure[:_SAMPLED]]))

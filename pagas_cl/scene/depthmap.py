@@ -6,21 +6,18 @@ input from j n_in / n_out to (j + 1) n_in / n_out. Any ratio is allowed, not onl
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.exr import read_exr
-from pagas_cl.scene.files import is_file, opened, read_first, read_npy, replaced, translated, write_arrays
-from pagas_cl.scene.images import open_image
+from pagas_cl.scene.depth_formats import SUFFIXES, check_aspect, check_pixels, plane_of, read_values, stored_shape
+from pagas_cl.scene.files import is_file, replaced, write_arrays
 from pagas_cl.scene.names import file_stems
 
 # What became of each pixel's depth; DepthResult.status says what each means.
 NO_SURFACE, REFINED, KEPT, REJECTED = range(4)
-SUFFIXES = (".npz", ".npy", ".pfm", ".exr", ".png", ".geometric.bin", ".photometric.bin")
 
 
 def find_depth(folder: str | Path, image_name: str) -> Path | None:
@@ -59,9 +56,11 @@ def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
     Parameters
     ----------
     path : path
-        .npz (its first array), .npy, .pfm, 16-bit .png, COLMAP's .geometric.bin / .photometric.bin, or .exr.
+        .npz (its array "depth", else the first), .npy, .pfm, 16-bit .png, COLMAP's .geometric.bin / .photometric.bin,
+        or .exr.
     size : (width, height), optional
-        Size wanted; another size is resampled by `resize_depth`.
+        The photo's size, to which the map is resampled by `resize_depth`. A map of far more pixels, or of another shape
+        than the photo, is refused by its header.
     scale : float, optional
         The file's number for one scene unit (1000 for millimetres in a scene of metres); a PNG needs it, else 1.
     """
@@ -71,22 +70,13 @@ def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
                          "millimetres in a scene of metres)")
     if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise InputError(f"depth scale is {scale}, expected a number above 0")
+    who = f"depth map {str(path)!r}"
+    if size is not None:
+        check_pixels(shape := stored_shape(path), size, who)
+        check_aspect(*plane_of(shape, who), size, who)
     values = read_values(path)
     depth = clean_depth(values if scale is None else values / scale, str(path))
-    return depth if size is None else resize_depth(depth, *size)
-
-
-def read_values(path: Path) -> np.ndarray:
-    """The numbers of a depth map's file as they are."""
-    if not path.is_file():
-        raise InputError(f"depth map {str(path)!r} does not exist")
-    readers = {".npz": read_first, ".npy": read_npy, ".pfm": _read_pfm, ".png": _read_png, ".bin": _read_colmap,
-               ".exr": read_exr}
-    read = readers.get(path.suffix.lower())
-    if read is None:
-        raise InputError(f"depth map {str(path)!r}: unknown kind, expected one of {', '.join(SUFFIXES)}")
-    with translated(f"depth map {str(path)!r} cannot be read: "):
-        return read(path)
+    return depth if size is None else stretched_depth(depth, *size)
 
 
 def surface_depth(depth: np.ndarray) -> npt.NDArray[np.float32]:
@@ -101,10 +91,7 @@ def surface_depth(depth: np.ndarray) -> npt.NDArray[np.float32]:
 def clean_depth(values: npt.ArrayLike, who: str = "depth map") -> npt.NDArray[np.float32]:
     """Depth as (H, W) float32 with what is not finite, or below 0, set to 0 (and counted in the log)."""
     values = np.asarray(values)
-    if values.ndim == 3 and 1 in (values.shape[0], values.shape[2]):
-        values = values[0] if values.shape[0] == 1 else values[..., 0]
-    if values.ndim != 2 or values.size == 0:
-        raise InputError(f"{who} has shape {values.shape}, expected (height, width)")
+    values = values.reshape(plane_of(values.shape, who))
     if values.dtype.kind not in "fiu":
         raise InputError(f"{who} has dtype {values.dtype}, expected numbers")
     with np.errstate(over="ignore", invalid="ignore"):
@@ -124,11 +111,19 @@ def save_depth(path: str | Path, depth: npt.ArrayLike) -> None:
 
 
 def resize_depth(depth: npt.ArrayLike, width: int, height: int) -> npt.NDArray[np.float32]:
-    """Depth map at another size: linear where it grows and the area's mean where it shrinks, over valid depths only.
+    """The depth map (H, W) of a photo of another size: linear where it grows and the area's mean where it shrinks, over
+    valid depths only.
 
     A pixel is valid iff the input pixel that its centre lies in is (where it shrinks: iff half of the covered area is).
+    InputError where the map has another shape than the photo (by more than 3 %): it is transposed, or was cropped.
     """
     depth = np.asarray(depth, np.float32)
+    check_aspect(*plane_of(depth.shape, "depth map"), (width, height), "depth map")
+    return stretched_depth(depth, width, height)
+
+
+def stretched_depth(depth: np.ndarray, width: int, height: int) -> npt.NDArray[np.float32]:
+    """The same of float32 (H, W) that may have another shape than the photo, as networks that see squares have it."""
     if depth.shape == (height, width):
         return depth
     if width <= depth.shape[1] and height <= depth.shape[0]:
@@ -231,46 +226,3 @@ def _along(values: np.ndarray, n_out: int, axis: int) -> np.ndarray:
         at = integral[low] * (1 - share) + integral[low + 1] * share
         result = np.diff(at, axis=0) * (n_out / n_in)
     return np.moveaxis(result, 0, axis)
-
-
-def _read_pfm(path: Path) -> np.ndarray:
-    """Portable float map, one channel: rows from the bottom, byte order by the sign of the scale."""
-    with opened(path) as file:
-        head = [file.readline(64).split() for _ in range(3)]
-        try:
-            kind, (width, height), order = head[0][0], (int(n) for n in head[1]), float(head[2][0])
-        except (IndexError, ValueError) as error:
-            raise ValueError("its header is no PFM header") from error
-        if kind != b"Pf":
-            raise ValueError(f"it starts with {kind[:8]!r}, expected b'Pf' (one channel)")
-        values = _exactly(file, path, width, height, 1, "<f4" if order < 0 else ">f4")
-    return values.reshape(height, width)[::-1]
-
-
-def _read_colmap(path: Path) -> np.ndarray:
-    """COLMAP's dense map: "width&height&channels&", then float32, x fastest."""
-    with opened(path) as file:
-        head = file.read(64)
-        numbers = head.split(b"&", 3)
-        if len(numbers) != 4 or not all(n.isdigit() for n in numbers[:3]):
-            raise ValueError("its header is not 'width&height&channels&'")
-        width, height, channels = (int(n) for n in numbers[:3])
-        file.seek(sum(len(n) + 1 for n in numbers[:3]))
-        if channels != 1:
-            raise ValueError(f"it has {channels} channels, expected 1 (a depth map, not a normal map)")
-        return _exactly(file, path, width, height, channels, "<f4").reshape(height, width)
-
-
-def _exactly(file: BinaryIO, path: Path, width: int, height: int, channels: int, dtype: str) -> np.ndarray:
-    """The rest of a file, refused before it is read when its size is not what the header claims."""
-    want, got = 4 * width * height * channels, path.stat().st_size - file.tell()
-    if want != got or want <= 0:
-        raise ValueError(f"its header says {width} x {height}, {want} bytes, and {got} follow")
-    return np.frombuffer(file.read(want), dtype)
-
-
-def _read_png(path: Path) -> np.ndarray:
-    with open_image(path) as image:
-        if not image.mode.startswith("I"):
-            raise ValueError(f"it is {image.mode}, expected a 16-bit grey PNG")
-        return np.asarray(image).astype(np.float64)

@@ -1,14 +1,9 @@
-"""Files of any kind: NumPy's, read by several threads at a time; hashes by which inputs are told apart; and writing
-such that no name ever holds half a file.
-
-NumPy parses a header with `ast.literal_eval`, which in CPython 3.11 fails now and then when two threads are in it
-("AST constructor recursion depth mismatch"): only one is let in. Unpacking, which takes longer, goes on beside it.
+"""Files of any kind: reading with a limit, hashes that distinguish inputs, and writing such that no name ever
+holds half a file.
 """
 
 import filecmp
 import hashlib
-import io
-import math
 import os
 import secrets
 import stat
@@ -22,7 +17,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
-from threading import Lock
 from typing import BinaryIO
 from xml.parsers import expat
 
@@ -36,8 +30,6 @@ MOST_BYTES = 1 << 31       # of one array: a depth map of 268 megapixels of floa
 DAMAGE = (OSError, ValueError, EOFError, LookupError, SyntaxError, MemoryError, RuntimeError, OverflowError,
           zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error, expat.ExpatError)
 _CHUNK = 1 << 22            # bytes that are hashed at a time
-
-_one_header = Lock()
 
 
 @contextmanager
@@ -88,44 +80,6 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):
         return False
-
-
-def read_npy(path: str | Path) -> np.ndarray:
-    """The array of a .npy file; one of DAMAGE where it holds none."""
-    with _one_header, opened(path) as file:
-        values = np.load(file, allow_pickle=False)
-    if not isinstance(values, np.ndarray):
-        raise ValueError("it holds no array")
-    return values
-
-
-def read_first(path: str | Path) -> np.ndarray:
-    """The first array of a .npz archive; one of DAMAGE where it holds none."""
-    with opened(path) as file:
-        if not zipfile.is_zipfile(file):   # NumPy would speak of pickled data
-            raise ValueError("it is no .npz archive; the file is damaged or cut off: write it again")
-        archive = zipfile.ZipFile(file)
-        members = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
-        if not members:
-            raise ValueError("it holds no array")
-        unpacked = max(entry.file_size for entry in members)
-        if unpacked > MOST_BYTES:      # a few megabytes may unpack to any number of gigabytes
-            raise ValueError(f"it unpacks to {unpacked / 1e9:.1f} GB, a depth map has at most {MOST_BYTES / 1e9:.1f}")
-        return read_member(archive, members[0])
-
-
-def read_member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
-    """One array of an archive, nothing unpickled; one of DAMAGE where it is none."""
-    content = archive.read(entry)
-    raw = io.BytesIO(content)       # the same bytes, as the next array is
-    header = np.lib.format
-    with _one_header:
-        read = header.read_array_header_1_0 if header.read_magic(raw) == (1, 0) else header.read_array_header_2_0
-        shape, fortran, dtype = read(raw)
-    count, left = math.prod(shape), len(content) - raw.tell()
-    if dtype.hasobject or count * dtype.itemsize > left:     # NumPy would take memory for the claim first
-        raise ValueError(f"its header says {shape} of {dtype}, expected no more than the {left} bytes that follow")
-    return np.frombuffer(content, dtype, count, raw.tell()).reshape(shape, order="F" if fortran else "C")
 
 
 def digest_of(parts: Iterable[bytes | npt.NDArray[np.uint8]]) -> str:

@@ -1,17 +1,18 @@
 """Photos and masks: files or arrays in, 8-bit RGB and boolean arrays out."""
 
+import os
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from threading import Lock
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from pagas_cl.errors import InputError
-from pagas_cl.scene.files import replaced, translated
+from pagas_cl.errors import InputError, kind_of
+from pagas_cl.scene.files import is_file, replaced, translated
 
 MOST_PIXELS = 500_000_000      # of a photo: 1.5 GB as RGB
 _DAMAGE = (OSError, SyntaxError, ValueError)
@@ -58,13 +59,24 @@ def read_mask(path: str | Path) -> npt.NDArray[np.bool_]:
     return as_mask(_decoded(Path(path), "L"), f"mask {str(path)!r}")
 
 
+def as_array(values: Any, who: str, expected: str) -> np.ndarray:
+    """The numbers or truth values that a caller gave, called `who` in messages, of a shape `expected` in words."""
+    try:
+        found = np.asarray(values)
+    except ValueError as error:      # rows of different lengths
+        raise InputError(f"{who} is no array ({error}), expected numbers of shape {expected}") from error
+    if found.dtype.kind not in "fiub":
+        raise InputError(f"{who} is {kind_of(values)}, expected an array of numbers of shape {expected}")
+    return found
+
+
 def as_photo(pixels: npt.ArrayLike, who: str = "image") -> npt.NDArray[np.uint8]:
     """8-bit RGB, uint8 (H, W, 3), C-contiguous, of an array that a message calls `who`.
 
     `pixels` are (H, W), (H, W, 1), (H, W, 3) or (H, W, 4): uint8; uint16 (0..65535); or floating point in [0, 1],
     rounded to 8 bit.
     """
-    photo: np.ndarray = np.asarray(pixels)
+    photo = as_array(pixels, who, "(height, width, 3), RGB")
     if photo.ndim == 2:
         photo = photo[..., None]
     if photo.ndim != 3 or photo.shape[2] not in (1, 3, 4) or 0 in photo.shape:
@@ -93,7 +105,7 @@ def as_mask(values: npt.ArrayLike, who: str = "mask") -> npt.NDArray[np.bool_]:
     Of integers those above half of the dtype's range are true (above 0 where nothing exceeds 1), of floating point
     numbers those above 0.5: anti-aliased borders are cut in the middle.
     """
-    values = np.asarray(values)
+    values = as_array(values, who, "(height, width)")
     if values.ndim == 3 and values.shape[2] in (1, 3, 4):
         values = values[..., 0] if values.shape[2] < 4 else values[..., 3]
     if values.ndim != 2 or values.size == 0:
@@ -144,9 +156,9 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
 
 def open_image(path: Path) -> Image.Image:
     """An image file, its header read, of no more than MOST_PIXELS."""
-    if not path.is_file():
-        raise InputError(f"image {str(path)!r} does not exist" if not path.exists()
-                         else f"image {str(path)!r} is not a file")
+    if not is_file(path):
+        raise InputError(f"image {str(path)!r} is not a file" if os.path.exists(path)
+                         else f"image {str(path)!r} does not exist")
     with translated(f"image {str(path)!r} cannot be read (",
                     "); is it a PNG, JPEG or TIFF file, and complete?", _DAMAGE):
         image = _image(path)
@@ -168,15 +180,26 @@ def _image(path: Path) -> Image.Image:
 
 
 def _decoded(path: Path, mode: str) -> np.ndarray:
-    """Pixels of a file as uint8 or uint16; `mode` "RGB" or "L" ("L" takes a varying alpha channel for the mask)."""
     with open_image(path) as image, _damaged(path):
-        if image.mode.startswith("I") or image.mode == "F":
-            return _wide(np.asarray(image), path)
-        if mode == "L" and "A" in image.getbands():
-            alpha = np.asarray(image.getchannel("A"))
-            if alpha.min() != alpha.max():
-                return alpha
-        return np.asarray(image.convert(mode))
+        return pixels_of(image, mode, f"image {str(path)!r}")
+
+
+def pixels_of(image: Image.Image, mode: str, who: str) -> np.ndarray:
+    """Pixels of a Pillow image as uint8, uint16 or float32; `mode` "RGB" or "L" ("L" takes a varying alpha channel for
+    the mask)."""
+    if image.mode.startswith("I") or image.mode == "F":
+        return _wide(np.asarray(image), who)
+    if mode == "L" and "A" in image.getbands():
+        alpha = np.asarray(image.getchannel("A"))
+        if alpha.min() != alpha.max():
+            return alpha
+    return np.asarray(image.convert(mode))
+
+
+def has_alpha(path: Path) -> bool:
+    """Whether an image file says that it has an alpha channel, or a transparent colour; reads the header."""
+    with open_image(path) as image:
+        return "A" in image.getbands() or "transparency" in image.info
 
 
 def _damaged(path: Path) -> AbstractContextManager[None]:
@@ -184,11 +207,11 @@ def _damaged(path: Path) -> AbstractContextManager[None]:
                       _DAMAGE)
 
 
-def _wide(values: np.ndarray, path: Path) -> np.ndarray:
+def _wide(values: np.ndarray, who: str) -> np.ndarray:
     """16-bit (and 32-bit integer holding 16-bit) grey values as uint16."""
     if values.dtype.kind == "f":
         return values
     if values.min() < 0 or values.max() > 65535:
-        raise InputError(f"image {str(path)!r} holds values from {values.min()} to {values.max()}, expected 8 or 16 "
+        raise InputError(f"{who} holds values from {values.min()} to {values.max()}, expected 8 or 16 "
                          "bit")
     return values.astype(np.uint16)

@@ -6,36 +6,48 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, kind_of
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.images import Loads
+from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.images import Loads, as_array
 from pagas_cl.scene.names import place_of
-from pagas_cl.scene.view import View
+from pagas_cl.scene.view import Scene, View
 
 # A list of Camera, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction; of the last two, which are optional,
 # nothing can be said here.
 Cameras: TypeAlias = Sequence[Camera] | Any
-# One a camera: arrays (H, W, 3) or paths in the order of the cameras, or by camera name; or the folder that holds them.
+# One a camera: arrays (H, W, 3), Pillow images or paths, in the order of the cameras or by camera name; or the
+# folder that holds them.
 Images: TypeAlias = Iterable[np.ndarray | str | Path] | Mapping[str, np.ndarray | str | Path] | str | Path
 # A depth map (H, W), z-depth in scene units, or what loads it.
 Depth: TypeAlias = np.ndarray | Loads
+_CAMERAS = ("a list of pagas_cl.Camera (see its from_... constructors; read_scene(folder) has those of a "
+            "folder) or Open3D PinholeCameraParameters, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction")
+_VIEWS = "a list of pagas_cl.View, such as read_scene(folder).views"
+_DEPTHS = "a list with an array (height, width) or None a view"
+_IMAGES = "a list in the order of the cameras, a dict by camera name, or a folder"
 
 
 def as_cameras(cams: Cameras) -> list[Camera]:
     """The list of Camera; of a reconstruction in the order of the image names."""
     if hasattr(cams, "parameters"):
         return [Camera.from_open3d(p, name=f"{k:05d}") for k, p in enumerate(cams.parameters)]
-    if hasattr(cams, "images") and hasattr(cams, "cameras"):
+    if hasattr(cams, "images") and hasattr(cams, "cameras") and not isinstance(cams, Scene):
         images = sorted(cams.images.values(), key=lambda image: image.name)
         return [Camera.from_colmap(cams.cameras[image.camera_id], image) for image in images]
-    cameras = list(cams)
-    for k, camera in enumerate(cameras):
-        if not isinstance(camera, Camera):
-            raise InputError(f"cams[{k}] is a {type(camera).__name__}, expected pagas_cl.Camera (see its from_... "
-                             "constructors), or an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction "
-                             "instead of the list")
-    return cameras
+    return [_as_camera(camera, k) for k, camera in enumerate(_listed("cams", cams, _CAMERAS))]
+
+
+def _as_camera(camera: Any, k: int) -> Camera:
+    if hasattr(camera, "intrinsic") and hasattr(camera, "extrinsic"):
+        return Camera.from_open3d(camera, name=f"{k:05d}")
+    if not isinstance(camera, Camera):
+        swapped = isinstance(camera, (np.ndarray, str, Path, Image.Image))
+        raise InputError(f"cams[{k}] is {kind_of(camera)}, expected {_CAMERAS}"
+                         + ("; were cams and images swapped?" if swapped else ""))
+    return camera
 
 
 def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list[View]:
@@ -49,34 +61,53 @@ def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list
             for k, (camera, photo, mask) in enumerate(zip(cameras, photos, keep))]
 
 
+def checked_views(name: str, views: Sequence[View]) -> list[View]:
+    """The views that a caller gave as the argument `name`; InputError where they are none."""
+    found = _listed(name, views, _VIEWS)
+    for k, view in enumerate(found):
+        if not isinstance(view, View):
+            raise InputError(f"{name}[{k}] is {kind_of(view)}, expected {_VIEWS}")
+    return found
+
+
+def _listed(name: str, given: Any, expected: str) -> list[Any]:
+    if isinstance(given, (str, bytes, Mapping, Scene)) or not isinstance(given, Iterable):
+        raise InputError(f"{name} is {kind_of(given)}, expected {expected}")
+    return list(given)
+
+
 def depth_maps(views: Sequence[View], depths: Sequence[Depth | npt.ArrayLike | None]) -> list[Any]:
-    """Depth maps as arrays of numbers, one a view; what loads one, or None, as it is."""
-    if len(depths) != len(views):
-        raise InputError(f"{len(depths)} depth maps were given for {len(views)} views, expected one each "
+    """Depth maps as arrays of numbers, one a view; what loads one, or None, as it is. InputError also where a file's
+    header says that its map cannot be of the view."""
+    views, given = checked_views("views", views), _listed("depths", depths, _DEPTHS)
+    if len(given) != len(views):
+        raise InputError(f"{len(given)} depth maps were given for {len(views)} views, expected one each "
                          "(None where there is none)")
-    return [depth if depth is None or isinstance(depth, Loads) else _numbers(depth, view)
-            for view, depth in zip(views, depths)]
+    found: list[Any] = []
+    for k, (view, depth) in enumerate(zip(views, given)):
+        if isinstance(depth, DepthSource):
+            depth.check()
+        as_it_is = depth is None or (isinstance(depth, Loads) and not isinstance(depth, Image.Image))
+        found.append(depth if as_it_is else _numbers(depth, f"depths[{k}], the depth map of view {view.name!r},"))
+    return found
 
 
-def _numbers(depth: npt.ArrayLike, view: View) -> np.ndarray:
-    try:
-        values = np.asarray(depth)
-    except ValueError as error:      # rows of different lengths
-        raise InputError(f"depth map of view {view.name!r} is no array ({error}), expected numbers of shape (H, W)"
-                         ) from error
-    if values.dtype.kind not in "fiu":
-        raise InputError(f"depth map of view {view.name!r} has dtype {values.dtype}, expected numbers: z-depth in "
-                         "scene units")
+def _numbers(depth: npt.ArrayLike, who: str) -> np.ndarray:
+    values = as_array(depth, who, "(height, width)")
+    if values.ndim != 2 or values.dtype.kind == "b":
+        raise InputError(f"{who} has shape {values.shape} and dtype {values.dtype}, expected (height, width) and "
+                         "numbers: z-depth in scene units")
     return values
 
 
 def checked_depth(depth: npt.ArrayLike, view: View) -> np.ndarray:
     """The depth map as an array, of the view's size and with at least one valid pixel."""
-    depth = _numbers(depth, view)
+    depth = _numbers(depth, f"depth map of view {view.name!r}")
     size = view.camera.height, view.camera.width
     if depth.shape != size:
-        raise InputError(f"depth map of view {view.name!r} has shape {depth.shape}, its photo {size}; resize it with "
-                         "pagas_cl.scene.depthmap.resize_depth")
+        remedy = ("it is transposed, expected (height, width)" if depth.shape == size[::-1] else
+                  "resize it with pagas_cl.scene.depthmap.resize_depth")
+        raise InputError(f"depth map of view {view.name!r} has shape {depth.shape}, its photo {size}; {remedy}")
     if not (_any_surface(depth[::16, ::16]) or _any_surface(depth)):
         raise InputError(f"depth map of view {view.name!r} has no valid pixel (all are zero, negative or not finite); "
                          "expected z-depths in scene units")
@@ -93,15 +124,18 @@ def _any_surface(depth: np.ndarray) -> bool:
 
 
 def asked_views(views: Sequence[View], depths: Sequence[Depth | None], names: Collection[str] | None) -> list[int]:
-    """Places of the views called `names`; of all that have a depth map where names is None."""
-    have = [k for k, depth in enumerate(depth_maps(views, depths))
+    """Places of the views called `names`; of all that have one of `depths` (see depth_maps) where names is None."""
+    have = [k for k, depth in enumerate(depths)
             if depth is not None and (isinstance(depth, Loads) or np.any(depth > 0))]
     if names is None:
         if not have:
             raise InputError("no view has a depth map with a valid pixel: nothing to refine")
         return have
-    known = [view.name for view in views]
-    return list(dict.fromkeys(place_of(name, known) for name in names))
+    known, wanted = [view.name for view in views], _listed("names", names, "a list of names of views")
+    for k, name in enumerate(wanted):
+        if not isinstance(name, str):
+            raise InputError(f"names[{k}] is {kind_of(name)}, expected the name of a view")
+    return list(dict.fromkeys(place_of(name, known) for name in wanted))
 
 
 def _matched(given: Images, cameras: list[Camera], what: str) -> list[Any]:
@@ -114,10 +148,25 @@ def _matched(given: Images, cameras: list[Camera], what: str) -> list[Any]:
     if isinstance(given, Mapping):
         missing = [camera.name for camera in cameras if camera.name not in given]
         if missing:
-            raise InputError(f"{what}: none for camera {missing[0]!r} ({len(missing)} of {len(cameras)} are missing)")
+            raise InputError(f"{what}: none for camera {missing[0]!r} ({len(missing)} of {len(cameras)} are missing), "
+                             "expected one by each camera's name")
         return [given[camera.name] for camera in cameras]
-    each = list(given)
+    if isinstance(given, np.ndarray) and given.ndim < 4 and what == "images":
+        raise InputError(f"{what} is one array of shape {given.shape}, expected one a camera, in a list")
+    each = _listed(what, given, _IMAGES)
     if len(each) != len(cameras):
         raise InputError(f"{len(each)} {what} were given for {len(cameras)} cameras, expected one each, "
                          "in the same order")
+    for k, item in enumerate(each):
+        if not (isinstance(item, (str, Path, Loads)) or _is_plane(item) or (item is None and what == "masks")):
+            raise InputError(f"{what}[{k}] is {kind_of(item)}, expected an array (height, width, ...), a Pillow image "
+                             "or a path" + ("; were cams and images swapped?" if isinstance(item, Camera) else ""))
     return each
+
+
+def _is_plane(item: Any) -> bool:
+    try:
+        values = np.asarray(item)
+    except ValueError:      # rows of different lengths
+        return False
+    return values.ndim >= 2 and values.dtype.kind in "fiub"

@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, short
 
 OWN = ".pagas_cl"      # folders of this name, inside folders of results, hold what a run keeps for itself
 _LONGEST = 240         # bytes of a part of a path: file systems take 255, and suffixes follow
@@ -21,16 +21,9 @@ def file_stems(names: Sequence[str]) -> list[str]:
 
     The stem of the name; where another view has the same, the name without suffix, its folders included; where that is
     not enough the whole name; where a file system may not take or tell it apart (capitals alone, parts that are too
-    long), a flat one with a hash. InputError: a name that is there twice, is empty, or leads out of a folder.
+    long), a flat one with a hash. InputError as check_names.
     """
-    for name in names:
-        if Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name or not Path(name).name:
-            raise InputError(f"view {name!r} cannot name files in the output folder: expected a relative name without "
-                             "'..'")
-    twice = [name for name, uses in Counter(names).items() if uses > 1]
-    if twice:
-        raise InputError(f"{names.count(twice[0])} views are called {twice[0]!r}, expected a name for each, by which "
-                         "its files and results are found")
+    check_names(names)
     ways = [(Path(name).stem, str(Path(name).with_suffix("")), str(Path(name)), _hashed(name)) for name in names]
     level = [0 if _fits(stem) else 3 for stem, *_ in ways]
     while True:
@@ -41,6 +34,19 @@ def file_stems(names: Sequence[str]) -> list[str]:
             return stems
         for k in clashing:
             level[k] = next(way for way in (1, 2, 3) if way > level[k] and (way == 3 or _fits(ways[k][way])))
+
+
+def check_names(names: Sequence[str], where: str = "") -> None:
+    """InputError, which says `where`, for a name that is there twice, is empty, or leads out of a folder."""
+    where = where and f"{where}: "
+    for name in names:
+        if Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name or not Path(name).name:
+            raise InputError(f"{where}view {short(name)} cannot name files in the output folder, expected a relative "
+                             "name without '..': call the photo so, or put it into the scene's folder")
+    twice = [name for name, uses in Counter(names).items() if uses > 1]
+    if twice:
+        raise InputError(f"{where}{names.count(twice[0])} views are called {short(twice[0])}, expected a name for "
+                         "each, by which its files and results are found")
 
 
 def flat_stem(name: str, taken: Collection[str] = ()) -> str:

@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depthmap import resize_depth, valid_mean
+from pagas_cl.scene.depth_formats import PATCH, most_bent
+from pagas_cl.scene.depthmap import stretched_depth, valid_mean
 from pagas_cl.scene.images import bilinear, image_size, photo_to, read_photo
 from pagas_cl.scene.patches import grey_of
 
-PATCH = 14            # networks of this family see sides that are multiples of it
 _SAME = 0.8           # least correlation of the photo and the small image
 _NEAR = 1.0           # pixels of the small image: ways that differ by less are one
 _COMPARED = 96        # samples along a side
@@ -40,7 +40,7 @@ class Placement:
         x = (np.arange(width) + 0.5) * self.scale[0] + self.offset[0]
         y = (np.arange(height) + 0.5) * self.scale[1] + self.offset[1]
         if self.offset == (0, 0) and np.allclose(self.scale, (depth.shape[1] / width, depth.shape[0] / height)):
-            return resize_depth(depth, width, height)
+            return stretched_depth(depth, width, height)
         inside_x, inside_y = (x >= 0) & (x < depth.shape[1]), (y >= 0) & (y < depth.shape[0])
         out = np.zeros((height, width), np.float32)
         x, y, depth = x[inside_x], y[inside_y], np.asarray(depth, np.float32)
@@ -85,7 +85,7 @@ def find_placement(photo: Path, small: tuple[int, int], pixels: np.ndarray | Non
     if pixels is None:
         chosen = next((way for way in known if way.kind == usual), known[0])
         bent = abs(chosen.scale[0] / chosen.scale[1] - 1)
-        if bent > 0.5 * PATCH / min(small) + 0.005:
+        if bent > most_bent(*small):
             raise InputError(f"{where}: the network's image is {small[0]} x {small[1]} and {photo.name} is {size[0]} x "
                              f"{size[1]}, so that it was cropped or padded, and nothing says how; export with the "
                              "network's own images, or give it photos of one shape")

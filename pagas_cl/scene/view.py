@@ -1,6 +1,5 @@
 """A photo with its camera, and a scene: what every reader returns and every stage takes."""
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
@@ -18,11 +18,20 @@ from pagas_cl.scene.images import (
     as_photo,
     image_size,
     photo_to,
+    pixels_of,
     read_mask,
     read_photo,
     read_small,
 )
-from pagas_cl.scene.names import place_of
+from pagas_cl.scene.lens import ThroughLens
+from pagas_cl.scene.names import check_names, place_of
+
+
+def file_behind(source: Any) -> Path | None:
+    """The file of a photo, mask or depth map that is one, or is read through a lens or out of an archive; else None."""
+    if isinstance(source, ThroughLens):
+        return source.path
+    return source if isinstance(source, Path) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +39,8 @@ class View:
     """One photo and its camera, which is of the photo's size.
 
     `image`: (H, W, 3) uint8 RGB (floating point from 0 to 1 is rounded to 8 bit); `mask`: (H, W), true = keep. Each may
-    be a path or an object with `load()`, read each time it is asked for. Messages and files call the view `name`; where
-    that is empty, by the camera's name, or "unnamed".
+    be a Pillow image, or a path or an object with `load()`, read each time it is needed. Messages and files call the
+    view `name`; where that is empty, by the camera's name, or "unnamed".
     """
 
     camera: Camera
@@ -43,14 +52,22 @@ class View:
         if not isinstance(self.camera, Camera):
             raise InputError(f"view {self.name!r}: camera is a {type(self.camera).__name__}, expected pagas_cl.Camera")
         object.__setattr__(self, "name", str(self.name or self.camera.name or "unnamed"))
-        for what, convert in (("image", as_photo), ("mask", as_mask)):
-            value = getattr(self, what)
-            if isinstance(value, str):
-                object.__setattr__(self, what, Path(value))
-            elif value is not None and not isinstance(value, Path) and not hasattr(value, "load"):
-                object.__setattr__(self, what, self._fitting(convert(value, f"{what} {self.name!r}"), what))
         if self.image is None:
             raise InputError(f"view {self.name!r} has no image")
+        object.__setattr__(self, "image", self._source(self.image, "image"))
+        if self.mask is not None:
+            object.__setattr__(self, "mask", self._source(self.mask, "mask"))
+
+    def _source(self, value: Any, what: str) -> np.ndarray | Path | Loads:
+        """An image or a mask as it is kept: pixels checked, those in a file or behind `load()` where they are."""
+        if isinstance(value, str):
+            return Path(value)
+        picture = isinstance(value, Image.Image)      # has a load() of its own
+        if isinstance(value, (Path, Loads)) and not picture:
+            return value
+        who = f"{what} of view {self.name!r}"
+        pixels = pixels_of(value, "RGB" if what == "image" else "L", who) if picture else value
+        return self._fitting(as_photo(pixels, who) if what == "image" else as_mask(pixels, who), what)
 
     @property
     def stem(self) -> str:
@@ -75,12 +92,11 @@ class View:
 
     def check_files(self) -> None:
         """Raise InputError where a file is missing, unreadable or of another size; reads headers only."""
-        for what in ("image", "mask"):
-            source = getattr(self, what)
-            path = getattr(source, "path", source)
-            if isinstance(path, Path):
-                size = image_size(path)
-                self._check_size(size, getattr(source, "size", (self.camera.width, self.camera.height)), what)
+        for what, source in (("image", self.image), ("mask", self.mask)):
+            path = file_behind(source)
+            if path is not None:
+                wanted = source.size if isinstance(source, ThroughLens) else (self.camera.width, self.camera.height)
+                self._check_size(image_size(path), wanted, what)
 
     def _loaded(self, source: np.ndarray | str | Path | Loads, what: str,
                 read: Callable[[str | Path], np.ndarray]) -> np.ndarray:
@@ -103,7 +119,9 @@ class View:
             remedy = f"resize the photo, or use camera.resized({size[0]}, {size[1]})"
         else:
             remedy = "the shapes differ, so it belongs to another photo or was cropped or turned"
-        raise InputError(f"{what} {self.name!r} is {size[0]} x {size[1]}, its camera says {wanted[0]} x {wanted[1]}: "
+        path = file_behind(self.mask if what == "mask" else None)
+        who = f"mask {str(path)!r} of view" if path is not None else what
+        raise InputError(f"{who} {self.name!r} is {size[0]} x {size[1]}, its camera says {wanted[0]} x {wanted[1]}: "
                          f"{remedy}")
 
 
@@ -123,9 +141,7 @@ class Scene:
     depth_unit: str = ""
 
     def __post_init__(self) -> None:
-        twice = [name for name, count in Counter(view.name for view in self.views).items() if count > 1]
-        if twice:
-            raise InputError(f"{self.source or 'scene'}: view {min(twice)!r} is there twice, expected one name a view")
+        check_names([view.name for view in self.views], self.source or "scene")
 
     @property
     def cameras(self) -> list[Camera]:
@@ -136,6 +152,13 @@ class Scene:
     def images(self) -> list[Any]:
         """Of `views`, in their order: what refine_mesh takes beside `cameras`, paths where they are files."""
         return [view.image for view in self.views]
+
+    @property
+    def files(self) -> list[Path]:
+        """The files of photos, masks and depth maps."""
+        sources = [source for view in self.views for source in (view.image, view.mask)]
+        sources += [depth.file for depth in self.depths or () if depth is not None]
+        return [path for source in sources if (path := file_behind(source)) is not None]
 
     def index(self, name: str) -> int:
         """Place of the view called `name` (whole name, file name or stem)."""

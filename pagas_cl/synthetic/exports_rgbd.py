@@ -2,7 +2,6 @@
 
 import json
 import struct
-import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from pagas_cl.errors import need
 from pagas_cl.scene.camera import FLIP, inverse_pose
 from pagas_cl.scene.placement import stretched
 from pagas_cl.scene.readers.meshlab import row
@@ -144,26 +144,10 @@ def _lzfse(data: bytes) -> bytes:
 
 def write_exr(path: Path, values: np.ndarray) -> None:
     """One channel R, 32 bit, ZIP."""
-    height, width = values.shape
-    window = struct.pack("<4i", 0, 0, width - 1, height - 1)
-    attributes = (("channels", "chlist", b"R\0" + struct.pack("<iIii", 2, 0, 1, 1) + b"\0"),
-                  ("compression", "compression", b"\3"), ("dataWindow", "box2i", window),
-                  ("displayWindow", "box2i", window), ("lineOrder", "lineOrder", b"\0"),
-                  ("pixelAspectRatio", "float", struct.pack("<f", 1)),
-                  ("screenWindowCenter", "v2f", struct.pack("<2f", 0, 0)),
-                  ("screenWindowWidth", "float", struct.pack("<f", 1)))
-    head = struct.pack("<II", 20000630, 2) + b"".join(
-        f"{name}\0{kind}\0".encode() + struct.pack("<i", len(data)) + data for name, kind, data in attributes) + b"\0"
-    blocks, place = [], len(head) + 8 * -(-height // 16)
-    for top in range(0, height, 16):
-        raw = np.frombuffer(values[top:top + 16].astype("<f4").tobytes(), np.uint8)
-        split = np.concatenate([raw[::2], raw[1::2]]).astype(np.int64)
-        differences = np.concatenate([split[:1], np.diff(split) + 128]).astype(np.uint8)
-        packed = zlib.compress(differences.tobytes())
-        packed = packed if len(packed) < len(raw) else raw.tobytes()
-        blocks.append(struct.pack("<ii", top, len(packed)) + packed)
-    offsets = np.cumsum([place, *(len(block) for block in blocks)])[:-1]
-    path.write_bytes(head + offsets.astype("<u8").tobytes() + b"".join(blocks))
+    library = need("OpenEXR", "exr", f"writing {path.name}")
+    header = {"compression": library.ZIP_COMPRESSION, "type": library.scanlineimage}
+    with library.File(header, {"R": np.ascontiguousarray(values, np.float32)}) as file:
+        file.write(str(path))
 
 
 RGBD: dict[str, Callable[[Path, Sequence[Frame]], None]] = {

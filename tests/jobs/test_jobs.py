@@ -27,7 +27,7 @@ from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch
 from pagas_cl.one_view import refine_one
 from pagas_cl.refine import refine_views
-from pagas_cl.scene import files
+from pagas_cl.scene import npy_files
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.view import View
@@ -272,7 +272,7 @@ def test_many_threads_read_arrays(tmp_path):
         np.save(tmp_path / f"{k}.npy", array)
         np.savez_compressed(tmp_path / f"{k}.npz", depth=array)
     with ThreadPoolExecutor(8) as readers:
-        for read, suffix in ((files.read_npy, "npy"), (files.read_first, "npz")):
+        for read, suffix in ((npy_files.read_npy, "npy"), (npy_files.read_first, "npz")):
             paths = [tmp_path / f"{k}.{suffix}" for k in range(8)] * 50
             assert all(np.array_equal(got, arrays[k % 8]) for k, got in enumerate(readers.map(read, paths)))
 

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.depthmap import clean_depth, find_depth, load_depth, resize_depth, save_depth
+from pagas_cl.scene.depthmap import clean_depth, find_depth, load_depth, resize_depth, save_depth, stretched_depth
 from pagas_cl.scene.files import sum_of, write_arrays
 
 
@@ -103,7 +103,7 @@ def test_pickles_are_not_run(tmp_path):
 
 @pytest.mark.parametrize("size", [(18, 12), (9, 12), (20, 13), (4, 3), (3, 7)])
 def test_resizing_keeps_validity_and_values_in_range(depth, size):
-    got = resize_depth(depth, *size)
+    got = stretched_depth(depth, *size)
     assert got.shape == size[::-1] and got.dtype == np.float32
     valid = got > 0
     assert got[valid].min() >= depth[depth > 0].min() - 1e-6 and got.max() <= depth.max() + 1e-6

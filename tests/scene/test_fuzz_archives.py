@@ -10,6 +10,7 @@ from support.fuzzing import COUNT, bounded
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.readers import read_scene
+from pagas_cl.synthetic.exports_rgbd import write_exr
 
 
 def oracle_neus(data):
@@ -111,11 +112,14 @@ def write_depth(path, depth):
         path.write_bytes(b"Pf\n%d %d\n-1.0\n" % depth.shape[::-1] + np.ascontiguousarray(depth[::-1]).tobytes())
     elif name.endswith(".png"):
         Image.fromarray((depth * 50).astype(np.uint16)).save(path)
+    elif name.endswith(".exr"):
+        pytest.importorskip("OpenEXR")
+        write_exr(path, depth)
     else:
         path.write_bytes(b"%d&%d&1&" % depth.shape[::-1] + depth.tobytes())
 
 
-@pytest.mark.parametrize("name", ["a.npz", "a.npy", "a.pfm", "a.png", "a.jpg.geometric.bin"])
+@pytest.mark.parametrize("name", ["a.npz", "a.npy", "a.pfm", "a.png", "a.exr", "a.jpg.geometric.bin"])
 def test_damaged_depth_maps(tmp_path, name):
     """A depth map is refused, or clean: float32, finite, nowhere below 0, of the size asked for."""
     from pagas_cl.scene.depthmap import load_depth

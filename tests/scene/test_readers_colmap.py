@@ -101,7 +101,7 @@ def test_missing_photos_are_counted_and_named(tmp_path, ring):
     folder = write_model(tmp_path, ring)
     for i in (1, 3, 4, 5):
         (folder / "images" / f"view{i}.png").unlink()
-    with pytest.raises(InputError, match="4 of 7 photos .* missing in .*: view1.png, view3.png, view4.png and 1"):
+    with pytest.raises(InputError, match="4 of 7 photos .* missing in .*: 'view1.png', 'view3.png', 'view4.png' and 1"):
         read_scene(folder)
     shutil.rmtree(folder / "images")
     with pytest.raises(InputError, match="images' does not exist"):
@@ -124,7 +124,7 @@ def test_masks_of_nothing_or_of_another_size(tmp_path, ring):
     with pytest.raises(InputError, match="no mask in .* belongs to any photo; expected names like view0.png"):
         read_scene(folder)
     Image.fromarray(np.zeros((10, 10), np.uint8)).save(folder / "masks" / "view0.png.png")
-    with pytest.raises(InputError, match="mask 'view0.png' is 10 x 10, its camera says 160 x 120"):
+    with pytest.raises(InputError, match="view0.png.png' of view 'view0.png' is 10 x 10, its camera says 160 x 120"):
         read_scene(folder)
 
 

@@ -153,3 +153,73 @@ def test_example_is_never_written_over_something(made, tmp_path):
     with pytest.raises(InputError, match="unknown format 'tom'"):
         write_example(tmp_path / "other", "tom", made)
     assert METRES < 0.01 and as_network(frames_of(made))[0].depth.shape == (126, 168)
+
+
+@pytest.mark.parametrize("kind", ["npz", "npy"])
+def test_a_batch_axis_of_one_is_taken(frames, tmp_path, kind):
+    """VGGT's arrays as the network returns them, (1, photos, ...), for any number of photos, a single one too."""
+    for count in (3, 1):
+        plain, batch = tmp_path / f"plain{count}", tmp_path / f"batch{count}"
+        for folder in (plain, batch):
+            EXPORTS["vggt"](folder, frames[:count])
+        arrays = {name: values[None] for name, values in np.load(batch / "predictions.npz").items()}
+        (batch / "predictions.npz").unlink()
+        if kind == "npz":
+            np.savez(batch / "predictions.npz", **arrays)
+        else:
+            (batch / "vggt").mkdir()
+            for name, values in arrays.items():
+                np.save(batch / "vggt" / f"{name}.npy", values)
+        one, other = read_scene(plain), read_scene(batch)
+        assert len(one.views) == len(other.views) == count
+        for k in range(count):
+            assert rigs.worst_difference(one.views[k].camera, other.views[k].camera) == 0
+            assert np.array_equal(one.depths[k].load(), other.depths[k].load())
+            assert one.depths[k].least == other.depths[k].least
+
+
+def test_masks_beside_a_networks_photos_are_taken(frames, tmp_path):
+    EXPORTS["da3"](tmp_path, frames)
+    (tmp_path / "masks").mkdir()
+    for k in range(3):
+        Image.fromarray(np.eye(126, 168).astype(np.uint8) * 255).save(tmp_path / "masks" / f"{k:06d}.png")
+    assert all(np.array_equal(view.load_mask(), np.eye(126, 168) > 0) for view in read_scene(tmp_path).views)
+    for path in (tmp_path / "masks").iterdir():
+        path.rename(path.with_stem(f"mask_of_{path.stem}"))
+    with pytest.raises(InputError, match="no mask in .* belongs to any photo"):
+        read_scene(tmp_path)
+
+
+@pytest.mark.parametrize("arrays", [{"pts3d": 1, "focals": 1}, {"depthmaps": 1, "im_poses": 1}, None])
+def test_what_dust3r_leaves_is_named(tmp_path, arrays):
+    if arrays is None:
+        (tmp_path / "scene.glb").write_bytes(b"glTF")
+    else:
+        np.savez(tmp_path / "output.npz", **arrays)
+    with pytest.raises(InputError, match="DUSt3R or MASt3R found: save its depth maps .* predictions.npz"):
+        read_scene(tmp_path)
+
+
+def test_what_is_left_out_is_logged(frames, tmp_path, caplog):
+    """Cameras, photos, sequences, models and depth maps that a reader does not take."""
+    def says(words, name, change, **options):
+        EXPORTS[name](tmp_path / name, frames)
+        change(tmp_path / name)
+        caplog.clear()
+        with caplog.at_level(logging.WARNING, "pagas_cl"):
+            read_scene(tmp_path / name, **options)
+        assert re.search(words, caplog.text), (name, caplog.text)
+
+    def model(folder):
+        exports.colmap_txt(folder / "sparse" / "1", exports_depth.photos(folder, frames))
+
+    def fewer(folder):
+        (folder / "depth" / "000000.png").unlink()
+        for path in (folder / "depth").iterdir():
+            path.rename(path.with_stem(f"other{path.stem}"))
+
+    says("1 cameras without a photo, or photos without", "mvsnet", lambda f: next((f / "images").iterdir()).unlink())
+    says("1 of its 3 cameras have no photo", "neus", lambda f: sorted((f / "image").iterdir())[-1].unlink())
+    says("seq-02 are other sequences", "7scenes", lambda f: (f / "seq-02").mkdir())
+    says("1 next to it are other models", "colmap", model)
+    says("2 depth maps, none called as one of the 3 photos", "open3d", fewer)

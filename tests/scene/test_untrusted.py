@@ -21,7 +21,7 @@ from pagas_cl.config import setting_names
 from pagas_cl.errors import InputError
 from pagas_cl.filters.filter_script import check_script
 from pagas_cl.presets import PRESETS
-from pagas_cl.scene import depthmap, files
+from pagas_cl.scene import depthmap, npy_files
 from pagas_cl.scene.images import read_photo
 from pagas_cl.scene.mesh import to_surface
 from pagas_cl.scene.readers import read_scene
@@ -81,7 +81,7 @@ def test_entities_are_never_expanded(tmp_path, text):
 
 def test_a_depth_map_that_unpacks_to_more_than_any_has(tmp_path, monkeypatch):
     """Kilobytes of zeros, deflated: refused by what the archive says, before anything is unpacked."""
-    monkeypatch.setattr(files, "MOST_BYTES", 1 << 20)
+    monkeypatch.setattr(npy_files, "MOST_BYTES", 1 << 20)
     np.savez_compressed(tmp_path / "a.npz", depth=np.zeros((1000, 1000), np.float32))
     monkeypatch.setattr(np.lib.format, "read_array", lambda *_, **__: pytest.fail("unpacked"))
     with pytest.raises(InputError, match="unpacks to 0.0 GB"):

@@ -81,7 +81,7 @@ def test_size_mismatch_of_files_is_found_from_the_header(tmp_path, photo):
     Image.fromarray(photo[:5, :, 0]).save(tmp_path / "m.png")
     with pytest.raises(InputError, match="image 'a.png' is 20 x 10, its camera says 40 x 20"):
         View(camera(40, 20), tmp_path / "a.png").check_files()
-    with pytest.raises(InputError, match="mask 'a.png' is 20 x 5"):
+    with pytest.raises(InputError, match="m.png' of view 'a.png' is 20 x 5"):
         View(camera(), tmp_path / "a.png", tmp_path / "m.png").check_files()
     with pytest.raises(InputError, match="image 'a.png' is 20 x 10"):
         View(camera(40, 20), tmp_path / "a.png").load_image()
@@ -122,5 +122,5 @@ def test_scene_finds_views_by_name_and_stem(photo):
     assert scene.index("left/1.png") == scene.index("1.png") == scene.index("1") == 1
     with pytest.raises(InputError, match="no view '7'.*did you mean"):
         scene.index("7")
-    with pytest.raises(InputError, match="there twice"):
+    with pytest.raises(InputError, match="2 views are called 'a.png'"):
         Scene([View(camera(), photo)] * 2)

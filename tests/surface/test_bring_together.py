@@ -9,8 +9,7 @@ from support.camera_noise import noisy
 from support.scenes import relief_scene
 
 from pagas_cl.scene.depth_source import Adjusted
-from pagas_cl.scene.depthmap import resize_depth
-from pagas_cl.scene.exr import read_exr
+from pagas_cl.scene.depthmap import stretched_depth
 from pagas_cl.scene.images import bilinear
 from pagas_cl.scene.sheets import mesh_of_depths
 from pagas_cl.surface import common_scale, depth_alignment
@@ -18,7 +17,6 @@ from pagas_cl.surface.bring_together import bring_together
 from pagas_cl.surface.common_scale import find_common_scale
 from pagas_cl.surface.depth_alignment import Overlaps
 from pagas_cl.synthetic.examples import as_network, frames_of
-from pagas_cl.synthetic.exports_rgbd import write_exr
 
 pytestmark = pytest.mark.slow
 
@@ -94,7 +92,7 @@ def test_views_without_depth_and_result_are_free_of_scene_units(made, networks):
 def test_pairs_beside_one_another_are_compared_as_each_by_itself(made, coarse):
     """Maps of three sizes, with different numbers of samples: each sample is carried and looked up in its own."""
     sizes = [(64, 48), (80, 60), (40, 60)]
-    views = [depth_alignment.reduced(view.camera.resized(*size), resize_depth(depth, *size)) for view, depth, size in
+    views = [depth_alignment.reduced(view.camera.resized(*size), stretched_depth(depth, *size)) for view, depth, size in
              zip(made.views, coarse, sizes)]
     maps, x = Overlaps.of(views), np.array([[0.1, 0.02], [-0.05, 0.01], [0.0, -0.03]])
     assert len({len(view.samples) for view in views}) > 1 and len(maps.pairs) >= 4
@@ -167,12 +165,3 @@ def test_mesh_of_depths_lies_on_them(made, coarse):
     inside = (uv >= 0).all(axis=1) & (uv < (200, 150)).all(axis=1)
     column, row = uv[inside].astype(int).T
     assert np.median(np.abs(z[inside] / coarse[0][row, column] - 1)) < 2e-3
-
-
-def test_exr(tmp_path):
-    for shape in ((5, 7), (40, 33)):
-        values = np.random.default_rng(0).random(shape).astype(np.float32)
-        write_exr(tmp_path / "a.exr", values)
-        assert np.array_equal(read_exr(tmp_path / "a.exr"), values)
-        write_exr(tmp_path / "a.exr", np.ones(shape, np.float32))
-        assert (read_exr(tmp_path / "a.exr") == 1).all()

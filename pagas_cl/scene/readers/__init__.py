@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.readers.photos import refuse_shared_masks, tell_links
-from pagas_cl.scene.view import Scene
+from pagas_cl.scene.files import is_file
+from pagas_cl.scene.readers import predictions
+from pagas_cl.scene.readers.photos import check_masks, refuse_shared_masks, warn_of_alpha, warn_of_links
+from pagas_cl.scene.view import Scene, file_behind
 
 # In the order of looking: what names its convention and its photos itself comes first.
 FORMATS = {"cameras": "camera_file", "colmap": "colmap", "nerfstudio": "nerfstudio", "mvsnet": "mvsnet",
@@ -40,12 +42,29 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
         if format is not None or module.detect(folder):
             scene: Scene = module.read(folder, **options)
             refuse_shared_masks(scene.views, folder)
-            tell_links(scene.views, folder)
+            check_masks(scene.views, folder / "masks")
+            warn_of_links(scene.files, folder)
+            warn_of_alpha([path for view in scene.views if (path := file_behind(view.image)) is not None])
             if format is None and scene.depths is None:
                 _tell_depth(folder, name)
             return scene
-    raise InputError(f"scene {str(folder)!r} holds no cameras in a known format ({', '.join(FORMATS)}); expected for "
-                     "instance images/ and a COLMAP model in sparse/0")
+    raise InputError(f"scene {str(folder)!r} holds no cameras in a known format ({', '.join(FORMATS)}); "
+                     + (_DUST3R if _has_dust3r(folder) else
+                        "expected for instance images/ and a COLMAP model in sparse/0"))
+
+
+# DUSt3R and MASt3R keep what they found in memory; their demonstrations write scene.glb, people arrays of these names
+_DUST3R_ARRAYS = {"pts3d", "depthmaps", "im_poses", "cams2world", "focals"}
+_DUST3R = ("it seems to hold what DUSt3R or MASt3R found: save its depth maps (photos, height, width) as depth, the "
+           "inverses of its poses (photos, 3, 4) as extrinsic, its intrinsics (photos, 3, 3) as intrinsic, and its "
+           "images (photos, height, width, 3) as images, all in predictions.npz, with the photos in images/")
+
+
+def _has_dust3r(folder: Path) -> bool:
+    if not folder.is_dir():
+        return False
+    arrays = set(predictions.arrays_of(folder)).union(*(predictions.arrays_of(path) for path in folder.glob("*.npz")))
+    return is_file(folder / "scene.glb") or bool(arrays & _DUST3R_ARRAYS)
 
 
 def _tell_depth(folder: Path, taken: str) -> None:

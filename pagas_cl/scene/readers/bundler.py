@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene.camera import FLIP, intrinsics
+from pagas_cl.scene.files import is_file
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
 
@@ -54,15 +55,15 @@ def _images(folder: Path, path: Path, count: int, outside: bool) -> list[Path]:
 
 def _photo(folder: Path, name: str, where: str, outside: bool) -> Path:
     path = photos.inside(folder, name, f"{where}: photo", outside=outside)
-    beside = photos.first_file(folder, (f"{place}/{path.name}" for place in photos.FOLDERS))
-    return beside if beside and not path.is_file() else photos.existing(path, where)
+    in_folder = photos.first_file(folder, (f"{place}/{path.name}" for place in photos.FOLDERS))
+    return in_folder if in_folder and not is_file(path) else photos.existing(path, where)
 
 
 def read_bundle(path: Path) -> tuple[list[tuple[float, np.ndarray, np.ndarray]], np.ndarray]:
     """[(f, R (3, 3), t (3,))] in Bundler's axes, and points (N, 3), float64."""
     lines = untrusted.read_text(path).splitlines()
     if not lines or not lines[0].startswith("# Bundle file v0.3"):
-        raise InputError(f"{path} starts with {untrusted.short(lines[0] if lines else '')}, expected "
+        raise InputError(f"{path} starts with {short(lines[0] if lines else '')}, expected "
                          "'# Bundle file v0.3'")
     rows = [line.split() for line in lines[1:] if line.strip() and not line.startswith("#")]
     if not rows or len(rows[0]) != 2:

@@ -12,9 +12,9 @@ import os
 from pathlib import Path
 from typing import Any
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, short
 from pagas_cl.scene.camera import intrinsics
-from pagas_cl.scene.files import write_text
+from pagas_cl.scene.files import is_file, write_text
 from pagas_cl.scene.readers import untrusted
 from pagas_cl.scene.readers.photos import find_mask, inside, view_of
 from pagas_cl.scene.view import Scene, View
@@ -35,7 +35,7 @@ def read(folder: Path, *, outside: bool = False) -> Scene:
     path = folder / NAME
     data = untrusted.read_json(path)
     if data.get("convention") != CONVENTION:
-        raise InputError(f"{path}: convention is {untrusted.short(data.get('convention'))}, expected {CONVENTION!r}; "
+        raise InputError(f"{path}: convention is {short(data.get('convention'))}, expected {CONVENTION!r}; "
                          "convert the cameras and say so")
     views = untrusted.objects(data, "views", "view", path, _KNOWN)
     return Scene([_view(folder, view, where, outside) for view, where in views], str(path))
@@ -71,6 +71,6 @@ def _view(folder: Path, entry: dict[str, Any], where: str, outside: bool) -> Vie
 
 def _file(folder: Path, name: Any, what: str, outside: bool) -> Path:
     path = inside(folder, name, what, outside=outside)
-    if not path.is_file():
-        raise InputError(f"{what} {untrusted.short(name)} is missing in {str(folder)!r}")
+    if not is_file(path):
+        raise InputError(f"{what} {short(name)} is missing in {str(folder)!r}")
     return path

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import InputError, log, short
+from pagas_cl.scene.files import is_file
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.lens import Lens, ThroughLens
 from pagas_cl.scene.placement import find_placement
@@ -42,10 +43,21 @@ def read(folder: Path, *, outside: bool = False, photos: str | Path | None = Non
         raise InputError(f"{str(folder)!r} has no COLMAP model: looked for cameras and images (.bin or .txt) in "
                          f"{', '.join(_PLACES[:2])}")
     model = read_model(place)
+    _warn_of_other_models(place)
     views = _views_of(model, folder / "images", folder, outside)
     if photos is not None:
         views = _with_originals(views, Path(photos))
     return Scene(views, f"COLMAP model {str(place)!r}", model.points if len(model.points) else None)
+
+
+def _warn_of_other_models(place: Path) -> None:
+    """COLMAP writes what it could not join as models of their own: sparse/0, sparse/1, ..."""
+    if place.name == "0":
+        others = sorted(path.name for path in place.parent.iterdir()
+                        if path != place and any(is_file(path / f"images{end}") for end in (".bin", ".txt")))
+        if others:
+            log.warning("%s is read; %s next to it are other models, of photos that this one may lack", place,
+                        ", ".join(others[:5]))
 
 
 def _views_of(model: Model, photos: Path, folder: Path, outside: bool) -> list[View]:
@@ -61,8 +73,6 @@ def _views_of(model: Model, photos: Path, folder: Path, outside: bool) -> list[V
     views = [_view(model, image, paths[image.name], folder, lenses) for image in images]
     for view in views:
         view.check_files()
-    if (folder / "masks").is_dir():
-        _tell_masks(views, folder / "masks")
     return views
 
 
@@ -81,13 +91,13 @@ def _view(model: Model, image: ModelImage, path: Path, folder: Path, lenses: dic
 
 
 def _check_photos(paths: dict[str, Path], photos: Path) -> None:
-    missing = [name for name, path in paths.items() if not path.is_file()]
+    missing = [name for name, path in paths.items() if not is_file(path)]
     if missing and not photos.is_dir():
         raise InputError(f"the folder {str(photos)!r} does not exist; the photos of the COLMAP model must be there")
     if missing:
         more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
         raise InputError(f"{len(missing)} of {len(paths)} photos of the COLMAP model are missing in {str(photos)!r}: "
-                         f"{', '.join(missing[:3])}{more}; copy them there, or remove them from the model")
+                         f"{', '.join(map(short, missing[:3]))}{more}; copy them there, or remove them from the model")
 
 
 def _refuse_small_cameras(model: Model, images: list[ModelImage], photos: Path) -> None:
@@ -104,16 +114,6 @@ def _refuse_small_cameras(model: Model, images: list[ModelImage], photos: Path) 
                          f"principal point at {across.mean():.2f}, {down.mean():.2f} of the photo's size, not near "
                          "its middle: the intrinsics belong to smaller images (Depth Anything 3 with a ...crop method "
                          "does not scale them back); export with a ...resize method")
-
-
-def _tell_masks(views: list[View], masks: Path) -> None:
-    without = [view.name for view in views if view.mask is None]
-    if len(without) == len(views):
-        raise InputError(f"no mask in {str(masks)!r} belongs to any photo; expected names like "
-                         f"{views[0].stem}.png or {views[0].name}.png")
-    if without:
-        log.warning("%d of %d views have no mask in %s and are used whole: %s", len(without), len(views), masks,
-                    ", ".join(without[:5]))
 
 
 def _with_originals(views: list[View], folder: Path) -> list[View]:

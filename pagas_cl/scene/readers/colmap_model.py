@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.errors import InputError, need
+from pagas_cl.errors import InputError, need, short
 from pagas_cl.scene.camera import intrinsics
 from pagas_cl.scene.files import translated
 from pagas_cl.scene.readers import untrusted
@@ -80,10 +80,10 @@ def read_model(place: Path) -> Model:
     cameras = dict(found)
     for what, parts in (("camera", [number for number, _ in found]), ("image", [image.name for image in images])):
         if untrusted.twice(parts) is not None:
-            raise InputError(f"{place}: {what} {untrusted.short(untrusted.twice(parts))} is there twice")
+            raise InputError(f"{place}: {what} {short(untrusted.twice(parts))} is there twice")
     for image in images:
         if image.camera_id not in cameras:
-            raise InputError(f"{place}: image {untrusted.short(image.name)} has camera {image.camera_id}, which is not "
+            raise InputError(f"{place}: image {short(image.name)} has camera {image.camera_id}, which is not "
                              f"in cameras{suffix}")
     points = place / f"points3D{suffix}"
     read_points = _points_bin if binary else _points_txt
@@ -99,12 +99,12 @@ def _guarded(path: Path, read: Callable[[bytes, Path], _Part]) -> _Part:
 def _camera(model: str | int, width: float, height: float, params: Sequence[float] | np.ndarray,
             where: str) -> ModelCamera:
     if not isinstance(model, str) or model not in _COUNTS:
-        raise InputError(f"{where} has model {untrusted.short(model)}, which is unknown; undistort first: colmap "
+        raise InputError(f"{where} has model {short(model)}, which is unknown; undistort first: colmap "
                          "image_undistorter")
     if len(params) != _COUNTS[model]:
         raise InputError(f"{where}: {model} has {len(params)} parameters, expected {_COUNTS[model]}")
     if not np.isfinite(params).all() or np.abs(params).max(initial=0) > 1e9:
-        raise InputError(f"{where}: the parameters are {untrusted.short(list(params))}, expected finite numbers of "
+        raise InputError(f"{where}: the parameters are {short(list(params))}, expected finite numbers of "
                          "pixels")
     return ModelCamera(model, *untrusted.size(width, height, where), tuple(float(p) for p in params))
 
@@ -171,14 +171,14 @@ def _rows(lines: Iterator[str], splits: int, least: int, path: Path, columns: st
         if line and not line.startswith("#"):
             row = line.split(maxsplit=splits)
             if len(row) < least:
-                raise InputError(f"{path}: line {untrusted.short(line)} has {len(row)} words, expected {columns}")
+                raise InputError(f"{path}: line {short(line)} has {len(row)} words, expected {columns}")
             yield row
 
 
 def _cameras_txt(data: bytes, path: Path) -> list[tuple[int, ModelCamera]]:
     cameras = []
     for row in _rows(_lines(data), -1, 4, path, "number, model, width, height and parameters"):
-        where = f"{path}: camera {untrusted.short(row[0])}"
+        where = f"{path}: camera {short(row[0])}"
         number, width, height = untrusted.words([row[0], *row[2:4]], where)
         cameras.append((untrusted.whole(float(number), 0, 2**32 - 1, where),
                         _camera(row[1], width, height, untrusted.words(row[4:], where), where)))
@@ -188,7 +188,7 @@ def _cameras_txt(data: bytes, path: Path) -> list[tuple[int, ModelCamera]]:
 def _images_txt(data: bytes, path: Path) -> list[ModelImage]:
     images, lines = [], _lines(data)
     for row in _rows(lines, 9, 10, path, "number, quaternion, translation, camera, name"):
-        where = f"{path}: image {untrusted.short(row[0])}"
+        where = f"{path}: image {short(row[0])}"
         numbers = untrusted.words(row[:9], where)
         camera = untrusted.whole(float(numbers[8]), 0, 2**32 - 1, f"{where}: camera")
         images.append(_image(numbers[1:8], camera, row[9], where))

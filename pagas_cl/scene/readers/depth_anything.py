@@ -35,4 +35,5 @@ def read(folder: Path, *, photos: Path | None = None, confidence: float | None =
                                found.get("image"))
     source = f"{place} (Depth Anything 3)"
     originals = predictions.find_photos(folder, photos and Path(photos), len(rows), source)
-    return predictions.scene_of(rows, originals, [f"{k:06d}.png" for k in range(len(rows))], source, least=confidence)
+    return predictions.scene_of(folder, rows, originals, [f"{k:06d}.png" for k in range(len(rows))], source,
+                                least=confidence)

@@ -6,6 +6,7 @@ its name. Its COLMAP export, whose photos are the network's small ones, is read 
 originals).
 """
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,10 +31,18 @@ class Masked:
     confidence: ArrayRef
     mask: ArrayRef
 
+    def __str__(self) -> str:
+        return str(self.confidence)
+
     @property
     def digest(self) -> str:
         """Of both."""
         return digest_of([f"{self.confidence.digest} {self.mask.digest}".encode()])
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the confidence, by the file's header."""
+        return self.confidence.shape
 
     def load(self) -> np.ndarray:
         """(h, w) float; InputError where the file is damaged."""
@@ -60,8 +69,8 @@ def read(folder: Path, *, photos: Path | None = None, confidence: float | None =
     rows = [_row(path) for path in files]
     source = f"{files[0].parent} (MapAnything)"
     originals = _originals(folder, photos and Path(photos), files, source)
-    return predictions.scene_of(rows, originals, [f"{path.stem}.png" for path in files], source, usual="cropped",
-                                camera_to_world=True, least=confidence)
+    return predictions.scene_of(folder, rows, originals, [f"{path.stem}.png" for path in files], source,
+                                usual="cropped", camera_to_world=True, least=confidence)
 
 
 def _row(path: Path) -> predictions.Row:
@@ -76,9 +85,10 @@ def _row(path: Path) -> predictions.Row:
 
 
 def _square(ref: ArrayRef, side: int) -> np.ndarray:
-    values = np.asarray(ref.load(), np.float64)
-    if values.size != side * side or not np.isfinite(values).all():
-        raise InputError(f"{ref} has shape {values.shape}, expected one finite matrix of {side} x {side}")
+    known = math.prod(ref.shape) == side * side
+    values = np.asarray(ref.load() if known else np.nan, np.float64)
+    if not np.isfinite(values).all():
+        raise InputError(f"{ref} has shape {ref.shape}, expected one finite matrix of {side} x {side}")
     return values.reshape(side, side)
 
 

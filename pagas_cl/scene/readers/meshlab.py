@@ -16,7 +16,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from pagas_cl.errors import InputError, MissingExtraError, log
+from pagas_cl.errors import InputError, MissingExtraError, log, short
 from pagas_cl.scene import patches
 from pagas_cl.scene.camera import FLIP, Camera, intrinsics
 from pagas_cl.scene.files import write_text
@@ -79,7 +79,7 @@ class Project:
             raise InputError(f"{self.path} has no raster layers with cameras; add the photos in MeshLab "
                              "(Import Raster, with a camera each)")
         for raster in self.rasters:
-            photos.existing(raster.path, f"{self.path}, raster layer {raster.label!r}")
+            photos.existing(raster.path, f"{self.path}, raster layer {short(raster.label)}")
         places = [os.path.relpath(raster.path, self.path.parent) for raster in self.rasters]
         for names in ([raster.path.name for raster in self.rasters], [raster.label for raster in self.rasters], places):
             if len(set(names)) == len(names):      # else photos of several folders
@@ -139,18 +139,18 @@ def _refuse_binary(element: Element, what: str) -> None:
 
 
 def _raster(element: Element, path: Path, number: int, outside: bool) -> RasterLayer:
-    where = f"{path}, raster layer {number} ({untrusted.short(element.get('label', ''))})"
+    where = f"{path}, raster layer {number} ({short(element.get('label', ''))})"
     camera = element.find("VCGCamera")
     if camera is None:
         raise InputError(f"{where} has no VCGCamera")
     _refuse_binary(camera, f"{where}: the camera")
     if camera.get("CameraType", "0") != "0":
-        raise InputError(f"{where}: CameraType is {untrusted.short(camera.get('CameraType'))}, expected 0 "
+        raise InputError(f"{where}: CameraType is {short(camera.get('CameraType'))}, expected 0 "
                          "(perspective)")
     get = {key: untrusted.words(camera.get(key, left_out), f"{where}: {key}", count)
            for key, count, left_out in _NUMBERS}
     if get["LensDistortion"].any():
-        raise InputError(f"{where}: LensDistortion is {untrusted.short(camera.get('LensDistortion'))}, expected 0 0: "
+        raise InputError(f"{where}: LensDistortion is {short(camera.get('LensDistortion'))}, expected 0 0: "
                          "photos must be undistorted first")
     if (get["PixelSizeMm"] <= 0).any():
         raise InputError(f"{where}: PixelSizeMm is {get['PixelSizeMm'].tolist()}, expected numbers above 0")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene, View
 
@@ -39,6 +39,9 @@ def read(folder: Path, *, pixel_center: float = 0.5, intrinsics_scale: float | N
     both = sorted(set(files) & set(found))
     if not both:
         raise InputError(f"{folder}: none of the {len(found)} photos has the number of a camera file in {place}")
+    alone = len(files) + len(found) - 2 * len(both)
+    if alone:
+        log.warning("%s: %d cameras without a photo, or photos without a camera, are left out", folder, alone)
     views = [_view(folder, files[n], found[n], pixel_center, intrinsics_scale) for n in both]
     pairs = photos.first_file(folder, ("pair.txt", place / "pair.txt", place.parent / "pair.txt"))
     if pairs is not None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene.camera import FLIP, intrinsics
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.readers import photos, untrusted
@@ -94,7 +94,7 @@ def _photo(folder: Path, name: Any, what: str, outside: bool) -> Path:
 def _refuse_distortion(values: dict[str, Any], where: str) -> None:
     model = values.get("camera_model", "PINHOLE")
     if model not in _MODELS:
-        raise InputError(f"{where}: camera_model is {untrusted.short(model)}, expected {' or '.join(_MODELS)} with "
+        raise InputError(f"{where}: camera_model is {short(model)}, expected {' or '.join(_MODELS)} with "
                          "all distortion 0; undistort the photos first")
     for key in _DISTORTION:
         if key in values and untrusted.number(values[key], f"{where}: {key}") != 0:

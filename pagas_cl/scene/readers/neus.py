@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.files import opened, read_member, translated
+from pagas_cl.scene.files import opened, translated
+from pagas_cl.scene.npy_files import read_member
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
 
@@ -69,6 +70,8 @@ def _matched(images: list[Path], matrices: dict[int, dict[str, np.ndarray]],
     if len(images) == len(keys):
         return zip(keys, images)
     if len(numbered) == len(images) and set(numbered) <= set(keys):
+        log.warning("%s: %d of its %d cameras have no photo in %s and are left out", path, len(keys) - len(images),
+                    len(keys), images[0].parent)
         return sorted(numbered.items())
     raise InputError(f"{path} has {len(keys)} cameras and {images[0].parent} {len(images)} photos, whose names are not "
                      "their numbers; expected one photo a camera, or photos called by the numbers of their cameras")

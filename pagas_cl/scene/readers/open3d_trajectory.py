@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.readers import photos, untrusted
@@ -70,6 +70,9 @@ def _depths(folder: Path, views: list[View]) -> tuple[DepthSource | None, ...] |
     files: list[Path | None] = [by_stem.get(view.stem) for view in views]
     if not any(files):
         if len(found) != len(views):
+            if found:
+                log.warning("%s has %d depth maps, none called as one of the %d photos is: they are not used",
+                            folder / "depth", len(found), len(views))
             return None
         files = list(found)
     return tuple(None if file is None else DepthSource(file, (view.camera.width, view.camera.height), DEPTH_SCALE)
@@ -80,7 +83,7 @@ def read_json(path: Path, *, pixel_center: float = PIXEL_CENTER) -> list[Camera]
     """Cameras of a PinholeCameraTrajectory .json."""
     data = untrusted.read_json(path)
     if data.get("class_name") != "PinholeCameraTrajectory":
-        raise InputError(f"{path}: class_name is {untrusted.short(data.get('class_name'))}, expected "
+        raise InputError(f"{path}: class_name is {short(data.get('class_name'))}, expected "
                          "'PinholeCameraTrajectory'")
     cameras = []
     for i, (entry, where) in enumerate(untrusted.objects(data, "parameters", "camera", path)):
@@ -92,7 +95,7 @@ def read_json(path: Path, *, pixel_center: float = PIXEL_CENTER) -> list[Camera]
 
 def _intrinsic(value: Any, where: str) -> tuple[tuple[int, int], np.ndarray]:
     if not isinstance(value, dict):
-        raise InputError(f"{where} is {untrusted.short(value)}, expected an object with width, height and "
+        raise InputError(f"{where} is {short(value)}, expected an object with width, height and "
                          "intrinsic_matrix")
     size = untrusted.size(value.get("width"), value.get("height"), where)
     K = untrusted.numbers(value.get("intrinsic_matrix"), 9, f"{where}: intrinsic_matrix")

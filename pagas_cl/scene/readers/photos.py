@@ -2,17 +2,18 @@
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.files import is_file
-from pagas_cl.scene.images import image_size
-from pagas_cl.scene.readers.untrusted import IMAGE_SUFFIXES, MAX_SIDE, short
-from pagas_cl.scene.view import View
+from pagas_cl.scene.images import has_alpha, image_size
+from pagas_cl.scene.readers.untrusted import IMAGE_SUFFIXES, MAX_SIDE
+from pagas_cl.scene.view import View, file_behind
 
+_WITH_ALPHA = (".png", ".tif", ".tiff", ".webp")
 FOLDERS = ("images", "image", "color", "rgb", "blended_images")
 
 
@@ -91,12 +92,23 @@ def refuse_shared_masks(views: Iterable[View], folder: Path) -> None:
     One that a file of the scene names for several photos is nobody's mistake."""
     found: dict[Path, View] = {}
     for view in views:
-        photo, mask = (getattr(source, "path", source) for source in (view.image, view.mask))
-        if isinstance(mask, Path) and isinstance(photo, Path) and mask == find_mask(folder, photo, name=view.name):
+        photo, mask = file_behind(view.image), file_behind(view.mask)
+        if mask is not None and photo is not None and mask == find_mask(folder, photo, name=view.name):
             other = found.setdefault(mask, view)
             if other is not view:
                 raise InputError(f"mask {str(mask)!r} could be of view {other.name!r} and of {view.name!r}: give each "
                                  f"one of its own, {mask.parent / other.name}.png and {mask.parent / view.name}.png")
+
+
+def check_masks(views: Sequence[View], masks: Path) -> None:
+    """InputError where a folder of masks has none of any view; logs which views have none."""
+    without = [view.name for view in views if view.mask is None]
+    if masks.is_dir() and len(without) == len(views):
+        raise InputError(f"no mask in {str(masks)!r} belongs to any photo; expected names like "
+                         f"{views[0].stem}.png or {views[0].name}.png")
+    if masks.is_dir() and without:
+        log.warning("%d of %d views have no mask in %s and are used whole: %s", len(without), len(views), masks,
+                    ", ".join(map(short, without[:5])))
 
 
 def one_photo_each(photos: list[Path], count: int, what: str) -> list[Path]:
@@ -121,25 +133,27 @@ def view_of(folder: Path, camera: Camera, photo: Path, mask: Path | None = None,
     return view
 
 
-def tell_links(views: Iterable[View], folder: str | Path) -> list[Path]:
-    """Log which files of `views` a symbolic link takes out of the scene's `folder` (or file); returns them.
+def warn_of_links(files: Iterable[Path], folder: Path) -> None:
+    """Log which of a scene's files a symbolic link takes out of its `folder` (or that of its file).
 
-    Whoever owns the disk makes links, or whoever packed the scene: they are read, and the caller is told where from.
+    Whoever owns the disk makes links, or whoever packed the scene: they are read, and the log says where from.
     """
-    folder = Path(folder)
     top = folder if folder.is_dir() else folder.parent
-    root, lexical, found = os.path.realpath(top), os.path.abspath(top), []
-    for view in views:
-        for source in (view.image, view.mask):
-            path = getattr(source, "path", source)
-            if isinstance(path, Path) and _below(os.path.abspath(path), lexical):
-                real = os.path.realpath(path)
-                if not _below(real, root):
-                    found.append(path)
+    root, lexical = os.path.realpath(top), os.path.abspath(top)
+    found = [path for path in files if _below(os.path.abspath(path), lexical)
+             and not _below(os.path.realpath(path), root)]
     if found:
-        log.warning("%d photos or masks of scene %s lie outside it, through symbolic links: %s is %s; do not go on if "
-                    "you do not know who made the links", len(found), folder, found[0], os.path.realpath(found[0]))
-    return found
+        log.warning("%d photos, masks or depth maps of scene %s lie outside it, through symbolic links: %s is %s; do "
+                    "not go on if you do not know who made the links", len(found), folder, found[0],
+                    os.path.realpath(found[0]))
+
+
+def warn_of_alpha(photos: Sequence[Path]) -> None:
+    """Log how many photos have an alpha channel, which is not used: COLMAP does not use it either."""
+    found = [path for path in photos if path.suffix.lower() in _WITH_ALPHA and has_alpha(path)]
+    if found:
+        log.warning("%d of %d photos have an alpha channel, which is not used (the first is %s): to leave out what is "
+                    "transparent, give masks/%s.png, white = used", len(found), len(photos), found[0], found[0].stem)
 
 
 def _below(path: str, root: str) -> bool:

@@ -13,7 +13,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.arrays import ArrayRef, PhotoInArray, members
-from pagas_cl.scene.depth_source import DepthSource, Stored, flat, least_confidence, tell_left_out
+from pagas_cl.scene.depth_formats import check_pixels, plane_of
+from pagas_cl.scene.depth_source import DepthSource, Shaped, shape_of, tell_left_out, with_least_confidence
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.patches import evenly
 from pagas_cl.scene.placement import Placement, find_placement
@@ -31,7 +32,7 @@ class Row:
     depth: ArrayRef
     pose: np.ndarray
     K: np.ndarray
-    confidence: Stored | None = None
+    confidence: Shaped | None = None
     photo: ArrayRef | None = None
 
 
@@ -49,36 +50,46 @@ def first(found: Mapping[str, ArrayRef], names: Sequence[str]) -> ArrayRef | Non
 
 def rows_of(depth: ArrayRef, poses: ArrayRef, K: ArrayRef, confidence: ArrayRef | None,
             photo: ArrayRef | None) -> list[Row]:
-    """A Row for each of the first axis; InputError where the arrays are not of one length."""
-    maps, pose_rows, K_rows = depth.load(), _matrices(poses, (3, 4)), _matrices(K, (3,))
-    count = len(maps)
+    """A Row for each photo, whose axis is the first, or the second behind a batch of one; InputError where the arrays
+    are not of one length."""
+    depth, confidence = _without_batch(depth, 2), confidence and _without_batch(confidence, 2)
+    photo = photo and _without_batch(photo, 3)
+    count, pose_rows, K_rows = _length(depth), _matrices(poses, (3, 4)), _matrices(K, (3,))
     others = {str(poses): len(pose_rows), str(K): len(K_rows),
-              **{str(ref): len(ref.load()) for ref in (confidence, photo) if ref is not None}}
+              **{str(ref): _length(ref) for ref in (confidence, photo) if ref is not None}}
     for name, length in others.items():
         if length != count:
             raise InputError(f"{name} has {length} rows and {depth} has {count}, expected one a photo in both")
-    if not 1 <= count <= MOST_ROWS or maps.ndim < 3:
-        raise InputError(f"{depth} has shape {maps.shape}, expected (photos, height, width)")
-
-    def row(ref: ArrayRef | None, k: int) -> ArrayRef | None:
-        return None if ref is None else ArrayRef(ref.file, ref.member, k)
-
-    return [Row(ArrayRef(depth.file, depth.member, k), pose_rows[k], K_rows[k], row(confidence, k), row(photo, k))
+    if not 1 <= count <= MOST_ROWS or len(depth.shape) < 3:
+        raise InputError(f"{depth} has shape {depth.shape}, expected (photos, height, width)")
+    return [Row(depth.part(k), pose_rows[k], K_rows[k], confidence and confidence.part(k), photo and photo.part(k))
             for k in range(count)]
+
+
+def _without_batch(ref: ArrayRef, axes: int) -> ArrayRef:
+    """Of an array with the axes of photos and `axes` of each, a channel's apart: that of the only batch, where there is
+    one."""
+    shape = ref.shape
+    own = len(shape) - (axes == 2 and shape[-1:] == (1,))
+    return ref.part(0) if own > 1 + axes and shape[0] == 1 else ref
+
+
+def _length(ref: ArrayRef) -> int:
+    return ref.shape[0] if ref.shape else 0
 
 
 def _matrices(ref: ArrayRef, rows: tuple[int, ...]) -> np.ndarray:
     """(N, 3 or 4, 3 or 4) float64, finite; a leading axis of length 1 is the batch."""
-    values = np.asarray(ref.load(), np.float64)
-    if values.ndim == 4 and len(values) == 1:
-        values = values[0]
-    if values.ndim != 3 or values.shape[1] not in rows or not np.isfinite(values).all():
-        raise InputError(f"{ref} has shape {values.shape}, expected a finite matrix a photo with "
+    ref = ref.part(0) if len(ref.shape) == 4 and ref.shape[0] == 1 else ref
+    known = len(ref.shape) == 3 and ref.shape[0] <= MOST_ROWS and ref.shape[1] in rows and ref.shape[2] in (3, 4)
+    values = np.asarray(ref.load() if known else np.nan, np.float64)
+    if not np.isfinite(values).all():
+        raise InputError(f"{ref} has shape {ref.shape}, expected a finite matrix a photo with "
                          f"{' or '.join(map(str, rows))} rows")
     return values
 
 
-def scene_of(rows: Sequence[Row], originals: Sequence[Path] | None, names: Sequence[str], source: str, *,
+def scene_of(folder: Path, rows: Sequence[Row], originals: Sequence[Path] | None, names: Sequence[str], source: str, *,
              usual: str = "stretched", camera_to_world: bool = False, least: float | None = None) -> Scene:
     """The scene: a view of each original photo, or of the network's own (called `names`) where there are none.
 
@@ -88,8 +99,6 @@ def scene_of(rows: Sequence[Row], originals: Sequence[Path] | None, names: Seque
     if originals is None and any(row.photo is None for row in rows):
         raise InputError(f"{source} holds no photos, and none were found: put them into images/ beside it, under names "
                          "in the order that the network had them, or name their folder (--photos DIR)")
-    confidences = [row.confidence for row in rows if row.confidence is not None]
-    least = least_confidence(confidences, source) if confidences and least is None else least or 0.0
     compared = set(evenly(len(rows), _COMPARED).tolist())
     views, depths = list[View](), list[DepthSource]()
     for k, row in enumerate(rows):
@@ -98,20 +107,26 @@ def scene_of(rows: Sequence[Row], originals: Sequence[Path] | None, names: Seque
         name = names[k] if originals is None else originals[k].name
         camera = untrusted.pinhole(row.K, row.pose, *small, name, camera_to_world=camera_to_world)
         if originals is None and row.photo is not None:
-            views.append(View(camera, PhotoInArray(row.photo), None, name))
-            depths.append(DepthSource(row.depth, small, confidence=row.confidence, least=least))
+            views.append(View(camera, _photo(row.photo, small), None, name))
+            depths.append(DepthSource(row.depth, small, confidence=row.confidence))
             continue
         photo = (originals or [])[k]
         placement = None if row.photo is None or k in compared else _as_compared(views, depths, photo, small)
         if placement is None:
-            pixels = None if row.photo is None else PhotoInArray(row.photo).load()
+            pixels = None if row.photo is None else _photo(row.photo, small).load()
             placement = find_placement(photo, small, pixels, where, usual)
         width, height = image_size(photo)
-        views.append(View(placement.photo_camera(camera, width, height), photo, None, name))
-        depths.append(DepthSource(row.depth, (width, height), placement=placement, confidence=row.confidence,
-                                  least=least))
+        views.append(View(placement.photo_camera(camera, width, height), photo, photos.find_mask(folder, photo), name))
+        depths.append(DepthSource(row.depth, (width, height), placement=placement, confidence=row.confidence))
+    depths = with_least_confidence(depths, source, least)
     _tell(depths, originals is None, source)
     return Scene(views, source, depths=tuple(depths), depth_unit="as the cameras' positions")
+
+
+def _photo(ref: ArrayRef, small: tuple[int, int]) -> PhotoInArray:
+    """The network's own photo, of the size of its depth map."""
+    check_pixels(ref.shape, small, str(ref))
+    return PhotoInArray(ref)
 
 
 def _as_compared(views: list[View], depths: list[DepthSource], photo: Path, small: tuple[int, int]) -> Placement | None:
@@ -123,9 +138,9 @@ def _as_compared(views: list[View], depths: list[DepthSource], photo: Path, smal
     return None
 
 
-def _size(depth: Path | Stored) -> tuple[int, int]:
+def _size(depth: Path | Shaped) -> tuple[int, int]:
     """Width and height of a depth map."""
-    height, width = flat(depth).shape
+    height, width = plane_of(shape_of(depth), str(depth))
     return untrusted.size(width, height, str(depth))
 
 

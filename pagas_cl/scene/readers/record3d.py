@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.errors import InputError, need
+from pagas_cl.errors import InputError, need, short
 from pagas_cl.scene.camera import FLIP, intrinsics
 from pagas_cl.scene.files import digest_file, translated
 from pagas_cl.scene.readers import photos, rgbd, untrusted
@@ -30,6 +30,9 @@ class Packed:
     file: Path
     shape: tuple[int, int]
     dtype: str
+
+    def __str__(self) -> str:
+        return str(self.file)
 
     @property
     def digest(self) -> str:
@@ -89,7 +92,10 @@ def _frame(folder: Path, data: dict[str, Any], k: int, photo: Path, where: str) 
     numbers = untrusted.numbers(data["poses"][k], 7, f"{where}: pose")
     pose = untrusted.pose(numbers[:4], numbers[4:], where) @ FLIP
     each = data.get("perFrameIntrinsicCoeffs")
-    if isinstance(each, list) and len(each) == len(data["poses"]):
+    if each:
+        if not isinstance(each, list) or len(each) != len(data["poses"]):
+            raise InputError(f"{where}: perFrameIntrinsicCoeffs is {short(each)}, expected four numbers for each of "
+                             f"the {len(data['poses'])} poses, or nothing")
         K = intrinsics(*untrusted.numbers(each[k], 4, f"{where}: perFrameIntrinsicCoeffs"))
     else:
         K = untrusted.numbers(data.get("K"), 9, f"{where}: K").reshape(3, 3).T

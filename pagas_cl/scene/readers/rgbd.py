@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.depth_source import DepthSource, Stored, least_confidence, tell_left_out
+from pagas_cl.scene.depth_source import DepthSource, Shaped, tell_left_out, with_least_confidence
 from pagas_cl.scene.placement import Placement
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
@@ -20,8 +20,8 @@ class Frame:
     photo: Path
     camera_to_world: np.ndarray
     K: np.ndarray
-    depth: Path | Stored | None = None
-    confidence: Path | Stored | None = None
+    depth: Path | Shaped | None = None
+    confidence: Path | Shaped | None = None
     placement: Placement | None = None
     pixel_center: float = 0.5
 
@@ -43,8 +43,6 @@ def scene_of(folder: Path, frames: Sequence[Frame], depth: Depth, source: str) -
     if len(tracked) < len(frames):
         log.info("%s: %d of %d frames have no pose (tracking lost) and are left out", source,
                  len(frames) - len(tracked), len(frames))
-    sure = [frame.confidence for frame in frames if frame.confidence is not None]
-    least = least_confidence(sure, source) if sure else 0.0
     views, depths = [], list[DepthSource | None]()
     for frame in tracked:
         width, height = photos.photo_size(frame.photo)
@@ -52,7 +50,8 @@ def scene_of(folder: Path, frames: Sequence[Frame], depth: Depth, source: str) -
                                    pixel_center=frame.pixel_center, camera_to_world=True)
         views.append(photos.view_of(folder, camera, frame.photo))
         depths.append(None if frame.depth is None else DepthSource(
-            frame.depth, (width, height), depth.scale, frame.placement, frame.confidence, least, depth.invalid))
+            frame.depth, (width, height), depth.scale, frame.placement, frame.confidence, invalid=depth.invalid))
+    depths = with_least_confidence(depths, source)
     tell_left_out(depths, source)
     return Scene(views, source, depths=tuple(depths) if any(depths) else None, depth_unit=depth.unit)
 

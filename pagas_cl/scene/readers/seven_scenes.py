@@ -31,6 +31,10 @@ def read(folder: Path) -> Scene:
     place = detect(folder)
     if place is None:
         raise InputError(f"{folder} has no frame-NNNNNN.pose.txt (looked in {', '.join(_PLACES)})")
+    others = sorted(path.name for path in folder.glob("seq-*") if path.is_dir() and path != place)
+    if others:
+        log.warning("%s is read; %s are other sequences and are not: name one as the scene to read it", place,
+                    ", ".join(others[:5]))
     path = photos.first_file(place, INTRINSICS)
     source = f"{place} (7-Scenes, KinectFusion)"
     frames = []

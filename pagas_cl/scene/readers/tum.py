@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene.camera import intrinsics
 from pagas_cl.scene.readers import photos, rgbd, untrusted
 from pagas_cl.scene.view import Scene
@@ -67,7 +67,7 @@ def _rows(path: Path, least: int) -> list[list[str]]:
         raise InputError(f"{path} has {len(rows)} lines, expected 1 to {_ROWS}")
     for row in rows:
         if len(row) < least:
-            raise InputError(f"{path}: line {untrusted.short(' '.join(row))} has {len(row)} words, expected {least}")
+            raise InputError(f"{path}: line {short(' '.join(row))} has {len(row)} words, expected {least}")
     return rows
 
 

@@ -15,7 +15,7 @@ from xml.parsers import expat
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, short
 from pagas_cl.scene import files
 from pagas_cl.scene.camera import Camera
 
@@ -101,12 +101,6 @@ def _inspect_xml(data: bytes, path: Path) -> None:
 def twice(values: Sequence[Hashable]) -> Hashable:
     """The first of `values` that is there twice, or None."""
     return None if len(set(values)) == len(values) else Counter(values).most_common(1)[0][0]
-
-
-def short(value: object) -> str:
-    """A value as a message may show it: its repr, cut to 60 characters."""
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def number(value: Any, what: str) -> float:

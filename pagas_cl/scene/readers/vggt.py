@@ -39,5 +39,5 @@ def read(folder: Path, *, photos: Path | None = None, confidence: float | None =
     rows = predictions.rows_of(depth, pose, K, sure, photo)
     source = f"{place if place != folder else folder / depth.file.name} (VGGT)"
     originals = predictions.find_photos(folder, photos and Path(photos), len(rows), source)
-    return predictions.scene_of(rows, originals, [f"{k:06d}.png" for k in range(len(rows))], source, usual="padded",
-                                least=confidence)
+    return predictions.scene_of(folder, rows, originals, [f"{k:06d}.png" for k in range(len(rows))], source,
+                                usual="padded", least=confidence)

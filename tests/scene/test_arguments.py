@@ -1,0 +1,85 @@
+"""Arguments of the Python calls that are of a wrong kind: one InputError sentence that names the argument, what was
+given and what is expected; and kinds that are taken."""
+
+import numpy as np
+import pytest
+from conftest import look_at
+from PIL import Image
+
+import pagas_cl
+from pagas_cl.errors import InputError
+from pagas_cl.scene.inputs import as_cameras, as_views, depth_maps
+from pagas_cl.scene.view import Scene, View
+
+DEPTH = np.ones((4, 6), np.float32)
+CAMERAS = [look_at((x, 0, -5), (0, 0, 0), 6, 4, 5.0) for x in range(3)]
+PHOTOS = [np.full((4, 6, 3), 9 * k, np.uint8) for k in range(3)]
+VIEWS = [View(camera, photo, name=f"{k}.png") for k, (camera, photo) in enumerate(zip(CAMERAS, PHOTOS))]
+GOOD = {
+    "refine_mesh": {"mesh": ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]), "cams": CAMERAS, "images": PHOTOS},
+    "refine_views": {"views": VIEWS, "depths": [DEPTH] * 3},
+    "refine_depth": {"target": VIEWS[0], "contexts": VIEWS[1:], "depth": DEPTH},
+}
+OPTIONS = {
+    "refine_mesh": ["masks", "preset", "config", "device", "output", "subdivide", "flat", "executor", "folder"],
+    "refine_views": ["names", "config", "preset", "device", "on_view", "executor", "folder", "photos"],
+    "refine_depth": ["preset", "config", "device", "held_out", "photos"],
+}
+WRONG = {"number": 3, "object": object(), "numbers": [3, 4, 5], "dict": {"a": 1}, "cameras": CAMERAS, "photos": PHOTOS,
+         "views": VIEWS, "scene": Scene(VIEWS), "array": np.ones((3, 4, 6)), "strings": ["x", "y", "z"],
+         "nothing": None, "image": Image.fromarray(PHOTOS[0])}
+# what is right after all, or found wrong for what it holds and not for its kind
+RIGHT = {("views", "views"), ("contexts", "views"), ("held_out", "views"), ("cams", "cameras"), ("images", "photos"),
+         ("masks", "photos"), ("device", "strings"), ("images", "strings"), ("masks", "strings"), ("names", "strings"),
+         ("masks", "array"), ("names", "dict"), ("depths", "array"), ("subdivide", "number"), ("flat", "number"),
+         ("depth", "image"), ("masks", "cameras")}
+CASES = [(call, argument, kind) for call in GOOD for argument in [*GOOD[call], *OPTIONS[call]] for kind in WRONG
+         if (argument, kind) not in RIGHT and not (kind == "nothing" and argument in OPTIONS[call])]
+
+
+@pytest.mark.parametrize("call, argument, kind", CASES)
+def test_a_wrong_kind_is_named(call, argument, kind):
+    with pytest.raises(InputError) as error:
+        getattr(pagas_cl, call)(**{**GOOD[call], argument: WRONG[kind]})
+    said = str(error.value)
+    assert argument.rstrip("s") in said and "expected" in said and "\n" not in said and len(said) < 500, said
+
+
+def test_cameras_and_photos_that_were_swapped():
+    with pytest.raises(InputError, match=r"cams\[0\] is an array of uint8, .*were cams and images swapped\?"):
+        pagas_cl.refine_mesh(GOOD["refine_mesh"]["mesh"], PHOTOS, CAMERAS)
+    with pytest.raises(InputError, match=r"images\[0\] is a Camera, .*were cams and images swapped\?"):
+        as_views(CAMERAS, CAMERAS)
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "L", "P", "CMYK", "I;16"])
+def test_pillow_images_are_photos_and_masks(mode):
+    rng = np.random.default_rng(0)
+    colours = Image.fromarray(rng.integers(0, 256, (4, 6, 3), np.uint8))
+    wide = Image.fromarray(rng.integers(0, 65536, (4, 6)).astype(np.uint16))
+    given = wide if mode == "I;16" else colours.convert(mode)
+    (view,) = as_views(CAMERAS[:1], [given], [Image.fromarray(np.eye(4, 6) > 0)])
+    assert view.load_image().shape == (4, 6, 3) and view.load_image().dtype == np.uint8
+    assert np.array_equal(view.load_mask(), np.eye(4, 6) > 0)
+    if mode == "RGB":
+        assert np.array_equal(view.load_image(), np.asarray(colours))
+
+
+def test_a_pillow_image_is_a_depth_map():
+    found = depth_maps(VIEWS[:1], [Image.fromarray(DEPTH)])[0]
+    assert np.array_equal(found, DEPTH)
+
+
+def test_lists_of_open3d_cameras_are_cameras():
+    o3d = pytest.importorskip("open3d")
+    given = o3d.camera.PinholeCameraTrajectory()
+    each = []
+    for camera in CAMERAS:
+        own = o3d.camera.PinholeCameraParameters()
+        own.intrinsic = o3d.camera.PinholeCameraIntrinsic(6, 4, camera.fx, camera.fy, camera.cx, camera.cy)
+        own.extrinsic = camera.world_to_camera
+        each.append(own)
+    given.parameters = each
+    for one, other in zip(as_cameras(each), as_cameras(given)):
+        assert np.array_equal(one.K, other.K) and np.array_equal(one.world_to_camera, other.world_to_camera)
+        assert one.name == other.name
