@@ -83,6 +83,21 @@ def _bytes(words: list[str]) -> int:
     return sum(int(TYPES.get(kind, "f0")[1:]) for kind in kinds)
 
 
+def check_mesh_file(path: str | Path, *, outside: bool = False) -> None:
+    """Raise InputError for a mesh file that a native reader (pymeshlab, Open3D) must not be handed: damaged, more
+    claimed than it holds, an index out of range, no regular file, or, without `outside`, one that names files out of
+    its folder. To be called before any such reader opens `path`; a point cloud is no error."""
+    path = Path(path)
+    _check_file(path)
+    check_parts(path, outside=outside)
+
+
+def written_by_pagas_cl(path: str | Path) -> bool:
+    """Whether the mesh file `path` carries the mark of files that pagas_cl wrote; false where it does not exist or
+    cannot be read."""
+    return False
+
+
 def check_mesh_path(path: str | Path) -> None:
     """Raise InputError for a name that `write_mesh` could not write to: said before the work, not after it."""
     path = Path(path)
