@@ -1,12 +1,15 @@
-"""Places that a command writes to: none of them is an input, another output, or a file that pagas_cl has not written."""
+"""Places that a command writes to: none is an input, another output, or a file that pagas_cl has not written."""
 
 from collections.abc import Sequence
+from itertools import repeat
 from pathlib import Path
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.mesh_file import SUFFIXES
+from pagas_cl.scene.files import is_file
+from pagas_cl.scene.mesh_file import SUFFIXES, written_by_pagas_cl
 from pagas_cl.scene.names import OWN
 from pagas_cl.scene.own_files import is_own_json, is_own_text
+from pagas_cl.scene.view import Scene
 
 PAGE_FILES = ("index.html", "report.json", "tradeoff.json", "analysis.json")    # of --report
 _OWN_FOLDER = (OWN, "cameras_report.json", *PAGE_FILES)       # one of these is in a folder that pagas_cl has written
@@ -49,7 +52,7 @@ def check_outputs(outputs: dict[str, Path | None], inputs: dict[str, Path | None
 def _check_file(words: str, path: Path, around: str | None, overwrite: bool) -> None:
     if not path.is_file():
         raise InputError(f"{words} is no regular file (a pipe, a device or the like): choose another name")
-    if written_by_pagas_cl(path):
+    if is_own_file(path):
         return
     if around is not None:
         raise InputError(f"{words} is a file of {around}, which is read: choose another name")
@@ -58,26 +61,26 @@ def _check_file(words: str, path: Path, around: str | None, overwrite: bool) -> 
                          "--overwrite")
 
 
-def written_by_pagas_cl(path: Path) -> bool:
-    """Whether the file has the mark that files of its kind get."""
+def is_own_file(path: Path) -> bool:
+    """Whether the file has the mark that pagas_cl writes into files of its kind."""
     if path.suffix.lower() in SUFFIXES:
-        from pagas_cl.scene import mesh_file
-
-        return mesh_file.written_by_pagas_cl(path)
-    return is_own_json(path) if path.suffix.lower() == ".json" else is_own_text(path) or is_own_json(path)
+        return written_by_pagas_cl(path)
+    return is_own_json(path) or is_own_text(path)
 
 
-def scene_inputs(views: Sequence, depths: Sequence | None = None) -> dict[str, Path | None]:
-    """What a scene reads, for `check_outputs`: photos, masks and depth maps of its views, and the folders they are in."""
-    found: dict[str, Path | None] = {}
-    for k, view in enumerate(views):
-        depth = depths[k] if depths is not None else None
+def scene_inputs(scene: Scene, depths: Sequence | None = None) -> dict[str, Path | None]:
+    """What a scene reads, for `check_outputs`: photos, masks and depth maps of its views, the folders that they are in,
+    and the file with its cameras, where it is one."""
+    source = Path(scene.source)
+    found: dict[str, Path | None] = {"the file of the cameras": source if is_file(source) else None}
+    depths = scene.depths if depths is None else depths
+    for view, depth in zip(scene.views, depths or repeat(None)):
         sources = {"photo": view.image, "mask": view.mask, "depth map": getattr(depth, "file", None)}
         for what, source in sources.items():
             path = getattr(source, "path", source)
             if isinstance(path, Path):
                 found[f"the {what} of view {view.name!r}"] = path
-                found.setdefault(f"the folder of the {what}s", path.parent)
+                found[f"the folder of the {what}s ({str(path.parent)!r})"] = path.parent
     return found
 
 

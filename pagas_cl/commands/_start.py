@@ -5,6 +5,7 @@ from collections.abc import Collection
 from contextlib import contextmanager
 from pathlib import Path
 
+from pagas_cl.commands._outputs import PAGE_FILES
 from pagas_cl.errors import InputError, InterruptedRunError, log
 from pagas_cl.jobs.executors import check_address
 from pagas_cl.jobs.finished import begun_in, records_in, work_folder
@@ -17,8 +18,6 @@ from pagas_cl.scene.files import read_bytes
 from pagas_cl.scene.mesh import to_surface
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.readers.mesh_parts import check_parts
-
-_BESIDE = ("report.json", "tradeoff.json", "analysis.json")      # beside the pages of refine, tradeoff, analyze
 
 
 def check_source(mesh, other, what: str, outside: bool, option: str = "--depth-dir") -> None:
@@ -62,25 +61,25 @@ def check_writable(option: str, folder: Path | None) -> None:
                 path.rmdir()
 
 
-def check_report(folder: Path | None, beside: str, pictures: Collection[str] = ()) -> None:
-    """The same of the folder of a page, which has the file `beside` and `pictures`: none is replaced that is not
-    ours."""
+def check_report(folder: Path | None, beside: str, pictures: Collection[str] = (), overwrite: bool = False) -> None:
+    """The same of the folder of a page, which has the file `beside` and `pictures`: without `overwrite` none is
+    replaced that pagas_cl has not written."""
     check_writable("--report", folder)
-    if folder is None:
+    if folder is None or overwrite:
         return
-    page, there = folder / "index.html", {name for name in _BESIDE if (folder / name).exists()}
-    ours = pictures_in(folder).union(["tradeoff.png", "tradeoff.json"] if "tradeoff.json" in there else [])
-    ours.update([beside] if page.exists() or ours else [])
-    others = [file for file in (beside, *pictures) if file not in ours and (folder / file).exists()]
+    page, there = folder / "index.html", {name for name in PAGE_FILES[1:] if (folder / name).exists()}
+    own = pictures_in(folder).union(["tradeoff.png", "tradeoff.json"] if "tradeoff.json" in there else [])
+    own.update([beside] if page.exists() or own else [])
+    others = [file for file in (beside, *pictures) if file not in own and (folder / file).exists()]
     if page.exists() and b"pagas" not in read_bytes(page):
-        taken = f"{str(page)!r} is a page of somebody else, which ours would replace"
+        taken = f"{str(page)!r} is a page of somebody else"
     elif page.exists() and there != {beside}:
-        taken = f"{str(page)!r} is the page of another command, which this one would replace"
+        taken = f"{str(page)!r} is the page of another command"
     elif others:
-        taken = f"{str(folder / others[0])!r} is not ours to replace"
+        taken = f"{str(folder / others[0])!r} was not written by pagas_cl"
     else:
         return
-    raise InputError(f"--report: {taken}: choose another folder")
+    raise InputError(f"--report: {taken}: choose another folder, or replace it with --overwrite")
 
 
 def load_scene(scene, format, outside: bool):
