@@ -81,7 +81,7 @@ def test_size_mismatch_of_files_is_found_from_the_header(tmp_path, photo):
     Image.fromarray(photo[:5, :, 0]).save(tmp_path / "m.png")
     with pytest.raises(InputError, match="image 'a.png' is 20 x 10, its camera says 40 x 20"):
         View(camera(40, 20), tmp_path / "a.png").check_files()
-    with pytest.raises(InputError, match="mask '.*m.png' of view 'a.png' is 20 x 5"):
+    with pytest.raises(InputError, match="mask 'a.png' is 20 x 5"):
         View(camera(), tmp_path / "a.png", tmp_path / "m.png").check_files()
     with pytest.raises(InputError, match="image 'a.png' is 20 x 10"):
         View(camera(40, 20), tmp_path / "a.png").load_image()
