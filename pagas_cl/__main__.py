@@ -1,7 +1,7 @@
 """The command line: finds the command, runs it, and turns what went wrong into an exit status and one sentence.
 
 Exit status: 0 done; 2 bad input, bad usage, or an optional package or an OpenCL device that is missing; 3 done, but
-nothing was refined; 1 anything else; 130 interrupted.
+nothing was refined; 1 anything else; 130 interrupted; 143 ended by SIGTERM.
 """
 
 import pkgutil
@@ -69,10 +69,18 @@ def _module(name: str):
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and end the process with its status; being asked to end (SIGTERM) is a Ctrl-C."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    """Run the command line and end the process with its status. SIGTERM ends the work as Ctrl-C does."""
+    ended_by = []
+
+    def end(number, frame) -> None:
+        ended_by.append(number)
+        signal.default_int_handler(number, frame)
+
+    signal.signal(signal.SIGTERM, end)
     make_streams_safe()
     status = run(sys.argv[1:] if arguments is None else arguments)
+    if status == INTERRUPTED and ended_by:
+        status = 128 + signal.SIGTERM
     sys.stdout.flush()
     fault = getattr(sys.stdout, "fault", "")
     if fault:
@@ -83,29 +91,29 @@ def main(arguments: list[str] | None = None) -> None:
 def run(arguments: list[str]) -> int:
     """Run the command line; returns the exit status."""
     debug = "--debug" in arguments
-    with log_to_stderr(debug):
-        return _run([word for word in arguments if word != "--debug"] or ["--help"], debug)
-
-
-def _run(arguments: list[str], debug: bool) -> int:
-    known = command_names()
-    wanted = [word for word in arguments if not word.startswith("-")][:1]
     try:
-        one = wanted if wanted and wanted[0] in known else []
-        refuse_empty(arguments)
-        many = getattr(_module(one[0]), "MANY", ()) if one else ()      # options that take several words
-        status = build_app(one or known)(expand_lists(arguments, many), prog_name="pagas-cl", standalone_mode=False,
-                                         obj=shlex.join(["pagas-cl", *arguments]))  # what was asked, for reports
-        if status == INTERRUPTED:  # typer has caught it
-            raise KeyboardInterrupt
-        return status if isinstance(status, int) else 0
+        with log_to_stderr(debug):
+            return _run([word for word in arguments if word != "--debug"] or ["--help"])
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write("pagas-cl: interrupted\n")
         return INTERRUPTED
-    except Exception as error:  # the outermost place: whatever it is becomes a sentence and a status
+    except Exception as error:  # the outermost place: whatever it is becomes a sentence, the last one, and a status
         if debug:
             raise
         return _explain(error)
+
+
+def _run(arguments: list[str]) -> int:
+    known = command_names()
+    wanted = [word for word in arguments if not word.startswith("-")][:1]
+    one = wanted if wanted and wanted[0] in known else []
+    refuse_empty(arguments)
+    many = getattr(_module(one[0]), "MANY", ()) if one else ()      # options that take several words
+    status = build_app(one or known)(expand_lists(arguments, many), prog_name="pagas-cl", standalone_mode=False,
+                                     obj=shlex.join(["pagas-cl", *arguments]))  # what was asked, for reports
+    if status == INTERRUPTED:  # typer has caught it
+        raise KeyboardInterrupt
+    return status if isinstance(status, int) else 0
 
 
 def _explain(error: Exception) -> int:

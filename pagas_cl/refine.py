@@ -144,7 +144,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         raise InputError(f"output is {short(output)}, expected 'mesh', 'tsdf' or 'displace'")
     check_subdivide(subdivide)
     check_flat(flat)
-    given = to_surface(mesh) if output == "mesh" and isinstance(mesh, (str, Path)) else mesh
+    given = to_surface(mesh) if isinstance(mesh, (str, Path)) else mesh
     place = Place(device, executor, folder)
     return refine_scene(as_views(cams, images, masks), given, None, settings_of(preset, config),
                         making=MeshOptions(output, subdivide, flat), place=place, progress=progress).mesh

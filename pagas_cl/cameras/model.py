@@ -1,28 +1,33 @@
 """Refined cameras as a COLMAP model, for other tools."""
 
+import json
 import shutil
 import tempfile
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.files import replaced, translated
+from pagas_cl.scene.files import read_bytes, replaced, translated
+from pagas_cl.scene.own_files import is_own_json
 from pagas_cl.scene.readers import colmap
 from pagas_cl.scene.view import View
 
-REPORT = "cameras_report.json"      # of a model of ours, beside sparse/
+REPORT = "cameras_report.json"      # beside sparse/: what was measured, and which files of the model are ours
+_PARTS = ("cameras", "images", "points3D", "rigs", "frames")
 
 
-def check_place(out: str | Path, views: Sequence[View]) -> None:
-    """Before the work: InputError where OUT/sparse/0 is a model of somebody else (the scene's own, say), or a name is
-    none that a COLMAP model can have."""
+def check_place(out: str | Path, views: Sequence[View], overwrite: bool = False) -> None:
+    """Before the work: InputError where OUT/sparse/0 has files of a model that pagas_cl has not written (the scene's
+    own, say; unless `overwrite`), or a name is none that a COLMAP model can have."""
     place = Path(out) / "sparse" / "0"
-    if place.exists() and not (place.is_dir() and not any(place.iterdir())) and not (Path(out) / REPORT).is_file():
-        raise InputError(f"--output: {str(place)!r} is a model of somebody else, which ours would replace: choose "
-                         "another folder")
+    foreign = [] if overwrite else [file for file in _model_files(place) if file.name not in _own_files(Path(out))]
+    if foreign or (place.exists() and not place.is_dir()):
+        raise InputError(f"--output: {str(foreign[0] if foreign else place)!r} is of a model that pagas_cl has not "
+                         "written: choose another folder, or replace it with --overwrite")
     for view in views:
         try:
             view.name.encode()
@@ -61,10 +66,25 @@ def write_model(folder: str | Path, views: Sequence[View], cameras: Sequence[Cam
     as_text = place is not None and not (place / "cameras.bin").is_file()
     with tempfile.TemporaryDirectory() as folder:
         (model.write_text if as_text else model.write_binary)(folder)
-        for file in sorted(Path(folder).iterdir()):
+        written = sorted(Path(folder).iterdir())
+        for file in written:
             with replaced(out / file.name) as beside:
                 shutil.copyfile(file, beside)
+    for file in _model_files(out):      # of an earlier model: a .bin would be read in place of a .txt
+        if file.name not in [part.name for part in written]:
+            file.unlink()
     return out
+
+
+def _model_files(place: Path) -> list[Path]:
+    """Those in a folder that COLMAP reads as a model."""
+    return [file for name, suffix in product(_PARTS, (".bin", ".txt")) if (file := place / f"{name}{suffix}").exists()]
+
+
+def _own_files(out: Path) -> list[str]:
+    """Names of the files in OUT/sparse/0 that an earlier run has written."""
+    report = out / REPORT
+    return json.loads(read_bytes(report)).get("model", []) if is_own_json(report) else []
 
 
 def _pose(pycolmap, camera: Camera):

@@ -2,19 +2,41 @@
 
 from collections.abc import Sequence
 
-from pagas_cl.config import Config
+from pagas_cl.commands._start import loaded
+from pagas_cl.config import Config, Fusion
 from pagas_cl.errors import log
 from pagas_cl.keep_mesh import mesh_mb
 from pagas_cl.runtime.host import resident_mb, trim
 from pagas_cl.scene.choice import MOST_HELD_OUT
 from pagas_cl.scene.view import View
 from pagas_cl.splat.budget import plan_for
-from pagas_cl.surface.blocks import USUAL_MB
+from pagas_cl.surface.blocks import USUAL_MB, cut
+from pagas_cl.surface.fuse import plan_with_blocks
 
 _KERNELS = 60.0          # MB: compiled, and what their compiler keeps
 _VIEW = 85               # bytes a pixel of the view under way: photos read ahead, results, what judges and draws them
 _AGREE = 64              # the same of a comparison with others, on the device, beside 8 of each other view
 _GRID = 430              # bytes a pixel of a grid, where views overlap as little as they can
+
+
+class _OneByOne(Sequence):
+    """Depth maps that are in memory one at a time."""
+
+    def __init__(self, depths: Sequence):
+        self._depths = depths
+
+    def __len__(self) -> int:
+        return len(self._depths)
+
+    def __getitem__(self, place):
+        return loaded(self._depths[place:place + 1])[0]
+
+
+def check_fusion(views: Sequence[View], depths: Sequence, settings: Fusion, memory_mb: float) -> None:
+    """Before views are refined: InputError where their `depths`, as they are now, cannot be fused in `memory_mb`."""
+    plan, blocks = plan_with_blocks(views, _OneByOne(depths), settings, [])
+    if plan.memory_mb > memory_mb:
+        cut(plan, blocks, memory_mb, views)
 
 
 def tell_memory(views: Sequence[View], config: Config, device, fused: bool,

@@ -1,5 +1,7 @@
 """Settings of a command line: `--set stage.field=value`, or the best for `--time-per-view` and `--time-budget`."""
 
+import math
+
 from pagas_cl.config import Config, setting_names
 from pagas_cl.errors import InputError, log
 from pagas_cl.presets import preset
@@ -56,7 +58,10 @@ def _number(text: str):
     try:
         return int(text)
     except ValueError:
-        return float(text)
+        number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text} is not finite")
+    return number
 
 
 def check_times(per_view: float | None, budget: float | None, preset: str, several: bool) -> None:
@@ -68,9 +73,7 @@ def check_times(per_view: float | None, budget: float | None, preset: str, sever
     if several and given:
         raise InputError("--time-per-view and --time-budget measure one device: leave out --devices and --scheduler, "
                          "or choose the settings with --preset")
-    for name, value in given.items():
-        if not value > 0:
-            raise InputError(f"{name} is {value:g}, expected more than 0")
+    for name in given:
         if preset != "balanced":
             raise InputError(f"{name} chooses the settings itself: leave out --preset {preset} (--set and --context "
                              "hold)")

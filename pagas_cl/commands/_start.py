@@ -5,9 +5,10 @@ from collections.abc import Collection
 from contextlib import contextmanager
 from pathlib import Path
 
+from pagas_cl.commands._outputs import PAGE_FILES
 from pagas_cl.errors import InputError, InterruptedRunError, log
 from pagas_cl.jobs.executors import check_address
-from pagas_cl.jobs.finished import begun_in, records_in, work_folder
+from pagas_cl.jobs.finished import begun_in, forget_inputs, records_in, work_folder
 from pagas_cl.jobs.store import Store
 from pagas_cl.report import pictures_in
 from pagas_cl.runtime.device import open_device
@@ -15,19 +16,17 @@ from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.depthmap import find_depths
 from pagas_cl.scene.files import read_bytes
 from pagas_cl.scene.mesh import to_surface
+from pagas_cl.scene.mesh_file import read_content
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.scene.readers.mesh_parts import check_parts
-
-_BESIDE = ("report.json", "tradeoff.json", "analysis.json")      # beside the pages of refine, tradeoff, analyze
 
 
 def check_source(mesh, other, what: str, outside: bool, option: str = "--depth-dir") -> None:
-    """Raise InputError unless exactly one of both is given, `what` says in the message what they are for, and files
-    that the mesh names lie in its folder, where they have to."""
+    """Raise InputError unless exactly one of both is given, `what` says in the message what they are for, and the mesh
+    can be read, files that it names among it; a mesh beside a project is for pymeshlab, which has its own check."""
     if (mesh is None) == (other is None):
         raise InputError(f"expected either --mesh or {option} ({what}), got {'neither' if mesh is None else 'both'}")
-    if mesh is not None:
-        check_parts(mesh, outside=outside)
+    if mesh is not None and option != "--project":
+        read_content(mesh, outside=outside)
 
 
 def place_of(device, devices, scheduler) -> dict:
@@ -62,25 +61,25 @@ def check_writable(option: str, folder: Path | None) -> None:
                 path.rmdir()
 
 
-def check_report(folder: Path | None, beside: str, pictures: Collection[str] = ()) -> None:
-    """The same of the folder of a page, which has the file `beside` and `pictures`: none is replaced that is not
-    ours."""
+def check_report(folder: Path | None, beside: str, pictures: Collection[str] = (), overwrite: bool = False) -> None:
+    """The same of the folder of a page, which has the file `beside` and `pictures`: without `overwrite` none is
+    replaced that pagas_cl has not written."""
     check_writable("--report", folder)
-    if folder is None:
+    if folder is None or overwrite:
         return
-    page, there = folder / "index.html", {name for name in _BESIDE if (folder / name).exists()}
-    ours = pictures_in(folder).union(["tradeoff.png", "tradeoff.json"] if "tradeoff.json" in there else [])
-    ours.update([beside] if page.exists() or ours else [])
-    others = [file for file in (beside, *pictures) if file not in ours and (folder / file).exists()]
+    page, there = folder / "index.html", {name for name in PAGE_FILES[1:] if (folder / name).exists()}
+    own = pictures_in(folder).union(["tradeoff.png", "tradeoff.json"] if "tradeoff.json" in there else [])
+    own.update([beside] if page.exists() or own else [])
+    others = [file for file in (beside, *pictures) if file not in own and (folder / file).exists()]
     if page.exists() and b"pagas" not in read_bytes(page):
-        taken = f"{str(page)!r} is a page of somebody else, which ours would replace"
+        taken = f"{str(page)!r} is a page of somebody else"
     elif page.exists() and there != {beside}:
-        taken = f"{str(page)!r} is the page of another command, which this one would replace"
+        taken = f"{str(page)!r} is the page of another command"
     elif others:
-        taken = f"{str(folder / others[0])!r} is not ours to replace"
+        taken = f"{str(folder / others[0])!r} was not written by pagas_cl"
     else:
         return
-    raise InputError(f"--report: {taken}: choose another folder")
+    raise InputError(f"--report: {taken}: choose another folder, or replace it with --overwrite")
 
 
 def load_scene(scene, format, outside: bool):
@@ -90,8 +89,9 @@ def load_scene(scene, format, outside: bool):
 
 @contextmanager
 def resumable(folder: Path | None, total: int):
-    """Context of a run of `total` views that keeps finished ones in `folder`: says first what an earlier run has left
-    there, and where it is interrupted (InterruptedRunError) what is kept now, and how to go on."""
+    """Context, inside one_run, of a run of `total` views that keeps finished ones in `folder`: says first what an
+    earlier run has left there, and where it is interrupted (InterruptedRunError) what is kept now, and how to go on.
+    Where no view was finished nothing stays of what was drawn."""
     def found() -> tuple[int, str]:
         """How many views are kept, and as what: those of the last round, or else of earlier ones."""
         done = len(records_in(folder)) if folder is not None else 0
@@ -103,8 +103,14 @@ def resumable(folder: Path | None, total: int):
                  left, how, "" if left == 1 else "s", folder)
     try:
         yield
+    except InputError:
+        if not found()[0]:
+            forget_inputs(folder)
+        raise
     except KeyboardInterrupt as error:
         done, how = found()
+        if not done:
+            forget_inputs(folder)
         what = (f"{done} of {total} views are {how} and kept in {str(folder)!r}: the same command goes on from them"
                 if done else "nothing is kept, no view was finished" if folder is not None
                 else "nothing is kept but pictures; with --save-depth finished views are")

@@ -1,6 +1,5 @@
 """`pagas-cl analyze`: which effects a scene calls for, on what evidence, and what each costs on this device."""
 
-import json
 import sys
 from contextlib import nullcontext
 from pathlib import Path
@@ -11,6 +10,8 @@ import typer
 from pagas_cl import __version__
 from pagas_cl.analysis import analyze
 from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._options import DEPTH_SCALE, OVERWRITE, QUIET
+from pagas_cl.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.commands._settings import build_config, effect_settings
 from pagas_cl.commands._start import check_report, check_source, check_writable, initial_depths, load_scene
 from pagas_cl.effects import EFFECTS
@@ -19,6 +20,7 @@ from pagas_cl.jobs.finished import one_run
 from pagas_cl.report.page import html_page
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.files import write_text
+from pagas_cl.scene.own_files import write_json
 
 MANY = ("--views", "--set", "--effect")
 COLUMNS = ["view", "effect", "evidence", "threshold", "decision", "what is measured"]
@@ -40,28 +42,30 @@ def command(
     costs: bool = typer.Option(True, "--costs/--no-costs", help="Time some steps with each effect on and off."),
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
     format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
-    depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
+    depth_scale: float = DEPTH_SCALE,
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
-    quiet: bool = typer.Option(False, "--quiet", help="No progress."),
+    overwrite: bool = OVERWRITE,
+    quiet: bool = QUIET,
 ):
     """Measure what SCENE calls for; refines nothing. The decisions are those that refine takes."""
     check_source(mesh, depth_dir, "where a refinement would start", outside)
     config = build_config(preset, [*settings, *effect_settings(effects)])
     found = load_scene(scene, format, outside)
     names = [found.views[found.index(name)].name for name in views] or None
+    check_outputs({"--json": output, "--report": report},
+                  {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, **scene_inputs(found)}, overwrite)
     check_writable("--json", output and output.parent)
-    check_report(report, "analysis.json")
+    check_report(report, "analysis.json", overwrite=overwrite)
     with shown_progress(quiet) as progress, one_run(report) if report else nullcontext():
         device = open_device(device)
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, names=names)
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
                            progress=progress)
         show(analysis, table)
-        text = json.dumps(analysis.as_dict(), indent=1) + "\n"
-        if output is not None:
-            write_text(output, text)
+        for path in (output, report and report / "analysis.json"):
+            if path is not None:
+                write_json(path, "analyze", analysis.as_dict())
         if report is not None:
-            write_text(report / "analysis.json", text)
             write_text(report / "index.html", page(analysis, found.source))
 
 

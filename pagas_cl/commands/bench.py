@@ -1,15 +1,16 @@
 """`pagas-cl bench`: what a step and a frame cost on this device, stage by stage."""
 
-import json
 import sys
 from pathlib import Path
 
 import typer
 
 from pagas_cl.bench import bench
+from pagas_cl.commands._options import OVERWRITE, QUIET
+from pagas_cl.commands._outputs import check_outputs
 from pagas_cl.commands._settings import build_config
 from pagas_cl.commands._start import check_writable
-from pagas_cl.scene.files import write_text
+from pagas_cl.scene.own_files import write_json
 from pagas_cl.synthetic import relief_scene
 
 MANY = ("--preset", "--set")
@@ -23,8 +24,11 @@ def command(
     settings: list[str] = typer.Option([], "--set", help="stage.field=value, for all presets."),
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name."),
     output: Path = typer.Option(None, "--json", help="Write all figures to this file too."),
+    overwrite: bool = OVERWRITE,
+    quiet: bool = QUIET,
 ):
     """Measure presets on a synthetic scene: time of each stage, bytes moved, share of the copy bandwidth, memory."""
+    check_outputs({"--json": output}, {}, overwrite)
     check_writable("--json", output and output.parent)
     synthetic = relief_scene(width, round(width * 0.7477), contexts=contexts)
     depth, results = synthetic.initial_depth(synthetic.cameras[0]), []
@@ -33,4 +37,4 @@ def command(
         sys.stdout.write(result.table() + "\n")
         results.append(result.as_dict())
     if output:
-        write_text(output, json.dumps(results, indent=1) + "\n")
+        write_json(output, "bench", {"presets": results})

@@ -1,6 +1,6 @@
 """`pagas-cl cameras`: refine the cameras of a scene by its photos and a first surface; for other tools, too."""
 
-import json
+import shlex
 import sys
 from pathlib import Path
 
@@ -8,12 +8,15 @@ import typer
 
 from pagas_cl.cameras.model import REPORT, check_place, write_model
 from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._options import DEPTH_SCALE, OVERWRITE, QUIET
+from pagas_cl.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene, place_of
-from pagas_cl.errors import log, plain
+from pagas_cl.errors import plain
 from pagas_cl.jobs.finished import one_run
 from pagas_cl.refine import refine_cameras
-from pagas_cl.scene.files import write_text
 from pagas_cl.scene.mesh import to_surface
+from pagas_cl.scene.names import file_stems
+from pagas_cl.scene.own_files import write_json
 
 MANY = ("--unknowns",)
 
@@ -29,9 +32,10 @@ def command(
     devices: str = typer.Option(None, "--devices", metavar="all|NAME,...", help="A process on each of these devices."),
     scheduler: str = typer.Option(None, "--scheduler", metavar="tcp://HOST:PORT", help="A Dask cluster you trust."),
     format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
-    depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
+    depth_scale: float = DEPTH_SCALE,
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
-    quiet: bool = typer.Option(False, "--quiet", help="No progress."),
+    overwrite: bool = OVERWRITE,
+    quiet: bool = QUIET,
 ):
     """Refine the cameras of SCENE, so that its photos agree through the surface.
 
@@ -41,23 +45,39 @@ def command(
     found = load_scene(scene, format, outside)
     for view in found.views:
         view.check_files()
+    file_stems([view.name for view in found.views])     # names that no file can have are refused here
+    check_outputs({"--output": output, "the report of --output": output / REPORT},
+                  {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, **scene_inputs(found)}, overwrite)
     check_writable("--output", output)
-    check_place(output, found.views)
+    check_place(output, found.views, overwrite)
     place = place_of(device, devices, scheduler)
     with shown_progress(quiet) as progress, one_run(output):
         surface = (to_surface(mesh) if mesh is not None
                    else initial_depths(found, mesh, depth_dir, depth_scale, progress))
         told = refine_cameras(found.views, surface, unknowns=tuple(unknowns) or ("pose",), folder=output,
                               progress=progress, **place)
-        write_text(output / REPORT, json.dumps(told.as_dict(), indent=1) + "\n")
         model = write_model(scene, found.views, told.cameras, output)
+        write_json(output / REPORT, "cameras", {"model": sorted(file.name for file in model.iterdir()),
+                                                **told.as_dict()})
     sys.stdout.write(table(told, [view.name for view in found.views]))
-    log.info("cameras: %s", model)
+    sys.stdout.write(_closing(told, scene, model, mesh, depth_dir))
+
+
+def _closing(told, scene: Path, model: Path, mesh: Path | None, depth_dir: Path | None) -> str:
+    """What was written, and the command that goes on from here."""
+    surface = ["--mesh", str(mesh)] if mesh is not None else ["--depth-dir", str(depth_dir)]
+    words = ["pagas-cl", "refine", str(scene), *surface, "--output", "fine.ply"]
+    if told.accepted:
+        return (f"the refined cameras are in {str(model)!r}, for other programs; 'pagas-cl refine' refines those of "
+                f"SCENE itself while it works. Next: {shlex.join(words)}\n")
+    return (f"the model in {str(model)!r} has the cameras as SCENE has them: nothing was gained by moving them. Next: "
+            f"{shlex.join([*words, '--effect', 'cameras=off'])}\n")
 
 
 def table(told, names) -> str:
     """What moved, and what speaks for it, as lines of text."""
-    lines = [f"{'view':<40}{'moved, pixels':>15}"]
+    moved = "moved, pixels" if told.accepted else "tried, pixels"
+    lines = [f"{'view':<40}{moved:>15}"]
     lines += [f"{name[-39:]:<40}{moved:>15.3f}{'  wrong, left out' if name in told.left_out else ''}"
               for name, moved in zip(names, told.moved)]
     lines += ["", f"{'pair that took no part':<60}{'cost before':>12}{'after':>9}"] if told.pairs else []

@@ -1,6 +1,5 @@
 """`pagas-cl check`: are these the right cameras for this mesh and these photos?"""
 
-import json
 import re
 import sys
 from dataclasses import replace
@@ -9,8 +8,10 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._given import look, together
+from pagas_cl.commands._options import DEPTH_SCALE, QUIET
 from pagas_cl.errors import InputError, log, plain
 from pagas_cl.scene.check import CameraReport, check_views
+from pagas_cl.scene.own_files import json_text
 from pagas_cl.scene.sheets import mesh_of_depths
 
 
@@ -18,11 +19,12 @@ def command(
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with photos and cameras, in any known format."),
     mesh: Path = typer.Option(None, "--mesh", help="The mesh that the cameras should see. Without it: SCENE's depth."),
     depth_dir: Path = typer.Option(None, "--depth-dir", help="Depth maps, <image stem>.npz, not --mesh."),
-    depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
+    depth_scale: float = DEPTH_SCALE,
     format: str = typer.Option(None, "--format", help="Format of the scene, where looking at it is not enough."),
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
     photos: Path = typer.Option(None, "--photos", help="As in refine."),
     as_json: bool = typer.Option(False, "--json", help="Print everything as JSON."),
+    quiet: bool = QUIET,
 ):
     """Check the cameras of SCENE against a mesh, or its depth maps, and the photos.
 
@@ -38,7 +40,7 @@ def command(
     surface = mesh_of_depths(given.scene.cameras, together(given, True)) if given.mesh is None else given.mesh
     report = check_views(surface, given.scene.cameras, given.scene.views)
     report = of_depth_maps(report) if given.mesh is None else report
-    sys.stdout.write(json.dumps(report.as_dict(), indent=1) + "\n" if as_json else table(report))
+    sys.stdout.write(json_text("check", report.as_dict()) if as_json else table(report))
     if not report.ok:
         raise InputError(report.at_command_line[1])
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._options import OVERWRITE, QUIET, zero_or_more
 from pagas_cl.commands._start import check_writable
 from pagas_cl.demo import make_example, run_demo
 from pagas_cl.errors import InputError
@@ -19,16 +20,20 @@ def command(
     contexts: int = typer.Option(4, "--context", help="Context views."),
     preset: str = typer.Option("balanced", "--preset", help="Settings to refine with."),
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name."),
-    bar: float = typer.Option(0.0, "--bar", help="Width in pixels of a thin bar in front."),
+    bar: float = typer.Option(0.0, "--bar", parser=zero_or_more, metavar="PIXELS",
+                              help="Width in pixels of a thin bar in front."),
     format: str = typer.Option(None, "--format", metavar="NAME", help="Refine nothing: only make a small scene as this "
                                "program leaves it (da3, vggt, tum, ...; a wrong name lists them)."),
-    quiet: bool = typer.Option(False, "--quiet", help="No progress."),
+    overwrite: bool = OVERWRITE,
+    quiet: bool = QUIET,
 ):
     """Make a scene, refine it, show the errors before and after, pictures and the mesh."""
     check_writable("--output", output)
     taken = [output / name for name in ("scene", "report", "mesh_refined.ply") if (output / name).exists()]
-    if taken and not (output / "scene" / "depth_true").is_dir() and format is None:      # no earlier demo's
-        raise InputError(f"--output: {str(taken[0])!r} is not ours to replace: choose another folder")
+    by_a_demo = (output / "scene" / "depth_true").is_dir()
+    if taken and not by_a_demo and not overwrite and format is None:
+        raise InputError(f"--output: {str(taken[0])!r} was not written by pagas_cl: choose another folder, or replace "
+                         "it with --overwrite")
     if format is not None:
         sys.stdout.write(make_example(output, format, width, round(width * 0.75), contexts))
         return

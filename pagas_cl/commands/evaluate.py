@@ -1,18 +1,20 @@
 """`pagas-cl evaluate`: errors of a mesh, a point cloud or depth maps, in the figures that benchmarks use."""
 
-import json
+import math
 import sys
 from pathlib import Path
 
 import typer
 
+from pagas_cl.commands._options import DEPTH_SCALE, OVERWRITE, QUIET, above_zero
+from pagas_cl.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.commands._start import check_writable
 from pagas_cl.errors import InputError, log, plain
 from pagas_cl.evaluate import chamfer, compare_depth, compare_predictions, depth_per_parallax, f_score
 from pagas_cl.evaluate.clouds import extent, floor_of, load_ground, load_points, load_visible, read_shape
 from pagas_cl.jobs.finished import users_of
 from pagas_cl.scene.depthmap import find_depths, load_depth
-from pagas_cl.scene.files import write_text
+from pagas_cl.scene.own_files import write_json
 from pagas_cl.scene.readers import read_scene
 
 
@@ -22,14 +24,19 @@ def command(
     scene: Path = typer.Option(None, "--scene", help="With depth maps: the scene's folder."),
     held_out: list[str] = typer.Option([], "--held-out", help="With depth maps: a view whose photo is predicted."),
     before: Path = typer.Option(None, "--before", help="With --held-out: depth maps to compare with."),
-    depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in depth files."),
-    spacing: float = typer.Option(None, "--spacing", help="Sample meshes, and thin the result, to this distance, and "
-                                                          "measure from point to point, as benchmarks do."),
-    threshold: list[float] = typer.Option([], "--threshold", help="Distance for precision, recall and F-score."),
-    max_distance: float = typer.Option(float("inf"), "--max-distance", help="Chamfer: leave out larger distances."),
+    depth_scale: float = DEPTH_SCALE,
+    spacing: float = typer.Option(None, "--spacing", parser=above_zero, metavar="LENGTH",
+                                  help="Sample meshes, and thin the result, to this distance, and measure from point "
+                                  "to point, as benchmarks do."),
+    threshold: list[float] = typer.Option([], "--threshold", parser=above_zero, metavar="LENGTH",
+                                          help="Distance for precision, recall and F-score."),
+    max_distance: float = typer.Option(None, "--max-distance", parser=above_zero, metavar="LENGTH",
+                                       help="Chamfer: leave out larger distances."),
     visible: Path = typer.Option(None, "--visible", help="Chamfer: DTU's ObsMask<scan>_10.mat."),
     ground: Path = typer.Option(None, "--ground", help="Chamfer: DTU's Plane<scan>.mat."),
     output: Path = typer.Option(None, "--json", help="Write the figures to this file too."),
+    overwrite: bool = OVERWRITE,
+    quiet: bool = QUIET,
 ):
     """Compare with the truth: depth and normal errors, Chamfer distance, F-score; or predict held-out photos.
 
@@ -38,9 +45,13 @@ def command(
     """
     if not result.exists():
         raise InputError(f"there is no file or folder {str(result)!r}")
+    views = None if scene is None else read_scene(scene)
+    check_outputs({"--json": output}, {
+        "RESULT": result, "TRUTH": truth, "--scene": scene, "--before": before, "--visible": visible,
+        "--ground": ground, **(scene_inputs(views) if views else {})}, overwrite)
     check_writable("--json", output and output.parent)
     if result.is_dir():
-        figures = _depth_figures(result, truth, scene, held_out, before, depth_scale)
+        figures = _depth_figures(result, truth, views, held_out, before, depth_scale)
     elif held_out or scene is not None or before is not None:
         raise InputError(f"--scene, --held-out and --before go with a folder of depth maps, and {str(result)!r} is a "
                          "file")
@@ -49,7 +60,7 @@ def command(
     for group, rows in figures.items():
         sys.stdout.write(_table(group, rows))
     if output is not None:
-        write_text(output, json.dumps(figures, indent=1))
+        write_json(output, "evaluate", {"figures": figures})
 
 
 def _depth_figures(folder, truth, scene, held_out, before, scale):
@@ -57,7 +68,7 @@ def _depth_figures(folder, truth, scene, held_out, before, scale):
         raise InputError(f"{str(folder)!r} is a folder of depth maps: give the scene they belong to with --scene")
     if truth is None and not held_out:
         raise InputError("nothing to compare with: give a folder of true depth maps, or --held-out VIEW")
-    scene, figures = read_scene(scene), {}
+    figures = {}
     if truth is not None:
         for view, parts in _depth_errors(scene, folder, truth, scale).items():
             figures[f"{view}: depth error (scene units, pixels of parallax) and normal error (degrees)"] = parts
@@ -131,7 +142,7 @@ def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, gr
     clouds = [load_points(shape if shape[1] is not None else shape[0], spacing) for shape in shapes]
     to, floor = _told_floor(clouds, surfaces)
     figures = {f"Chamfer distance, scene units ({to}; points every {spacing:.4g}){floor}": {"": chamfer(
-        *clouds, surfaces=surfaces, downsample=spacing, max_distance=max_distance,
+        *clouds, surfaces=surfaces, downsample=spacing, max_distance=math.inf if max_distance is None else max_distance,
         visible=None if visible is None else load_visible(visible),
         ground=None if ground is None else load_ground(ground)).as_dict()}}
     if thresholds:

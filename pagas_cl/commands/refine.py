@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,9 @@ import typer
 from pagas_cl import __version__
 from pagas_cl.commands._console import noted, nothing_refined, shown_progress
 from pagas_cl.commands._given import look, together
-from pagas_cl.commands._memory import tell_memory
+from pagas_cl.commands._memory import check_fusion, tell_memory
+from pagas_cl.commands._options import DEPTH_SCALE, OVERWRITE, QUIET, above_zero
+from pagas_cl.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
 from pagas_cl.commands._start import (
     check_report,
@@ -28,9 +29,9 @@ from pagas_cl.commands._start import (
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision
 from pagas_cl.errors import InputError, PagasError, log, need
-from pagas_cl.jobs.finished import one_run, remove_run
+from pagas_cl.jobs.finished import check_names, claim_names, one_run, remove_run
 from pagas_cl.jobs.task import view_digest
-from pagas_cl.keep_mesh import check_kept, check_subdivide, write_whole
+from pagas_cl.keep_mesh import check_kept, check_subdivide
 from pagas_cl.progress import stage
 from pagas_cl.refine import MeshOptions, Place, Refined, refine_scene
 from pagas_cl.report import Report, picture_files
@@ -38,8 +39,9 @@ from pagas_cl.result import DepthResult, joined
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.mesh import Surface, to_surface
-from pagas_cl.scene.mesh_file import check_mesh_path
+from pagas_cl.scene.mesh import to_surface
+from pagas_cl.scene.mesh_file import check_mesh_path, write_mesh
+from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import View
 from pagas_cl.surface.agree import comparison_device
@@ -55,7 +57,7 @@ def command(
                                  "a network, a phone or an RGB-D recording left."),
     mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where the refinement starts. Without "
                               "it and --depth-dir: what SCENE holds."),
-    output: Path = typer.Option(None, "--output", help="The refined mesh to write (.ply, .obj, .stl, .off)."),
+    output: Path = typer.Option(None, "--output", help="The refined mesh to write (.ply, .obj, .glb, .stl, .off)."),
     depth_dir: Path = typer.Option(None, "--depth-dir", help="Initial depth maps, <image stem>.npz, not --mesh."),
     save_depth: Path = typer.Option(None, "--save-depth", help="Folder for the refined depth maps, <image stem>.npz."),
     views: list[str] = typer.Option([], "--views", help="Refine these views only (several names may follow)."),
@@ -65,15 +67,15 @@ def command(
     preset: str = typer.Option("balanced", "--preset", help="Settings to start from: fast, balanced, accurate, paper."),
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
     report: Path = typer.Option(None, "--report", help="Folder for pictures of every view and a page to open."),
-    time_per_view: float = typer.Option(None, "--time-per-view", metavar="SECONDS",
+    time_per_view: float = typer.Option(None, "--time-per-view", metavar="SECONDS", parser=above_zero,
                                         help="Not --preset: the best settings that take no longer here."),
-    time_budget: float = typer.Option(None, "--time-budget", metavar="MINUTES",
+    time_budget: float = typer.Option(None, "--time-budget", metavar="MINUTES", parser=above_zero,
                                       help="The same, for the refining of all views together."),
     settings: list[str] = typer.Option([], "--set", metavar="STAGE.FIELD=VALUE", help="Change one setting."),
     effects: list[str] = typer.Option([], "--effect", metavar="NAME=auto|on|off|set",
                                       help="Simulate an effect or not, such as exposure=off; see 'pagas-cl analyze'."),
     format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
-    depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
+    depth_scale: float = DEPTH_SCALE,
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
     photos: Path = typer.Option(None, "--photos", help="Folder of the original photos, where SCENE has a network's "
                                 "small ones."),
@@ -83,25 +85,27 @@ def command(
     keep_mesh: bool = typer.Option(False, "--keep-mesh", help="Move the vertices of --mesh and keep its triangles."),
     allow_loss: bool = typer.Option(False, "--allow-loss",
                                     help="With --keep-mesh: go on though the new file cannot keep all of the mesh."),
-    subdivide: float = typer.Option(None, "--subdivide", metavar="PIXELS",
+    subdivide: float = typer.Option(None, "--subdivide", metavar="PIXELS", parser=above_zero,
                                     help="Split edges of --mesh down to so many pixels (1.5); with "
                                     "--keep-mesh all (none)."),
     devices: str = typer.Option(None, "--devices", metavar="all|NAME,...",
                                 help="One process on each of these devices."),
     scheduler: str = typer.Option(None, "--scheduler", metavar="tcp://HOST:PORT", help="A running Dask cluster; "
                                   "one that you trust, since it may run any program here."),
-    memory: float = typer.Option(None, "--memory", metavar="MB",
+    memory: float = typer.Option(None, "--memory", metavar="MB", parser=above_zero,
                                  help="Most host memory for the mesh; what is free by default."),
-    quiet: bool = typer.Option(False, "--quiet", help="No progress."),
+    overwrite: bool = OVERWRITE,
+    quiet: bool = QUIET,
 ):
     """Refine the depth of every view of SCENE with the other photos, and with it the mesh; or fuse a new one."""
-    _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh, subdivide, fuse, outside)
+    _check_request(mesh, depth_dir, output, save_depth, report, keep_mesh, subdivide, fuse, outside)
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
     settings = [*settings, *effect_settings(effects)]
     more = {} if context is None else {"context__number": context}
     config = build_config(preset, settings, **more)
     given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
                  photos=photos, names=views or None).without(hold_out, views)
+    _check_places(scene, given, mesh, depth_dir, photos, output, save_depth, report, overwrite)
     found, mesh = given.scene, given.mesh
     for line in given.lines():
         log.info("%s", line)
@@ -116,18 +120,22 @@ def command(
     as_given, cameras = found.views, {view.name: view.camera for view in found.views}
     for view in as_given:
         view.check_files()
-    check_writable("--output", output and output.parent)
-    check_writable("--save-depth", save_depth)
     names = [found.views[found.index(name)].name for name in views] or None
     pictures = picture_files(names or [view.name for view in found.views], None not in (output, mesh))
-    check_report(report, "report.json", pictures)
+    check_report(report, "report.json", pictures, overwrite)
     # finished views are kept with the depth maps, or beside the mesh until it is written; all that can be asked of
     # them later is kept, so that nothing is refined again for it
     folder = output.parent / f".{output.name}.views" if save_depth is None and output is not None else save_depth
+    stems = [stem for view, stem in zip(found.views, file_stems([view.name for view in found.views]))
+             if names is None or view.name in names]      # names that no file can have are refused here
+    if folder is not None:
+        check_names(folder, stems, overwrite)
+    if memory is not None and (output is None or (keep_mesh and subdivide is None)):
+        log.warning("--memory %g changes nothing: no mesh is fused, and no edge of one is split", memory)
     place = Place(**place_of(device, devices, scheduler), folder=folder)
     config_words = ", ".join([preset, *settings])
-    with (resumable(folder, len(names or found.views)), shown_progress(quiet) as progress,
-          one_run(folder) if folder else nullcontext(), one_run(report) if report else nullcontext(),
+    with (one_run(folder) if folder else nullcontext(), resumable(folder, len(names or found.views)),
+          shown_progress(quiet) as progress, one_run(report) if report else nullcontext(),
           _report(report, found, config_words, place, asked.obj, pictures) as page, noted(page and page.note)):
         depths = None
         if mesh is None:
@@ -140,17 +148,22 @@ def command(
                 decided = {"effects__cameras": config.effects.cameras}
                 config = config_in_time(views, depths, names, place.device, time_per_view, time_budget,
                                         lambda config: apply_settings(config, settings, **more, **decided), progress)
+            if memory is not None and output is not None and not kept:
+                some = [k for k, view in enumerate(views) if names is None or view.name in names]
+                check_fusion([views[k] for k in some], [depths[k] for k in some], config.fusion, memory)
+            if overwrite and folder is not None:
+                claim_names(folder, stems, overwrite)
             tell_memory(views, config, place.device, output is not None and not kept, memory, kept)
             return config
 
         done = refine_scene(
-            found.views, _carrier(mesh, output, keep_mesh), depths, config, names=names, place=place, choose=choose,
+            found.views, mesh and to_surface(mesh), depths, config, names=names, place=place, choose=choose,
             making=MeshOptions(_made_as(output, kept, keep_mesh), subdivide, memory_mb=memory, note=page and page.note),
             progress=progress, on_view=page and _Pictures(page, cameras))
         if page is not None and done.cameras is not None:
             page.note(str(done.cameras))
         if output is not None:
-            write_whole(output, done.mesh)
+            write_mesh(output, to_surface(done.mesh))
             trim()
             log.info("mesh: %s", output)
             if page is not None:
@@ -162,13 +175,6 @@ def command(
         _tell(done.results, save_depth, report)
         if folder is not None and save_depth is None:
             remove_run(folder)
-
-
-def _carrier(mesh: Path | None, output: Path | None, keep_mesh: bool) -> Path | Surface | None:
-    """What is refined: the file itself where all that it holds can be kept."""
-    if mesh is None or keep_mesh or (output is not None and output.suffix.lower() == ".obj"):
-        return mesh
-    return to_surface(mesh)
 
 
 def _made_as(output: Path | None, kept: bool, keep_mesh: bool) -> str | None:
@@ -196,23 +202,27 @@ def _save_cameras(folder: Path, views, results) -> None:
             folder, [replace(views[place], camera=result.camera, mask=None) for place, result in pairs]))
 
 
-def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mesh: bool, subdivide, fuse: bool,
+def _check_places(scene, given, mesh, depth_dir, photos, output, save_depth, report, overwrite: bool) -> None:
+    """Refuse to write where something is read, and over what pagas_cl has not written."""
+    outputs = {"--output": output, "--save-depth": save_depth, "--report": report,
+               "the cameras beside --save-depth": save_depth and save_depth / camera_file.NAME}
+    inputs = {"SCENE": scene, "--mesh": mesh, "the mesh of SCENE": given.mesh if mesh is None else None,
+              "--depth-dir": depth_dir, "--photos": photos, **scene_inputs(given.scene, given.depths)}
+    check_outputs(outputs, inputs, overwrite)
+    check_writable("--output", output and output.parent)
+    check_writable("--save-depth", save_depth)
+
+
+def _check_request(mesh, depth_dir, output, save_depth, report, keep_mesh: bool, subdivide, fuse: bool,
                    outside: bool) -> None:
     """Refuse what cannot end well before any work is done."""
     if mesh is not None:
         check_source(mesh, depth_dir, "where the refinement starts", outside)
-    if memory is not None and not memory > 0:
-        raise InputError(f"--memory is {memory:g} MB, expected more than 0")
     if output is None and save_depth is None and report is None:
         start = "" if mesh or depth_dir else "; and, where SCENE holds no surface itself, either --mesh or --depth-dir"
         raise InputError(f"nothing to write: give --output, --save-depth or --report{start}")
     if depth_dir is not None and not depth_dir.is_dir():
         raise InputError(f"--depth-dir {str(depth_dir)!r} is no folder")
-    for (old, given), (new, written) in product((("--depth-dir", depth_dir), ("--mesh", mesh)),
-                                                (("--save-depth", save_depth), ("--output", output))):
-        if given is not None and written is not None and given.resolve() == written.resolve():
-            raise InputError(f"{old} and {new} are both {str(written)!r}: what the refinement starts from would be "
-                             "replaced, and the next run would refine the refined; choose another name")
     if output is not None:
         check_mesh_path(output)
     for name, folder in (("--save-depth", save_depth), ("--report", report)):

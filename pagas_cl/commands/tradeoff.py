@@ -6,6 +6,8 @@ from pathlib import Path
 import typer
 
 from pagas_cl.commands._console import shown_progress
+from pagas_cl.commands._options import DEPTH_SCALE, OVERWRITE, QUIET, above_zero
+from pagas_cl.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.commands._start import check_report, check_source, initial_depths, load_scene
 from pagas_cl.errors import InputError, plain
 from pagas_cl.runtime.device import open_device
@@ -25,7 +27,8 @@ def command(
     views: list[str] = typer.Option([], "--views", help="Measure on these views (several names may follow)."),
     held_out: list[str] = typer.Option([], "--held-out", help="Views kept out of everything, to be predicted."),
     sample: int = typer.Option(2, "--sample", help="Without --views: how many views to measure on."),
-    budget: float = typer.Option(None, "--budget", metavar="MINUTES", help="Leave out what does not fit any more."),
+    budget: float = typer.Option(None, "--budget", metavar="MINUTES", parser=above_zero,
+                                 help="Leave out what does not fit any more."),
     report: Path = typer.Option(None, "--report", help="Folder for tradeoff.json, the plot and a page to open; a "
                                                        "second run goes on where the first one ended."),
     ablation: str = typer.Option(None, "--ablation", metavar="PRESET", help="Instead of the front, the paper's "
@@ -33,16 +36,19 @@ def command(
     repeats: int = typer.Option(1, "--repeats", help="Timed runs of each setting; the median counts."),
     device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
     format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
-    depth_scale: float = typer.Option(None, "--depth-scale", help="Number for one scene unit in the depth files."),
+    depth_scale: float = DEPTH_SCALE,
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
-    quiet: bool = typer.Option(False, "--quiet", help="No progress."),
+    overwrite: bool = OVERWRITE,
+    quiet: bool = QUIET,
 ):
     """Run a plan of settings on a sample of views: error, time and memory of each, and the front of the best."""
     check_source(mesh, depth_dir, "where the refinement starts", outside)
     found = load_scene(scene, format, outside)
     for view in found.views:
         view.check_files()
-    check_report(report, "tradeoff.json", ["tradeoff.png"])
+    check_outputs({"--report": report}, {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, "--truth": truth,
+                                         **scene_inputs(found)}, overwrite)
+    check_report(report, "tradeoff.json", ["tradeoff.png"], overwrite)
     if truth is not None and not truth.exists():
         raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
     opened = open_device(device)

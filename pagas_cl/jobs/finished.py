@@ -51,6 +51,7 @@ def round_folder(folder: Path, number: int) -> Path:
 def one_run(folder: Path) -> Iterator[None]:
     """Context: `folder`, which is made, is this run's alone; OutputError where another one is at work in it."""
     work = work_folder(folder).absolute()
+    _refuse_links(work)
     new = [path for path in (work, *work.parents) if not path.exists()]
     with translate_os_errors(folder):
         work.mkdir(parents=True, exist_ok=True)
@@ -61,24 +62,40 @@ def one_run(folder: Path) -> Iterator[None]:
         try:
             yield
         finally:
+            _remove_empty_below(work)
             if {path.name for path in work.glob("*")} <= {"lock"}:      # nothing of it is wanted any more
                 (work / "lock").unlink(missing_ok=True)
                 _remove_empty([path for path in new or [work] if path.exists()])     # a run inside this one may have
 
 
-def claim_names(folder: Path, stems: list[str]) -> None:
-    """Before the first view: note down that `<stem>.npz` are this run's to write; OutputError where one of them is
-    there and is not a run's."""
+def check_names(folder: Path, stems: list[str], overwrite: bool = False) -> None:
+    """InputError where `<stem>.npz` would be written outside of `folder`, through a link, or (unless `overwrite`)
+    would replace a file that no run of pagas_cl has written."""
     known = _names(folder)
     for stem in stems:
         file = Path(folder) / f"{stem}.npz"
+        if not _is_inside(folder, stem):
+            raise InputError(f"{str(file)!r} lies outside of {str(folder)!r}, through a link: choose another folder "
+                             "for the refined depth maps")
         records = _view_file(folder, stem, ".json"), Path(folder) / ".work" / f"{stem}.json"      # the latter of 0.1.0
-        if stem not in known and file.exists() and not any(record.exists() for record in records):
-            raise OutputError(f"{str(file)!r} is there and was not written by a run of ours: move it away, or choose "
-                              "another folder for the refined depth maps")
+        if not overwrite and stem not in known and file.exists() and not any(record.exists() for record in records):
+            raise InputError(f"{str(file)!r} is there and was not written by pagas_cl: move it away, choose another "
+                             "folder for the refined depth maps, or replace it (--overwrite at the command line)")
+
+
+def claim_names(folder: Path, stems: list[str], overwrite: bool = False) -> None:
+    """Before the first view: note down that `<stem>.npz` are this run's to write; errors as check_names."""
+    check_names(folder, stems, overwrite)
+    known = _names(folder)
     if not known.issuperset(stems):
         with written(_names_file(folder), _parts(folder)) as file:
             file.write(json.dumps(sorted(known.union(stems))).encode())
+
+
+def forget_inputs(folder: Path | None) -> None:
+    """Remove the arrays that came from memory; the next run makes them anew."""
+    if folder is not None:
+        shutil.rmtree(work_folder(folder) / "inputs", ignore_errors=True)
 
 
 def remove_run(folder: Path) -> None:
@@ -92,6 +109,28 @@ def remove_run(folder: Path) -> None:
     _remove_empty([folder])
 
 
+def _is_inside(folder: Path, stem: str) -> bool:
+    """Whether the files of `stem` lie below `folder`, links on the way followed, and not in its work folder."""
+    folder, places = Path(folder).resolve(), (Path(folder) / stem, work_folder(folder) / "views" / stem)
+    return bool(stem) and all(folder in place.parent.resolve().joinpath(place.name).parents
+                              for place in places) and ".." not in Path(stem).parts and OWN not in Path(stem).parts
+
+
+def _refuse_links(work: Path) -> None:
+    """InputError where the work folder, or a part of it, is a link: what a run writes and removes would lie elsewhere.
+    """
+    for path in (work, *(work.iterdir() if work.is_dir() else ())):
+        if path.is_symlink():
+            raise InputError(f"{str(path)!r} is a link, and runs of pagas_cl make none there: remove it, or choose "
+                              "another folder")
+
+
+def _remove_empty_below(work: Path) -> None:
+    """Remove the folders in `work` that hold nothing, deepest first."""
+    for folder in sorted((path for path in work.rglob("*") if path.is_dir()), reverse=True):
+        _remove_empty([folder])
+
+
 def _remove_empty(folders: list[Path]) -> None:
     for folder in folders:
         try:
@@ -101,10 +140,15 @@ def _remove_empty(folders: list[Path]) -> None:
 
 
 def _names(folder: Path) -> set[str]:
+    """Stems that runs have meant to write. Whoever made the folder may have written the file: what leads out of the
+    folder is left out."""
     try:
-        return set(map(str, json.loads(read_bytes(_names_file(folder)))))
+        stems = json.loads(read_bytes(_names_file(folder)))
     except DAMAGE:
         return set()
+    if not isinstance(stems, list):
+        return set()
+    return {stem for stem in stems if isinstance(stem, str) and "\0" not in stem and _is_inside(folder, stem)}
 
 
 def _names_file(folder: Path) -> Path:
@@ -142,18 +186,26 @@ def _seal(known: dict) -> str:
     return digest_of([json.dumps(known, sort_keys=True).encode()])
 
 
-def _read_record(path: Path) -> Record:
+def _read_record(folder: Path, path: Path) -> Record:
+    """The record of a view in `folder`; one of DAMAGE, TypeError or AttributeError where it is none, or names other
+    files than those that go with its own name: whoever made the folder may have written it."""
     known = json.loads(read_bytes(path))
     if known.pop("seal", "") != _seal(known):
         raise ValueError("it is not as it was written")
-    return Record(**known)
+    record = Record(**known)
+    own = f"{record.stem}.npz", f"{OWN}/views/{record.stem}.npz"
+    if _view_file(folder, record.stem, ".json") != path or not _is_inside(folder, record.stem):
+        raise ValueError("it is of another file")
+    if not set(record.digests).issubset(own):
+        raise ValueError("it names files that do not belong to it")
+    return record
 
 
 def find_finished(folder: Path, task: ViewTask, extras: bool) -> Record | None:
     """The record of `task`, if an earlier attempt or run has finished it and its files are what was written."""
     path = _view_file(folder, task.stem, ".json")
     try:
-        record = _read_record(path)
+        record = _read_record(folder, path)
         if record.key != task.key or (extras and f"{OWN}/views/{task.stem}.npz" not in record.digests):
             return None
         other = [name for name, digest in record.digests.items() if sum_of(Path(folder) / name) != digest]
@@ -172,7 +224,7 @@ def records_in(folder: Path) -> list[Record]:
     found = []
     for path in sorted((work_folder(folder) / "views").rglob("*.json")):
         try:
-            found.append(_read_record(path))
+            found.append(_read_record(folder, path))
         except (*DAMAGE, TypeError, AttributeError):
             log.debug("%s is no record", path)
     return found
@@ -243,7 +295,7 @@ class StoredResult:
         """The finished view that the round before has left; InputError where it is not there, or of another key."""
         path = _view_file(folder, stem, ".json")
         try:
-            record = _read_record(path)
+            record = _read_record(folder, path)
         except (*DAMAGE, TypeError, AttributeError) as error:
             raise InputError(f"record {str(path)!r} of the round before cannot be read ({error}): start the same "
                              "command again") from error

@@ -14,6 +14,7 @@ from pagas_cl.report.pictures import change_in_units, parallax_change, shaded_pi
 from pagas_cl.scene.files import DAMAGE, read_bytes, write_text
 from pagas_cl.scene.images import write_image
 from pagas_cl.scene.names import OWN, flat_stem
+from pagas_cl.scene.own_files import write_json
 
 LEGEND = ["Shares are of the pixels with a surface to start from: refined = moved by the photos; kept = the input "
           "stays, since no other photo sees the pixel, it is masked out, the photos show "
@@ -120,9 +121,9 @@ class Report:
         rows = [_cells(row, columns) for row in (*self._views, *([total] if len(total) > 1 else []))]
         headline = sentence(self._views, self._reasons, self._stopped)
         facts = [*self.facts, ("time", _duration(time.monotonic() - self._began))] if self.facts else []
-        content = {"headline": headline, **dict(facts), "notes": self.notes, "views": self._views,
+        content = {"headline": headline, "facts": dict(facts), "notes": self.notes, "views": self._views,
                    "pictures": sorted(name for name in self._pictures if (self.folder / name).exists())}
-        write_text(self.folder / "report.json", json.dumps(content, indent=1) + "\n")
+        write_json(self.folder / "report.json", self.title.removeprefix("pagas-cl "), content)
         (self.folder / _BEGUN).unlink(missing_ok=True)
         page = html_page(self.title, self.notes, columns, rows, self._sections, LEGEND if self._views else [],
                          headline=headline, facts=facts, lead=bar(self._views), body=self._mesh,

@@ -201,11 +201,8 @@ def differing(written: Iterable[Path], path: Path) -> list[str]:
 
 
 def write_text(path: str | Path, text: str) -> Path:
-    """Write a text file whole, UTF-8; returns its path."""
+    """Write a text file whole, UTF-8; returns its path. OutputError where the disk does not take it."""
     path = Path(path)
-    try:
-        with replaced(path) as beside:
-            beside.write_text(text, encoding="utf-8", errors="backslashreplace")     # names of files may be no text
-    except OutputError as error:
-        raise InputError(f"{path} cannot be written: {getattr(error.__cause__, 'strerror', None) or error}") from error
+    with replaced(path) as beside:
+        beside.write_text(text, encoding="utf-8", errors="backslashreplace")     # names of files may be no text
     return path

@@ -69,7 +69,7 @@ def place_of(asked: str, names: Sequence[str], where: str = "the scene") -> int:
         if found:
             raise InputError(f"view {asked!r} could be any of {', '.join(names[place] for place in found[:5])}: give "
                              "the whole name")
-    near = get_close_matches(asked, [*names, *(Path(name).stem for name in names)], n=1, cutoff=0.0)
+    near = get_close_matches(asked, [*names, *(Path(name).stem for name in names)], n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     raise InputError(f"there is no view {asked!r} among the {len(names)} of {where}{hint}")
 

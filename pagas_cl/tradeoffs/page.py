@@ -1,15 +1,13 @@
 """Tables of a study, its record, and the page that a person opens."""
 
-import json
 from dataclasses import asdict
 from pathlib import Path
-
-import numpy as np
 
 from pagas_cl import __version__
 from pagas_cl.errors import MissingExtraError, log
 from pagas_cl.report.page import html_page
 from pagas_cl.scene.files import write_text
+from pagas_cl.scene.own_files import write_json
 from pagas_cl.tradeoffs.front import plot_front
 
 FILE = "tradeoff.json"
@@ -113,7 +111,7 @@ def _compared(point, base, key) -> str:
 
 def write_report(folder: Path, study, device: str) -> Path:
     """Write index.html, tradeoff.json (records of `device`) and, with matplotlib, tradeoff.png; gives the page."""
-    write_json(folder / FILE, {
+    write_json(folder / FILE, "tradeoff", {
         "device": device, "figure": study.figure, "proxy_rank_correlation": study.proxy, "initial": study.initial,
         "left_out": study.left_out, "points": [asdict(point) for point in study.points], "records": study.records})
     picture = ""
@@ -131,16 +129,3 @@ def write_report(folder: Path, study, device: str) -> Path:
         legend=["The number is that of the point in the plot."] if picture else [],
         facts=[("views", ", ".join(study.initial)), ("version", f"pagas_cl {__version__}"), ("device", study.device)])
     return write_text(folder / "index.html", page)
-
-
-def write_json(path: Path, content) -> None:
-    """Write `content`, null for numbers that JSON does not have; its folder is made."""
-    write_text(path, json.dumps(_json_ready(content), indent=1) + "\n")
-
-
-def _json_ready(value):
-    if isinstance(value, dict):
-        return {key: _json_ready(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_json_ready(item) for item in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value

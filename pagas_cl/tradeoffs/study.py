@@ -13,10 +13,11 @@ from pagas_cl.jobs.finished import one_run
 from pagas_cl.progress import Reporter, progress_of, reported
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.files import DAMAGE, read_bytes
+from pagas_cl.scene.own_files import write_json
 from pagas_cl.splat import PhotoStore
 from pagas_cl.tradeoffs.case import BenchmarkCase, loaded, make_cases, score
 from pagas_cl.tradeoffs.front import Point, pareto, rank_correlation, summarise
-from pagas_cl.tradeoffs.page import FILE, write_json, write_report
+from pagas_cl.tradeoffs.page import FILE, write_report
 from pagas_cl.tradeoffs.plan import Setting, distinct, front_plan
 from pagas_cl.tradeoffs.run import Guess, run
 
@@ -84,7 +85,7 @@ def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *
         left_out = _fill(book, cases, settings, device, budget, repeats, executor or SerialExecutor(),
                          progress_of(progress))
         study = collect(book.records, settings, initial, str(device.info), left_out)
-        if report is not None:
+        if report is not None and study.points:
             write_report(Path(report), study, book.device)
     return study
 
@@ -160,7 +161,7 @@ class Book:
     def add(self, record: dict) -> None:
         self.records.append(record)
         if self.path is not None:
-            write_json(self.path, {"device": self.device, "records": self.records})
+            write_json(self.path, "tradeoff", {"device": self.device, "records": self.records})
 
 
 def _fill(book, cases, settings, device, budget, repeats, executor, progress) -> list[str]:

@@ -151,7 +151,7 @@ def test_the_page_has_shares_facts_and_pictures_in_pairs(tmp_path):
     assert "<code>pagas-cl &#x27;a &lt;b&gt;&#x27;</code>" in page and "<dt>time</dt>" in page
     assert page.count('<div class="pair">') == 4, "depth and normals of two views"
     told = json.loads((tmp_path / "report.json").read_text())
-    assert told["version"] == "pagas_cl 1" and escape(told["headline"]) in page
+    assert told["facts"]["version"] == "pagas_cl 1" and escape(told["headline"]) in page
 
 
 def test_shaded_pictures_are_brighter_where_the_surface_faces_the_light():

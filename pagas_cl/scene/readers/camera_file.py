@@ -7,14 +7,14 @@
 Image paths are relative to SCENE/images, those of masks ("mask" may be left out) to SCENE/masks.
 """
 
-import json
 import os
 from pathlib import Path
 from typing import Any
 
 from pagas_cl.errors import InputError, short
 from pagas_cl.scene.camera import intrinsics
-from pagas_cl.scene.files import is_file, write_text
+from pagas_cl.scene.files import is_file
+from pagas_cl.scene.own_files import write_json
 from pagas_cl.scene.readers import untrusted
 from pagas_cl.scene.readers.photos import find_mask, inside, view_of
 from pagas_cl.scene.view import Scene, View
@@ -52,7 +52,7 @@ def write(folder: Path, views: list[View]) -> Path:
         if isinstance(view.mask, Path):
             entry["mask"] = os.path.relpath(view.mask, folder / "masks")
         entries.append(entry)
-    return write_text(path, json.dumps({"convention": CONVENTION, "views": entries}, indent=1))
+    return write_json(path, "refine", {"convention": CONVENTION, "views": entries})
 
 
 def _view(folder: Path, entry: dict[str, Any], where: str, outside: bool) -> View:

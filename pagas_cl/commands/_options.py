@@ -1,0 +1,41 @@
+"""Options that several commands have, and the numbers that options take: what is no sensible number is refused before
+anything else is done."""
+
+import logging
+import math
+
+import typer
+
+from pagas_cl.errors import log
+
+
+def above_zero(text: str) -> float:
+    """A finite number above 0."""
+    return _number(text, lambda value: value > 0, "expected a number above 0")
+
+
+def zero_or_more(text: str) -> float:
+    """A finite number that is not negative."""
+    return _number(text, lambda value: value >= 0, "expected a number that is 0 or more")
+
+
+def _number(text: str, is_allowed, expected: str) -> float:
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise typer.BadParameter(f"{text!r} is no number, {expected}") from error
+    if not (math.isfinite(value) and is_allowed(value)):
+        raise typer.BadParameter(f"{text}, {expected}")
+    return value
+
+
+def _warnings_only(quiet: bool) -> bool:
+    if quiet and log.level == logging.INFO:      # not with --debug
+        log.setLevel(logging.WARNING)
+    return quiet
+
+
+QUIET = typer.Option(False, "--quiet", callback=_warnings_only, is_eager=True, help="Only warnings and errors.")
+OVERWRITE = typer.Option(False, "--overwrite", help="Replace files that pagas-cl has not written; never what is read.")
+DEPTH_SCALE = typer.Option(None, "--depth-scale", parser=above_zero, metavar="NUMBER",
+                           help="Number for one scene unit in the depth files.")

@@ -1,0 +1,56 @@
+"""Files that pagas_cl has written are recognized by a mark in them; no other file is replaced unless a user says so.
+
+JSON files: {"pagas_cl": version, "command": ..., what was measured}. Files of text (.html, .mlx, .mlp): `TEXT_MARK`.
+Mesh files: scene.mesh_file.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import pagas_cl
+from pagas_cl.scene.files import DAMAGE, read_bytes, write_text
+
+TEXT_MARK = "written by pagas_cl"
+_MOST_BYTES = 1 << 28     # of a file that is read to recognize it: a longer one is foreign
+
+
+def json_text(command: str, content: Mapping[str, Any]) -> str:
+    """`content` as every command writes it; null for numbers that JSON does not have."""
+    own = {"pagas_cl": pagas_cl.__version__, "command": command, **content}
+    return json.dumps(_finite(own), indent=1, allow_nan=False) + "\n"
+
+
+def write_json(path: str | Path, command: str, content: Mapping[str, Any]) -> Path:
+    """Write `json_text`, whole or not at all; OutputError where the disk does not take it."""
+    return write_text(path, json_text(command, content))
+
+
+def is_own_json(path: str | Path) -> bool:
+    """Whether `path` is a JSON file that `write_json` has written."""
+    try:
+        found = json.loads(read_bytes(path, _MOST_BYTES))
+    except DAMAGE:
+        return False
+    return isinstance(found, dict) and "pagas_cl" in found
+
+
+def is_own_text(path: str | Path) -> bool:
+    """Whether `path` has the mark of a file of text that pagas_cl has written."""
+    try:
+        return TEXT_MARK.encode() in read_bytes(path, _MOST_BYTES)
+    except DAMAGE:
+        return False
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_finite(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not np.isfinite(value) else value
