@@ -53,7 +53,7 @@ def check_flat(flat) -> None:
 
 def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdivide: float | None = None,
               flat: float = FLAT, device=None, memory_mb: float | None = None, tell: Callable | None = None,
-              progress: Progress | None = None):
+              progress: Progress | None = None, make: Callable = with_vertices):
     """A mesh of the kind of `mesh` (anything that refine_mesh takes; a path as load_whole reads it) with
     everything that sits on it, its vertices where the refined depth maps say. `results` are what refine_views gave.
 
@@ -61,7 +61,7 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
     (1.5) pixel footprints are split where depth maps lie off them; afterwards splits are undone where the surface is
     flat within `flat` footprints, and the rest is solved once more. In `memory_mb` of host memory, or mesh_mb.
     "displace": with the same triangles (surface.mesh_solve), or all edges split that are longer than `subdivide`.
-    `tell(text)` is told what is wrong with triangles, before and after.
+    `tell(text)` is told what is wrong with triangles, before and after. `make` gives the mesh of what with_vertices takes.
     """
     solving = ViewProgress(progress, 1, "solve the mesh")
     solving.at(0)
@@ -96,7 +96,7 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
                     sum(not result.reason for result in used))
     quality = np.where(moved, vertex_confidence(vertices, used), 0)
     solving.at(1)
-    return with_vertices(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
+    return make(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
 
 
 def _detailed(given: Surface, observed, device, finest, detail: float, flat: float, least_views: int, most: int, at):
