@@ -7,6 +7,7 @@ between them, and the history keeps every step, so that saving the script keeps 
 
 import re
 import tempfile
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
 from itertools import groupby
@@ -114,13 +115,14 @@ def _nearest(name: str) -> str:
     return near if ratio > 0.5 else ""
 
 
-def run_script(meshes, path, scene=None, *, outside: bool = False, device: str | None = None,
-               progress=None) -> list[Step]:
+def run_script(meshes, path, scene=None, *, outside: bool = False, device: str | None = None, progress=None,
+               names: Collection[str] = ()) -> list[Step]:
     """Check a script, then run it on `meshes` (pymeshlab.MeshSet), from its current mesh on.
 
     `refine.mlx` beside this module is a script. `scene` is what our step refines with (folder, Scene, list of View, or
     (cameras, images)); it may be left out where the script has no such step. `device` replaces the one that the script
-    names. A step that fails inside pymeshlab is named in the error, and leaves the meshes as those before it made them.
+    names. `names` are those of custom attributes that the meshes have, where they are not in small letters: pymeshlab
+    does not tell them. A step that fails inside pymeshlab is named in the error, and leaves the meshes as those before it made them.
     """
     from pagas_cl.filters.pymeshlab_step import refine_layer, scene_views
 
@@ -137,7 +139,8 @@ def run_script(meshes, path, scene=None, *, outside: bool = False, device: str |
             if stretch[0].request is None:
                 _run_native(pymeshlab, meshes, stretch, path)
             else:
-                refine_layer(meshes, views, stretch[0].request, device=device, progress=progress)
+                refine_layer(meshes, views, stretch[0].request, device=device, progress=progress,
+                             spellings={*names} | attribute_names(history))
             history += [step.element for step in stretch]
     finally:
         restore_history(meshes, history)
@@ -152,6 +155,12 @@ def _run_native(pymeshlab, meshes, stretch: list[Step], path) -> None:
     except (pymeshlab.PyMeshLabException, RuntimeError) as error:
         names = ", ".join(f"{step.number} {step.name!r}" for step in stretch)
         raise InputError(f"{path}: pymeshlab stopped in step {names}: {' '.join(str(error).split())[:300]}") from error
+
+
+def attribute_names(elements: Collection[ElementTree.Element]) -> set[str]:
+    """Names that steps give to custom attributes."""
+    return {param.get("value", "") for element in elements if "Attribute" in element.get("name", "")
+            for param in element.iter("Param") if param.get("name") == "name"}
 
 
 def saved_history(meshes) -> list[ElementTree.Element]:

@@ -4,7 +4,6 @@
     meshes.apply_pagas_depth_refinement("SCENE")     # refines the current layer with the photos of SCENE
 """
 
-import re
 import tempfile
 from contextlib import nullcontext
 from dataclasses import replace
@@ -16,13 +15,21 @@ import numpy as np
 
 from pagas_cl.commands._console import shown_progress
 from pagas_cl.errors import InputError, log, need
-from pagas_cl.filters.filter_script import restore_history, saved_history
+from pagas_cl.filters.filter_script import attribute_names, restore_history, saved_history
 from pagas_cl.filters.names import CALL, HINT, METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
 from pagas_cl.keep_mesh import Observations, kept_mesh, solve_device
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import from_surface, to_surface, triangle_normals
-from pagas_cl.scene.meshlab_layer import CONFIDENCE, SCRATCH, add_custom, custom_keys, has_quality, load_layer, read_custom, read_layer
+from pagas_cl.scene.meshlab_layer import (
+    CONFIDENCE,
+    SCRATCH,
+    add_custom,
+    has_quality,
+    load_layer,
+    read_custom,
+    read_layer,
+)
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene, View
 from pagas_cl.surface.mesh_solve import solve_mesh
@@ -95,7 +102,7 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
     asked, history = request(values, FILTER), saved_history(self)
     try:
         with shown_progress() if progress is None else nullcontext(progress or None) as shown:
-            counts = refine_layer(self, scene_views(scene), asked, progress=shown)
+            counts = refine_layer(self, scene_views(scene), asked, progress=shown, spellings=attribute_names(history))
         element = ElementTree.Element("filter", name=FILTER)
         for p in (p for p in PARAMETERS if p.name in values):
             ElementTree.SubElement(element, "Param", type=p.rich, name=p.name, value=values[p.name],
@@ -123,15 +130,16 @@ def scene_views(scene) -> list[View]:
                      "(cameras, images)")
 
 
-def refine_layer(meshes, views: list[View], asked: Request, *, device=None, progress=None) -> dict:
-    """Refine the current layer of a MeshSet; what the method and the script share."""
+def refine_layer(meshes, views: list[View], asked: Request, *, device=None, progress=None, spellings=()) -> dict:
+    """Refine the current layer of a MeshSet; what the method and the script share. `spellings`: names that custom
+    attributes may have."""
     from pagas_cl.cameras.effect import settle_cameras
     from pagas_cl.refine import fuse_results, initial_depths, refine_views
 
     layer = meshes.current_mesh()
     label, matrix = f"{layer.label()} refined", np.array(layer.transform_matrix())
     surface = to_surface(layer)  # the layer's matrix applied
-    _check_attributes(meshes, asked)
+    _check_attributes(meshes, asked, spellings)
     if asked.output == "displace":
         surface = replace(surface, quality=None, colors=None, normals=None)
     views, config, _ = settle_cameras(views, surface, asked.config, device or asked.device, progress)
@@ -145,35 +153,40 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
         made = fuse_results(views, results, config, progress, device=device or asked.device)
         quality = vertex_confidence(made.vertices, results)
         made = replace(made, vertices=_local(made.vertices, matrix), quality=quality, normals=None)
-        meshes.add_mesh(from_surface(made, like=layer), label)
+        meshes.add_mesh(from_surface(replace(made, attributes={}), like=layer), label)
+        add_custom(meshes.current_mesh(), "vertex", made.attributes)     # add_mesh copies what ends the process later
         _finish_layer(meshes, label, matrix)
     else:
         kept_mesh(surface, views, results, config, subdivide=asked.subdivide, device=device or asked.device,
-                  progress=progress, make=partial(_add_layer, meshes, results, label, matrix))
+                  progress=progress, make=partial(_add_layer, meshes, results, label, matrix, spellings))
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
 
 
-def _check_attributes(meshes, asked: Request) -> None:
-    """Before the work: what the layer has that `asked` cannot take along."""
-    names = {of: [key[len("__ca_vs__"):] for key in custom_keys(meshes) if key.startswith(f"__ca_{of[0]}")]
-             for of in ("vertex", "face")}
-    layer, several = meshes.current_mesh(), [*names["vertex"], *names["face"]]
+def _check_attributes(meshes, asked: Request, spellings) -> None:
+    """Before the work: what the layer has that `asked` cannot take along; InputError where it cannot be moved."""
+    layer, (custom, unread) = meshes.current_mesh(), read_custom(meshes, spellings)
+    names = [f"custom attribute {name!r}" for name in (*custom["vertex"], *custom["face"], *unread)]
     if asked.output == "tsdf":
-        lost = [f"custom attribute {name!r}" for name in several]
-        lost += ["its texture coordinates"] * (layer.has_wedge_tex_coord() or layer.has_vertex_tex_coord())
-        lost += ["its face colours"] * layer.has_face_color() + ["its face quality"] * layer.has_face_scalar()
-        lost += ["its vertex quality"] * has_quality(layer)
-        if lost:
-            log.warning("the layer that output='tsdf' fuses will not have of %r: %s (output='mesh' takes them along)",
-                        layer.label(), ", ".join(lost))
-    if asked.output == "displace" and names["vertex"]:
-        unfit = [name for name in read_custom(layer).custom("vertex") if not re.fullmatch(r"[A-Za-z_]\w*", name)]
-        if unfit:
-            raise InputError(f"MeshLab cannot move vertices by its expressions while an attribute is called {unfit[0]!r}: "
-                             "rename it (letters, digits, _), or use output='mesh'")
-    if asked.output == "displace" and asked.subdivide is not None and several:
-        log.warning("MeshLab splits edges within a layer, and leaves the custom attributes %s 0 on what it makes "
-                    "(output='mesh' takes them along)", ", ".join(map(repr, several)))
+        has = {"texture coordinates": layer.has_wedge_tex_coord() or layer.has_vertex_tex_coord(),
+               "face colours": layer.has_face_color(), "vertex quality": has_quality(layer),
+               "face quality": layer.has_face_scalar() and layer.face_scalar_array().any()}
+        names += [name for name, there in has.items() if there]
+        _log_lost(names, f"output='tsdf' fuses a new layer, which has nothing of {layer.label()!r} (output='mesh' has)")
+    elif asked.output == "mesh":
+        _log_lost([f"custom attribute {name!r}" for name in unread], "pymeshlab does not tell how they are spelled")
+    elif asked.subdivide is not None:
+        _log_lost(names, "MeshLab splits edges within a layer, and leaves 0 on what it makes (output='mesh' carries)")
+    if asked.output == "displace":
+        try:
+            meshes.compute_coord_by_function(x="x", y="y", z="z", onselected=False)
+        except RuntimeError as error:
+            raise InputError("MeshLab cannot move vertices by its expressions while a custom attribute's name has other "
+                             "characters than letters, digits and _: rename it, or use output='mesh'") from error
+
+
+def _log_lost(names: list[str], why: str) -> None:
+    if names:
+        log.warning("lost: %s: %s", ", ".join(names), why)
 
 
 def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
@@ -181,11 +194,12 @@ def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     return np.linalg.solve(matrix[:3, :3], (vertices - matrix[:3, 3]).T).T
 
 
-def _add_layer(meshes, results, label: str, matrix: np.ndarray, surface, vertices, division, _, attributes) -> None:
+def _add_layer(meshes, results, label: str, matrix: np.ndarray, spellings, surface, vertices, division, quality,
+               attributes) -> None:
     """The current layer, divided, its vertices (world coordinates) moved, as a new current layer; the other arguments
     are those of with_vertices."""
     with tempfile.TemporaryDirectory() as folder:
-        layer = read_layer(meshes, Path(folder)).carried(_local(vertices, matrix), division)
+        layer = read_layer(meshes, Path(folder), spellings).carried(_local(vertices, matrix), division)
         confidence, more = vertex_confidence(vertices, results), dict(attributes)
         plain, custom = layer.plain("vertex"), layer.custom("vertex")
         if has_quality(meshes.current_mesh()):

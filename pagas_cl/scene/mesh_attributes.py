@@ -119,7 +119,12 @@ def _tensor(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | 
 def _pymeshlab(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | None,
                attributes: Mapping[str, np.ndarray]) -> Mesh:
     pymeshlab = need("pymeshlab", "meshlab", "making a pymeshlab mesh")
-    layer, more = read_custom(mesh), {}
+    more, alone = {}, pymeshlab.MeshSet()
+    alone.add_mesh(mesh)       # only a set of meshes tells what attributes there are
+    custom, unread = read_custom(alone)
+    if unread:
+        log.warning("pymeshlab does not tell how the custom attributes %s are spelled: they are not carried along",
+                    ", ".join(map(repr, unread)))
     for name, read, carried in (  # of the new mesh's argument, of the old one's method, and how it comes along
             ("v_color_matrix", "vertex_color_matrix", lambda colors: eight_bits(carry.vertices(colors))),
             ("f_color_matrix", "face_color_matrix", lambda colors: eight_bits(carry.on_faces(colors))),
@@ -136,9 +141,9 @@ def _pymeshlab(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray
                     "images must be set again (set_texture_per_mesh); the MeshSet step keeps them",
                     mesh.texture_number())
     new = pymeshlab.Mesh(vertices, mesh.face_matrix() if carry.faces is None else carry.faces, **more)
-    kept = {name: carry.vertices(column) for name, column in layer.custom("vertex").items()}
+    kept = {name: carry.vertices(column) for name, column in custom["vertex"].items()}
     add_custom(new, "vertex", {**kept, **attributes})
-    add_custom(new, "face", {name: carry.on_faces(column) for name, column in layer.custom("face").items()})
+    add_custom(new, "face", {name: carry.on_faces(column) for name, column in custom["face"].items()})
     return new
 
 

@@ -5,25 +5,39 @@ pymeshlab tells neither which custom attributes a mesh has nor which texture a f
 the layer does. It reads such a file without its custom attributes: those are added to the mesh that it makes of it.
 """
 
-import tempfile
-from collections.abc import Mapping
+import os
+import re
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from pagas_cl.errors import InputError, need
+from pagas_cl.errors import InputError, OutputError, need
 from pagas_cl.scene.files import opened, translated
-from pagas_cl.scene.ply import CORNERS, HEADER, TYPES, header_of
 
 CONFIDENCE = "pagas_confidence"     # the attribute beside a vertex quality of the user's own
 SCRATCH = "pagasscratch"            # attributes that only moved values into the layer begin so: pymeshlab removes none
-_NAMES = {TYPES[name]: name for name in ("uchar", "char", "short", "ushort", "int", "uint", "float", "double")}
+_HEADER = 1 << 16                   # bytes of a file in which its header must end
+_NAMES = {"u1": "uchar", "i1": "char", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
+          "f8": "double"}
+_TYPES = {name: kind for kind, name in _NAMES.items()} | {
+    "uint8": "u1", "int8": "i1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4",
+    "float64": "f8"}
+_ROOM = 1 << 16                     # bytes that must be free when a mesh is written
 _COLORS = ("red", "green", "blue", "alpha")
-_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+_CORNERS = "vertex_indices"
 
 Columns = dict[str, np.ndarray]
+
+
+class _Property(NamedTuple):
+    """Of a .ply: types as NumPy has them, without byte order; `length` is that of a list's length, else empty."""
+
+    name: str
+    kind: str
+    length: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +69,7 @@ class Layer:
         face = {name: carry.on_faces(column) for name, column in self.face.items() if name != "texcoord"}
         if "texcoord" in self.face:
             face["texcoord"] = carry.corners(self.face["texcoord"].reshape(-1, 3, 2)).reshape(-1, 6)
-        face = {name: carry.faces if name in CORNERS else face[name] for name in self.face}
+        face = {name: carry.faces if name == _CORNERS else face[name] for name in self.face}
         return replace(self, vertex=vertex, face=face)
 
 
@@ -65,33 +79,65 @@ def _mean(name: str, column: np.ndarray, carry: Any) -> np.ndarray:
     return np.rint(np.clip(carry.vertices(column / 255), 0, 1) * 255).astype(np.uint8)
 
 
-def custom_keys(meshes: Any) -> dict[str, bool]:
-    """What save_current_mesh takes to write the custom attributes of the current layer into a .ply."""
-    return {key: True for key in meshes.filter_parameter_values("ply")
-            if key.startswith("__ca_") and not key[len("__ca_vs__"):].startswith(SCRATCH)}
+def custom_keys(meshes: Any) -> list[str]:
+    """How save_current_mesh calls the custom attributes of the current layer: "__ca_vs__age", "v" or "f" for vertices or
+    faces, "s" or "p" for scalars or points, the name in small letters."""
+    return [key for key in meshes.filter_parameter_values("ply")
+            if key.startswith("__ca_") and not key[len("__ca_vs__"):].startswith(SCRATCH)]
 
 
-def read_layer(meshes: Any, folder: Path) -> Layer:
-    """The current layer of a pymeshlab.MeshSet; `folder` gets its textures. InputError where pymeshlab does not write
-    it as it is."""
-    keys, mesh = custom_keys(meshes), meshes.current_mesh()
-    path = folder / "layer.ply"
-    meshes.save_current_mesh(str(path), **keys)
+def read_custom(meshes: Any, spellings: Collection[str] = ()) -> tuple[dict[str, Columns], list[str]]:
+    """The custom attributes of the current layer of a pymeshlab.MeshSet, for "vertex" and "face"; and the names in small
+    letters of those that cannot be read: pymeshlab asks for the name as it was given, and does not tell it. `spellings`
+    are tried. (Written to a file they would be told; that ends the process where the layer came by add_mesh.)"""
+    pymeshlab = need("pymeshlab", "meshlab", "reading a pymeshlab mesh")
+    found: dict[str, Columns] = {"vertex": {}, "face": {}}
+    unread = []
+    for key in custom_keys(meshes):
+        name, of = key[len("__ca_vs__"):], "vertex" if key[len("__ca_")] == "v" else "face"
+        what = "scalar_attribute_array" if key[len("__ca_v")] == "s" else "point_attribute_matrix"
+        read = getattr(meshes.current_mesh(), f"{of}_custom_{what}")
+        for spelled in (name, *(word for word in spellings if re.sub(r"\W", "_", word.lower()) == name)):
+            try:
+                found[of][spelled] = read(spelled)
+                break
+            except (pymeshlab.PyMeshLabException, RuntimeError):
+                continue
+        else:
+            unread.append(name)
+    return found, unread
+
+
+def write_mesh_file(meshes: Any, path: Path, **options: Any) -> None:
+    """Let pymeshlab write its current layer; OSError where the disk does not take all of it, which pymeshlab does not
+    say of every kind of file, or any other reason."""
+    pymeshlab, reason = need("pymeshlab", "meshlab", "writing a mesh by pymeshlab"), ""
+    try:
+        meshes.save_current_mesh(str(path), **options)
+    except (pymeshlab.PyMeshLabException, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:200]
+    with open(path, "ab") as file:      # is there room for more?
+        end = file.tell()
+        file.write(bytes(_ROOM))
+        file.flush()
+        os.fsync(file.fileno())
+        file.truncate(end)
+    if reason or not end:
+        raise OutputError(f"pymeshlab cannot write {str(path.name)!r}: {reason or 'it wrote nothing'}")
+
+
+def read_layer(meshes: Any, folder: Path, spellings: Collection[str] = ()) -> Layer:
+    """The current layer of a pymeshlab.MeshSet, but for those custom attributes that read_custom cannot read; `folder`
+    gets its textures. InputError where pymeshlab does not write it as it is."""
+    mesh, path = meshes.current_mesh(), folder / "layer.ply"
+    write_mesh_file(meshes, path)
     layer = read_columns(path)
-    whole = layer is not None and (len(layer.vertex["x"]), *layer.face["vertex_indices"].shape) == (
-        mesh.vertex_number(), mesh.face_number(), 3)
-    if layer is None or not whole:
+    if layer is None or (len(layer.vertex["x"]), *layer.face[_CORNERS].shape) != (
+            mesh.vertex_number(), mesh.face_number(), 3):
         raise InputError("this pymeshlab does not write a layer's triangles as they are; use output='displace'")
-    count = [sum(key.startswith(f"__ca_{of}") for key in keys) for of in "vf"]
-    return replace(layer, customs=(count[0], count[1]))
-
-
-def read_custom(mesh: Any) -> Layer:
-    """The same of a pymeshlab.Mesh that may be in no MeshSet."""
-    meshes = need("pymeshlab", "meshlab", "reading a pymeshlab mesh").MeshSet()
-    meshes.add_mesh(mesh)
-    with tempfile.TemporaryDirectory() as folder:
-        return read_layer(meshes, Path(folder))
+    custom = read_custom(meshes, spellings)[0]
+    return replace(layer, vertex={**layer.vertex, **custom["vertex"]}, face={**layer.face, **custom["face"]},
+                   customs=(len(custom["vertex"]), len(custom["face"])))
 
 
 def has_quality(mesh: Any) -> bool:
@@ -115,7 +161,7 @@ def load_layer(meshes: Any, layer: Layer, folder: Path) -> None:
     mesh = meshes.current_mesh()
     places = np.stack([layer.vertex[axis] for axis in "xyz"], axis=1)
     if not (np.array_equal(mesh.vertex_matrix(), places)
-            and np.array_equal(mesh.face_matrix(), layer.face["vertex_indices"])):
+            and np.array_equal(mesh.face_matrix(), layer.face[_CORNERS])):
         raise InputError("this pymeshlab does not read the .ply of a layer exactly; use output='displace'")
     add_custom(mesh, "vertex", layer.custom("vertex"))
     add_custom(mesh, "face", layer.custom("face"))
@@ -125,43 +171,60 @@ def read_columns(path: Path) -> Layer | None:
     """All columns of a binary .ply of triangles, none of them called custom; None of another one, or one whose lists
     differ in length. InputError where it is damaged."""
     with opened(path, 1 << 40) as file, translated(f"mesh {str(path)!r} cannot be read: "):
-        head = file.read(HEADER)
-        kind, elements, start = header_of(head)
-        if kind not in _ORDERS or not start or [name for name, _, _ in elements[:2]] != ["vertex", "face"]:
+        order, elements, comments, start = _header(file.read(_HEADER))
+        if order is None or [name for name, _, _ in elements[:2]] != ["vertex", "face"]:
             return None
         file.seek(start)
         tables = []
         for _, count, properties in elements[:2]:
             here = file.tell()
-            counts = _list_lengths(file.read(1 << 12), properties, _ORDERS[kind])
+            lengths = _list_lengths(file.read(_HEADER), properties, order)
             file.seek(here)
-            table = np.fromfile(file, _layout(properties, counts, _ORDERS[kind]), count)
-            if len(table) < count or any((table[f"#{name}"] != length).any() for name, length in counts.items()):
+            table = np.fromfile(file, _layout(properties, lengths, order), count)
+            if len(table) < count or any((table[f"#{name}"] != length).any() for name, length in lengths.items()):
                 return None
             tables.append({name: table[name].astype(table.dtype[name].base.newbyteorder("="))
                            for name in table.dtype.names or () if not name.startswith("#")})
-    comments = [line for line in head[:start].decode("ascii", "replace").splitlines() if line.startswith("comment ")]
-    return Layer(tables[0], tables[1], (0, 0), tuple(comments))
+    return Layer(tables[0], tables[1], (0, 0), comments) if tables[1].get(_CORNERS) is not None else None
 
 
-def _list_lengths(first: bytes, properties: list[list[str]], order: str) -> dict[str, int]:
+def _header(head: bytes) -> tuple[str | None, list[tuple[str, int, list[_Property]]], tuple[str, ...], int]:
+    """Byte order of a .ply (None: it is text, or no .ply); name, number and properties of each element; comments; where
+    what they describe begins."""
+    text, end, _ = head.partition(b"end_header\n")
+    order, comments = None, []
+    elements: list[tuple[str, int, list[_Property]]] = []
+    for line in text.decode("utf-8", "replace").splitlines() if end else []:
+        words = line.split()
+        if words[:1] == ["format"]:
+            order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(words[1])
+        elif words[:1] == ["comment"]:
+            comments.append(line)
+        elif words[:1] == ["element"]:
+            elements.append((words[1], int(words[2]), []))
+        elif words[:2] == ["property", "list"]:      # MeshLab writes names with spaces, too
+            elements[-1][2].append(_Property(" ".join(words[4:]), _TYPES[words[3]], _TYPES[words[2]]))
+        elif words[:1] == ["property"]:
+            elements[-1][2].append(_Property(" ".join(words[2:]), _TYPES[words[1]]))
+    return order, elements, tuple(comments), len(text) + len(end)
+
+
+def _list_lengths(first: bytes, properties: list[_Property], order: str) -> dict[str, int]:
     """Lengths of the lists of the first of some elements, which begins with the bytes `first`."""
-    counts: dict[str, int] = {}
-    for place, words in enumerate(properties):
-        if words[0] == "list":
-            begin = _layout(properties[:place], counts, order).itemsize
-            counts[" ".join(words[3:])] = int(np.frombuffer(first, order + TYPES[words[1]], 1, begin)[0])
-    return counts
+    lengths: dict[str, int] = {}
+    for place, entry in enumerate(properties):
+        if entry.length:
+            begin = _layout(properties[:place], lengths, order).itemsize
+            lengths[entry.name] = int(np.frombuffer(first, order + entry.length, 1, begin)[0])
+    return lengths
 
 
-def _layout(properties: list[list[str]], counts: Mapping[str, int], order: str) -> np.dtype:
+def _layout(properties: list[_Property], lengths: Mapping[str, int], order: str) -> np.dtype:
     fields: list[tuple[Any, ...]] = []
-    for words in properties:      # MeshLab writes names with spaces, too
-        if words[0] == "list":
-            name = " ".join(words[3:])
-            fields += [(f"#{name}", order + TYPES[words[1]]), (name, order + TYPES[words[2]], (counts[name],))]
-        else:
-            fields.append((" ".join(words[1:]), order + TYPES[words[0]]))
+    for name, kind, length in properties:
+        if length:
+            fields.append((f"#{name}", order + length))
+        fields.append((name, order + kind, (lengths[name],) if length else ()))
     return np.dtype(fields)
 
 
@@ -183,6 +246,6 @@ def write_columns(path: Path, layer: Layer) -> None:
                 table[f"#{name}"] = column.shape[1]
         tables.append(table)
     with open(path, "wb") as file:
-        file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii", "replace"))
+        file.write(("\n".join([*header, "end_header"]) + "\n").encode())
         for table in tables:
-            table.tofile(file)
+            file.write(table.data)
