@@ -1,7 +1,6 @@
 """The given mesh, its vertices on the refined depths, all else as it was: `refine_mesh(..., output="mesh")` or
 "displace"."""
 
-import glob
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -14,11 +13,12 @@ from pagas_cl.errors import DeviceMemoryError, InputError, log
 from pagas_cl.progress import Progress, ViewProgress
 from pagas_cl.result import joined
 from pagas_cl.runtime.device import open_device
-from pagas_cl.scene.files import differing, replaced_with_others
+from pagas_cl.scene.files import differing
 from pagas_cl.scene.mesh import Surface, to_surface
-from pagas_cl.scene.mesh_attributes import load_whole, with_vertices
-from pagas_cl.scene.mesh_file import write_mesh
+from pagas_cl.scene.mesh_attributes import with_vertices
+from pagas_cl.scene.mesh_file import check_digits, read_content
 from pagas_cl.scene.mesh_losses import losses
+from pagas_cl.scene.obj_materials import write_obj
 from pagas_cl.surface.agree import comparison_device
 from pagas_cl.surface.fuse import available_mb
 from pagas_cl.surface.mesh_evidence import Observed, sent
@@ -54,8 +54,8 @@ def check_flat(flat) -> None:
 def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdivide: float | None = None,
               flat: float = FLAT, device=None, memory_mb: float | None = None, tell: Callable | None = None,
               progress: Progress | None = None, make: Callable = with_vertices):
-    """A mesh of the kind of `mesh` (anything that refine_mesh takes; a path as load_whole reads it) with
-    everything that sits on it, its vertices where the refined depth maps say. `results` are what refine_views gave.
+    """A mesh of the kind of `mesh` (anything that refine_mesh takes; of a path a Surface) with everything that sits on
+    it, its vertices where the refined depth maps say. `results` are what refine_views gave.
 
     "mesh": with as many triangles as the depth maps show detail (surface.mesh_levels): edges longer than `subdivide`
     (1.5) pixel footprints are split where depth maps lie off them; afterwards splits are undone where the surface is
@@ -66,8 +66,9 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
     solving = ViewProgress(progress, 1, "solve the mesh")
     solving.at(0)
     check_subdivide(subdivide)
-    mesh, used = load_whole(mesh), [result for _, result in joined(views, results)]
+    used = [result for _, result in joined(views, results)]
     surface = given = to_surface(mesh)
+    mesh = given if isinstance(mesh, (str, Path)) else mesh
     division, device, cameras = None, solve_device(device), [result.camera for result in used]
     observed, least_views, rounds = sent(Observations(used), device), _least_views(config), ROUNDS
     if output == "mesh" or subdivide is not None:
@@ -149,43 +150,21 @@ def solve_device(device):
     return comparison_device(device) or open_device(None)
 
 
-def write_whole(path, mesh) -> None:
-    """Write a mesh of `kept_mesh`, with textures where the kind of file has them, under its final name at once."""
-    path = Path(path)
-    if not _with_textures(path, mesh):
-        write_mesh(path, to_surface(mesh))
-        return
-    with replaced_with_others(path) as new:
-        _write_open3d(new, mesh)
-
-
 def check_kept(path, mesh, allow_loss: bool = False) -> None:
-    """Before the work: raise InputError where the mesh of the file `mesh` would lose what `path` cannot keep, or where
-    files that belong to others have the names of its materials and textures."""
-    lost = losses(mesh, path) if Path(mesh).is_file() else []
+    """Before the work: raise InputError where the mesh of the file `mesh` would lose what `path` cannot keep, its
+    coordinates' digits among it, or where files that belong to others have the names of its materials and textures."""
+    path, content = Path(path), read_content(mesh)
+    check_digits(path, content.surface(), ahead=True)
+    lost = losses(content, path)
     if lost and not allow_loss:
         raise InputError(f"--keep-mesh would lose of mesh {str(mesh)!r}: {', '.join(lost)}; pass --allow-loss to go on "
                          "without them" + (", or write an .obj file" if lost == ["texture coordinates"] else ""))
     if lost:
         log.warning("%s will not have of %s: %s", path, mesh, ", ".join(lost))
-    path = Path(path)
-    if path.suffix.lower() == ".obj" and any(path.parent.glob(f"{glob.escape(path.stem)}[._]*")):
-        whole = load_whole(mesh)
+    if path.suffix.lower() == ".obj":
         with tempfile.TemporaryDirectory() as folder:
-            if _with_textures(path, whole):
-                _write_open3d(Path(folder) / path.name, whole)
+            write_obj(Path(folder) / path.name, content.surface())
             taken = differing(Path(folder).iterdir(), path)
         if taken:
             raise InputError(f"--output {str(path)!r}: its materials and textures would replace {taken[0]}, which is "
                              "not ours; choose another name or folder")
-
-
-def _with_textures(path: Path, mesh) -> bool:
-    return path.suffix.lower() == ".obj" and hasattr(mesh, "has_triangle_uvs") and mesh.has_triangle_uvs()
-
-
-def _write_open3d(path: Path, mesh) -> None:
-    import open3d as o3d
-
-    if not o3d.io.write_triangle_mesh(str(path), mesh):
-        raise InputError(f"Open3D could not write {str(path)!r}")

@@ -64,8 +64,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         "mesh": the given mesh with as many triangles as the detail that photos show needs; what no photo sees stays,
         and so do texture coordinates and attributes; in 300 MB of host memory, or 14 bytes a pixel of all photos.
         "tsdf": a new mesh, fused from the refined depth maps, of what photos see: where the given one has another
-        topology than the truth. "displace": as "mesh" with the given triangles; a path gives an Open3D mesh with its
-        textures, that of a .ply a Surface.
+        topology than the truth. "displace": as "mesh" with the given triangles.
     subdivide : float, optional
         First split edges longer than this many pixel footprints; with "mesh" (1.5 where it is left out) only those that
         depth maps lie off.
@@ -95,7 +94,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     results = refine_views(views, depths, config=config, device=device, progress=progress, executor=executor,
                            folder=folder, photos=photos)
     if output != "tsdf":
-        given = surface if output == "mesh" and isinstance(mesh, (str, Path)) else mesh
+        given = surface if isinstance(mesh, (str, Path)) else mesh
         return kept_mesh(given, views, results, config, output, subdivide, flat, device, progress=progress)
     fused = fuse_results(views, results, config, progress, executor=executor, folder=folder, device=device)
     return from_surface(fused, like=mesh)

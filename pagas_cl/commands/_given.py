@@ -13,10 +13,9 @@ from pagas_cl.commands._start import depth_files
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.depthmap import find_depth
 from pagas_cl.scene.files import opened
-from pagas_cl.scene.mesh_file import SUFFIXES
+from pagas_cl.scene.mesh_file import SUFFIXES, read_content
 from pagas_cl.scene.ply import HEADER, header_of
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.scene.readers.mesh_parts import check_parts
 from pagas_cl.surface.bring_together import bring_together
 
 DEPTH_FOLDERS = ("mvsa_predictions", "depth", "depths", "depth_maps", "stereo/depth_maps", "depth_initial")
@@ -91,7 +90,7 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
         raise InputError(f"--depth-scale is {depth_scale}, expected a number above 0")
     names = [found.views[found.index(name)].name for name in names or ()] or None
     if mesh is not None:
-        check_parts(mesh, outside=outside)
+        read_content(mesh, outside=outside)
         return Given(found, mesh, None)
     if depth_dir is not None:
         return _from_folder(found, depth_dir, depth_scale, names)
@@ -108,7 +107,7 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
         raise InputError(f"{str(scene)!r} holds several meshes ({', '.join(path.name for path in meshes[:5])}): name "
                          "one with --mesh")
     for path in meshes:
-        check_parts(path, outside=outside)
+        read_content(path, outside=outside)
     return Given(found, meshes[0] if meshes else None, None)
 
 

@@ -16,17 +16,17 @@ from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.depthmap import find_depths
 from pagas_cl.scene.files import read_bytes
 from pagas_cl.scene.mesh import to_surface
+from pagas_cl.scene.mesh_file import read_content
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.scene.readers.mesh_parts import check_parts
 
 
 def check_source(mesh, other, what: str, outside: bool, option: str = "--depth-dir") -> None:
-    """Raise InputError unless exactly one of both is given, `what` says in the message what they are for, and files
-    that the mesh names lie in its folder, where they have to."""
+    """Raise InputError unless exactly one of both is given, `what` says in the message what they are for, and the mesh
+    can be read, files that it names among it; a mesh beside a project is for pymeshlab, which has its own check."""
     if (mesh is None) == (other is None):
         raise InputError(f"expected either --mesh or {option} ({what}), got {'neither' if mesh is None else 'both'}")
-    if mesh is not None:
-        check_parts(mesh, outside=outside)
+    if mesh is not None and option != "--project":
+        read_content(mesh, outside=outside)
 
 
 def place_of(device, devices, scheduler) -> dict:

@@ -31,13 +31,13 @@ from pagas_cl.errors import InputError, PagasError, log, need
 from pagas_cl.expected import Expected
 from pagas_cl.jobs.finished import check_names, claim_names, one_run, remove_run
 from pagas_cl.jobs.task import view_digest
-from pagas_cl.keep_mesh import check_kept, check_subdivide, kept_mesh, write_whole
+from pagas_cl.keep_mesh import check_kept, check_subdivide, kept_mesh
 from pagas_cl.refine import fuse_results, refine_views
 from pagas_cl.report import Report, picture_files
 from pagas_cl.result import joined
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.mesh import to_surface
-from pagas_cl.scene.mesh_file import check_mesh_path
+from pagas_cl.scene.mesh_file import check_mesh_path, write_mesh
 from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.surface.agree import comparison_device
@@ -53,7 +53,7 @@ def command(
                                  "a network, a phone or an RGB-D recording left."),
     mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where the refinement starts. Without "
                               "it and --depth-dir: what SCENE holds."),
-    output: Path = typer.Option(None, "--output", help="The refined mesh to write (.ply, .obj, .stl, .off)."),
+    output: Path = typer.Option(None, "--output", help="The refined mesh to write (.ply, .obj, .glb, .stl, .off)."),
     depth_dir: Path = typer.Option(None, "--depth-dir", help="Initial depth maps, <image stem>.npz, not --mesh."),
     save_depth: Path = typer.Option(None, "--save-depth", help="Folder for the refined depth maps, <image stem>.npz."),
     views: list[str] = typer.Option([], "--views", help="Refine these views only (several names may follow)."),
@@ -173,7 +173,7 @@ def command(
             made = fuse_results(found.views, results, config, progress, memory, page and page.note,
                                 device=place["device"])
         if output is not None:
-            write_whole(output, made)
+            write_mesh(output, to_surface(made))
             trim()
             log.info("mesh: %s", output)
         if page is not None and made is not None:

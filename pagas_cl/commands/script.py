@@ -15,7 +15,7 @@ from pagas_cl.commands._start import check_source, check_writable, load_scene
 from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters import filter_script
 from pagas_cl.scene.files import is_file, read_bytes, replaced_with_others
-from pagas_cl.scene.readers.mesh_parts import check_parts
+from pagas_cl.scene.mesh_file import check_mesh_file
 from pagas_cl.scene.readers.meshlab import MeshLayer, check_names, read_project, settle_flavour, write_project
 
 
@@ -110,9 +110,7 @@ def _start(pymeshlab, mesh, project, layer, scene, format, flavour, outside):
 
 def load_layer(pymeshlab, meshes, path: Path, outside: bool, label: str | None = None, matrix=None) -> None:
     """A mesh file as a new layer, which becomes the current one; its matrix keeps all its digits."""
-    if not Path(path).is_file():
-        raise InputError(f"mesh {str(path)!r} does not exist")
-    check_parts(path, outside=outside)
+    check_mesh_file(path, outside=outside)
     try:
         meshes.load_new_mesh(str(Path(path).absolute()))
     except (pymeshlab.PyMeshLabException, RuntimeError) as error:

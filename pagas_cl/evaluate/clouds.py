@@ -12,8 +12,8 @@ from pagas_cl.errors import InputError, need
 from pagas_cl.evaluate.depth import Figures
 from pagas_cl.scene.files import DAMAGE, read_first, read_npy
 from pagas_cl.scene.mesh import to_surface
+from pagas_cl.scene.mesh_file import READERS, read_content
 from pagas_cl.scene.patches import area_of, spread_over
-from pagas_cl.scene.readers.mesh_parts import check_parts
 
 _MOST = 50_000_000
 
@@ -243,7 +243,7 @@ def extent(points) -> float:
 def read_shape(source):
     """Vertices and faces of a mesh, or points (n, 3) and None, from a path, an array, a pair or a mesh object.
 
-    Files: .npy, .npz (first array), .xyz, .txt (x y z first on a line); else what Open3D reads (.ply, .obj, ...);
+    Files: .npy, .npz (first array), .xyz, .txt (x y z first on a line); else as read_mesh;
     a file with triangles is a mesh, else a point cloud.
     """
     if isinstance(source, (str, Path)):
@@ -273,12 +273,10 @@ def _read(path):
             return np.loadtxt(path, dtype=np.float64, usecols=(0, 1, 2), ndmin=2), None
     except DAMAGE as error:
         raise InputError(f"{str(path)!r} is no list of points, expected (n, 3): {error}") from error
-    o3d = need("open3d", "mesh", f"reading {path.name}")
-    check_parts(path)
-    mesh = o3d.io.read_triangle_mesh(str(path))
-    if len(mesh.triangles):
-        return np.asarray(mesh.vertices), np.asarray(mesh.triangles)
-    cloud = np.asarray(o3d.io.read_point_cloud(str(path)).points)
-    if not len(cloud):
-        raise InputError(f"{str(path)!r} holds neither triangles nor points that Open3D can read")
-    return cloud, None
+    if suffix not in READERS:
+        raise InputError(f"{str(path)!r}: unknown kind {path.suffix!r}, expected a mesh or points as one of "
+                         f"{', '.join((*READERS, '.npy', '.npz', '.xyz', '.txt'))}")
+    content = read_content(path)
+    if not len(content.vertices):
+        raise InputError(f"{str(path)!r} holds neither triangles nor points")
+    return content.vertices, content.faces if len(content.faces) else None

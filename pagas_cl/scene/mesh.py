@@ -13,13 +13,34 @@ from pagas_cl.errors import InputError, need
 # faces), a Surface, or the path of a file. Open3D and pymeshlab are optional, so that it cannot be said in types.
 Mesh: TypeAlias = Any
 
+_FARTHEST = 1e15         # of a coordinate: a device's float32 holds its square, and distances of it to others
+_BLOCK = 1 << 12         # triangles at a time that are looked at for one with an area
+
+
+@dataclass(frozen=True)
+class Material:
+    """What an .obj file's library says of a material: statements, each with the image that it ends in or None."""
+
+    name: str
+    statements: tuple[tuple[str, Path | None], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """What the faces of a Surface have beside corners: `coordinates` (F, 3, 2) of each corner in an image, NaN where a
+    face has none (or None, where no face has any), and which of the `library` is its material, (F,)."""
+
+    coordinates: npt.NDArray[np.float64] | None
+    materials: npt.NDArray[np.int32]
+    library: tuple[Material, ...]
+
 
 @dataclass(frozen=True, eq=False)
 class Surface:
     """Triangle mesh, world coordinates, scene units.
 
     Vertices and normals are (V, 3), colors (V, 3) from 0 to 1, faces (F, 3) 0-based; quality (V,) is MeshLab's vertex
-    quality, where our confidence goes; attributes are further numbers (V,) by name.
+    quality, where our confidence goes; attributes are further numbers (V,) by name; texture is what an .obj file has.
     """
 
     vertices: npt.NDArray[np.float64] = field(repr=False)
@@ -28,6 +49,7 @@ class Surface:
     colors: npt.NDArray[np.float64] | None = field(default=None, repr=False)
     quality: npt.NDArray[np.float64] | None = field(default=None, repr=False)
     attributes: dict[str, npt.NDArray[np.float64]] = field(default_factory=dict, repr=False)
+    texture: Texture | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         vertices, faces = _checked(self.vertices, self.faces)
@@ -114,9 +136,17 @@ def _checked(vertices: Any, faces: Any) -> tuple[np.ndarray, np.ndarray]:
         bad = ~np.isfinite(vertices).all(axis=1)
         raise InputError(f"mesh vertex {int(np.argmax(bad))} is not finite ({int(bad.sum())} of {len(vertices)} are "
                          "not): remove them first")
+    far = np.abs(vertices).max(axis=1)
+    if far.max() > _FARTHEST:
+        raise InputError(f"mesh vertex {int(far.argmax())} has a coordinate of {far.max():g} (half of all vertices are "
+                         f"within {np.median(far):g}), expected at most {_FARTHEST:g}: remove it first")
     low, high = int(faces.min()), int(faces.max())
     if low < 0 or high >= len(vertices):
         raise InputError(f"a mesh face names vertex {low if low < 0 else high}, expected 0 to {len(vertices) - 1}")
+    blocks = (faces[start:start + _BLOCK] for start in range(0, len(faces), _BLOCK))
+    if not any(triangle_normals(vertices, block).any() for block in blocks):
+        raise InputError(f"none of the mesh's {len(faces)} triangles has an area: their corners are in one place, or "
+                         "on a line")
     return vertices, np.ascontiguousarray(faces, np.int32)
 
 

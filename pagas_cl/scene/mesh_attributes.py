@@ -1,27 +1,16 @@
 """A mesh with its vertices elsewhere and everything else as it was: textures, colours, attributes, Open3D or pymeshlab.
-
-Beside `scene.mesh`, whose `Surface` carries no texture coordinates. Normals are the only thing made anew.
-"""
+Normals are the only thing made anew."""
 
 import copy
 from collections.abc import Mapping
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from pagas_cl.errors import log, need
-from pagas_cl.scene.mesh import Mesh, Surface, eight_bits, mesh_kind, positions, vertex_normals
-from pagas_cl.scene.mesh_file import read_mesh, read_open3d
+from pagas_cl.scene.mesh import Mesh, Surface, Texture, eight_bits, mesh_kind, positions, vertex_normals
 from pagas_cl.scene.meshlab_layer import CONFIDENCE, add_custom, has_quality, read_custom
-
-
-def load_whole(mesh: Mesh) -> Mesh:
-    """A path as an Open3D legacy mesh with its textures, a .ply as a Surface; anything else as it is."""
-    if not isinstance(mesh, (str, Path)):
-        return mesh
-    return read_mesh(mesh) if Path(mesh).suffix.lower() == ".ply" else read_open3d(mesh, textures=True)
 
 
 def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, quality: np.ndarray | None = None,
@@ -45,7 +34,8 @@ def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, qua
             normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
         return Surface(vertices, faces, normals, None if mesh.colors is None else carry.vertices(mesh.colors),
                        quality if quality is not None or mesh.quality is None else carry.vertices(mesh.quality),
-                       {**{name: carry.vertices(value) for name, value in mesh.attributes.items()}, **attributes})
+                       {**{name: carry.vertices(value) for name, value in mesh.attributes.items()}, **attributes},
+                       _texture(mesh.texture, carry))
     kind = mesh_kind(mesh)
     if kind == "pair":
         return vertices, np.array(mesh[1]) if carry.faces is None else carry.faces
@@ -71,6 +61,13 @@ class _Same:
         return values
 
     corners = on_faces = vertices
+
+
+def _texture(texture: Texture | None, carry: Any) -> Texture | None:
+    if texture is None:
+        return None
+    coordinates = None if texture.coordinates is None else carry.corners(texture.coordinates)
+    return Texture(coordinates, carry.on_faces(texture.materials), texture.library)
 
 
 def _legacy(mesh: Mesh, vertices: np.ndarray, carry: Any) -> Mesh:

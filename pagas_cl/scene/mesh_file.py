@@ -1,101 +1,108 @@
-"""Mesh files: binary .ply of triangles by NumPy alone, with all that a Surface has (ply.py), others by Open3D."""
+"""Mesh files, read and written by kind: no file reaches another library but after every index and count of it has been
+checked, and none loses digits of its coordinates in silence."""
 
-import re
-from functools import partial
+import os
+import stat
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-from pagas_cl.errors import InputError, need
-from pagas_cl.scene.files import replaced, replaced_with_others
-from pagas_cl.scene.mesh import Surface, from_legacy, to_legacy
-from pagas_cl.scene.ply import CORNERS, HEADER, TYPES, header_of, read_ply, write_ply
-from pagas_cl.scene.readers.mesh_parts import check_parts
+import numpy as np
 
-SUFFIXES = (".ply", ".obj", ".stl", ".off")
+from pagas_cl.errors import InputError
+from pagas_cl.runtime import child
+from pagas_cl.scene import gltf, ply, ply_header
+from pagas_cl.scene.files import replaced, replaced_with_others, translated
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_content import MARK, MeshContent
+from pagas_cl.scene.obj import read_obj
+from pagas_cl.scene.obj_materials import write_obj
+from pagas_cl.scene.off import read_off, write_off
+from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.scene.stl import read_stl, write_stl
+
+READERS: dict[str, Callable[[Path, Parts], MeshContent]] = {
+    ".ply": ply.read_ply, ".obj": read_obj, ".off": read_off, ".stl": read_stl, ".glb": gltf.read_gltf,
+    ".gltf": gltf.read_gltf}
+WRITERS: dict[str, Callable[[Path, Surface], None]] = {
+    ".ply": ply.write_ply, ".obj": write_obj, ".stl": write_stl, ".off": write_off, ".glb": gltf.write_glb}
+SUFFIXES = tuple(WRITERS)
+_SINGLE = (".stl", ".glb")                 # kinds that store float32
+_ROUNDING, _AHEAD = 1e-2, 0.1              # of the median edge; by so much refined edges may be shorter
+_KINDS = {stat.S_IFIFO: "a named pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFSOCK: "a socket",
+          stat.S_IFDIR: "a folder"}
+_SECONDS, _BYTES_A_SECOND = 60.0, 1e6      # that another program's reader may take
 
 
 def read_mesh(path: str | Path) -> Surface:
-    """Read a mesh file: a binary .ply of triangles with all numbers of its vertices, others (.ply, .obj, .stl, .off,
-    .glb ...) through Open3D."""
-    path, fields = Path(path), None
-    if path.suffix.lower() == ".ply":
-        _check_file(path)
-        fields = read_ply(path)
-    made = partial(from_legacy, read_open3d(path)) if fields is None else partial(Surface, **fields)
+    """Read a mesh file of one of the kinds in READERS."""
+    content = read_content(path)
     try:
-        return made()
+        return content.surface()
     except InputError as error:
         raise InputError(f"{str(path)!r}: {error}") from error
 
 
-def read_open3d(path: str | Path, textures: bool = False) -> Any:
-    """A mesh file as an Open3D legacy TriangleMesh; InputError where it is none, or claims more than it holds."""
+def read_content(path: str | Path, *, outside: bool = True) -> MeshContent:
+    """All that is read of a mesh file, or of a point cloud in one; InputError where it is damaged, or, without
+    `outside`, names files out of its folder."""
     path = Path(path)
-    _check_file(path)
-    o3d = need("open3d", "mesh", "reading a mesh file that is no binary .ply of triangles")
-    check_parts(path)
+    _check_regular(path)
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(f"mesh {str(path)!r}: unknown kind {path.suffix!r}, expected one of {', '.join(READERS)}")
+    with translated(f"mesh {str(path)!r} cannot be read: ", damage=(Exception,)):
+        return reader(path, Parts(path, outside))
+
+
+def _check_regular(path: Path) -> None:
     try:
-        with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-            mesh = o3d.io.read_triangle_mesh(str(path), textures)
-    except MemoryError as error:
-        raise InputError(f"mesh {str(path)!r} does not fit into memory, or claims more than it holds") from error
-    if len(mesh.vertices) == 0:
-        raise InputError(f"mesh {str(path)!r} has no vertices, or is no mesh file that Open3D reads (.ply, .obj, .stl, "
-                         ".off, .gltf)")
-    return mesh
-
-
-def _check_file(path: Path) -> None:
-    """InputError where there is none, a .ply or .off file claims more elements than it has bytes, or a binary .ply is
-    cut off."""
-    if not path.is_file():
-        raise InputError(f"mesh {str(path)!r} "
-                         + ("is a folder, expected a file" if path.is_dir() else "does not exist"))
-    size = path.stat().st_size
-    with open(path, "rb") as file:
-        head = file.read(HEADER)
-    claimed, least = _claims(head)
-    if claimed > size:
-        raise InputError(f"mesh {str(path)!r} claims {claimed} vertices and faces but has {size} bytes: is the file "
-                         "damaged or cut off?")
-    if least > size:
-        raise InputError(f"mesh {str(path)!r} has {size} bytes, and what its header claims takes {least} or more: the "
-                         "file is cut off, copy or write it again")
-
-
-def _claims(head: bytes) -> tuple[int, int]:
-    """Number of elements that the first bytes of a .ply or .off file claim, and the fewest bytes that a binary .ply
-    with this header has, its faces triangles; 0 of what the format does not claim."""
-    if head[:3] != b"ply":
-        off = re.match(rb"\s*(?:ST|C|N|4|n)*OFF\s*(?:#[^\n]*\n\s*)*(\d{1,20})\s+(\d{1,20})", head)
-        return sum(int(n) for n in off.groups()) if off else 0, 0
-    kind, elements, start = header_of(head)
-    least = start + sum(count * _bytes(words) for _, count, properties in elements for words in properties)
-    return sum(count for _, count, _ in elements), least if start and kind.startswith("binary") else 0
-
-
-def _bytes(words: list[str]) -> int:
-    """Fewest that a property takes, its words those of the header."""
-    if words[:1] == ["list"] and len(words) == 4:
-        kinds = [words[1], *[words[2]] * (3 if words[3] in CORNERS else 0)]
-    else:
-        kinds = words[:1] if len(words) == 2 else []
-    return sum(int(TYPES.get(kind, "f0")[1:]) for kind in kinds)
+        kind = stat.S_IFMT(os.stat(path).st_mode)
+    except (OSError, ValueError) as error:
+        missing = isinstance(error, FileNotFoundError)
+        raise InputError(f"mesh {str(path)!r} " + ("does not exist" if missing else f"cannot be read: "
+                                                   f"{getattr(error, 'strerror', None) or error}")) from error
+    if kind != stat.S_IFREG:
+        raise InputError(f"mesh {str(path)!r} is {_KINDS.get(kind, 'no regular file')}, expected a file")
 
 
 def check_mesh_file(path: str | Path, *, outside: bool = False) -> None:
-    """Raise InputError for a mesh file that a native reader (pymeshlab, Open3D) must not be handed: damaged, more
-    claimed than it holds, an index out of range, no regular file, or, without `outside`, one that names files out of
-    its folder. To be called before any such reader opens `path`; a point cloud is no error."""
+    """Raise InputError for a mesh file that pymeshlab must not be handed: damaged, more claimed than it holds, an index
+    out of range, no regular file, or, without `outside`, one that names files out of its folder. To be called before
+    pymeshlab opens `path`; a point cloud is no error.
+
+    After our own reader a child process with limits of memory and time loads it, as readers may differ in what they
+    take a damaged file for, and of some kinds there is no other check.
+    """
     path = Path(path)
-    _check_file(path)
-    check_parts(path, outside=outside)
+    if path.suffix.lower() in READERS:
+        read_content(path, outside=outside)
+    else:
+        _check_regular(path)
+    size = path.stat().st_size
+    answer = child.ask("pagas_cl.scene.mesh_trial", {"path": str(path.absolute())}, _SECONDS + size / _BYTES_A_SECOND)
+    reason = answer.fault or answer.value and answer.value["fault"]
+    if reason:
+        raise InputError(f"mesh {str(path)!r} cannot be loaded by pymeshlab: {reason}; is the file damaged? Write it "
+                         "again, as .ply for instance")
 
 
 def written_by_pagas_cl(path: str | Path) -> bool:
     """Whether the mesh file `path` carries the mark of files that pagas_cl wrote; false where it does not exist or
     cannot be read."""
-    return False
+    path = Path(path)
+    try:
+        _check_regular(path)
+        with translated("", damage=(Exception,)):
+            if path.suffix.lower() == ".glb":
+                return gltf.is_marked(path)
+            if path.suffix.lower() == ".ply":
+                return ply_header.is_marked(path)
+            with open(path, "rb") as file:
+                lines = file.read(len(MARK) + 16).splitlines()[:2]
+            return path.suffix.lower() in SUFFIXES and any(line.removeprefix(b"# ").rstrip().startswith(MARK.encode())
+                                                           for line in lines)
+    except InputError:
+        return False
 
 
 def check_mesh_path(path: str | Path) -> None:
@@ -105,24 +112,29 @@ def check_mesh_path(path: str | Path) -> None:
         raise InputError(f"mesh {str(path)!r}: unknown kind {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")
     if path.is_dir():
         raise InputError(f"mesh {str(path)!r} is a folder, expected a file name")
-    if path.suffix.lower() != ".ply":
-        need("open3d", "mesh", f"writing {path.suffix} files")
+
+
+def check_digits(path: str | Path, surface: Surface, ahead: bool = False) -> None:
+    """Raise InputError where the kind of `path` keeps coordinates as float32 and rounding moves vertices by more than
+    1 % of the median edge; `ahead` of a refinement, which makes edges shorter, by more than 0.1 %."""
+    path = Path(path)
+    if path.suffix.lower() not in _SINGLE:
+        return
+    moved = float(np.abs(surface.vertices - surface.vertices.astype(np.float32)).max())
+    sides = surface.vertices[surface.faces] - surface.vertices[surface.faces[:, [1, 2, 0]]]
+    edge = float(np.median(np.linalg.norm(sides, axis=2)))
+    if moved > _ROUNDING * (_AHEAD if ahead else 1) * edge:
+        raise InputError(f"mesh {str(path)!r}: {path.suffix} files keep 7 digits of a coordinate, which would move "
+                         f"vertices at up to {np.abs(surface.vertices).max():.9g} by {moved:.2g} where edges are "
+                         f"{edge:.2g} long; write .ply, .obj or .off, or move the scene's origin near the mesh")
 
 
 def write_mesh(path: str | Path, surface: Surface) -> None:
-    """Write `surface`; folders are made, and the final name never holds half of it.
-
-    .ply as write_ply; of other kinds what Open3D writes.
-    """
+    """Write `surface`; folders are made, and the final name never holds half of it. InputError, and no file, where the
+    kind of file cannot keep its coordinates."""
     path = Path(path)
     check_mesh_path(path)
-    # what is not NumPy's work may write the file's name into it, or other files beside it
-    with replaced(path) if path.suffix.lower() == ".ply" else replaced_with_others(path) as beside:
-        if path.suffix.lower() == ".ply":
-            write_ply(beside, surface)
-            return
-        o3d, mesh = need("open3d", "mesh", f"writing {path.suffix} files"), to_legacy(surface)
-        if path.suffix.lower() == ".stl":
-            mesh.compute_triangle_normals()  # the format is made of them
-        if not o3d.io.write_triangle_mesh(str(beside), mesh):
-            raise OSError(f"Open3D could not write {str(path)!r}")
+    check_digits(path, surface)
+    suffix = path.suffix.lower()
+    with replaced_with_others(path) if suffix == ".obj" else replaced(path) as beside:
+        WRITERS[suffix](beside, surface)

@@ -1,101 +1,171 @@
-"""Binary .ply files of triangles, by NumPy alone: all that a Surface has, further numbers of vertices among it."""
+""".ply files, binary and as text: every number of their vertices, polygons split into triangles, every index and count
+checked."""
 
+import struct
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.files import opened, translated
+from pagas_cl.scene.files import read_bytes
 from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_content import MARK, MeshContent, numbers, shares, split_corners
+from pagas_cl.scene.ply_header import CORNERS, HEADER, Header, Property, header_of
+from pagas_cl.scene.readers.mesh_parts import Parts
 
-HEADER = 1 << 16         # bytes of a file in which its header must end
-TYPES = {"char": "i1", "uchar": "u1", "int8": "i1", "uint8": "u1", "short": "i2", "ushort": "u2", "int16": "i2",
-         "uint16": "u2", "int": "i4", "uint": "u4", "int32": "i4", "uint32": "u4", "float": "f4", "float32": "f4",
-         "double": "f8", "float64": "f8"}
-CORNERS = ("vertex_indices", "vertex_index")
-_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _PLACES, _NORMALS, _COLORS = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
+_WHOLE = 1 << 24         # whole numbers up to this one are all float32
 
 
-def read_ply(path: Path) -> dict[str, Any] | None:
-    """Fields of a Surface from a binary .ply whose faces are triangles; None of another one. InputError where it is
-    damaged."""
-    with opened(path, 1 << 40) as file, translated(f"mesh {str(path)!r} cannot be read: "):
-        layouts = _layouts(file)
-        if not layouts:
-            return None
-        (numbers, count), (corners, faces) = layouts
-        vertices, triangles = np.fromfile(file, numbers, count), np.fromfile(file, corners, faces)
-        if not faces or len(triangles) < faces or (triangles["count"] != 3).any():
-            return None
-    return {**_of_vertices(vertices), "faces": triangles["corners"]}
+class _Columns(NamedTuple):
+    """Values of an element by the name of their column, and of the lists among them the number of values a row."""
+
+    values: dict[str, np.ndarray]
+    lengths: dict[str, np.ndarray]
 
 
-def keeps_numbers(path: Path) -> bool:
-    """Whether read_ply keeps all numbers of its vertices, if its faces are triangles."""
-    with opened(path, 1 << 40) as file, translated(f"mesh {str(path)!r} cannot be read: "):
-        return bool(_layouts(file))
+def read_ply(path: Path, parts: Parts) -> MeshContent:
+    """All numbers of its vertices; of its faces the corners. InputError where it is damaged."""
+    content = read_bytes(path, 1 << 40)
+    header, what = header_of(content[:HEADER], path), f"mesh {str(path)!r}"
+    for comment in header.comments:       # which is how MeshLab names textures; here nothing reads them
+        if comment.startswith("TextureFile"):
+            parts.check(comment.removeprefix("TextureFile"))
+    data = np.frombuffer(_rows_as_bytes(content, header, what), np.uint8)
+    read: dict[str, _Columns] = {}
+    start = 0
+    for name, count, properties in header.elements:
+        if {"vertex", "face"} <= read.keys():
+            break
+        read[name], start = _element(data, start, count, properties, f"{what}: element {name!r}")
+    if "vertex" not in read:
+        raise InputError(f"{what} has no vertices")
+    faces = read.get("face", _Columns({}, {}))
+    corner = next((name for name in CORNERS if name in faces.lengths), None)
+    vertices, fields = _of_vertices(read["vertex"].values, {p.name: p.kind for name, _, properties in header.elements
+                                                            for p in properties if name == "vertex"}, what)
+    split, lost = np.empty((0, 3), np.int64), _lost(header)
+    if corner is not None:
+        split, more = split_corners(vertices, faces.values[corner], faces.lengths[corner], what)
+        lost += more
+    return MeshContent(vertices, split, **fields, lost=lost)
 
 
-def header_of(head: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]], int]:
-    """What the first bytes of a .ply say: its format; of each element the name, the number and the words of its
-    properties; and where what they describe begins, 0 where the header does not end."""
-    header, end, rest = head.partition(b"end_header")
-    lines = [line.split() for line in header.decode("ascii", "replace").splitlines()]
-    kind = next((words[1] for words in lines if words[:1] == ["format"] and len(words) > 1), "")
-    elements: list[tuple[str, int, list[list[str]]]] = []
-    for words in lines:
-        if words[:1] == ["element"] and len(words) > 2 and words[2].isdecimal():
-            elements.append((words[1], int(words[2][:20]), []))
-        elif words[:1] == ["property"] and elements:
-            elements[-1][2].append(words[1:])
-    return kind, elements, len(header) + len(end) + (2 if rest[:2] == b"\r\n" else 1) if end else 0
+def _rows_as_bytes(content: bytes, header: Header, what: str) -> bytes | memoryview:
+    """What follows the header; numbers that are written as text become float64. InputError where there is less than the
+    header claims."""
+    claimed = sum(count for _, count, _ in header.elements)
+    if claimed > len(content):
+        raise InputError(f"{what} claims {claimed} vertices and faces but has {len(content)} bytes: is the file "
+                         "damaged or cut off?")
+    rows = memoryview(content)[header.start:]
+    if header.form == "ascii":
+        rows = memoryview(numbers(content[header.start:])).cast("B")      # type: ignore[arg-type]
+    least = sum(count * p.least for _, count, properties in header.elements for p in properties)
+    if least > rows.nbytes and header.form == "ascii":
+        raise InputError(f"{what} has {rows.nbytes // 8} numbers, and what its header claims takes {least // 8} or "
+                         "more: the file is cut off, copy or write it again")
+    if least > rows.nbytes:
+        raise InputError(f"{what} has {len(content)} bytes, and what its header claims takes {header.start + least} "
+                         "or more: the file is cut off, copy or write it again")
+    return rows
 
 
-def _layouts(file: BinaryIO) -> list[tuple[np.dtype, int]]:
-    """Layout and number of vertices and of faces, taken for triangles, which the file stands before then; nothing where
-    it is none of ours."""
-    kind, elements, start = header_of(file.read(HEADER))
-    if any(name == "vertex" and not {*_PLACES} <= {words[-1] for words in properties if words}
-           for name, _, properties in elements):
-        raise InputError(f"mesh {file.name!r}: its vertices have no x, y and z")      # others end the process on it
-    order = _ORDERS.get(kind)
-    if not start or order is None or [name for name, _, _ in elements[:2]] != ["vertex", "face"]:
-        return []
-    layouts = []
-    for _, count, properties in elements:
+def _element(data: npt.NDArray[np.uint8], start: int, count: int, properties: list[Property], what: str
+             ) -> tuple[_Columns, int]:
+    """Columns of `count` rows that begin at byte `start`, and where they end."""
+    if count == 0 or not properties:
+        return _Columns({p.name: np.empty(0, p.stored) for p in properties},
+                        {p.name: np.empty(0, np.int64) for p in properties if p.length is not None}), start
+    first, end = _walk(data, start, 1, properties, what)
+    lengths = {p.name: int(first[i, 1]) for i, p in enumerate(properties) if p.length is not None}
+    if start + count * (end - start) <= len(data):       # taken for rows that are all as long as the first one
         fields: list[tuple[Any, ...]] = []
-        for words in properties:
-            if len(words) == 2 and words[0] in TYPES:
-                fields.append((words[1], order + TYPES[words[0]]))
-            elif words[:1] == ["list"] and len(words) == 4 and words[3] in CORNERS and {*words[1:3]} <= TYPES.keys():
-                fields += [("count", order + TYPES[words[1]]), ("corners", order + TYPES[words[2]], 3)]
-            else:
-                return []
-        layouts.append((np.dtype(fields), count))
-    file.seek(start)
-    return layouts[:2] if "corners" in (layouts[1][0].names or ()) else []
+        for p in properties:
+            fields += [] if p.length is None else [(f"{p.name} length", p.length)]
+            fields.append((p.name, p.stored, (lengths[p.name],) if p.name in lengths else ()))
+        rows = np.frombuffer(data, np.dtype(fields), count, start)
+        if all((rows[f"{name} length"] == length).all() for name, length in lengths.items()):
+            return _Columns({p.name: rows[p.name].reshape(-1) if p.name in lengths else rows[p.name]
+                             for p in properties},
+                            {name: np.full(count, length) for name, length in lengths.items()}), start + rows.nbytes
+    places, end = _walk(data, start, count, properties, what)
+    places = places.reshape(count, len(properties), 2)
+    columns = _Columns({}, {})
+    for i, p in enumerate(properties):
+        at, number = places[:, i].T
+        first_value = np.repeat(at - (np.cumsum(number) - number) * p.stored.itemsize, number)
+        at = first_value + np.arange(len(first_value)) * p.stored.itemsize
+        columns.values[p.name] = data[at[:, None] + np.arange(p.stored.itemsize)].view(p.stored).reshape(-1)
+        if p.length is not None:
+            columns.lengths[p.name] = number
+    return columns, end
 
 
-def _of_vertices(vertices: np.ndarray) -> dict[str, Any]:
-    names = vertices.dtype.names or ()
+def _walk(data: npt.NDArray[np.uint8], start: int, count: int, properties: list[Property], what: str
+          ) -> tuple[npt.NDArray[np.int64], int]:
+    """Where the values of each property begin in each row, and how many there are: (count * properties, 2), row by row;
+    and where the last row ends."""
+    places = []
+    steps = [(None if p.length is None else struct.Struct(p.length.str[0].replace("|", "<") + p.length.char), p)
+             for p in properties]
+    rows = data.data
+    for row in range(count):
+        for unpack, p in steps:
+            number = 1
+            if unpack is not None:
+                if start + unpack.size > len(data):
+                    raise InputError(f"{what}: row {row} is not there: the file is cut off, copy or write it again")
+                length = unpack.unpack_from(rows, start)[0]
+                if not 0 <= length <= len(data) or length != int(length):
+                    raise InputError(f"{what}: a list in row {row} has {length:g} values: is the file damaged?")
+                number, start = int(length), start + unpack.size
+            places.append((start, number))
+            start += number * p.stored.itemsize
+            if start > len(data):
+                raise InputError(f"{what}: row {row} goes beyond the end of the file: is it damaged or cut off?")
+    return np.array(places, np.int64), start
 
-    def columns(wanted: tuple[str, ...]) -> np.ndarray | None:
+
+def _of_vertices(columns: dict[str, np.ndarray], kinds: dict[str, np.dtype], what: str
+                 ) -> tuple[np.ndarray, dict[str, Any]]:
+    """Vertices (V, 3), and the other fields of a MeshContent that are theirs."""
+    if not {*_PLACES} <= columns.keys():
+        raise InputError(f"{what}: its vertices have no x, y and z")
+
+    def stacked(wanted: tuple[str, ...]) -> np.ndarray | None:
         """(V, 3), whole numbers as shares of their largest one."""
-        if not set(wanted) <= set(names):
+        if not {*wanted} <= columns.keys():
             return None
-        most = np.iinfo(vertices[wanted[0]].dtype).max if vertices[wanted[0]].dtype.kind in "iu" else 1
-        return np.stack([vertices[name] for name in wanted], axis=1).astype(np.float64) / most
+        kind = kinds[wanted[0]]
+        return shares([columns[name] for name in wanted], float(np.iinfo(kind).max) if kind.kind in "iu" else 1)
 
-    known = {*_PLACES, *_NORMALS, *_COLORS, "quality"}
-    return {"vertices": np.stack([vertices[name] for name in _PLACES], axis=1), "normals": columns(_NORMALS),
-            "colors": columns(_COLORS), "quality": vertices["quality"] if "quality" in names else None,
-            "attributes": {name: vertices[name].astype(np.float64) for name in names if name not in known}}
+    count = len(columns["x"])
+    others = {name: values.astype(np.float64) for name, values in columns.items()
+              if name not in {*_PLACES, *_NORMALS, *_COLORS, "quality"} and len(values) == count}
+    return np.stack([columns[name] for name in _PLACES], axis=1), {
+        "normals": stacked(_NORMALS), "colors": stacked(_COLORS), "quality": columns.get("quality"),
+        "attributes": others}
+
+
+def _lost(header: Header) -> tuple[str, ...]:
+    """In words, what is not read: columns of faces but their corners, lists of vertices, other elements."""
+    lost = []
+    for element, count, properties in header.elements:
+        if element == "vertex":
+            lost += [f"vertex property {p.name!r}" for p in properties if p.length is not None]
+        elif element == "face":
+            lost += [f"face property {p.name!r}" for p in properties if p.name not in CORNERS]
+        elif count:
+            lost.append(f"elements {element!r}")
+    return tuple(lost)
 
 
 def write_ply(path: Path, surface: Surface) -> None:
-    """Vertices as double, normals, quality and attributes as float, colours as 8 bit."""
+    """Vertices as double, normals, quality and attributes as float (double where whole numbers need it), colours as 8
+    bit."""
     columns: list[tuple[str, str, str, np.ndarray]]  # name, dtype, type in the header, values
     columns = [(axis, "<f8", "double", surface.vertices[:, i]) for i, axis in enumerate(_PLACES)]
     if surface.normals is not None:
@@ -105,13 +175,15 @@ def write_ply(path: Path, surface: Surface) -> None:
         columns += [(name, "u1", "uchar", rgb[:, i]) for i, name in enumerate(_COLORS)]
     if surface.quality is not None:
         columns.append(("quality", "<f4", "float", surface.quality))
-    columns += [(name, "<f4", "float", value) for name, value in surface.attributes.items()]
+    for name, values in surface.attributes.items():
+        large = bool((np.abs(values) > _WHOLE).any() and (values == np.rint(values)).all())
+        columns.append((name, "<f8", "double", values) if large else (name, "<f4", "float", values))
     vertices = np.empty(len(surface.vertices), np.dtype([(name, kind) for name, kind, _, _ in columns]))
     for name, _, _, values in columns:
         vertices[name] = values
     faces = np.empty(len(surface.faces), np.dtype([("count", "u1"), ("face", "<i4", 3)]))
     faces["count"], faces["face"] = 3, surface.faces
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}",
+    header = ["ply", "format binary_little_endian 1.0", f"comment {MARK}", f"element vertex {len(vertices)}",
               *(f"property {ply_type} {name}" for name, _, ply_type, _ in columns), f"element face {len(faces)}",
               "property list uchar int vertex_indices", "end_header"]
     with open(path, "wb") as file:

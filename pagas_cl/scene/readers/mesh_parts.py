@@ -1,58 +1,67 @@
-"""Files that a mesh file names (materials, textures, buffers): Open3D and pymeshlab open them without looking, and
-would wait for a pipe, or read whatever a stranger has chosen."""
+"""Files that a mesh file names (materials, textures, buffers): a pipe would be waited for, and a foreign file must not
+choose what is read on this machine."""
 
-import mmap
-import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import unquote_to_bytes
+from urllib.parse import unquote
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.files import opened, read_bytes
+from pagas_cl.scene.files import is_file, read_bytes
 from pagas_cl.scene.readers.photos import inside
 
 _MOST = 1 << 30         # bytes of such a file
-_URI = re.compile(rb'"uri"\s*:\s*"(?!data:)([^"]*)"')
-_NAMED = {".obj": re.compile(rb"^[ \t]*mtllib[ \t]+(.+)", re.MULTILINE), ".gltf": _URI, ".glb": _URI,
-          ".ply": re.compile(rb"^comment TextureFile (.+)", re.MULTILINE)}
-_TEXTURE = re.compile(rb"^[ \t]*(?:map_|bump|disp|refl|norm|decal)\S*[ \t]+(.+)", re.MULTILINE | re.IGNORECASE)
+_WORDS = 64             # of a line: options of a texture are 20 or fewer
 
 
-def check_parts(path: str | Path, *, outside: bool = True) -> None:
-    """InputError where a file that the mesh file `path` names is a pipe, a device or the like, or too large to be what
-    it should be; without `outside` also where its name leads out of the mesh's folder.
+@dataclass(frozen=True)
+class Parts:
+    """What the file `mesh` may read beside itself: regular files in its folder, or anywhere where `outside`."""
 
-    What is not there is no error: who reads the mesh goes on without it.
-    """
-    path = Path(path)
-    pattern = _NAMED.get(path.suffix.lower())
-    if pattern is None or not path.is_file() or not path.stat().st_size:
-        return
-    with opened(path, 1 << 40) as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        names = list(_named(pattern, content[:1 << 16] if path.suffix.lower() == ".ply" else content))
-    for name in names:
-        material = _read(path, name, outside)
-        if path.suffix.lower() == ".obj":
-            for texture in _named(_TEXTURE, material):
-                _read(path, texture, outside)
+    mesh: Path
+    outside: bool = True
+
+    def check(self, line: str) -> list[tuple[str, Path]]:
+        """Names and files that may be meant by `line`, the end of a line: options may stand before a name, several of
+        them on a line, or spaces in one; the longest name first, and none that is not there.
+
+        InputError where one of them is a pipe, a device or the like, too large to be what it should be, or leads out of
+        the mesh's folder.
+        """
+        return [(name, path) for name in dict.fromkeys(_names(line)) for path in self._file(name)]
+
+    def read_uri(self, uri: str) -> bytes:
+        """Content of the file that a uri names; as `check`, and an InputError where there is none."""
+        found = self.check(unquote(uri))
+        if not found:
+            raise InputError(f"mesh {str(self.mesh)!r} names the file {uri[:200]!r}, which is not there")
+        return read_bytes(found[0][1], _MOST)
+
+    def _file(self, name: str) -> Iterator[Path]:
+        what = f"mesh {str(self.mesh)!r}"
+        beside = self.mesh.parent / name.replace("\\", "/")
+        try:
+            if not beside.exists() or beside.is_dir():
+                return
+        except (OSError, ValueError):      # no name that a file can have
+            return
+        path = inside(self.mesh.parent, name, f"{what}: a file that it names", outside=self.outside)
+        try:
+            read_bytes(path, _MOST)
+        except InputError as error:
+            raise InputError(f"{what}: {error}") from error
+        except OSError as error:
+            raise InputError(f"{what}: {path} cannot be read: {error.strerror or error}") from error
+        if is_file(path):
+            yield path
 
 
-def _named(pattern: re.Pattern[bytes], content: bytes | mmap.mmap) -> Iterator[str]:
-    """All that a line's end may mean as names: options may stand before one, several of them on a line, or spaces in
-    one."""
-    for match in pattern.finditer(content):
-        line = (unquote_to_bytes(match[1]) if pattern is _URI else match[1]).decode(errors="surrogateescape").strip()
-        yield from [line[word.start():] for word in re.finditer(r"\S+", line)] + line.split()[:-1]
-
-
-def _read(mesh: Path, name: str, outside: bool) -> bytes:
-    """Content of the file `name` beside `mesh`; nothing where there is none."""
-    what = f"mesh {str(mesh)!r}"
-    try:
-        if not (mesh.parent / name).exists() or (mesh.parent / name).is_dir():
-            return b""
-        return read_bytes(inside(mesh.parent, name, f"{what}: a file that it names", outside=outside), _MOST)
-    except InputError as error:
-        raise InputError(str(error) if "leads out" in str(error) else f"{what}: {error}") from error
-    except (OSError, ValueError):
-        return b""
+def _names(line: str) -> Iterator[str]:
+    """Ends of a line that begin with a word, and its words."""
+    words = line.split()[:_WORDS]
+    rest = line.strip()
+    for word in words:
+        rest = rest[rest.index(word):]
+        yield rest
+        rest = rest[len(word):]
+    yield from words

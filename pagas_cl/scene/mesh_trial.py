@@ -1,0 +1,41 @@
+"""Loading a mesh file by pymeshlab in a process of its own, which may crash, hang or run out of memory: what
+`mesh_file.check_mesh_file` asks."""
+
+import json
+import os
+import sys
+
+from pagas_cl.errors import need
+from pagas_cl.runtime.child import end_with_parent
+
+_ROOM, _TIMES = 1 << 30, 60      # bytes that loading may take, and of every byte of the file
+
+
+def main(question: str) -> None:
+    """Print {"fault": why it cannot be loaded, or empty}."""
+    path = json.loads(question)["path"]
+    pymeshlab = need("pymeshlab", "meshlab", "loading a mesh into MeshLab's filters")
+    _limit(_ROOM + _TIMES * os.path.getsize(path))
+    fault = ""
+    try:
+        pymeshlab.MeshSet().load_new_mesh(path)
+    except MemoryError:
+        fault = "it takes more memory than a file of its size has use for"
+    except (pymeshlab.PyMeshLabException, RuntimeError) as error:
+        fault = (str(error).strip().splitlines() or ["no reason given"])[0][:200]
+    sys.stdout.write("\n" + json.dumps({"fault": fault}) + "\n")
+
+
+def _limit(more: int) -> None:
+    """From now on this process may take `more` bytes; on Linux, other systems do not hold to such limits."""
+    if sys.platform == "linux":
+        import resource
+
+        with open("/proc/self/statm") as file:
+            taken = int(file.read().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (taken + more, taken + more))
+
+
+if __name__ == "__main__":
+    end_with_parent()
+    main(sys.argv[1])

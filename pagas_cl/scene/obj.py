@@ -1,0 +1,162 @@
+""".obj files: vertices in double precision that are not split where textures have seams, polygons split into triangles,
+materials as their library says."""
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.errors import InputError
+from pagas_cl.scene.files import read_bytes
+from pagas_cl.scene.mesh import Texture
+from pagas_cl.scene.mesh_content import MeshContent, numbers, polygon_triangles, whole, words_of_line
+from pagas_cl.scene.obj_materials import read_materials
+from pagas_cl.scene.readers.mesh_parts import Parts
+
+_MARKS_OF_NUMBERS = b"0123456789+-"
+_SHAPES = {b" ": (1, [0]), b"/ ": (2, [0, 1]), b"// ": (3, [0, 1, 2])}   # of a corner: v, v/vt, v/vt/vn
+
+
+@dataclass
+class _Lines:
+    """Statements of a file in order, by their first word."""
+
+    places: list[bytes] = field(default_factory=list)
+    normals: list[bytes] = field(default_factory=list)
+    textures: list[bytes] = field(default_factory=list)
+    faces: list[bytes] = field(default_factory=list)
+    before: list[tuple[int, int, int]] = field(default_factory=list)    # of each face: v, vt, vn that came before it
+    materials: list[tuple[int, str]] = field(default_factory=list)      # first face, name
+    libraries: list[str] = field(default_factory=list)
+    parts: dict[bytes, set[bytes]] = field(default_factory=lambda: {b"g": set(), b"o": set()})
+    others: set[bytes] = field(default_factory=set)
+
+
+def read_obj(path: Path, parts: Parts) -> MeshContent:
+    """InputError where it is damaged, or names files that `parts` does not allow."""
+    what = f"mesh {str(path)!r}"
+    lines = _statements(read_bytes(path, 1 << 40))
+    named = [name for _, name in lines.materials]
+    if not named or lines.materials[0][0] > 0:      # the first faces have none
+        lines.materials.insert(0, (0, ""))
+    library = read_materials(lines.libraries, [name for _, name in lines.materials], parts)
+    vertices, colors = _vertices(lines.places, what)
+    if not lines.faces:
+        return MeshContent(vertices, np.empty((0, 3), np.int64), None, colors, lost=_lost(lines, 0))
+    counts, corners = _corners(lines, what)
+    sizes = (len(vertices), len(lines.textures), len(lines.normals))
+    for column, (size, kind) in enumerate(zip(sizes, ("vertex", "texture coordinate", "normal"), strict=True)):
+        whole(corners[:, column], f"{what}: a face names {kind} (counted from 0)", -1 if column else 0, size - 1)
+    triangles, polygons = polygon_triangles(vertices, corners[:, 0], counts)
+    faces = corners[triangles]
+    normals = _normals(lines, faces, len(vertices), what)
+    texture = None
+    if lines.textures or named:
+        order = {material.name: i for i, material in enumerate(library)}
+        first, names = zip(*lines.materials, strict=True)
+        of_faces = np.repeat([order[name] for name in names], np.diff([*first, len(counts)])).astype(np.int32)
+        texture = Texture(_coordinates(lines.textures, faces[:, :, 1], what), of_faces[polygons], library)
+    return MeshContent(vertices, faces[:, :, 0], normals, colors, texture=texture,
+                       lost=_lost(lines, int((counts < 3).sum())))
+
+
+def _statements(content: bytes) -> _Lines:
+    found = _Lines()
+    lists = {b"v": found.places, b"vn": found.normals, b"vt": found.textures}
+    for line in re.sub(rb"\\\r?\n", b" ", content).splitlines():
+        word, _, rest = line.replace(b"\t", b" ").strip().partition(b" ")
+        if word in lists:
+            lists[word].append(rest)
+        elif word in (b"f", b"fo"):
+            found.faces.append(rest)
+            found.before.append((len(found.places), len(found.textures), len(found.normals)))
+        elif word == b"usemtl":
+            found.materials.append((len(found.faces), words_of_line(rest.strip())))
+        elif word == b"mtllib":
+            found.libraries.append(words_of_line(rest.strip()))
+        elif word in found.parts:
+            found.parts[word].add(rest)
+        elif word and word != b"s" and not word.startswith(b"#"):
+            found.others.add(word)
+    return found
+
+
+def _table(lines: list[bytes], least: int, what: str) -> np.ndarray:
+    """Numbers (lines, columns) of lines that all have as many, `least` or more: as many as the shortest one has."""
+    widths = np.array([len(line.split()) for line in lines], np.int64)
+    if not len(widths):
+        return np.empty((0, least))
+    columns = int(widths.min())
+    if columns < least:
+        raise InputError(f"{what} number {int(widths.argmin()) + 1} has {columns} numbers, expected {least} or more: "
+                         "is the file damaged?")
+    values, starts = numbers(b" ".join(lines)), np.cumsum(widths) - widths
+    table: np.ndarray = values[starts[:, None] + np.arange(columns)]
+    return table
+
+
+def _vertices(lines: list[bytes], what: str) -> tuple[np.ndarray, np.ndarray | None]:
+    table = _table(lines, 3, f"{what}: vertex")
+    colors = table[:, 3:6] if table.shape[1] >= 6 else None
+    return table[:, :3], colors
+
+
+def _corners(lines: _Lines, what: str) -> tuple[np.ndarray, np.ndarray]:
+    """How many corners each face has, and of all corners vertex, texture coordinate and normal: (corners, 3), counted
+    from 0, -1 where there is none."""
+    counts = np.array([len(line.split()) for line in lines.faces], np.int64)
+    text, total = b" ".join(lines.faces) + b" ", int(counts.sum())
+    text = b" ".join(text.split()) + b" "
+    shape = next((shape for shape in _SHAPES if text.translate(None, _MARKS_OF_NUMBERS) == shape * total), None)
+    given = np.zeros((total, 3))
+    values = numbers(text.replace(b"/", b" ")) if shape is not None else np.empty(0)
+    if shape is not None and len(values) == total * _SHAPES[shape][0]:
+        given[:, _SHAPES[shape][1]] = values.reshape(total, -1)
+    elif shape == b"// " and text.count(b"//") == total and len(values) == 2 * total:
+        given[:, [0, 2]] = values.reshape(total, 2)
+    else:
+        given[:] = [_corner(word, what) for word in text.split()]
+    numbered = whole(given.reshape(-1), f"{what}: a face names", -(1 << 40), 1 << 40).reshape(-1, 3)
+    before = np.repeat(np.array(lines.before, np.int64).reshape(-1, 3), counts, axis=0)
+    if (numbered[:, 0] == 0).any():
+        raise InputError(f"{what}: a face names vertex 0, expected 1 or more, or -1 or less to count from the last one")
+    back = np.where(numbered < 0, before + numbered, numbered - 1)
+    if (back[numbered != 0] < 0).any():
+        raise InputError(f"{what}: a face counts back beyond the first vertex, texture coordinate or normal")
+    return counts, back
+
+
+def _corner(word: bytes, what: str) -> list[int]:
+    parts = word.split(b"/")
+    if not 1 <= len(parts) <= 3 or not parts[0] or any(len(part) > 18 for part in parts):
+        raise InputError(f"{what}: a face has the corner {word[:40]!r}, expected v, v/vt, v//vn or v/vt/vn")
+    return [int(part or b"0") for part in parts] + [0] * (3 - len(parts))
+
+
+def _normals(lines: _Lines, faces: np.ndarray, count: int, what: str) -> np.ndarray | None:
+    """(V, 3): the mean of the normals that a vertex has in faces; None where a vertex of a face has none."""
+    if not lines.normals or (faces[:, :, 2] < 0).any():
+        return None
+    of_corners = _table(lines.normals, 3, f"{what}: normal")[faces[:, :, 2].ravel(), :3]
+    mean = np.stack([np.bincount(faces[:, :, 0].ravel(), of_corners[:, k], count) for k in range(3)], axis=1)
+    lengths = np.linalg.norm(mean, axis=1, keepdims=True)
+    unit: np.ndarray = np.divide(mean, lengths, out=np.zeros_like(mean), where=lengths > 0)
+    return unit
+
+
+def _coordinates(lines: list[bytes], corners: np.ndarray, what: str) -> np.ndarray | None:
+    """(F, 3, 2), NaN where a corner has none; None where none has."""
+    if (corners < 0).all():
+        return None
+    table = _table(lines, 2, f"{what}: texture coordinate")[:, :2]
+    coordinates: np.ndarray = np.where(corners[:, :, None] < 0, np.nan, table[corners])
+    return coordinates
+
+
+def _lost(lines: _Lines, without_area: int) -> tuple[str, ...]:
+    """In words, what is not read: one group or object is a name, several are parts."""
+    lost = [f"{len(names)} {word}" for key, word in ((b"g", "groups"), (b"o", "objects"))
+            if len(names := lines.parts[key]) > 1]
+    lost += [f"statements {words_of_line(word[:20])!r}" for word in sorted(lines.others)[:5]]
+    return (*lost, *[f"{without_area} faces of fewer than 3 corners"] * bool(without_area))
