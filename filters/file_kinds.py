@@ -1,5 +1,5 @@
-"""What a kind of mesh file that pymeshlab writes keeps of a layer: found by writing a small mesh and reading it back, as
-no list would stay right. Only a .ply keeps custom attributes."""
+"""What a kind of mesh file that pymeshlab writes keeps of a layer: found by writing a small mesh and reading it back,
+since a list would age. Only a .ply keeps custom attributes."""
 
 import tempfile
 from collections.abc import Collection
@@ -60,15 +60,15 @@ def _contents(mesh: Any) -> set[str]:
 
 
 def check_output(meshes: Any, path: Path, kind: FileKind, names: Collection[str], refines: bool) -> None:
-    """Before the work: log what of the current layer, and of the confidence where our step `refines` it, the file `path`
-    will not have; InputError where its coordinates would be destroyed. `names` as in read_custom."""
+    """Before the work: log what of the current layer, and of the confidence where our step `refines` it, the file
+    `path` will not have; InputError where its coordinates would be destroyed. `names` as in read_custom."""
     mesh = meshes.current_mesh()
     places = mesh.vertex_matrix()
     size = np.ptp(places, axis=0).max()
     if kind.error * np.abs(places).max() > _LEAST * size:
-        raise InputError(f"--output {str(path)!r}: {kind.suffix} files have too few digits for these coordinates (up to "
-                         f"{np.abs(places).max():.7g}, where the mesh is {size:.3g} wide); write a .ply, or move the mesh "
-                         "to the origin first")
+        raise InputError(f"--output {str(path)!r}: {kind.suffix} files have too few digits for coordinates of up to "
+                         f"{np.abs(places).max():.7g} where the mesh is {size:.3g} wide; write a .ply, or move the "
+                         "mesh to the origin first")
     lost = sorted((_contents(mesh) | ({"vertex quality"} if refines else set())) & set(kind.lost))
     if kind.suffix != ".ply":
         custom, unread = read_custom(meshes, names)

@@ -173,15 +173,15 @@ def _check_attributes(meshes, asked: Request, spellings) -> None:
         names += [name for name, there in has.items() if there]
         _log_lost(names, f"output='tsdf' fuses a new layer, which has nothing of {layer.label()!r} (output='mesh' has)")
     elif asked.output == "mesh":
-        _log_lost([f"custom attribute {name!r}" for name in unread], "pymeshlab does not tell how they are spelled")
+        _log_lost([f"custom attribute {name!r}" for name in unread], "pymeshlab lists names in small letters alone")
     elif asked.subdivide is not None:
         _log_lost(names, "MeshLab splits edges within a layer, and leaves 0 on what it makes (output='mesh' carries)")
     if asked.output == "displace":
         try:
             meshes.compute_coord_by_function(x="x", y="y", z="z", onselected=False)
         except RuntimeError as error:
-            raise InputError("MeshLab cannot move vertices by its expressions while a custom attribute's name has other "
-                             "characters than letters, digits and _: rename it, or use output='mesh'") from error
+            raise InputError("MeshLab cannot move vertices by its expressions while the name of a custom attribute has "
+                             "other characters than letters, digits and _: rename it, or use output='mesh'") from error
 
 
 def _log_lost(names: list[str], why: str) -> None:
@@ -194,7 +194,7 @@ def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     return np.linalg.solve(matrix[:3, :3], (vertices - matrix[:3, 3]).T).T
 
 
-def _add_layer(meshes, results, label: str, matrix: np.ndarray, spellings, surface, vertices, division, quality,
+def _add_layer(meshes, results, label: str, matrix: np.ndarray, spellings, _surface, vertices, division, _quality,
                attributes) -> None:
     """The current layer, divided, its vertices (world coordinates) moved, as a new current layer; the other arguments
     are those of with_vertices."""

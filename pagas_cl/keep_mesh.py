@@ -61,7 +61,8 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
     (1.5) pixel footprints are split where depth maps lie off them; afterwards splits are undone where the surface is
     flat within `flat` footprints, and the rest is solved once more. In `memory_mb` of host memory, or mesh_mb.
     "displace": with the same triangles (surface.mesh_solve), or all edges split that are longer than `subdivide`.
-    `tell(text)` is told what is wrong with triangles, before and after. `make` gives the mesh of what with_vertices takes.
+    `tell(text)` is told what is wrong with triangles, before and after. `make` makes the mesh, of what
+    with_vertices takes.
     """
     solving = ViewProgress(progress, 1, "solve the mesh")
     solving.at(0)

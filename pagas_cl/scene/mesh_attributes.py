@@ -24,8 +24,8 @@ def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, qua
     carry: Any = subdivision or _Same
     mesh = mesh.current_mesh() if hasattr(mesh, "current_mesh") else mesh      # pymeshlab's MeshSet
     if quality is not None and _has_quality(mesh):
-        log.info("the mesh has a vertex quality of its own, which stays: the confidence is the attribute %r", CONFIDENCE)
-        quality, attributes = None, {**attributes, CONFIDENCE: quality}
+        log.info("the mesh has a vertex quality, which stays: the confidence is the attribute %r", CONFIDENCE)
+        attributes, quality = {**attributes, CONFIDENCE: quality}, None
     if isinstance(mesh, Surface):
         faces = mesh.faces if carry.faces is None else carry.faces
         normals = None
@@ -120,7 +120,7 @@ def _pymeshlab(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray
     alone.add_mesh(mesh)       # only a set of meshes tells what attributes there are
     custom, unread = read_custom(alone)
     if unread:
-        log.warning("pymeshlab does not tell how the custom attributes %s are spelled: they are not carried along",
+        log.warning("lost: custom attributes %s: pymeshlab lists their names in small letters alone",
                     ", ".join(map(repr, unread)))
     for name, read, carried in (  # of the new mesh's argument, of the old one's method, and how it comes along
             ("v_color_matrix", "vertex_color_matrix", lambda colors: eight_bits(carry.vertices(colors))),

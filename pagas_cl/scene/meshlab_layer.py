@@ -1,8 +1,8 @@
-"""A layer of pymeshlab with all that MeshLab keeps on it, by name: colours, quality, texture coordinates with the number
-of their texture, custom attributes.
+"""A layer of pymeshlab with all that MeshLab keeps on it, by name: colours, quality, texture coordinates with the
+number of their texture, custom attributes.
 
-pymeshlab tells neither which custom attributes a mesh has nor which texture a face has; the .ply that MeshLab writes of
-the layer does. It reads such a file without its custom attributes: those are added to the mesh that it makes of it.
+pymeshlab does not give which texture a face has; the .ply that it writes of the layer has it. Custom attributes are
+left out there, and added to the mesh that it makes of such a file.
 """
 
 import os
@@ -74,22 +74,22 @@ class Layer:
 
 
 def _mean(name: str, column: np.ndarray, carry: Any) -> np.ndarray:
-    if name not in _COLORS:
-        return carry.vertices(column)
-    return np.rint(np.clip(carry.vertices(column / 255), 0, 1) * 255).astype(np.uint8)
+    mean: np.ndarray = carry.vertices(column / 255 if name in _COLORS else column)
+    return np.rint(np.clip(mean, 0, 1) * 255).astype(np.uint8) if name in _COLORS else mean
 
 
 def custom_keys(meshes: Any) -> list[str]:
-    """How save_current_mesh calls the custom attributes of the current layer: "__ca_vs__age", "v" or "f" for vertices or
-    faces, "s" or "p" for scalars or points, the name in small letters."""
+    """How save_current_mesh calls the custom attributes of the current layer: "__ca_vs__age", with "v" or "f" for
+    vertices or faces, "s" or "p" for scalars or points, and the name in small letters."""
     return [key for key in meshes.filter_parameter_values("ply")
             if key.startswith("__ca_") and not key[len("__ca_vs__"):].startswith(SCRATCH)]
 
 
 def read_custom(meshes: Any, spellings: Collection[str] = ()) -> tuple[dict[str, Columns], list[str]]:
-    """The custom attributes of the current layer of a pymeshlab.MeshSet, for "vertex" and "face"; and the names in small
-    letters of those that cannot be read: pymeshlab asks for the name as it was given, and does not tell it. `spellings`
-    are tried. (Written to a file they would be told; that ends the process where the layer came by add_mesh.)"""
+    """The custom attributes of the current layer of a pymeshlab.MeshSet, for "vertex" and "face"; and the names, in
+    small letters, of those that cannot be read: pymeshlab takes the name as it was given, but does not list it so.
+    `spellings` are tried. (A .ply with the attributes would have the names; writing one ends the process where the
+    layer is one that add_mesh has copied.)"""
     pymeshlab = need("pymeshlab", "meshlab", "reading a pymeshlab mesh")
     found: dict[str, Columns] = {"vertex": {}, "face": {}}
     unread = []
