@@ -19,7 +19,7 @@ _LEAST = 1e-6                   # of a mesh's size: coordinates that are written
 @dataclass(frozen=True)
 class FileKind:
     """`error`: of a written coordinate, as a share of the largest one; `lost`: what of `_contents` does not come back;
-    both are NaN and all of it where pymeshlab does not read such files."""
+    NaN and all of it where pymeshlab does not read such files."""
 
     suffix: str
     error: float
@@ -29,26 +29,33 @@ class FileKind:
 def file_kind(path: Path) -> FileKind:
     """The kind of the output `path`; InputError where pymeshlab writes none such."""
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
-    places = np.array([[0.123456, 0.654321, 0.1], [3.3, 0.1, 0.2], [0.7, 2.9, 1.3]]) + _FAR
-    colors, meshes = np.eye(4)[[0, 1, 2]] + np.eye(4)[3], pymeshlab.MeshSet()
-    meshes.add_mesh(pymeshlab.Mesh(places, [[0, 1, 2]], v_color_matrix=colors, f_color_matrix=colors[:1],
-                                   v_scalar_array=np.arange(1.0, 4), f_scalar_array=np.ones(1),
-                                   w_tex_coords_matrix=places[:, :2] % 1))
-    everything = _contents(meshes.current_mesh())
-    with tempfile.TemporaryDirectory() as scratch:
-        file = Path(scratch) / f"a{path.suffix}"
-        try:
-            meshes.save_current_mesh(str(file))
-        except (pymeshlab.PyMeshLabException, RuntimeError) as error:
-            raise InputError(f"--output {str(path)!r}: pymeshlab writes no {path.suffix!r} files, expected .ply, .obj, "
-                             ".stl, .off, ... or .mlp") from error
-        try:
-            meshes.load_new_mesh(str(file))
-        except (pymeshlab.PyMeshLabException, RuntimeError, IndexError):
-            return FileKind(path.suffix.lower(), float("nan"), everything)
-    back = meshes.current_mesh()
+    places, kind = np.array([[0.123456, 0.654321, 0.1], [3.3, 0.1, 0.2], [0.7, 2.9, 1.3]]) + _FAR, path.suffix.lower()
+    try:
+        _read_back(pymeshlab, pymeshlab.Mesh(places, [[0, 1, 2]]), kind, read=False)
+    except (pymeshlab.PyMeshLabException, RuntimeError) as error:
+        raise InputError(f"--output {str(path)!r}: pymeshlab writes no {path.suffix!r} files, expected .ply, .obj, "
+                         ".stl, .off, ... or .mlp") from error
+    colors = np.eye(4)[[0, 1, 2]] + np.eye(4)[3]
+    given = pymeshlab.Mesh(places, [[0, 1, 2]], v_color_matrix=colors, f_color_matrix=colors[:1],
+                           v_scalar_array=np.arange(1.0, 4), f_scalar_array=np.ones(1),
+                           w_tex_coords_matrix=places[:, :2] % 1)
+    try:
+        back = _read_back(pymeshlab, given, kind).current_mesh()
+    except (pymeshlab.PyMeshLabException, RuntimeError, IndexError):
+        return FileKind(kind, float("nan"), _contents(given))
     error = np.abs(np.sort(back.transformed_vertex_matrix(), axis=0) - np.sort(places, axis=0)).max() / max(_FAR)
-    return FileKind(path.suffix.lower(), error, everything - _contents(back))
+    return FileKind(kind, error, _contents(given) - _contents(back))
+
+
+def _read_back(pymeshlab: Any, mesh: Any, kind: str, read: bool = True) -> Any:
+    """A MeshSet whose current mesh is `mesh` from a file of the kind, unless it is only to be written."""
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(mesh)
+    with tempfile.TemporaryDirectory() as scratch:
+        meshes.save_current_mesh(str(Path(scratch) / f"a{kind}"))
+        if read:
+            meshes.load_new_mesh(str(Path(scratch) / f"a{kind}"))
+    return meshes
 
 
 def _contents(mesh: Any) -> set[str]:

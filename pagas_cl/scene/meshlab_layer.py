@@ -114,7 +114,7 @@ def write_mesh_file(meshes: Any, path: Path, **options: Any) -> None:
     pymeshlab, reason = need("pymeshlab", "meshlab", "writing a mesh by pymeshlab"), ""
     try:
         meshes.save_current_mesh(str(path), **options)
-    except (pymeshlab.PyMeshLabException, RuntimeError) as error:
+    except (pymeshlab.PyMeshLabException, RuntimeError, IndexError) as error:
         reason = " ".join(str(error).split())[:200]
     with open(path, "ab") as file:      # is there room for more?
         end = file.tell()
