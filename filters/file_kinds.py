@@ -40,9 +40,10 @@ def file_kind(path: Path) -> FileKind:
                            v_scalar_array=np.arange(1.0, 4), f_scalar_array=np.ones(1),
                            w_tex_coords_matrix=places[:, :2] % 1)
     try:
-        back = _read_back(pymeshlab, given, kind).current_mesh()
+        meshes = _read_back(pymeshlab, given, kind)      # held: its meshes end with it
     except (pymeshlab.PyMeshLabException, RuntimeError, IndexError):
         return FileKind(kind, float("nan"), _contents(given))
+    back = meshes.current_mesh()
     error = np.abs(np.sort(back.transformed_vertex_matrix(), axis=0) - np.sort(places, axis=0)).max() / max(_FAR)
     return FileKind(kind, error, _contents(given) - _contents(back))
 

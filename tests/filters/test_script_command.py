@@ -193,7 +193,8 @@ def test_what_a_kind_of_file_has_no_place_for_is_named(place, scene):
     mesh = with_columns(place / "m.ply", scene)
     status, told = run(place / "s.mlx", "--mesh", mesh, "--output", place / "o.obj")
     assert status == 0
-    assert all(word in told for word in ("'scalar_Age'", "'confidence'", "'part'", "vertex quality", "a .ply has")), told
+    words = ("'scalar_Age'", "'confidence'", "'part'", "vertex quality", "a .ply has")
+    assert all(word in told for word in words), told
 
 
 @pytest.mark.parametrize("kind, status", [("ply", 0), ("obj", 0), ("off", 0), ("stl", 2), ("x3d", 2), ("ctm", 2)])
