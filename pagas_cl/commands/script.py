@@ -39,6 +39,7 @@ def command(
     quiet: bool = QUIET,
 ):
     """Run SCRIPT on a mesh, or on a MeshLab project; the whole script is checked before anything runs."""
+    os.environ.setdefault("QT_LOGGING_RULES", "*.debug=false")      # else MeshLab names every filter that it reads
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
     check_source(mesh, project, "what the script starts from", outside, "--project")
     if mesh is None and scene is not None:
