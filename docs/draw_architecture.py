@@ -33,7 +33,7 @@ LEVELS = [
     [(140, "runtime", "runtime", "devices, programs"), (440, "cl_kernels", "cl_kernels", "OpenCL C 1.2"),
      (760, "reference", "reference", "float64 twins")],
     [(705, "scene", "scene", "cameras, photos, meshes, readers: host side, NumPy")],
-    [(595, "config, errors", "config stage presets errors", "frozen settings, one family of errors")],
+    [(595, "config, errors", "config stage presets errors child", "frozen settings, one family of errors")],
 ]
 WIDE = {"scene": 890, "config, errors": 1110}      # what nearly all others import lies below them all
 STEPS = [

@@ -2,13 +2,15 @@
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 from support.job_scenes import write_small_scene
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import OutputError
 from pagas_cl.scene.files import replaced_with_others
-from pagas_cl.scene.mesh_file import write_mesh
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_file import read_content, read_mesh, write_mesh
 from pagas_cl.scene.mesh_losses import losses
 
 pytestmark = pytest.mark.slow
@@ -36,20 +38,26 @@ property list uchar int vertex_indices
 0 1 0{v}
 3 0 1 2{f}
 """
-LOST = {"alpha": ("property uchar alpha\n", "", "vertex property 'alpha'"),
-        "quality": ("property float quality\n", "", "vertex property 'quality'"),
-        "place": ("property float s\nproperty float t\n", "", "vertex property 's', vertex property 't'"),
-        "custom": ("property int part\n", "", "vertex property 'part'"),
-        "face": ("", "property uchar red\n", "face property 'red'"),
-        "corners": ("", "property list uchar float texcoord\n", "face property 'texcoord'")}
+LOST = {"alpha": ("property uchar alpha\n", "", "", "vertex property 'alpha'"),      # .ply keeps, other kinds do not
+        "quality": ("property float quality\n", "", "", "vertex property 'quality'"),
+        "place": ("property float s\nproperty float t\n", "", "", "vertex property 's', vertex property 't'"),
+        "custom": ("property int part\n", "", "", "vertex property 'part'"),
+        "face": ("", "property uchar red\n", "face property 'red'", "face property 'red'"),
+        "corners": ("", "property list uchar float texcoord\n", "face property 'texcoord'", "face property 'texcoord'")}
+
+
+def lost(mesh, output):
+    return losses(read_content(mesh), output)
 
 
 @pytest.mark.parametrize("name", LOST)
 def test_what_a_ply_file_would_lose(tmp_path, name):
-    vertex, face, words = LOST[name]
+    vertex, face, of_ply, of_others = LOST[name]
     (tmp_path / "m.ply").write_text(PLY.format(vertex=vertex, face=face, v=" 1" * vertex.count("property"),
                                                f=" 6 0 0 0 0 0 0" if "list" in face else " 1" * bool(face)))
-    assert ", ".join(losses(tmp_path / "m.ply", "out.ply")) == words
+    assert ", ".join(lost(tmp_path / "m.ply", "out.ply")) == of_ply
+    for kind in ("obj", "off", "stl", "glb"):
+        assert ", ".join(lost(tmp_path / "m.ply", f"out.{kind}")) == of_others
 
 
 def test_what_is_kept_is_not_told(scene, tmp_path):
@@ -57,8 +65,10 @@ def test_what_is_kept_is_not_told(scene, tmp_path):
     mesh.paint_uniform_color([1, 0, 0])
     mesh.compute_vertex_normals()
     o3d.io.write_triangle_mesh(str(tmp_path / "m.ply"), mesh)
-    assert losses(tmp_path / "m.ply", "out.ply") == losses(tmp_path / "m.ply", "out.obj") == []
-    assert losses(tmp_path / "m.ply", "out.stl") == ["vertex colours"]
+    assert lost(tmp_path / "m.ply", "out.ply") == lost(tmp_path / "m.ply", "out.obj") == []
+    for kind in ("off", "glb"):
+        assert lost(tmp_path / "m.ply", f"out.{kind}") == []
+    assert lost(tmp_path / "m.ply", "out.stl") == ["vertex colours"]
 
 
 def textured(scene, path, parts=1):
@@ -82,12 +92,12 @@ def refine(scene, mesh, output, *more):
 
 def test_it_is_told_before_the_work(scene, tmp_path, capsys, monkeypatch):
     mesh = textured(scene, tmp_path / "m.obj", 2)
-    assert losses(mesh, "out.obj") == ["2 materials", "2 groups"]
+    assert lost(mesh, "out.obj") == ["2 groups"]
     with monkeypatch.context() as patch:
         patch.setattr("pagas_cl.commands.refine.refine_views", lambda *_, **__: pytest.fail("refined"))
         assert refine(scene, mesh, tmp_path / "out.ply") == 2
     told = capsys.readouterr().err
-    assert "would lose of mesh" in told and "2 materials, 2 groups, texture coordinates; pass --allow-loss" in told
+    assert "would lose of mesh" in told and "2 groups, 2 materials, texture coordinates; pass --allow-loss" in told
     assert refine(scene, mesh, tmp_path / "out.ply", "--allow-loss") == 0 and (tmp_path / "out.ply").exists()
 
 
@@ -116,8 +126,6 @@ def test_what_comes_between_is_not_replaced_and_nothing_is_lost(tmp_path):
 
 
 def test_an_obj_file_is_the_same_twice(tmp_path):
-    from pagas_cl.scene.mesh import Surface
-
     surface = Surface(np.eye(3), [[0, 1, 2]])
     write_mesh(tmp_path / "a.obj", surface)
     before = (tmp_path / "a.obj").read_bytes()
@@ -137,3 +145,49 @@ def test_layers_of_others_stay(scene, tmp_path, capsys):
     assert (tmp_path / "out_0.ply").read_text() == "precious"
     (tmp_path / "out_0.ply").unlink()
     assert command_line.run(command) == 0 == command_line.run(command)
+
+
+@pytest.mark.parametrize("kind", [".off", ".glb", ".stl", ".obj"])
+def test_what_other_kinds_of_files_would_lose(tmp_path, kind):
+    path = tmp_path / f"m{kind}"
+    if kind == ".off":
+        path.write_text("OFF\n3 2 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2 255 0 0\n2 0 1\n")
+        words = ["1 faces of fewer than 3 corners", "face colours"]
+    elif kind == ".obj":
+        path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\no a\nf 1 2 3\no b\nf 1 2 3\nl 1 2\ncstype bezier\n")
+        words = ["2 objects", "statements 'cstype'", "statements 'l'"]
+    elif kind == ".stl":
+        write_mesh(path, Surface(np.eye(3), [[0, 1, 2]]))
+        path.write_bytes(path.read_bytes()[:-2] + b"\x01\x80")
+        words = ["face attributes"]
+    else:
+        picture = Image.new("RGB", (2, 2))
+        visual = trimesh.visual.TextureVisuals(uv=np.zeros((3, 2)), image=picture)
+        trimesh.Trimesh(np.eye(3), [[0, 1, 2]], visual=visual, process=False).export(path)
+        words = ["1 material", "texture coordinates"]
+    assert lost(path, "out.ply") == words
+
+
+def test_materials_and_their_colours_come_along(scene, tmp_path):
+    """Of each triangle the material of the one that it came from, and all that the library says of it."""
+    mesh = textured(scene, tmp_path / "m.obj", 2)
+    mesh.write_text("\n".join(line for line in mesh.read_text().splitlines() if not line.startswith("g ")))
+    (tmp_path / "m.mtl").write_text("newmtl paint0\nKd 1 0 0\nnewmtl paint1\nKd 0 0.25 0\nd 0.5\nmap_Kd wood.png\n")
+    assert lost(mesh, "out.obj") == []
+    assert refine(scene, mesh, tmp_path / "out.obj") == 0
+    given, made = read_mesh(mesh), read_mesh(tmp_path / "out.obj")
+    assert [m.name for m in made.texture.library] == ["paint0", "paint1"]
+    assert [m.statements[:2] for m in made.texture.library] == [m.statements[:2] for m in given.texture.library]
+    assert (made.texture.materials == given.texture.materials).all()
+    assert np.array_equal(made.texture.coordinates, given.texture.coordinates)
+    assert (tmp_path / "out_0.png").read_bytes() == (tmp_path / "wood.png").read_bytes()
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".glb"])
+def test_digits_that_would_be_lost_are_told_before_the_work(scene, tmp_path, capsys, monkeypatch, suffix):
+    surface = read_mesh(scene / "mesh_coarse.ply")
+    write_mesh(tmp_path / "far.ply", Surface(surface.vertices + [500000, 5400000, 0], surface.faces))
+    monkeypatch.setattr("pagas_cl.commands.refine.refine_views", lambda *_, **__: pytest.fail("refined"))
+    assert command_line.run(["refine", str(scene), "--mesh", str(tmp_path / "far.ply"), "--output",
+                             str(tmp_path / f"out{suffix}"), "--quiet"]) == 2
+    assert "keep 7 digits of a coordinate" in capsys.readouterr().err and not list(tmp_path.glob("out*"))

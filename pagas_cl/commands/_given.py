@@ -14,7 +14,7 @@ from pagas_cl.errors import InputError, log
 from pagas_cl.scene.depthmap import find_depth
 from pagas_cl.scene.files import opened
 from pagas_cl.scene.mesh_file import SUFFIXES, read_content
-from pagas_cl.scene.ply import HEADER, header_of
+from pagas_cl.scene.ply_header import HEADER, header_of
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.surface.bring_together import bring_together
 
@@ -130,7 +130,7 @@ def _meshes(folder: Path) -> list[Path]:
 
 def _has_faces(path: Path) -> bool:
     with opened(path, 1 << 40) as file:
-        return any(name == "face" and count for name, count, _ in header_of(file.read(HEADER))[1])
+        return any(name == "face" and count for name, count, _ in header_of(file.read(HEADER), path).elements)
 
 
 def together(given: Given, align: bool, meanwhile: Iterable[Callable[[], Any]] = ()) -> list:

@@ -13,8 +13,9 @@ from functools import cache as cached
 from importlib.resources import files
 from typing import Any
 
+from pagas_cl import child
 from pagas_cl.errors import log
-from pagas_cl.runtime import cache, child
+from pagas_cl.runtime import cache
 from pagas_cl.runtime.info import DeviceInfo, number_in
 
 LANES, LIMIT, KNOWN = "PAGAS_CL_LANES", "PAGAS_CL_TRIAL_SECONDS", "PAGAS_CL_TRIAL"

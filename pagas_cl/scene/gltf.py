@@ -100,8 +100,11 @@ def _check_accessors(tree: dict[str, Any], size: int, what: str) -> None:
 
 
 def _check_nodes(tree: dict[str, Any], what: str) -> None:
-    """InputError where nodes are no tree, or one of more than 256 levels."""
-    nodes = tree.get("nodes", [])
+    """InputError where nodes are no tree, or one of more than 256 levels, or place a mesh that is not there."""
+    nodes, meshes = tree.get("nodes", []), len(tree.get("meshes", []))
+    for node in nodes:
+        if not 0 <= node.get("mesh", 0) < max(meshes, 1 - ("mesh" in node)):
+            raise InputError(f"{what}: a node places mesh {node['mesh']} of {meshes}: is the file damaged?")
     below = [child for node in nodes for child in node.get("children", [])]
     level, depth = {*range(len(nodes))} - {*below}, 0
     while level and depth <= 256:

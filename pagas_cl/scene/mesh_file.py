@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from pagas_cl import child
 from pagas_cl.errors import InputError
-from pagas_cl.runtime import child
 from pagas_cl.scene import gltf, ply, ply_header
 from pagas_cl.scene.files import replaced, replaced_with_others, translated
 from pagas_cl.scene.mesh import Surface

@@ -176,6 +176,9 @@ def write_ply(path: Path, surface: Surface) -> None:
     if surface.quality is not None:
         columns.append(("quality", "<f4", "float", surface.quality))
     for name, values in surface.attributes.items():
+        if not name.isascii() or name.split() != [name] or name in [column[0] for column in columns]:
+            raise InputError(f"mesh attribute {name!r} cannot be named so in a .ply file, expected ASCII without "
+                             "spaces that is no other column's name")
         large = bool((np.abs(values) > _WHOLE).any() and (values == np.rint(values)).all())
         columns.append((name, "<f8", "double", values) if large else (name, "<f4", "float", values))
     vertices = np.empty(len(surface.vertices), np.dtype([(name, kind) for name, kind, _, _ in columns]))

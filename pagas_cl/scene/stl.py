@@ -1,6 +1,5 @@
-""".stl files, binary and as text, by trimesh; corners in the very same place become one vertex."""
+""".stl files, binary and as text; corners in the very same place become one vertex."""
 
-import io
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,7 @@ import numpy as np
 from pagas_cl.errors import InputError
 from pagas_cl.scene.files import read_bytes
 from pagas_cl.scene.mesh import Surface, triangle_normals
-from pagas_cl.scene.mesh_content import MARK, MeshContent
+from pagas_cl.scene.mesh_content import MARK, MeshContent, numbers
 from pagas_cl.scene.readers.mesh_parts import Parts
 
 HEADER = 80
@@ -23,19 +22,25 @@ def read_stl(path: Path, parts: Parts) -> MeshContent:
     if not binary and not content.lstrip()[:5].lower() == b"solid":
         raise InputError(f"{what} claims {claimed} triangles, which take {HEADER + 4 + claimed * _ROW.itemsize} bytes, "
                          f"and has {len(content)} bytes: the file is damaged or cut off, copy or write it again")
-    import trimesh  # takes a second
-
-    loaded = trimesh.load_scene(io.BytesIO(content), file_type="stl", process=False)
-    solids = [solid for solid in loaded.geometry.values() if len(solid.faces)]
-    corners = np.concatenate([np.empty((0, 3)), *[solid.vertices[solid.faces].reshape(-1, 3) for solid in solids]])
-    # trimesh passes over what it cannot read in a text
-    if not binary and 3 * content.lower().count(b"outer loop") != len(corners):
-        raise InputError(f"{what} has a triangle that is not three vertices of three numbers: is the file damaged?")
-    lost: tuple[str, ...] = (f"{len(solids)} solids",) * (len(solids) > 1)
-    if binary and np.frombuffer(content, _ROW, claimed, HEADER + 4)["attribute"].any():
-        lost += ("face attributes",)
+    if binary:
+        rows = np.frombuffer(content, _ROW, claimed, HEADER + 4)
+        corners = rows["corners"].reshape(-1, 3).astype(np.float64)
+        lost = ("face attributes",) * bool(rows["attribute"].any())
+    else:
+        corners, lost = _corners_of_text(content.lower(), what)
     vertices, faces = np.unique(corners, axis=0, return_inverse=True)
     return MeshContent(vertices, faces.reshape(-1, 3), lost=lost)
+
+
+def _corners_of_text(content: bytes, what: str) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Corners (3 F, 3) of all triangles, and in words what is not kept of them."""
+    words = [line.split(None, 1) for line in content.splitlines()]
+    places = [word[1] for word in words if word[0:1] == [b"vertex"] and len(word) > 1]
+    counts = [sum(word[0:1] == [first] for word in words) for first in (b"facet", b"endfacet", b"endsolid")]
+    if any(len(place.split()) != 3 for place in places) or [len(places), len(places)] != [3 * n for n in counts[:2]]:
+        raise InputError(f"{what} has {counts[0]} triangles as text, expected each to have three vertices of three "
+                         "numbers: is the file damaged or cut off?")
+    return numbers(b" ".join(places)).reshape(-1, 3), (f"{counts[2]} solids",) * (counts[2] > 1)
 
 
 def write_stl(path: Path, surface: Surface) -> None:

@@ -10,10 +10,10 @@ import sys
 
 import numpy as np
 
+from pagas_cl.child import end_with_parent
 from pagas_cl.errors import DeviceError, KernelBuildError
 from pagas_cl.one_view import refine_depth
 from pagas_cl.runtime import device as devices
-from pagas_cl.runtime.child import end_with_parent
 from pagas_cl.runtime.trial import identity
 from pagas_cl.runtime.vendors import import_pyopencl
 from pagas_cl.selftest.check import STEPS, run_case

@@ -11,10 +11,11 @@ from concurrent.futures import ProcessPoolExecutor
 import pytest
 from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, write_small_scene
 
+from pagas_cl import child
 from pagas_cl.errors import DeviceError
 from pagas_cl.one_view import refine_depth
 from pagas_cl.refine import refine_views
-from pagas_cl.runtime import child, claim
+from pagas_cl.runtime import claim
 from pagas_cl.scene import locks
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="signals and forks of POSIX")]
@@ -74,13 +75,13 @@ def test_a_worker_ends_when_its_parent_does(scene, tmp_path, temporary, how):
     assert len(bytes_of(out)) == 4
 
 
-HUNG = "import time; from pagas_cl.runtime.child import end_with_parent; end_with_parent(); print(1); time.sleep(600)"
+HUNG = "import time; from pagas_cl.child import end_with_parent; end_with_parent(); print(1); time.sleep(600)"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="of Linux alone")
 def test_a_child_that_hangs_ends_with_who_asked(tmp_path):
     (tmp_path / "hung.py").write_text(HUNG)
-    asks = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from pagas_cl.runtime import child; " \
+    asks = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from pagas_cl import child; " \
            "child.ask('hung', {}, 600)"
     process = subprocess.Popen([sys.executable, "-c", asks])
     until(lambda: children(process.pid), "the child")

@@ -109,10 +109,11 @@ def test_empty_meshes_of_every_library():
 
 
 def test_file_that_is_no_mesh(tmp_path):
-    pytest.importorskip("open3d")
-    (tmp_path / "a.ply").write_text("hello")
-    with pytest.raises(InputError, match="no vertices, or is no mesh file"):
-        to_surface(tmp_path / "a.ply")
+    for name, words in (("a.ply", "no .ply file"), ("a.off", "begins with b'hello'"), ("a.obj", "empty"),
+                        ("a.stl", "claims"), ("a.glb", "cannot be read"), ("a.dae", "unknown kind")):
+        (tmp_path / name).write_text("hello")
+        with pytest.raises(InputError, match=f"{name}.*{words}"):
+            to_surface(tmp_path / name)
 
 
 def test_attributes_must_fit():

@@ -142,7 +142,6 @@ def test_a_photo_that_claims_to_be_huge(tmp_path):
 
 @pytest.mark.parametrize("body", [b"", b"\0" * 1000])
 def test_a_mesh_that_claims_to_be_huge(tmp_path, body):
-    pytest.importorskip("open3d", reason="reading mesh files takes Open3D")
     head = ("ply\nformat binary_little_endian 1.0\nelement vertex 2000000000\nproperty float x\nproperty float y\n"
             "property float z\nelement face 2000000000\nproperty list uchar int vertex_indices\nend_header\n")
     (tmp_path / "a.ply").write_bytes(head.encode() + body)
@@ -153,7 +152,6 @@ def test_a_mesh_that_claims_to_be_huge(tmp_path, body):
 
 
 def test_a_mesh_that_is_cut_off(tmp_path):
-    pytest.importorskip("open3d", reason="reading mesh files takes Open3D")
     from pagas_cl.scene.mesh import Surface
     from pagas_cl.scene.mesh_file import write_mesh
 

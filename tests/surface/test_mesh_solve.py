@@ -9,8 +9,8 @@ from twins import mesh_evidence as evidence_twin
 from twins import mesh_solve as solve_twin
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_attributes import load_whole, with_vertices
+from pagas_cl.scene.mesh import Material, Surface, Texture
+from pagas_cl.scene.mesh_attributes import with_vertices
 from pagas_cl.scene.mesh_file import read_mesh, write_mesh
 from pagas_cl.surface.mesh_evidence import Observed
 from pagas_cl.surface.mesh_levels import fit_mesh
@@ -306,13 +306,14 @@ def test_pair_surface_and_file(division, tmp_path):
     assert np.array_equal(vertices, new) and faces.max() < len(new)
     surface = with_vertices(Surface(VERTICES, FACES, colors=COLORS), new, division)
     assert len(surface.colors) == len(new)
-    o3d = pytest.importorskip("open3d")
-    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(VERTICES), o3d.utility.Vector3iVector(FACES))
-    mesh.triangle_uvs = o3d.utility.Vector2dVector(UVS)
-    o3d.io.write_triangle_mesh(str(tmp_path / "m.obj"), mesh)
-    assert load_whole(tmp_path / "m.obj").has_triangle_uvs()
-    with pytest.raises(InputError, match="does not exist"):
-        load_whole(tmp_path / "none.obj")
+    texture = Texture(UVS.reshape(2, 3, 2), np.array([0, 1], np.int32), (Material("a"), Material("b")))
+    textured = with_vertices(Surface(VERTICES, FACES, texture=texture), new, division)
+    assert np.array_equal(textured.texture.coordinates.reshape(-1, 2), expected_uvs(division))
+    assert len(textured.texture.materials) == len(textured.faces) and set(textured.texture.materials) == {0, 1}
+    write_mesh(tmp_path / "m.obj", textured)
+    read = read_mesh(tmp_path / "m.obj")
+    assert np.array_equal(read.texture.coordinates, textured.texture.coordinates)
+    assert np.array_equal(read.texture.materials, textured.texture.materials)
 
 
 # -- with the engine --------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Asking an OpenCL driver in a process of its own, so that one that crashes or hangs does not take us along."""
+"""Asking a driver or a library in a process of its own, so that one that crashes or hangs does not take us along."""
 
 import ctypes
 import json
