@@ -26,8 +26,9 @@ def check_outputs(outputs: dict[str, Path | None], inputs: dict[str, Path | None
     Refused without `overwrite`: a file that is there and was not written by pagas_cl. Files inside a folder of outputs
     are compared by who knows their names: `check_report`, `check_names`, `check_place`.
     """
-    given = {_identity(path): what for what, path in inputs.items() if path is not None}
-    folders = {path.resolve(): what for what, path in inputs.items() if path is not None and path.is_dir()}
+    read = [(path, what) for what, path in reversed(inputs.items()) if path is not None]     # the first name counts
+    given = {_identity(path): what for path, what in read}
+    folders = {path.resolve(): what for path, what in read if path.is_dir()}
     seen: dict[object, str] = {}
     for option, path in outputs.items():
         if path is None:
@@ -42,6 +43,8 @@ def check_outputs(outputs: dict[str, Path | None], inputs: dict[str, Path | None
         if path.is_dir():
             if around is not None and any(path.iterdir()) and not any((path / name).exists() for name in _OWN_FOLDER):
                 raise InputError(f"{words} is a folder of {around}, which is read: choose another one")
+        elif path.exists() and option in ("--report", "--save-depth"):
+            raise InputError(f"{words} is a file, expected a folder")
         elif path.exists():
             _check_file(words, path, around, overwrite)
     page, json_file = outputs.get("--report"), outputs.get("--json")

@@ -8,7 +8,7 @@ from pathlib import Path
 from pagas_cl.commands._outputs import PAGE_FILES
 from pagas_cl.errors import InputError, InterruptedRunError, log
 from pagas_cl.jobs.executors import check_address
-from pagas_cl.jobs.finished import begun_in, records_in, work_folder
+from pagas_cl.jobs.finished import begun_in, forget_inputs, records_in, work_folder
 from pagas_cl.jobs.store import Store
 from pagas_cl.report import pictures_in
 from pagas_cl.runtime.device import open_device
@@ -89,8 +89,9 @@ def load_scene(scene, format, outside: bool):
 
 @contextmanager
 def resumable(folder: Path | None, total: int):
-    """Context of a run of `total` views that keeps finished ones in `folder`: says first what an earlier run has left
-    there, and where it is interrupted (InterruptedRunError) what is kept now, and how to go on."""
+    """Context, inside one_run, of a run of `total` views that keeps finished ones in `folder`: says first what an
+    earlier run has left there, and where it is interrupted (InterruptedRunError) what is kept now, and how to go on.
+    Where no view was finished nothing stays of what was drawn."""
     def found() -> tuple[int, str]:
         """How many views are kept, and as what: those of the last round, or else of earlier ones."""
         done = len(records_in(folder)) if folder is not None else 0
@@ -102,8 +103,14 @@ def resumable(folder: Path | None, total: int):
                  left, how, "" if left == 1 else "s", folder)
     try:
         yield
+    except InputError:
+        if not found()[0]:
+            forget_inputs(folder)
+        raise
     except KeyboardInterrupt as error:
         done, how = found()
+        if not done:
+            forget_inputs(folder)
         what = (f"{done} of {total} views are {how} and kept in {str(folder)!r}: the same command goes on from them"
                 if done else "nothing is kept, no view was finished" if folder is not None
                 else "nothing is kept but pictures; with --save-depth finished views are")

@@ -130,8 +130,8 @@ def command(
         log.warning("--memory %g changes nothing: no mesh is fused, and no edge of one is split", memory)
     place = place_of(device, devices, scheduler)
     config_words = ", ".join([preset, *settings])
-    with (resumable(folder, len(names or found.views)), shown_progress(quiet) as progress,
-          one_run(folder) if folder else nullcontext(), one_run(report) if report else nullcontext(),
+    with (one_run(folder) if folder else nullcontext(), resumable(folder, len(names or found.views)),
+          shown_progress(quiet) as progress, one_run(report) if report else nullcontext(),
           _report(report, found, config_words, place, asked.obj, pictures) as page):
         expected = Expected(progress, [v for v in found.views if names is None or v.name in names], config,
                             place["device"])

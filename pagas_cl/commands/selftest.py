@@ -6,6 +6,7 @@ from itertools import chain
 
 import typer
 
+from pagas_cl.commands._options import QUIET
 from pagas_cl.errors import PagasError
 from pagas_cl.runtime.device import open_device
 from pagas_cl.selftest import cameras
@@ -17,6 +18,7 @@ from pagas_cl.selftest.table import CASES
 def command(
     device: str = typer.Option(None, "--device", help="Part of the name of an OpenCL device."),
     large: bool = typer.Option(False, "--large", help="Also photos of 12 and 17 megapixels: a GPU with 8 GB or more."),
+    quiet: bool = QUIET,
 ):
     """Run the small hard cases: case, tolerance, worst figure, ok. Status 1 when one of them fails."""
     opened = open_device(device)

@@ -59,6 +59,9 @@ def command(
         study = tradeoff(found.views, depths, truth=true, names=views or None, held_out=held_out or None, sample=sample,
                          budget=budget, settings=ablation_plan(ablation) if ablation else None, device=opened,
                          report=report, repeats=repeats, progress=progress)
+    if not study.points:
+        raise InputError(f"--budget {budget:g} minutes are too few for a single setting on this device: raise it, or "
+                         "measure smaller photos")
     sys.stdout.write("\n".join(map(plain, [headline(study), *notes(study), "", ""])))
     sys.stdout.write(ablation_table(study.points) if ablation else markdown(study.points))
     sys.stdout.write("".join(f"\n{line}\n" for line in closing(study)))

@@ -91,6 +91,12 @@ def claim_names(folder: Path, stems: list[str], overwrite: bool = False) -> None
             file.write(json.dumps(sorted(known.union(stems))).encode())
 
 
+def forget_inputs(folder: Path | None) -> None:
+    """Remove the arrays that came from memory; the next run makes them anew."""
+    if folder is not None:
+        shutil.rmtree(work_folder(folder) / "inputs", ignore_errors=True)
+
+
 def remove_run(folder: Path) -> None:
     """Remove what runs have written in `folder`, and the folder where nothing else is in it."""
     folder = Path(folder)

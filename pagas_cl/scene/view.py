@@ -103,7 +103,10 @@ class View:
             remedy = f"resize the photo, or use camera.resized({size[0]}, {size[1]})"
         else:
             remedy = "the shapes differ, so it belongs to another photo or was cropped or turned"
-        raise InputError(f"{what} {self.name!r} is {size[0]} x {size[1]}, its camera says {wanted[0]} x {wanted[1]}: "
+        source = getattr(self, what)
+        path = getattr(source, "path", source)
+        named = f"{str(path)!r} of view {self.name!r}" if what == "mask" and isinstance(path, Path) else repr(self.name)
+        raise InputError(f"{what} {named} is {size[0]} x {size[1]}, its camera says {wanted[0]} x {wanted[1]}: "
                          f"{remedy}")
 
 

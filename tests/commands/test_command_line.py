@@ -217,7 +217,7 @@ def test_requests_that_cannot_end_well(scene, tmp_path, fails, monkeypatch):
         ([*depth, "--save-depth", tmp_path / "file"], "is a file, expected a folder"),
         ([*depth, "--output", tmp_path / "file" / "new" / "a.ply"], "--output: cannot write in the folder"),
         ([*depth, "--report", tmp_path / "file" / "page"], "--report: cannot write in the folder"),
-        ([*depth, "--output", "a.ply", "--memory", "-5"], "--memory is -5 MB"),
+        ([*depth, "--output", "a.ply", "--memory", "-5"], "'--memory': -5, expected a number above 0"),
         (["--depth-dir", tmp_path / "none", "--save-depth", "d"], "is no folder"),
         (["--depth-dir", scene, "--save-depth", "d"], "holds no depth map of the scene's 3 views"),
         ([*depth, "--save-depth", "d", "--preset", "best"], "unknown preset 'best'"),

@@ -240,7 +240,7 @@ def test_command_on_clouds(tmp_path, capsys):
     status = run(["evaluate", str(tmp_path / "result.xyz"), str(tmp_path / "truth.npy"), "--threshold", "0.2",
                   "--spacing", "0.01", "--json", str(tmp_path / "figures.json")])
     assert status == 0 and "accuracy" in capsys.readouterr().out
-    figures = json.loads((tmp_path / "figures.json").read_text())
+    figures = json.loads((tmp_path / "figures.json").read_text())["figures"]
     (distances,), (shares,) = (list(group.values()) for group in figures.values())
     assert 0.09 < distances["accuracy"] <= 0.1 and shares["f_score"] == 1
     assert run(["evaluate", str(tmp_path / "nothing.ply"), str(tmp_path / "truth.npy")]) == 2
@@ -268,7 +268,8 @@ def test_a_mesh_against_itself_and_a_shifted_one(tmp_path, capsys):
         status = run(["evaluate", str(tmp_path / result), str(tmp_path / truth), "--json", str(tmp_path / "f.json"),
                       "--threshold", "0.005", *more])
         assert status == 0
-        title, (first, shares) = capsys.readouterr().out, json.loads((tmp_path / "f.json").read_text()).values()
+        title = capsys.readouterr().out
+        first, shares = json.loads((tmp_path / "f.json").read_text())["figures"].values()
         return title, first[""], shares["0.005"]["f_score"]
 
     title, same, share = figures("a.ply", "a.ply")

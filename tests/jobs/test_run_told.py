@@ -25,7 +25,7 @@ def scene(tmp_path_factory):
 
 def refine(scene, out, *more):
     return command_line.run(["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth",
-                             str(out), "--quiet", "--set", "pyramid.steps=3", *NOT_MEASURED, *map(str, more)])
+                             str(out), "--set", "pyramid.steps=3", *NOT_MEASURED, *map(str, more)])
 
 
 @pytest.mark.parametrize("at, agreement, how", [(0, "off", ""), (2, "off", "finished"), (2, "on", "begun")])

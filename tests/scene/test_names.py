@@ -215,7 +215,7 @@ def test_awkward_names_through_every_command_that_writes(tmp_path, capsys, monke
     assert list(study["initial"]) == file_stems(names) == [record["case"] for record in study["records"]]
     assert command_line.run(["evaluate", str(out), str(tmp_path / "depth"), "--scene", str(scene), "--json",
                              str(out / "e.json")]) == 0
-    assert [name.partition(": ")[0] for name in json.loads((out / "e.json").read_text())] == names
+    assert [name.partition(": ")[0] for name in json.loads((out / "e.json").read_text())["figures"]] == names
     from_depths = ("--depth-dir", str(tmp_path / "depth"))
     assert command_line.run(["check", str(scene), *from_depths]) in (0, 2)
     refine = ["refine", str(scene), *from_depths, "--report", str(out / "one")]
