@@ -17,7 +17,7 @@ import numpy as np
 from pagas_cl.errors import InputError, OutputError, need
 from pagas_cl.scene.files import opened, translated
 
-CONFIDENCE = "pagas_confidence"     # the attribute beside a vertex quality of the user's own
+CONFIDENCE = "pagas_confidence"     # the attribute next to a vertex quality of the user's own
 SCRATCH = "pagasscratch"            # attributes that only moved values into the layer begin so: pymeshlab removes none
 _HEADER = 1 << 16                   # bytes of a file in which its header must end
 _NAMES = {"u1": "uchar", "i1": "char", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",

@@ -115,17 +115,17 @@ def test_a_displaced_layer_keeps_its_quality_twice(meshes, made):
     assert set(read_custom(meshes)[0]["vertex"]) == {"age", "flow", CONFIDENCE}     # none of those that moved values
 
 
-@pytest.mark.parametrize("arguments, words", [
+@pytest.mark.parametrize("arguments, named", [
     ({"output": "tsdf", "voxel": 2.0}, ("'age'", "'flow'", "'part'", "'tag'", "texture coordinates", "face colours",
                                         "vertex quality", "face quality")),
     ({"output": "displace", "subdivide": 1.5}, ("'age'", "'flow'", "'part'", "'tag'")),
 ])
-def test_what_is_lost_is_named_before_the_work(meshes, made, caplog, arguments, words):
+def test_what_is_lost_is_named_before_the_work(meshes, made, caplog, arguments, named):
     lines = []
     with caplog.at_level(logging.WARNING):
         meshes.apply_pagas_depth_refinement(made.views, settings=FAST, context_views=2, **arguments,
                                             progress=lambda stage, done, total: lines.append(caplog.text))
-    assert all(word in lines[0] for word in ("lost", *words)), lines[0]
+    assert all(word in lines[0] for word in ("lost", *named)), lines[0]
 
 
 def test_names_that_pymeshlab_lists_otherwise(made, caplog):

@@ -95,8 +95,8 @@ def test_damaged_meshes_are_refused(place, name, by_project):
         project = write_project(place / "p.mlp", [], [MeshLayer("x", place / name, np.eye(4))])
         sources.append(["--project", project])
     for source in sources:
-        status, told = run(place / "s.mlx", *source, "--output", place / "out.ply")
-        assert status == 2 and name in told.splitlines()[-1], told
+        status, message = run(place / "s.mlx", *source, "--output", place / "out.ply")
+        assert status == 2 and name in message.splitlines()[-1], message
         assert not (place / "out.ply").exists()
 
 
@@ -117,8 +117,8 @@ def test_no_output_is_an_input_and_none_replaces_foreign_files(place, scene, run
     for given, word in trials:
         options = {"--output": out, **given}
         for more in ([], ["--overwrite"]) if word != "--overwrite" else ([],):
-            status, told = run_here(script, scene, "--mesh", mesh, *(x for o in options.items() for x in o), *more)
-            assert status == 2 and word in told.splitlines()[-1], (given, told)
+            status, message = run_here(script, scene, "--mesh", mesh, *(x for o in options.items() for x in o), *more)
+            assert status == 2 and word in message.splitlines()[-1], (given, message)
             assert all(path.read_bytes() == content for path, content in kept.items()) and not out.exists()
     assert run_here(script, "--mesh", mesh, "--output", foreign, "--overwrite")[0] == 0
     assert foreign.read_bytes() != kept[foreign]
@@ -144,8 +144,8 @@ def test_a_project_does_not_write_over_its_layers(place, run_here):
     project = write_project(place / "p.mlp", [], [MeshLayer("x", layer, np.eye(4))])
     content = layer.read_bytes()
     for output in ("out.mlp", "p.mlp", "out_0.ply"):
-        status, told = run_here(place / "s.mlx", "--project", project, "--output", place / output, "--overwrite")
-        assert status == 2 and "which is read" in told, told
+        status, message = run_here(place / "s.mlx", "--project", project, "--output", place / output, "--overwrite")
+        assert status == 2 and "which is read" in message, message
     assert layer.read_bytes() == content
 
 
@@ -155,18 +155,18 @@ def test_a_project_does_not_write_over_its_layers(place, run_here):
 @pytest.mark.parametrize("kind", ["ply", "obj", "x3d", "mlp"])
 def test_a_full_disk_is_one_sentence_and_leaves_nothing(place, kind):
     mesh, output = sphere(place / "m.ply", 6), place / "new" / f"o.{kind}"
-    status, told = run(place / "s.mlx", "--mesh", mesh, "--output", output, limit=100_000)
-    assert status == 1 and told.splitlines()[-1].startswith("pagas-cl: cannot write"), told
-    assert "PyMeshLab" not in told and "File too large" in told
+    status, message = run(place / "s.mlx", "--mesh", mesh, "--output", output, limit=100_000)
+    assert status == 1 and message.splitlines()[-1].startswith("pagas-cl: cannot write"), message
+    assert "PyMeshLab" not in message and "File too large" in message
     assert not list((place / "new").iterdir()) and mesh.is_file()
 
 
 def test_a_history_that_does_not_fit_leaves_none(place):
     (place / "s.mlx").write_text(f"<!DOCTYPE FilterScript>\n<FilterScript>{SMOOTH * 1000}</FilterScript>\n")
     mesh = sphere(place / "m.ply", 1)
-    status, told = run(place / "s.mlx", "--mesh", mesh, "--output", place / "o.ply", "--save-script", place / "h.mlx",
+    status, message = run(place / "s.mlx", "--mesh", mesh, "--output", place / "o.ply", "--save-script", place / "h.mlx",
                        limit=70_000)
-    assert status == 1 and "File too large" in told and not (place / "h.mlx").exists(), told[-300:]
+    assert status == 1 and "File too large" in message and not (place / "h.mlx").exists(), message[-300:]
 
 
 # -- what files hold ------------------------------------------------------------------------------------------------
@@ -193,11 +193,11 @@ def with_columns(path: Path, scene: Path, kind: str = "<f4") -> Path:
 def test_attributes_of_a_ply_come_along(place, scene, kind, run_here):
     mesh = with_columns(place / "m.ply", scene, kind)
     (place / "s.mlx").write_text(f"<!DOCTYPE FilterScript>\n<FilterScript>{SMOOTH}{OURS}</FilterScript>\n")
-    status, told = (run if kind == "<f4" else run_here)(place / "s.mlx", scene, "--mesh", mesh, "--output",
+    status, message = (run if kind == "<f4" else run_here)(place / "s.mlx", scene, "--mesh", mesh, "--output",
                                                         place / "o.ply", "--quiet")
     expected = ("no usable OpenCL GPU", *(() if kind == "<f4" else ("FilterScript", "Reading filter")))   # Qt's, here
-    lines = [line for line in told.splitlines() if not any(words in line for words in expected)]
-    assert (status, lines) == (0, []), told
+    lines = [line for line in message.splitlines() if not any(text in line for text in expected)]
+    assert (status, lines) == (0, []), message
     old, new = read_columns(mesh), read_columns(place / "o.ply")
     count = len(old.vertex["x"])
     assert np.array_equal(new.vertex["scalar_Age"][:count], np.arange(count))
@@ -208,18 +208,18 @@ def test_attributes_of_a_ply_come_along(place, scene, kind, run_here):
 
 def test_what_a_kind_of_file_has_no_place_for_is_named(place, scene, run_here):
     mesh = with_columns(place / "m.ply", scene)
-    status, told = run_here(place / "s.mlx", "--mesh", mesh, "--output", place / "o.obj")
+    status, message = run_here(place / "s.mlx", "--mesh", mesh, "--output", place / "o.obj")
     assert status == 0
-    words = ("'scalar_Age'", "'confidence'", "'part'", "vertex quality", "a .ply has")
-    assert all(word in told for word in words), told
+    expected = ("'scalar_Age'", "'confidence'", "'part'", "vertex quality", "a .ply has")
+    assert all(word in message for word in expected), message
 
 
 @pytest.mark.parametrize("kind, status", [("ply", 0), ("obj", 0), ("off", 0), ("stl", 2), ("x3d", 2), ("ctm", 2)])
 def test_map_coordinates_are_written_whole_or_refused(place, kind, status, run_here):
     surface = Surface(*relief_scene(64, 48, 2, held_out=0).initial_mesh(6.0))
     write_mesh(place / "m.ply", Surface(surface.vertices * 0.01 + [500000.0, 5400000.0, 0], surface.faces))
-    got, told = run_here(place / "s.mlx", "--mesh", place / "m.ply", "--output", place / f"o.{kind}")
-    assert got == status and (status == 0 or "too few digits" in told), told
+    got, message = run_here(place / "s.mlx", "--mesh", place / "m.ply", "--output", place / f"o.{kind}")
+    assert got == status and (status == 0 or "too few digits" in message), message
     if status == 0:
         meshes = pymeshlab.MeshSet()
         meshes.load_new_mesh(str(place / f"o.{kind}"))
