@@ -164,8 +164,8 @@ def test_a_full_disk_is_one_sentence_and_leaves_nothing(place, kind):
 def test_a_history_that_does_not_fit_leaves_none(place):
     (place / "s.mlx").write_text(f"<!DOCTYPE FilterScript>\n<FilterScript>{SMOOTH * 1000}</FilterScript>\n")
     mesh = sphere(place / "m.ply", 1)
-    status, message = run(place / "s.mlx", "--mesh", mesh, "--output", place / "o.ply", "--save-script", place / "h.mlx",
-                       limit=70_000)
+    status, message = run(place / "s.mlx", "--mesh", mesh, "--output", place / "o.ply", "--save-script",
+                          place / "h.mlx", limit=70_000)
     assert status == 1 and "File too large" in message and not (place / "h.mlx").exists(), message[-300:]
 
 
