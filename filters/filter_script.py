@@ -7,16 +7,18 @@ between them, and the history keeps every step, so that saving the script keeps 
 
 import re
 import tempfile
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
 from itertools import groupby
 from pathlib import Path
 from xml.etree import ElementTree
 
-from pagas_cl.errors import InputError, log, need, short
+from pagas_cl.errors import InputError, OutputError, log, need, short
 from pagas_cl.filters import native, parameters
-from pagas_cl.filters.names import HINT
+from pagas_cl.filters.names import HINT, NOTE
 from pagas_cl.filters.parameters import FILTER
+from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.scene.readers.untrusted import read_xml
 
 _FILES = ("RichOpenFile", "RichSaveFile")
@@ -114,13 +116,15 @@ def _nearest(name: str) -> str:
     return near if ratio > 0.5 else ""
 
 
-def run_script(meshes, path, scene=None, *, outside: bool = False, device: str | None = None,
-               progress=None) -> list[Step]:
+def run_script(meshes, path, scene=None, *, outside: bool = False, device: str | None = None, progress=None,
+               names: Collection[str] = ()) -> list[Step]:
     """Check a script, then run it on `meshes` (pymeshlab.MeshSet), from its current mesh on.
 
     `refine.mlx` beside this module is a script. `scene` is what our step refines with (folder, Scene, list of View, or
     (cameras, images)); it may be left out where the script has no such step. `device` replaces the one that the script
-    names. A step that fails inside pymeshlab is named in the error, and leaves the meshes as those before it made them.
+    names. `names` are those of custom attributes that the meshes have, where they are not in small letters: pymeshlab
+    lists none as it is spelled. A step that fails inside pymeshlab is named in the error, and leaves the meshes as
+    those before it made them.
     """
     from pagas_cl.filters.pymeshlab_step import refine_layer, scene_views
 
@@ -137,7 +141,8 @@ def run_script(meshes, path, scene=None, *, outside: bool = False, device: str |
             if stretch[0].request is None:
                 _run_native(pymeshlab, meshes, stretch, path)
             else:
-                refine_layer(meshes, views, stretch[0].request, device=device, progress=progress)
+                refine_layer(meshes, views, stretch[0].request, device=device, progress=progress,
+                             spellings={*names} | attribute_names(history))
             history += [step.element for step in stretch]
     finally:
         restore_history(meshes, history)
@@ -154,24 +159,44 @@ def _run_native(pymeshlab, meshes, stretch: list[Step], path) -> None:
         raise InputError(f"{path}: pymeshlab stopped in step {names}: {' '.join(str(error).split())[:300]}") from error
 
 
+def attribute_names(elements: Collection[ElementTree.Element]) -> set[str]:
+    """Names that steps give to custom attributes."""
+    return {param.get("value", "") for element in elements if "Attribute" in element.get("name", "")
+            for param in element.iter("Param") if param.get("name") == "name"}
+
+
 def saved_history(meshes) -> list[ElementTree.Element]:
     """The steps that a MeshSet has recorded."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "history.mlx"
         meshes.save_filter_script(str(path))
-        return list(ElementTree.parse(path).getroot()) if path.is_file() else []
+        try:
+            return list(ElementTree.parse(path).getroot()) if path.is_file() else []
+        except ElementTree.ParseError as error:      # pymeshlab says nothing of a full disk
+            raise OutputError(f"the history is cut off in the folder for temporary files ({folder!r}): make room, or "
+                              "set TMPDIR to another place") from error
 
 
-def restore_history(meshes, elements: list[ElementTree.Element]) -> None:
+def restore_history(meshes, elements: Collection[ElementTree.Element]) -> None:
     """Replace the steps that a MeshSet has recorded."""
     meshes.clear_filter_script()
     if not elements:
         return
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "history.mlx"
-        root = ElementTree.Element("FilterScript")
-        root.extend(elements)
-        ElementTree.indent(root, " ")
-        text = ElementTree.tostring(root, encoding="unicode")
-        path.write_text(f"<!DOCTYPE FilterScript>\n{text}\n", encoding="utf-8")
+        path.write_text(_text(elements), encoding="utf-8")
         meshes.load_filter_script(str(path))
+
+
+def history_text(meshes) -> str:
+    """The steps that a MeshSet has recorded, as a script."""
+    elements = saved_history(meshes)
+    note = f"{NOTE}\n" if any(element.get("name") == FILTER for element in elements) else ""
+    return _text(elements, f"<!-- {TEXT_MARK} -->\n{note}")
+
+
+def _text(elements: Collection[ElementTree.Element], comments: str = "") -> str:
+    root = ElementTree.Element("FilterScript")
+    root.extend(elements)
+    ElementTree.indent(root, " ")
+    return f"<!DOCTYPE FilterScript>\n{comments}{ElementTree.tostring(root, encoding='unicode')}\n"

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import Camera
@@ -27,15 +28,28 @@ class Frame:
 def read_frames(frames, intrinsics, extrinsics=None, *, depth_scale=None, depth_trunc=None,
                 pixel_center=0.0) -> list[Frame]:
     """Frames with their cameras; parameters as in open3d_pipeline.refine_rgbd."""
-    frames = list(frames)
+    frames = _listed(frames, "frames", "a list of RGBDImage or of pairs (color, depth)")
     if not frames:
         raise InputError("no frames were given, expected a list of RGBDImage or of pairs (color, depth)")
+    for name, value in (("depth_scale", depth_scale), ("depth_trunc", depth_trunc)):
+        if value is not None and not above_zero(value):
+            raise InputError(f"{name} is {value!r}, expected a number above 0")
     sizes = [_size(_parts(frame), k) for k, frame in enumerate(frames)]
     cameras = read_cameras(intrinsics, extrinsics, sizes, pixel_center=pixel_center)
-    for name, value in (("depth_scale", depth_scale), ("depth_trunc", depth_trunc)):
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise InputError(f"{name} is {value!r}, expected a number above 0")
     return [_frame(frame, camera, depth_scale, depth_trunc) for frame, camera in zip(frames, cameras)]
+
+
+def above_zero(value) -> bool:
+    """Whether a value is a finite number above 0."""
+    return isinstance(value, (int, float, np.number)) and bool(np.isfinite(value)) and value > 0
+
+
+def _listed(values, what: str, expected: str) -> list:
+    """The list of what can be gone through; arrays by their first axis."""
+    if isinstance(values, (str, Path)) or not hasattr(values, "__iter__"):
+        raise InputError(f"{what} is a {type(values).__name__}, expected {expected}: are the arguments in the order "
+                         "(frames, intrinsics, extrinsics)?")
+    return list(values)
 
 
 def _frame(given, camera: Camera, depth_scale, depth_trunc) -> Frame:
@@ -54,6 +68,8 @@ def _frame(given, camera: Camera, depth_scale, depth_trunc) -> Frame:
     who = f"color of frame {camera.name}"
     if isinstance(color, (str, Path)):
         photo = read_photo(color)
+    elif isinstance(color, Image.Image):
+        photo = as_photo(color.convert("RGB"), who)      # a palette is no colour
     else:
         photo = _pixels(color, who)
         if photo.dtype.kind == "f" and photo.max(initial=0) < 1.01:
@@ -64,9 +80,17 @@ def _frame(given, camera: Camera, depth_scale, depth_trunc) -> Frame:
 
 def _size(parts: tuple, number: int) -> tuple[int, int]:
     """(width, height) of a frame's colour and depth, which must be the same."""
-    color, depth = (image_size(part) if isinstance(part, (str, Path)) else
-                    _pixels(part, f"{what} of frame {number:05d}").shape[1::-1]
-                    for part, what in zip(parts, ("color", "depth")))
+    sizes = []
+    for part, what in zip(parts, ("color", "depth")):
+        if isinstance(part, (str, Path)) and what == "color":
+            sizes.append(image_size(part))
+            continue
+        pixels = _pixels(part, f"{what} of frame {number:05d}")
+        if what == "depth" and pixels.ndim != 2:
+            raise InputError(f"depth of frame {number:05d} has shape {pixels.shape}, expected (height, width): is the "
+                             "pair (color, depth) in this order?")
+        sizes.append(pixels.shape[1::-1])
+    color, depth = sizes
     if color != depth:
         raise InputError(f"frame {number:05d}: color is {color[0]} x {color[1]} and depth {depth[0]} x {depth[1]}; "
                          "register the depth to the color first")
@@ -85,12 +109,13 @@ def _parts(given) -> tuple:
 
 
 def _pixels(image, who: str) -> np.ndarray:
-    """(H, W) or (H, W, C) array of a legacy or tensor Image, an array, or a file."""
+    """(H, W) or (H, W, C) array of a legacy or tensor Image, one of Pillow, an array, or a file."""
     if isinstance(image, (str, Path)):
         with open_image(Path(image)) as file:
-            pixels = np.asarray(file)
-        return pixels.astype(np.uint16) if pixels.dtype == np.int32 else pixels
-    pixels = _numpy(image)
+            return _pixels(file, who)
+    pixels = np.asarray(_numpy(image))
+    if isinstance(image, Image.Image) and pixels.dtype == np.int32:      # how Pillow may open 16-bit files
+        pixels = pixels.astype(np.uint16)
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[..., 0]
     if pixels.ndim not in (2, 3) or pixels.size == 0 or pixels.dtype.kind not in "uif":
@@ -106,19 +131,24 @@ def _numpy(value) -> np.ndarray:
 
 
 def read_cameras(intrinsics, extrinsics, sizes, *, pixel_center: float = 0.0) -> list[Camera]:
-    """Cameras of Open3D's intrinsics (one for all, or a list) and world-to-camera extrinsics, or of a trajectory alone.
+    """Cameras of Open3D's intrinsics (one for all, or a list) and world-to-camera extrinsics, or of a trajectory, or a
+    list of PinholeCameraParameters, alone.
 
     Parameters as in open3d_pipeline.refine_rgbd; `sizes` are (width, height) of the frames.
     """
     count = len(sizes)
-    if hasattr(intrinsics, "parameters"):
+    each = intrinsics.parameters if hasattr(intrinsics, "parameters") else intrinsics
+    several = 1 if hasattr(each, "extrinsic") else count
+    each = list(each) if isinstance(each, (list, tuple)) else [each] * several
+    if any(hasattr(entry, "extrinsic") for entry in each):
         if extrinsics is not None:
-            raise InputError("a PinholeCameraTrajectory brings its own extrinsics; leave them out")
-        intrinsics, extrinsics = zip(*((p.intrinsic, p.extrinsic) for p in intrinsics.parameters), strict=True)
+            raise InputError("PinholeCameraParameters, as in a trajectory, bring their own extrinsics; leave them out")
+        if not all(hasattr(entry, "extrinsic") for entry in each):
+            raise InputError("intrinsics mix PinholeCameraParameters with others, expected one kind")
+        each, extrinsics = [entry.intrinsic for entry in each], [entry.extrinsic for entry in each]
     if extrinsics is None:
         raise InputError("extrinsics are missing: give one world-to-camera matrix a frame")
-    each = list(intrinsics) if isinstance(intrinsics, (list, tuple)) else [intrinsics] * count
-    extrinsics = list(extrinsics)
+    extrinsics = _listed(extrinsics, "extrinsics", "a list of world-to-camera matrices (4, 4)")
     for what, got in (("intrinsics", each), ("extrinsics", extrinsics)):
         if len(got) != count:
             raise InputError(f"{len(got)} {what} were given for {count} frames, expected one each, in the same order")
@@ -133,7 +163,15 @@ def _camera(intrinsic, extrinsic, size, name: str, pixel_center: float) -> Camer
             raise InputError(f"frame {name} is {size[0]} x {size[1]}, its intrinsics say {said[0]} x {said[1]}: scale "
                              "the intrinsics, or take those of this size")
         intrinsic = intrinsic.intrinsic_matrix
-    K, E = (np.asarray(_numpy(value), np.float64) for value in (intrinsic, extrinsic))
+    try:
+        K, E = (np.asarray(_numpy(value), np.float64) for value in (intrinsic, extrinsic))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"frame {name}: its intrinsic is a {type(intrinsic).__name__} and its extrinsic a "
+                         f"{type(extrinsic).__name__}, expected matrices (3, 3) and (4, 4), or PinholeCameraIntrinsic "
+                         "for the first: are the arguments in the order (frames, intrinsics, extrinsics)?") from error
+    if K.shape == (4, 4) and E.shape == (3, 3):
+        raise InputError(f"frame {name}: its intrinsic has shape (4, 4) and its extrinsic (3, 3), expected the other "
+                         "way round: are the arguments in the order (frames, intrinsics, extrinsics)?")
     return Camera.from_opencv_w2c(K, E, *size, pixel_center=pixel_center, name=name)
 
 
@@ -146,7 +184,7 @@ def give_back(frame: Frame, depth: np.ndarray):
     raw = np.ascontiguousarray(depth * np.float32(frame.scale), np.float32)
     color, given = _parts(frame.given)
     if frame.form == "pair" and "open3d" not in type(given).__module__:
-        return type(frame.given)((color, raw))
+        return type(frame.given)((color, Image.fromarray(raw) if isinstance(given, Image.Image) else raw))
     o3d = need("open3d", "mesh", "RGB-D frames")
     if hasattr(given, "as_tensor"):
         made = o3d.t.geometry.Image(o3d.core.Tensor(raw[..., None]))

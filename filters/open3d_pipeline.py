@@ -14,7 +14,7 @@ import numpy as np
 
 from pagas_cl.config import Config, Fusion
 from pagas_cl.errors import InputError, log, need
-from pagas_cl.filters.open3d_frames import Frame, give_back, read_frames
+from pagas_cl.filters.open3d_frames import Frame, above_zero, give_back, read_frames
 from pagas_cl.presets import settings_of
 from pagas_cl.progress import progress_of
 from pagas_cl.result import DepthResult
@@ -33,10 +33,11 @@ def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | Non
     Parameters
     ----------
     frames : list of RGBDImage (legacy or tensor), or of pairs (color, depth)
-        Parts of pairs: Image (legacy or tensor), arrays, or paths.
-    intrinsics : PinholeCameraIntrinsic, (3, 3) array or tensor, a list of them, or a PinholeCameraTrajectory
+        Parts of pairs: Image (legacy or tensor), images of Pillow, arrays, or paths.
+    intrinsics : PinholeCameraIntrinsic, (3, 3) array or tensor, a list of them, a PinholeCameraTrajectory, or a list of
+        PinholeCameraParameters
     extrinsics : list of (4, 4) arrays or tensors, optional
-        World-to-camera, as Open3D's `integrate` takes them; left out with a trajectory.
+        World-to-camera, as Open3D's `integrate` takes them; left out with the last two.
     depth_scale : float, optional
         What divides depth numbers, in Open3D's meaning; 1000 for 16-bit depth and 1 for floating point where it is left
         out. A legacy RGBDImage has been divided already.
@@ -89,7 +90,7 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,
                        pixel_center=pixel_center)
     if voxel_size is not None:
-        if not (np.isfinite(voxel_size) and voxel_size > 0):
+        if not above_zero(voxel_size):
             raise InputError(f"voxel_size is {voxel_size!r}, expected scene units above 0")
         coarse = 64.0  # the plan is only asked for the footprint: let it touch few blocks
         plan = fusion_plan([frame.view for frame in read], [frame.depth for frame in read], Fusion(voxel=coarse))
@@ -135,7 +136,7 @@ def _refined(read: list[Frame], config: Config, device, progress) -> list:
 
 def _agreed(read: list[Frame], depths: list[np.ndarray], share: float) -> list[np.ndarray]:
     """Refined depths where the refined frames agree on them, those that came in elsewhere."""
-    if not (np.isfinite(share) and share > 0):
+    if not above_zero(share):
         raise InputError(f"agree_within is {share!r}, expected a share of the depth above 0, such as 0.01")
     cameras, chosen, taken = [frame.view.camera for frame in read], [], 0
     for i, frame in enumerate(read):

@@ -4,20 +4,31 @@
     meshes.apply_pagas_depth_refinement("SCENE")     # refines the current layer with the photos of SCENE
 """
 
+import tempfile
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
-from pagas_cl.errors import InputError, need
-from pagas_cl.filters.filter_script import restore_history, saved_history
+from pagas_cl.errors import InputError, log, need
+from pagas_cl.filters.filter_script import attribute_names, restore_history, saved_history
 from pagas_cl.filters.names import CALL, HINT, METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
 from pagas_cl.keep_mesh import Observations, kept_mesh, solve_device
 from pagas_cl.progress import progress_of
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import from_surface, to_surface, triangle_normals
+from pagas_cl.scene.meshlab_layer import (
+    CONFIDENCE,
+    SCRATCH,
+    add_custom,
+    has_quality,
+    load_layer,
+    read_custom,
+    read_layer,
+)
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene, View
 from pagas_cl.surface.mesh_solve import solve_mesh
@@ -60,9 +71,10 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
     preset : str
         Settings to start from; those below that are None keep the preset's value.
     output : str
-        "mesh": a new layer, the current one's mesh refined, becomes the current one, without textures. "tsdf": the
-        same, fused from the refined depths. "displace": the vertices of the current layer move; its topology, textures
-        and attributes stay.
+        "mesh": a new layer, the current one's mesh refined, becomes the current one, with all that the current one has
+        (colours, quality, textures, custom attributes; mean values on new vertices, a face's own on its parts).
+        "tsdf": a new layer fused from the refined depths, with colours alone. "displace": the vertices of the current
+        layer move; its topology, textures and attributes stay.
     subdivide : float
         First split edges longer than this many pixel footprints: with "displace" all of them, 0 none; with "mesh"
         those that depths lie off, 0 for 1.5.
@@ -81,13 +93,15 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
     Returns
     -------
     dict
-        Pixels refined, kept, rejected, over all views. Confidence is the layer's vertex quality. The step is in the
-        history, so that save_filter_script writes it.
+        Pixels refined, kept, rejected, over all views. Confidence is the layer's vertex quality or, where it has one
+        already, the custom attribute "pagas_confidence". The step is in the history, so that save_filter_script writes
+        it.
     """
     values = to_values(locals())
     asked, history = request(values, FILTER), saved_history(self)
     try:
-        counts = refine_layer(self, scene_views(scene), asked, progress=True if progress is None else progress)
+        counts = refine_layer(self, scene_views(scene), asked, progress=True if progress is None else progress,
+                              spellings=attribute_names(history))
         element = ElementTree.Element("filter", name=FILTER)
         for p in (p for p in PARAMETERS if p.name in values):
             ElementTree.SubElement(element, "Param", type=p.rich, name=p.name, value=values[p.name],
@@ -115,14 +129,16 @@ def scene_views(scene) -> list[View]:
                      "(cameras, images)")
 
 
-def refine_layer(meshes, views: list[View], asked: Request, *, device=None, progress=None) -> dict:
-    """Refine the current layer of a MeshSet; what the method and the script share."""
+def refine_layer(meshes, views: list[View], asked: Request, *, device=None, progress=None, spellings=()) -> dict:
+    """Refine the current layer of a MeshSet; what the method and the script share. `spellings`: names that custom
+    attributes may have."""
     from pagas_cl.cameras.effect import resolve_cameras
     from pagas_cl.refine import fuse_results, initial_depths, refine_views
 
     layer = meshes.current_mesh()
-    label, matrix = layer.label(), np.array(layer.transform_matrix())
+    label, matrix = f"{layer.label()} refined", np.array(layer.transform_matrix())
     surface = to_surface(layer)  # the layer's matrix applied
+    _check_attributes(meshes, asked, spellings)
     if asked.output == "displace":
         surface = replace(surface, quality=None, colors=None, normals=None)
     shown = progress_of(progress)
@@ -133,13 +149,44 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
     results = refine_views(views, depths, config=config, device=device or asked.device, progress=shown)
     if asked.output == "displace":
         _displace_layer(meshes, surface, views, depths, results, asked, matrix)
+    elif asked.output == "tsdf":
+        made = fuse_results(views, results, config, shown, device=device or asked.device)
+        quality = vertex_confidence(made.vertices, results)
+        made = replace(made, vertices=_local(made.vertices, matrix), quality=quality, normals=None)
+        meshes.add_mesh(from_surface(replace(made, attributes={}), like=layer), label)
+        add_custom(meshes.current_mesh(), "vertex", made.attributes)     # add_mesh copies what ends the process later
+        _finish_layer(meshes, label, matrix)
     else:
-        made = (fuse_results(views, results, config, shown, device=device or asked.device)
-                if asked.output == "tsdf" else
-                kept_mesh(surface, views, results, config, subdivide=asked.subdivide, device=device or asked.device,
-                          progress=shown))
-        _add_layer(meshes, made, results, f"{label} refined", matrix)
+        kept_mesh(surface, views, results, config, subdivide=asked.subdivide, device=device or asked.device,
+                  progress=shown, make=partial(_add_layer, meshes, results, label, matrix, spellings))
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
+
+
+def _check_attributes(meshes, asked: Request, spellings) -> None:
+    """Before the work: what the layer has that `asked` cannot take along; InputError where it cannot be moved."""
+    layer, (custom, unread) = meshes.current_mesh(), read_custom(meshes, spellings)
+    names = [f"custom attribute {name!r}" for name in (*custom["vertex"], *custom["face"], *unread)]
+    if asked.output == "tsdf":
+        has = {"texture coordinates": layer.has_wedge_tex_coord() or layer.has_vertex_tex_coord(),
+               "face colours": layer.has_face_color(), "vertex quality": has_quality(layer),
+               "face quality": layer.has_face_scalar() and layer.face_scalar_array().any()}
+        names += [name for name, there in has.items() if there]
+        _log_lost(names, f"output='tsdf' fuses a new layer, which has nothing of {layer.label()!r} (output='mesh' has)")
+    elif asked.output == "mesh":
+        _log_lost([f"custom attribute {name!r}" for name in unread], "pymeshlab lists names in small letters alone")
+    elif asked.subdivide is not None:
+        _log_lost(names, "MeshLab splits edges within a layer, and leaves 0 on what it makes (output='mesh' carries)")
+    if asked.output == "displace":
+        try:
+            meshes.compute_coord_by_function(x="x", y="y", z="z", onselected=False)
+        except RuntimeError as error:
+            raise InputError("MeshLab cannot move vertices by its expressions while the name of a custom attribute has "
+                             "other characters than letters, digits and _: rename it, or use output='mesh'") from error
+
+
+def _log_lost(names: list[str], why: str) -> None:
+    if names:
+        log.warning("lost: %s: %s", ", ".join(names), why)
 
 
 def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
@@ -147,32 +194,57 @@ def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     return np.linalg.solve(matrix[:3, :3], (vertices - matrix[:3, 3]).T).T
 
 
-def _add_layer(meshes, surface, results, label: str, matrix: np.ndarray) -> None:
-    """The made mesh as a new current layer with the old one's matrix, confidence as quality, unit normals."""
-    quality = vertex_confidence(surface.vertices, results)
-    surface = replace(surface, vertices=_local(surface.vertices, matrix), quality=quality, normals=None)
-    meshes.add_mesh(from_surface(surface, like=meshes.current_mesh()), label)
+def _add_layer(meshes, results, label: str, matrix: np.ndarray, spellings, _surface, vertices, division, _quality,
+               attributes) -> None:
+    """The current layer, divided, its vertices (world coordinates) moved, as a new current layer; the other arguments
+    are those of with_vertices."""
+    with tempfile.TemporaryDirectory() as folder:
+        layer = read_layer(meshes, Path(folder), spellings).carried(_local(vertices, matrix), division)
+        confidence, more = vertex_confidence(vertices, results), dict(attributes)
+        plain, custom = layer.plain("vertex"), layer.custom("vertex")
+        if has_quality(meshes.current_mesh()):
+            _log_quality(label)
+            more[CONFIDENCE] = confidence
+        else:
+            plain["quality"] = confidence
+        custom.update(more)
+        load_layer(meshes, replace(layer, vertex={**plain, **custom}, customs=(len(custom), layer.customs[1])),
+                   Path(folder))
+    _finish_layer(meshes, label, matrix)
+
+
+def _log_quality(label: str) -> None:
+    log.info("%s: the layer's vertex quality stays, the confidence is the custom attribute %r", label, CONFIDENCE)
+
+
+def _finish_layer(meshes, label: str, matrix: np.ndarray) -> None:
+    """The old layer's matrix and unit normals: pymeshlab drops given ones and makes its own, not of unit length."""
+    meshes.current_mesh().set_label(label)
     if not np.array_equal(matrix, np.eye(4)):
         meshes.set_matrix(transformmatrix=matrix, freeze=False)
-    meshes.compute_normal_per_vertex()  # pymeshlab drops given normals and makes its own, not of unit length
+    meshes.compute_normal_per_vertex()
 
 
 def _displace_layer(meshes, surface, views, depths, results, asked: Request, matrix: np.ndarray) -> None:
     """Move the current layer's vertices where they are: pymeshlab's meshes take no new positions from outside, but its
-    filters can copy vertex attributes, exactly, into positions and quality."""
+    filters can copy vertex attributes, exactly, into positions, quality and other attributes."""
     solved = solve_mesh(surface, Observations(results), solve_device(asked.device),
                         least_views=max(1, asked.config.fusion.agree_views) + 1)
     moved = (solved.vertices != surface.vertices).any(axis=1)
     quality = np.where(moved, vertex_confidence(solved.vertices, results), 0)
+    layer = meshes.current_mesh()
     # vertices that stayed keep their bits: they are not sent through the matrix and back
-    local = np.where(moved[:, None], _local(solved.vertices, matrix), meshes.current_mesh().vertex_matrix())
-    names = _attribute_names(meshes.current_mesh())
-    for name, values in zip(names, (*local.T, quality)):
-        meshes.current_mesh().add_vertex_custom_scalar_attribute(np.ascontiguousarray(values), name)
+    local = np.where(moved[:, None], _local(solved.vertices, matrix), layer.vertex_matrix())
+    names = _attribute_names(layer)
+    add_custom(layer, "vertex", dict(zip(names, (*local.T, quality))))
     meshes.compute_coord_by_function(x=names[0], y=names[1], z=names[2], onselected=False)
-    meshes.compute_scalar_by_function_per_vertex(q=names[3], onselected=False)
+    if has_quality(layer):
+        _log_quality(layer.label())
+        meshes.compute_new_custom_scalar_attribute_per_vertex(name=CONFIDENCE, expr=names[3])
+    else:
+        meshes.compute_scalar_by_function_per_vertex(q=names[3], onselected=False)
     meshes.compute_normal_per_vertex()
-    if not np.array_equal(meshes.current_mesh().vertex_matrix(), local):
+    if not np.array_equal(layer.vertex_matrix(), local):
         raise InputError("this pymeshlab does not copy vertex attributes into positions exactly; use output='tsdf'")
 
 
@@ -181,7 +253,7 @@ def _attribute_names(mesh) -> list[str]:
     import pymeshlab
 
     for trial in range(1000):
-        names = [f"pagas{axis}{trial}" for axis in "xyzq"]
+        names = [f"{SCRATCH}{axis}{trial}" for axis in "xyzq"]
         try:
             mesh.vertex_custom_scalar_attribute_array(names[0])
         except (pymeshlab.PyMeshLabException, RuntimeError):

@@ -54,7 +54,7 @@ def check_flat(flat) -> None:
 
 def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdivide: float | None = None,
               flat: float = FLAT, device=None, memory_mb: float | None = None, note: Callable | None = None,
-              progress: Progress = NONE):
+              progress: Progress = NONE, make: Callable = with_vertices):
     """A mesh of the kind of `mesh` (anything that refine_mesh takes; of a path a Surface) with everything that sits on
     it, its vertices where the refined depth maps say. `results` are what refine_views gave.
 
@@ -62,15 +62,16 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
     (1.5) pixel footprints are split where depth maps lie off them; afterwards splits are undone where the surface is
     flat within `flat` footprints, and the rest is solved once more. In `memory_mb` of host memory, or mesh_mb.
     "displace": with the same triangles (surface.mesh_solve), or all edges split that are longer than `subdivide`.
-    `note(text)` is called with what is wrong with triangles, before and after.
+    `note(text)` is called with what is wrong with triangles, before and after. `make` makes the mesh, of what
+    with_vertices takes.
     """
     check_subdivide(subdivide)
     with stage(progress, "solve the mesh", _PERCENT) as solving:
-        return _kept(mesh, views, results, config, output, subdivide, flat, device, memory_mb, note, solving)
+        return _kept(mesh, views, results, config, output, subdivide, flat, device, memory_mb, note, solving, make)
 
 
 def _kept(mesh, views, results, config: Config, output: str, subdivide: float | None, flat: float, device,
-          memory_mb: float | None, note: Callable | None, solving: Stage):
+          memory_mb: float | None, note: Callable | None, solving: Stage, make: Callable):
     """kept_mesh, of arguments that were checked."""
     used = [result for _, result in joined(views, results)]
     surface = given = to_surface(mesh)
@@ -102,7 +103,7 @@ def _kept(mesh, views, results, config: Config, output: str, subdivide: float | 
                     sum(not result.reason for result in used))
     quality = np.where(moved, vertex_confidence(vertices, used), 0)
     solving.advance(_PERCENT)
-    return with_vertices(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
+    return make(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
 
 
 def _detailed(given: Surface, observed, device, finest, detail: float, flat: float, least_views: int, most: int, at):

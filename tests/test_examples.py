@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 from support.scenes import relief_scene
@@ -32,6 +31,7 @@ def folder(tmp_path_factory):
     """SCENE, DEPTH, RGBD, NERFSTUDIO, MVSNET, NEUS, BUNDLER, a 2DGS output and a script."""
     from support import scene_writers as to
 
+    from pagas_cl.__main__ import run
     from pagas_cl.scene.depthmap import resize_depth, save_depth
 
     folder = tmp_path_factory.mktemp("examples")
@@ -46,26 +46,21 @@ def folder(tmp_path_factory):
     for kind, write, place in (("NERFSTUDIO", to.nerfstudio, "images"), ("MVSNET", to.mvsnet, "images"),
                                ("NEUS", to.neus, "image"), ("BUNDLER", to.bundler, "images")):
         write(folder / kind, _photos(folder / kind / place, made, cameras, centred=kind == "BUNDLER"))
-    _photos(folder / "RGBD" / "color", made, cameras, names=lambda k: f"{k}.png")
-    (folder / "RGBD" / "depth").mkdir()
-    for k, camera in enumerate(cameras):
-        depth = np.rint(made.initial_depth(camera) * 50).astype(np.uint16)
-        Image.fromarray(depth).save(folder / "RGBD" / "depth" / f"{k}.png")
-    to.open3d_json(folder / "RGBD" / "trajectory.json", cameras)
+    assert run(["demo", "--format", "open3d", "--output", str(folder / "RGBD"), "--width", "64"]) == 0
     write_example(folder / "DA3", "da3", made)
     return folder
 
 
-def _photos(place, made, cameras, names=lambda k: f"{k:08d}.png", centred=False):
+def _photos(place, made, cameras, centred):
     from dataclasses import replace
 
     place.mkdir(parents=True)
     views = []
     for k, camera in enumerate(cameras):
-        Image.fromarray(made.views[k].image).save(place / names(k))
+        Image.fromarray(made.views[k].image).save(place / f"{k:08d}.png")
         if centred:
             camera = replace(camera, cx=camera.width / 2, cy=camera.height / 2, fy=camera.fx)
-        views.append(View(camera, place / names(k), None, names(k)))
+        views.append(View(camera, place / f"{k:08d}.png", None, f"{k:08d}.png"))
     return views
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from pagas_cl.errors import log, need
 from pagas_cl.scene.mesh import Mesh, Surface, Texture, eight_bits, mesh_kind, positions, vertex_normals
+from pagas_cl.scene.meshlab_layer import CONFIDENCE, add_custom, has_quality, read_custom
 
 
 def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, quality: np.ndarray | None = None,
@@ -17,9 +18,14 @@ def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, qua
     """A new mesh of `mesh`'s kind with `vertices`, its faces split as `subdivision` says, all else carried along.
 
     `vertices` are (V', 3) float64, world coordinates; `subdivision` is a surface.subdivide.Subdivision; `quality` and
-    `attributes` (V',) are for the kinds that have such: Surface, Open3D's tensor mesh, pymeshlab.
+    `attributes` (V',) are for the kinds that have such: Surface, Open3D's tensor mesh, pymeshlab. A quality that `mesh`
+    has stays: then `quality` becomes the attribute CONFIDENCE.
     """
     carry: Any = subdivision or _Same
+    mesh = mesh.current_mesh() if hasattr(mesh, "current_mesh") else mesh      # pymeshlab's MeshSet
+    if quality is not None and _has_quality(mesh):
+        log.info("the mesh has a vertex quality, which stays: the confidence is the attribute %r", CONFIDENCE)
+        attributes, quality = {**attributes, CONFIDENCE: quality}, None
     if isinstance(mesh, Surface):
         faces = mesh.faces if carry.faces is None else carry.faces
         normals = None
@@ -36,6 +42,13 @@ def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, qua
     if kind == "open3d":
         return _legacy(mesh, vertices, carry)
     return {"open3d.t": _tensor, "pymeshlab": _pymeshlab}[kind](mesh, vertices, carry, quality, attributes)
+
+
+def _has_quality(mesh: Mesh) -> bool:
+    if isinstance(mesh, Surface):
+        return mesh.quality is not None
+    kind = mesh_kind(mesh)
+    return bool("quality" in mesh.vertex if kind == "open3d.t" else kind == "pymeshlab" and has_quality(mesh))
 
 
 class _Same:
@@ -103,8 +116,12 @@ def _tensor(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | 
 def _pymeshlab(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | None,
                attributes: Mapping[str, np.ndarray]) -> Mesh:
     pymeshlab = need("pymeshlab", "meshlab", "making a pymeshlab mesh")
-    mesh = mesh.current_mesh() if hasattr(mesh, "current_mesh") else mesh
-    more = {}
+    more, alone = {}, pymeshlab.MeshSet()
+    alone.add_mesh(mesh)       # only a set of meshes tells what attributes there are
+    custom, unread = read_custom(alone)
+    if unread:
+        log.warning("lost: custom attributes %s: pymeshlab lists their names in small letters alone",
+                    ", ".join(map(repr, unread)))
     for name, read, carried in (  # of the new mesh's argument, of the old one's method, and how it comes along
             ("v_color_matrix", "vertex_color_matrix", lambda colors: eight_bits(carry.vertices(colors))),
             ("f_color_matrix", "face_color_matrix", lambda colors: eight_bits(carry.on_faces(colors))),
@@ -117,11 +134,13 @@ def _pymeshlab(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray
     if quality is not None:
         more["v_scalar_array"] = quality
     if mesh.texture_number():
-        log.info("a new pymeshlab.Mesh cannot be given textures: its texture coordinates are kept, the %d texture "
-                 "images must be set again (set_texture_per_mesh); the MeshSet step keeps them", mesh.texture_number())
+        log.warning("a new pymeshlab.Mesh cannot be given textures: its texture coordinates are kept, the %d texture "
+                    "images must be set again (set_texture_per_mesh); the MeshSet step keeps them",
+                    mesh.texture_number())
     new = pymeshlab.Mesh(vertices, mesh.face_matrix() if carry.faces is None else carry.faces, **more)
-    for name, values in attributes.items():
-        new.add_vertex_custom_scalar_attribute(np.ascontiguousarray(values, np.float64), name)
+    kept = {name: carry.vertices(column) for name, column in custom["vertex"].items()}
+    add_custom(new, "vertex", {**kept, **attributes})
+    add_custom(new, "face", {name: carry.on_faces(column) for name, column in custom["face"].items()})
     return new
 
 

@@ -140,8 +140,9 @@ def _normals(lines: _Lines, faces: np.ndarray, count: int, what: str) -> np.ndar
         return None
     of_corners = _table(lines.normals, 3, f"{what}: normal")[faces[:, :, 2].ravel(), :3]
     mean = np.stack([np.bincount(faces[:, :, 0].ravel(), of_corners[:, k], count) for k in range(3)], axis=1)
-    lengths = np.linalg.norm(mean, axis=1, keepdims=True)
-    unit: np.ndarray = np.divide(mean, lengths, out=np.zeros_like(mean), where=lengths > 0)
+    with np.errstate(all="ignore"):     # numbers of a damaged file may be anything
+        lengths = np.linalg.norm(mean, axis=1, keepdims=True)
+        unit: np.ndarray = np.divide(mean, lengths, out=np.zeros_like(mean), where=lengths > 0)
     return unit
 
 

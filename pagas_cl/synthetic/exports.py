@@ -73,24 +73,18 @@ def neus(folder: Path, views: Sequence[View], scale_mat: np.ndarray | None = Non
     np.savez(Path(folder) / "cameras.npz", **arrays)
 
 
-def open3d_log(path: Path, cameras: Sequence[Camera]) -> None:
-    """A .log trajectory, and the intrinsics, which it cannot hold, as camera_intrinsic.json beside it."""
-    entries = [_intrinsic(camera) for camera in cameras]
-    if any(entry != entries[0] for entry in entries):
-        raise InputError(f"{path}: a .log has one set of intrinsics for all its {len(entries)} cameras, and these "
-                         "differ; write a .json")
-    rows = []
-    for number, camera in enumerate(cameras):
-        rows += [f"{number} {number} {number + 1}", *(row(line) for line in inverse_pose(camera.world_to_camera))]
-    path.with_name("camera_intrinsic.json").write_text(json.dumps(entries[0], indent=1))
-    path.write_text("\n".join(rows) + "\n")
-
-
-def _intrinsic(camera: Camera) -> dict[str, Any]:
-    """Open3D counts pixel centres at whole numbers."""
-    K = camera.K
-    K[:2, 2] -= 0.5
-    return {"width": camera.width, "height": camera.height, "intrinsic_matrix": K.T.ravel().tolist()}
+def open3d_json(path: Path, cameras: Sequence[Camera]) -> None:
+    """A PinholeCameraTrajectory of Open3D, which counts pixel centres at whole numbers."""
+    entries = []
+    for camera in cameras:
+        K = camera.K
+        K[:2, 2] -= 0.5
+        entries.append({"class_name": "PinholeCameraParameters", "version_major": 1, "version_minor": 0,
+                        "extrinsic": camera.world_to_camera.T.ravel().tolist(),
+                        "intrinsic": {"width": camera.width, "height": camera.height,
+                                      "intrinsic_matrix": K.T.ravel().tolist()}})
+    data = {"class_name": "PinholeCameraTrajectory", "version_major": 1, "version_minor": 0, "parameters": entries}
+    path.write_text(json.dumps(data, indent=1))
 
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:

@@ -18,10 +18,10 @@ from pagas_cl.synthetic.frames import Frame, matrix, photos, png, seen, small_of
 
 
 def open3d(folder: Path, frames: Sequence[Frame]) -> None:
-    """Open3D's reconstruction system: color/, depth/ in thousandths, trajectory.log, camera_intrinsic.json."""
+    """Frames as Open3D's tutorials have them: color/, depth/ in thousandths, trajectory.json."""
     photos(folder, frames, "color")
     png(folder, frames, "depth/{:06d}.png", 1000)
-    exports.open3d_log(folder / "trajectory.log", [frame.camera for frame in frames])
+    exports.open3d_json(folder / "trajectory.json", [frame.camera for frame in frames])
 
 
 def seven_scenes(folder: Path, frames: Sequence[Frame]) -> None:

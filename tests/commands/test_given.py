@@ -52,8 +52,10 @@ def test_a_mesh_in_the_folder_and_what_is_refused(made, tmp_path):
     folder = write_example(tmp_path / "scene", "cameras", made)
     shutil.rmtree(folder / "depth")
     assert look(folder).lines()[2] == "no depth and no mesh"
-    (folder / "a.ply").write_text("ply\nelement vertex 9\nelement face 3\nend_header\n")
-    (folder / "cloud.ply").write_text("ply\nelement vertex 9\nend_header\n")
+    vertices = "ply\nformat ascii 1.0\nelement vertex 1\nproperty int x\nproperty int y\nproperty int z\n"
+    faces = "element face 1\nproperty list uchar int vertex_indices\n"
+    (folder / "a.ply").write_text(f"{vertices}{faces}end_header\n0 0 0\n3 0 0 0\n")
+    (folder / "cloud.ply").write_text(f"{vertices}end_header\n0 0 0\n")
     assert look(folder).mesh == folder / "a.ply"
     (folder / "b.obj").write_text("")
     with pytest.raises(InputError, match="several meshes .*a.ply, b.obj.*--mesh"):

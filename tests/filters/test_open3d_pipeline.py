@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from conftest import look_at, plane_depth
+from PIL import Image
 
 o3d = pytest.importorskip("open3d")
 
@@ -37,6 +38,12 @@ def parts(made):
     return colors, depths, intrinsic(cameras[0]), [camera.world_to_camera for camera in cameras]
 
 
+def parameters_of(intrinsic, extrinsic):
+    made = o3d.camera.PinholeCameraParameters()
+    made.intrinsic, made.extrinsic = intrinsic, extrinsic
+    return made
+
+
 def legacy(color, depth, scale=1.0):
     return o3d.geometry.RGBDImage.create_from_color_and_depth(
         o3d.geometry.Image(color), o3d.geometry.Image(depth), depth_scale=scale, depth_trunc=1e9,
@@ -58,8 +65,6 @@ def expected(made):
 
 
 def test_every_form_gives_the_same_and_comes_back_as_it_came(made, expected, tmp_path):
-    from PIL import Image
-
     colors, depths, K, E = parts(made)
     paths = []
     for k, color in enumerate(colors):
@@ -71,6 +76,7 @@ def test_every_form_gives_the_same_and_comes_back_as_it_came(made, expected, tmp
         "images": [(o3d.geometry.Image(c), o3d.geometry.Image(d)) for c, d in zip(colors, depths)],
         "tensor images": [(tensor(c, d).color, tensor(c, d).depth) for c, d in zip(colors, depths)],
         "arrays": list(zip(colors, depths)),
+        "Pillow": [(Image.fromarray(c), Image.fromarray(d)) for c, d in zip(colors, depths)],
         "paths": list(zip(paths, depths)),
     }
     for name, frames in forms.items():
@@ -87,17 +93,26 @@ def test_cameras_in_every_form(made, expected):
     colors, depths, K, E = parts(made)
     frames = list(zip(colors, depths))
     trajectory = o3d.camera.PinholeCameraTrajectory()
-    parameters = []
-    for extrinsic in E:
-        p = o3d.camera.PinholeCameraParameters()
-        p.intrinsic, p.extrinsic = K, extrinsic
-        parameters.append(p)
+    parameters = [parameters_of(K, extrinsic) for extrinsic in E]
     trajectory.parameters = parameters
     corner = made.cameras[0].K  # COLMAP's
-    for given, kwargs in (((trajectory,), {}), (([K] * 3, E), {}), ((corner, E), {"pixel_center": 0.5}),
+    for given, kwargs in (((trajectory,), {}), ((parameters,), {}), (([K] * 3, E), {}),
+                          ((corner, E), {"pixel_center": 0.5}),
                           ((o3c.Tensor(corner), [o3c.Tensor(e) for e in E]), {"pixel_center": 0.5})):
         got = refine_rgbd(frames, *given, config=FEW, **kwargs)
         assert max(np.abs(g[1] - w).max() for g, w in zip(got, expected)) < 1e-2 * made.relief.parallax
+
+
+def test_images_of_pillow_mean_what_they_show(made):
+    """A palette is no colour, and what Pillow opens as 32-bit numbers is a 16-bit depth."""
+    colors, depths, K, E = parts(made)
+    arrays = [(np.asarray(Image.fromarray(c).quantize(64).convert("RGB")), np.rint(d * 50).astype(np.uint16))
+              for c, d in zip(colors, depths)]
+    pillow = [(Image.fromarray(c).quantize(64), Image.fromarray(d.astype(np.int32)))
+              for c, (_, d) in zip(colors, arrays)]
+    for (_, want), (_, got) in zip(refine_rgbd(arrays, K, E, depth_scale=50, config=FEW),
+                                   refine_rgbd(pillow, K, E, depth_scale=50, config=FEW)):
+        assert isinstance(got, Image.Image) and np.array_equal(np.asarray(got), want)
 
 
 def test_sixteen_bit_depth_with_scale_and_trunc(made):
@@ -153,13 +168,30 @@ def test_frames_that_could_not_be_refined_are_integrated_as_they_came(made, monk
     (lambda f, K, E: ([(c, d * 0) for c, d in f], K, E), "none of the 3 frames has a valid depth"),
     (lambda f, K, E: ([c for c, d in f], K, E), "expected an Open3D RGBDImage"),
     (lambda f, K, E: ([(c, d, d) for c, d in f], K, E), "3 parts"),
+    # arguments in another order, or something else in their place
+    (lambda f, K, E: ([(d, c) for c, d in f], K, E), "is the pair .color, depth. in this order"),
+    (lambda f, K, E: ([(d, o3d.geometry.Image(c)) for c, d in f], K, E), "is the pair .color, depth. in this order"),
+    (lambda f, K, E: (f, E, K), "extrinsics is a PinholeCameraIntrinsic, expected a list of world-to-camera"),
+    (lambda f, K, E: (f, E, [K] * 3), "its intrinsic is a ndarray and its extrinsic a PinholeCameraIntrinsic"),
+    (lambda f, K, E: (f, E, [K.intrinsic_matrix] * 3), "expected the other way round"),
+    (lambda f, K, E: (K, f, E), "frames is a PinholeCameraIntrinsic, expected a list of RGBDImage"),
+    (lambda f, K, E: (E, K, f), "a frame is a ndarray, expected an Open3D RGBDImage"),
+    (lambda f, K, E: (legacy(*f[0]), K, E), "frames is a RGBDImage, expected a list"),
+    (lambda f, K, E: ("RGBD", K, E), "frames is a str, expected a list"),
+    (lambda f, K, E: (f, "K.json", E), "its intrinsic is a str and its extrinsic a ndarray"),
+    (lambda f, K, E: (f, [parameters_of(K, e) for e in E], E), "bring their own extrinsics"),
+    (lambda f, K, E: (f, [parameters_of(K, E[0]), K, K], None), "mix PinholeCameraParameters with others"),
+    (lambda f, K, E: (f, parameters_of(K, E[0]), None), "1 intrinsics were given for 3 frames"),
+    (lambda f, K, E: ([(c, "none.png") for c, d in f], K, E), "none.png"),
 ])
 def test_bad_input(made, change, sentence):
     colors, depths, K, E = parts(made)
     with pytest.raises(InputError, match=sentence):
         refine_rgbd(*change(list(zip(colors, depths)), K, E), config=FEW)
-    with pytest.raises(InputError, match="depth_trunc is"):
-        refine_rgbd(list(zip(colors, depths)), K, E, depth_trunc=0, config=FEW)
+    for name in ("depth_trunc", "depth_scale"):
+        for value in (0, -1.0, float("nan"), "1000"):
+            with pytest.raises(InputError, match=f"{name} is {value!r}, expected a number above 0"):
+                refine_rgbd(list(zip(colors, depths)), K, E, **{name: value}, config=FEW)
 
 
 # -- Open3D's RGBD-integration tutorial on a real sequence ---------------------------------------------------------
@@ -175,8 +207,6 @@ def tutorial_loop(frames, K, poses):
 
 
 def test_tutorial_loop_with_and_without_the_step(data_dir):
-    from PIL import Image
-
     folder, chosen = data_dir / "hololens_rgbd", range(8)
     files = sorted((folder / "images").iterdir())
     poses = np.loadtxt(folder / "poses.txt").reshape(-1, 4, 4)

@@ -22,6 +22,7 @@ from pagas_cl.scene.camera import FLIP, Camera, intrinsics
 from pagas_cl.scene.files import write_text
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_file import read_mesh
+from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene, View
 
@@ -239,7 +240,7 @@ def write_project(path: Path, views: list[View], meshes: Sequence[MeshLayer] = (
     """
     check_names(views)
     path = Path(path)
-    rows = ["<!DOCTYPE MeshLabDocument>", "<MeshLabProject>", " <MeshGroup>"]
+    rows = ["<!DOCTYPE MeshLabDocument>", f"<!-- {TEXT_MARK} -->", "<MeshLabProject>", " <MeshGroup>"]
     for layer in meshes:
         rows += [f"  <MLMesh label={quoteattr(layer.label)} filename={_name(path, layer.path)} "
                  f'visible="{int(layer.visible)}" idInFile="-1">', "   <MLMatrix44>",

@@ -1,0 +1,251 @@
+"""A layer of pymeshlab with all that MeshLab keeps on it, by name: colours, quality, texture coordinates with the
+number of their texture, custom attributes.
+
+pymeshlab does not give which texture a face has; the .ply that it writes of the layer has it. Custom attributes are
+left out there, and added to the mesh that it makes of such a file.
+"""
+
+import os
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pagas_cl.errors import InputError, OutputError, need
+from pagas_cl.scene.files import opened, translated
+
+CONFIDENCE = "pagas_confidence"     # the attribute next to a vertex quality of the user's own
+SCRATCH = "pagasscratch"            # attributes that only moved values into the layer begin so: pymeshlab removes none
+_HEADER = 1 << 16                   # bytes of a file in which its header must end
+_NAMES = {"u1": "uchar", "i1": "char", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
+          "f8": "double"}
+_TYPES = {name: kind for kind, name in _NAMES.items()} | {
+    "uint8": "u1", "int8": "i1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4",
+    "float64": "f8"}
+_ROOM = 1 << 16                     # bytes that must be free when a mesh is written
+_COLORS = ("red", "green", "blue", "alpha")
+_CORNERS = "vertex_indices"
+
+Columns = dict[str, np.ndarray]
+
+
+class _Property(NamedTuple):
+    """Of a .ply: types as NumPy has them, without byte order; `length` is that of a list's length, else empty."""
+
+    name: str
+    kind: str
+    length: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """Columns of the vertices (V,) or (V, K) and of the faces (F,) or (F, K) by property of a .ply, in its order; how
+    many of the last ones are custom attributes of MeshLab; the header's comments, which name the textures."""
+
+    vertex: Columns = field(repr=False)
+    face: Columns = field(repr=False)
+    customs: tuple[int, int]
+    comments: tuple[str, ...] = ()
+
+    def custom(self, of: str) -> Columns:
+        """The custom attributes of "vertex" or "face"."""
+        columns, count = (self.vertex, self.customs[0]) if of == "vertex" else (self.face, self.customs[1])
+        return dict(list(columns.items())[len(columns) - count:])
+
+    def plain(self, of: str) -> Columns:
+        """The others."""
+        custom = self.custom(of)
+        return {name: column for name, column in (self.vertex if of == "vertex" else self.face).items()
+                if name not in custom}
+
+    def carried(self, vertices: np.ndarray, carry: Any) -> "Layer":
+        """The same on other `vertices` (V', 3), faces split as `carry`, a surface.subdivide.Subdivision, says: mean
+        values on new vertices, a face's own on its parts."""
+        vertex = {name: _mean(name, column, carry) for name, column in self.vertex.items()}
+        vertex.update(zip("xyz", np.asarray(vertices, np.float64).T))
+        face = {name: carry.on_faces(column) for name, column in self.face.items() if name != "texcoord"}
+        if "texcoord" in self.face:
+            face["texcoord"] = carry.corners(self.face["texcoord"].reshape(-1, 3, 2)).reshape(-1, 6)
+        face = {name: carry.faces if name == _CORNERS else face[name] for name in self.face}
+        return replace(self, vertex=vertex, face=face)
+
+
+def _mean(name: str, column: np.ndarray, carry: Any) -> np.ndarray:
+    mean: np.ndarray = carry.vertices(column / 255 if name in _COLORS else column)
+    return np.rint(np.clip(mean, 0, 1) * 255).astype(np.uint8) if name in _COLORS else mean
+
+
+def custom_keys(meshes: Any) -> list[str]:
+    """How save_current_mesh calls the custom attributes of the current layer: "__ca_vs__age", with "v" or "f" for
+    vertices or faces, "s" or "p" for scalars or points, and the name in small letters."""
+    return [key for key in meshes.filter_parameter_values("ply")
+            if key.startswith("__ca_") and not key[len("__ca_vs__"):].startswith(SCRATCH)]
+
+
+def read_custom(meshes: Any, spellings: Collection[str] = ()) -> tuple[dict[str, Columns], list[str]]:
+    """The custom attributes of the current layer of a pymeshlab.MeshSet, for "vertex" and "face"; and the names, in
+    small letters, of those that cannot be read: pymeshlab takes the name as it was given, but does not list it so.
+    `spellings` are tried. (A .ply with the attributes would have the names; writing one ends the process where the
+    layer is one that add_mesh has copied.)"""
+    pymeshlab = need("pymeshlab", "meshlab", "reading a pymeshlab mesh")
+    found: dict[str, Columns] = {"vertex": {}, "face": {}}
+    unread = []
+    for key in custom_keys(meshes):
+        name, of = key[len("__ca_vs__"):], "vertex" if key[len("__ca_")] == "v" else "face"
+        what = "scalar_attribute_array" if key[len("__ca_v")] == "s" else "point_attribute_matrix"
+        read = getattr(meshes.current_mesh(), f"{of}_custom_{what}")
+        for spelled in (name, *(word for word in spellings if re.sub(r"\W", "_", word.lower()) == name)):
+            try:
+                found[of][spelled] = read(spelled)
+                break
+            except (pymeshlab.PyMeshLabException, RuntimeError):
+                continue
+        else:
+            unread.append(name)
+    return found, unread
+
+
+def write_mesh_file(meshes: Any, path: Path, **options: Any) -> None:
+    """Let pymeshlab write its current layer; OSError where the disk does not take all of it, which pymeshlab does not
+    say of every kind of file, or any other reason."""
+    pymeshlab, reason = need("pymeshlab", "meshlab", "writing a mesh by pymeshlab"), ""
+    try:
+        meshes.save_current_mesh(str(path), **options)
+    except (pymeshlab.PyMeshLabException, RuntimeError, IndexError) as error:
+        reason = " ".join(str(error).split())[:200]
+    with open(path, "ab") as file:      # is there room for more?
+        end = file.tell()
+        file.write(bytes(_ROOM))
+        file.flush()
+        os.fsync(file.fileno())
+        file.truncate(end)
+    if reason or not end:
+        raise OutputError(f"pymeshlab cannot write {str(path.name)!r}: {reason or 'it wrote nothing'}")
+
+
+def read_layer(meshes: Any, folder: Path, spellings: Collection[str] = ()) -> Layer:
+    """The current layer of a pymeshlab.MeshSet, but for those custom attributes that read_custom cannot read; `folder`
+    gets its textures. InputError where pymeshlab does not write it as it is."""
+    mesh, path = meshes.current_mesh(), folder / "layer.ply"
+    write_mesh_file(meshes, path)
+    layer = read_columns(path)
+    if layer is None or (len(layer.vertex["x"]), *layer.face[_CORNERS].shape) != (
+            mesh.vertex_number(), mesh.face_number(), 3):
+        raise InputError("this pymeshlab does not write a layer's triangles as they are; use output='displace'")
+    custom = read_custom(meshes, spellings)[0]
+    return replace(layer, vertex={**layer.vertex, **custom["vertex"]}, face={**layer.face, **custom["face"]},
+                   customs=(len(custom["vertex"]), len(custom["face"])))
+
+
+def has_quality(mesh: Any) -> bool:
+    """Whether a pymeshlab.Mesh has a vertex quality: not where all of it is the 0 that pymeshlab begins with."""
+    return bool(mesh.has_vertex_scalar() and mesh.vertex_scalar_array().any())
+
+
+def add_custom(mesh: Any, of: str, columns: Mapping[str, np.ndarray]) -> None:
+    """Give the "vertex" or "face" elements of a pymeshlab.Mesh custom attributes, (N,) scalars or (N, 3) points."""
+    for name, column in columns.items():
+        kind = "scalar" if column.ndim == 1 else "point"
+        add = getattr(mesh, f"add_{of}_custom_{kind}_attribute")
+        add(np.ascontiguousarray(column, np.float64), name)
+
+
+def load_layer(meshes: Any, layer: Layer, folder: Path) -> None:
+    """`layer` as a new current layer; its textures lie in `folder`."""
+    path = folder / "carried.ply"
+    write_columns(path, replace(layer, vertex=layer.plain("vertex"), face=layer.plain("face")))
+    meshes.load_new_mesh(str(path))
+    mesh = meshes.current_mesh()
+    places = np.stack([layer.vertex[axis] for axis in "xyz"], axis=1)
+    if not (np.array_equal(mesh.vertex_matrix(), places)
+            and np.array_equal(mesh.face_matrix(), layer.face[_CORNERS])):
+        raise InputError("this pymeshlab does not read the .ply of a layer exactly; use output='displace'")
+    add_custom(mesh, "vertex", layer.custom("vertex"))
+    add_custom(mesh, "face", layer.custom("face"))
+
+
+def read_columns(path: Path) -> Layer | None:
+    """All columns of a binary .ply of triangles, none of them called custom; None of another one, or one whose lists
+    differ in length. InputError where it is damaged."""
+    with opened(path, 1 << 40) as file, translated(f"mesh {str(path)!r} cannot be read: "):
+        order, elements, comments, start = _header(file.read(_HEADER))
+        if order is None or [name for name, _, _ in elements[:2]] != ["vertex", "face"]:
+            return None
+        file.seek(start)
+        tables = []
+        for _, count, properties in elements[:2]:
+            here = file.tell()
+            lengths = _list_lengths(file.read(_HEADER), properties, order)
+            file.seek(here)
+            table = np.fromfile(file, _layout(properties, lengths, order), count)
+            if len(table) < count or any((table[f"#{name}"] != length).any() for name, length in lengths.items()):
+                return None
+            tables.append({name: table[name].astype(table.dtype[name].base.newbyteorder("="))
+                           for name in table.dtype.names or () if not name.startswith("#")})
+    return Layer(tables[0], tables[1], (0, 0), comments) if tables[1].get(_CORNERS) is not None else None
+
+
+def _header(head: bytes) -> tuple[str | None, list[tuple[str, int, list[_Property]]], tuple[str, ...], int]:
+    """Byte order of a .ply (None: it is text, or no .ply); name, number and properties of each element; comments; where
+    what they describe begins."""
+    text, end, _ = head.partition(b"end_header\n")
+    order, comments = None, []
+    elements: list[tuple[str, int, list[_Property]]] = []
+    for line in text.decode("utf-8", "replace").splitlines() if end else []:
+        words = line.split()
+        if words[:1] == ["format"]:
+            order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(words[1])
+        elif words[:1] == ["comment"]:
+            comments.append(line)
+        elif words[:1] == ["element"]:
+            elements.append((words[1], int(words[2]), []))
+        elif words[:2] == ["property", "list"]:      # MeshLab writes names with spaces, too
+            elements[-1][2].append(_Property(" ".join(words[4:]), _TYPES[words[3]], _TYPES[words[2]]))
+        elif words[:1] == ["property"]:
+            elements[-1][2].append(_Property(" ".join(words[2:]), _TYPES[words[1]]))
+    return order, elements, tuple(comments), len(text) + len(end)
+
+
+def _list_lengths(first: bytes, properties: list[_Property], order: str) -> dict[str, int]:
+    """Lengths of the lists of the first of some elements, which begins with the bytes `first`."""
+    lengths: dict[str, int] = {}
+    for place, entry in enumerate(properties):
+        if entry.length:
+            begin = _layout(properties[:place], lengths, order).itemsize
+            lengths[entry.name] = int(np.frombuffer(first, order + entry.length, 1, begin)[0])
+    return lengths
+
+
+def _layout(properties: list[_Property], lengths: Mapping[str, int], order: str) -> np.dtype:
+    fields: list[tuple[Any, ...]] = []
+    for name, kind, length in properties:
+        if length:
+            fields.append((f"#{name}", order + length))
+        fields.append((name, order + kind, (lengths[name],) if length else ()))
+    return np.dtype(fields)
+
+
+def write_columns(path: Path, layer: Layer) -> None:
+    """A binary .ply of the columns."""
+    header, tables = ["ply", "format binary_little_endian 1.0", *layer.comments], []
+    for element, columns in (("vertex", layer.vertex), ("face", layer.face)):
+        header.append(f"element {element} {len(next(iter(columns.values())))}")
+        fields: list[tuple[Any, ...]] = []
+        for name, column in columns.items():
+            kind = column.dtype.str[1:]
+            header.append(f"property {'list uchar ' if column.ndim == 2 else ''}{_NAMES[kind]} {name}")
+            fields += [(f"#{name}", "u1"), (name, f"<{kind}", column.shape[1:])] if column.ndim == 2 else [
+                (name, f"<{kind}")]
+        table = np.empty(len(next(iter(columns.values()))), np.dtype(fields))
+        for name, column in columns.items():
+            table[name] = column
+            if column.ndim == 2:
+                table[f"#{name}"] = column.shape[1]
+        tables.append(table)
+    with open(path, "wb") as file:
+        file.write(("\n".join([*header, "end_header"]) + "\n").encode())
+        for table in tables:
+            file.write(table.data)
