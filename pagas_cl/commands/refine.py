@@ -7,6 +7,7 @@ from functools import partial
 from itertools import count, product
 from pathlib import Path
 
+import numpy as np
 import typer
 
 from pagas_cl import __version__
@@ -35,7 +36,7 @@ from pagas_cl.report import Report, picture_files
 from pagas_cl.result import joined
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.mesh import to_surface
-from pagas_cl.scene.mesh_file import check_mesh_path, write_mesh
+from pagas_cl.scene.mesh_file import check_digits_of_scene, check_mesh_path, write_mesh
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.surface.agree import comparison_device
 from pagas_cl.surface.raster import each_depth
@@ -107,6 +108,7 @@ def command(
     if kept:
         check_kept(output, mesh, allow_loss or not keep_mesh)
     elif output is not None:
+        check_digits_of_scene(output, np.array([view.camera.center for view in found.views]))
         need("open3d", "mesh", "fusing depth maps to a mesh (--output without --mesh, or with --fuse)")
     as_given, cameras = found.views, {view.name: view.camera for view in found.views}
     for view in as_given:
