@@ -4,19 +4,18 @@
     meshes.apply_pagas_depth_refinement("SCENE")     # refines the current layer with the photos of SCENE
 """
 
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
-from pagas_cl.commands._console import shown_progress
 from pagas_cl.errors import InputError, need
 from pagas_cl.filters.filter_script import restore_history, saved_history
 from pagas_cl.filters.names import CALL, HINT, METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
 from pagas_cl.keep_mesh import Observations, kept_mesh, solve_device
+from pagas_cl.progress import progress_of
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import from_surface, to_surface, triangle_normals
 from pagas_cl.scene.readers import read_scene
@@ -76,7 +75,7 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
         Any other settings, "stage.field=value; stage.field=value".
     device : str
         Part of an OpenCL device's name.
-    progress : callable of (stage, done, total), or False
+    progress : True (where it is left out), False, a function (stage, done, total), or a Progress
         Shown on standard error where it is left out; False shows none.
 
     Returns
@@ -88,8 +87,7 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
     values = to_values(locals())
     asked, history = request(values, FILTER), saved_history(self)
     try:
-        with shown_progress() if progress is None else nullcontext(progress or None) as shown:
-            counts = refine_layer(self, scene_views(scene), asked, progress=shown)
+        counts = refine_layer(self, scene_views(scene), asked, progress=True if progress is None else progress)
         element = ElementTree.Element("filter", name=FILTER)
         for p in (p for p in PARAMETERS if p.name in values):
             ElementTree.SubElement(element, "Param", type=p.rich, name=p.name, value=values[p.name],
@@ -119,7 +117,7 @@ def scene_views(scene) -> list[View]:
 
 def refine_layer(meshes, views: list[View], asked: Request, *, device=None, progress=None) -> dict:
     """Refine the current layer of a MeshSet; what the method and the script share."""
-    from pagas_cl.cameras.effect import settle_cameras
+    from pagas_cl.cameras.effect import resolve_cameras
     from pagas_cl.refine import fuse_results, initial_depths, refine_views
 
     layer = meshes.current_mesh()
@@ -127,18 +125,19 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
     surface = to_surface(layer)  # the layer's matrix applied
     if asked.output == "displace":
         surface = replace(surface, quality=None, colors=None, normals=None)
-    views, config, _ = settle_cameras(views, surface, asked.config, device or asked.device, progress)
-    depths = initial_depths(surface, views, progress)
+    shown = progress_of(progress)
+    views, config, _ = resolve_cameras(views, surface, asked.config, device or asked.device, shown)
+    depths = initial_depths(surface, views, shown)
     if asked.output == "displace" and asked.subdivide is not None:
         surface = _subdivided(meshes, surface, views, depths, asked.subdivide, matrix)
-    results = refine_views(views, depths, config=config, device=device or asked.device, progress=progress)
+    results = refine_views(views, depths, config=config, device=device or asked.device, progress=shown)
     if asked.output == "displace":
         _displace_layer(meshes, surface, views, depths, results, asked, matrix)
     else:
-        made = (fuse_results(views, results, config, progress, device=device or asked.device)
+        made = (fuse_results(views, results, config, shown, device=device or asked.device)
                 if asked.output == "tsdf" else
                 kept_mesh(surface, views, results, config, subdivide=asked.subdivide, device=device or asked.device,
-                          progress=progress))
+                          progress=shown))
         _add_layer(meshes, made, results, f"{label} refined", matrix)
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
 

@@ -9,12 +9,12 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pagas_cl.cameras.refine import CameraRefinement, refine_cameras
+    from pagas_cl.cameras.refine import CameraRefinement
     from pagas_cl.config import Config
     from pagas_cl.errors import DeviceError, InputError, KernelBuildError, MissingExtraError, PagasError
     from pagas_cl.one_view import refine_depth
     from pagas_cl.presets import preset
-    from pagas_cl.refine import refine_mesh, refine_views
+    from pagas_cl.refine import refine_cameras, refine_mesh, refine_views
     from pagas_cl.result import DepthResult
     from pagas_cl.scene.camera import Camera
     from pagas_cl.scene.check import check_cameras
@@ -33,12 +33,12 @@ __all__ = [
 ]
 
 _HOME = {  # as the imports above
-    "cameras.refine": ["CameraRefinement", "refine_cameras"],
+    "cameras.refine": ["CameraRefinement"],
     "config": ["Config"],
     "errors": ["DeviceError", "InputError", "KernelBuildError", "MissingExtraError", "PagasError"],
     "presets": ["preset"],
     "one_view": ["refine_depth"],
-    "refine": ["refine_mesh", "refine_views"],
+    "refine": ["refine_cameras", "refine_mesh", "refine_views"],
     "result": ["DepthResult"],
     "scene.camera": ["Camera"],
     "scene.check": ["check_cameras"],

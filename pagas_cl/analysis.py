@@ -8,6 +8,7 @@ from pagas_cl.config import Config
 from pagas_cl.effects import EFFECTS, Decision, decide, decide_consistency
 from pagas_cl.measurements import Measurements, measure
 from pagas_cl.presets import preset
+from pagas_cl.progress import Progress, Reporter, progress_of, reported, stage
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.inputs import asked_views, checked_depth, depth_array, depth_maps
@@ -58,7 +59,7 @@ class Analysis:
 
 
 def analyze(views, depths, *, names=None, config: Config | None = None, device=None, costs: bool = True,
-            progress=None) -> Analysis:
+            progress: Reporter = None) -> Analysis:
     """Measure what each view calls for; nothing is refined. Parameters as in refine_views, "balanced" by default.
 
     `costs`: whether to time some steps with each effect on and off, on the first view that has context views.
@@ -67,9 +68,9 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
     depths = depth_maps(views, depths)
     asked, photos = asked_views(views, depths, names), PhotoStore(device)
     chooser = PartnerChooser([view.camera for view in views], depths, config.context)
-    found, timed, measured_costs, tell = [], "", {}, progress or (lambda stage, done, total: None)
-    for index in asked:
-        tell("analyze", len(found), len(asked))
+    shown = progress_of(progress)
+    found, timed, measured_costs = [], "", {}
+    for index in reported(shown, "analyze", asked):
         target, partners = views[index], chooser.choose(index)
         if not partners.contexts:
             found.append(ViewAnalysis(target.name, (), (), None, partners.reason))
@@ -79,25 +80,24 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
         decisions = decide(config, measured)[1]
         found.append(ViewAnalysis(target.name, tuple(v.name for v in contexts), tuple(decisions), measured))
         if costs and not timed:
-            tell("analyze", len(found), len(asked))
             timed, few = target.name, (index, *partners.contexts)
-            measured_costs = effect_costs(target, contexts, depth, config, measured, device, photos, tell)
-    tell("analyze", len(asked), len(asked))
-    tell("compare the depth maps", 0, 1)
-    agreement = decide_consistency([view.camera for view in views], depths, config, device)[1]
-    tell("compare the depth maps", 1, 1)
+            measured_costs = effect_costs(target, contexts, depth, config, measured, device, photos, shown)
+    with stage(shown, "compare the depth maps", 1) as comparing:
+        agreement = decide_consistency([view.camera for view in views], depths, config, device)[1]
+        comparing.advance(1)
     cameras = None
     if config.effects.cameras != "set" and FEWEST <= len(views) <= MOST:
-        cameras = decide_cameras(views, depths, config, device)[0]
-        if cameras.on and timed:
-            measured_costs["cameras"] = EffectCost(camera_seconds(
-                [views[k] for k in few], [depths[k] for k in few], config, device, len(views)), 0.0, 0)
-        tell("measure the cameras", 1, 1)
+        with stage(shown, "measure the cameras", 1) as measuring:
+            cameras = decide_cameras(views, depths, config, device)[0]
+            if cameras.on and timed:
+                measured_costs["cameras"] = EffectCost(camera_seconds(
+                    [views[k] for k in few], [depths[k] for k in few], config, device, len(views)), 0.0, 0)
+            measuring.advance(1)
     return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement, cameras)
 
 
 def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device, photos,
-                 tell) -> dict[str, EffectCost]:
+                 progress: Progress) -> dict[str, EffectCost]:
     """Steps of one view with each effect on and off, the others as decided."""
     known, costs = {}, {}
 
@@ -107,10 +107,8 @@ def effect_costs(target, contexts, depth, config: Config, measured: Measurements
         return known[settled].view_seconds(settled), known[settled].device_bytes
 
     names = [name for name in EFFECTS if getattr(config.effects, name) != "set"]
-    for done, name in enumerate(names):
-        tell("time the effects", done, len(names))
+    for name in reported(progress, "time the effects", names):
         on, off = (cost(decide(config.with_settings(**{f"effects__{name}": choice}), measured)[0])
                    for choice in ("on", "off"))
         costs[name] = EffectCost(on[0], off[0], on[1] - off[1])
-    tell("time the effects", len(names), len(names))
     return costs

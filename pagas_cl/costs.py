@@ -21,6 +21,7 @@ from pagas_cl.effects import agreement_rounds, between_rounds, decide, settle
 from pagas_cl.errors import InputError
 from pagas_cl.measurements import measure
 from pagas_cl.presets import preset
+from pagas_cl.progress import Stage
 from pagas_cl.scene.choice import MOST_HELD_OUT, ContextChooser, shared_out
 from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.names import place_of
@@ -142,8 +143,8 @@ def photo_seconds(views, device) -> float:
 class Costs:
     """Expected times of any settings for the views of a scene (as refine_views has them), each kind probed once."""
 
-    def __init__(self, views, depths, device, names=None, progress=None):
-        self._progress, self._ran = progress, 0
+    def __init__(self, views, depths, device, names=None, timing: Stage | None = None):
+        self._timing, self._ran = timing, 0
         samples = [None if depth is None else sample_depth(depth_array(depth)) for depth in depths]
         wanted = {place_of(name, [view.name for view in views]) for name in names or ()}
         asked = [k for k, sample in enumerate(samples) if sample is not None and len(sample.rows)
@@ -191,8 +192,8 @@ class Costs:
 
     def _tell(self) -> None:
         self._ran += 1
-        if self._progress:
-            self._progress("time the settings", min(self._ran, RUNS - 1), RUNS)
+        if self._timing:
+            self._timing.advance(min(self._ran, RUNS - 1))
 
     @cached_property
     def _photo(self) -> float:

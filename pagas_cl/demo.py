@@ -8,7 +8,7 @@ from pagas_cl import __version__
 from pagas_cl.errors import log
 from pagas_cl.evaluate import DepthReport, compare_depth, compare_predictions
 from pagas_cl.presets import settings_of
-from pagas_cl.progress import ViewProgress
+from pagas_cl.progress import Progress, Reporter, progress_of, reported
 from pagas_cl.report import Report
 from pagas_cl.scene.mesh_file import write_mesh
 from pagas_cl.surface.agree import comparison_device
@@ -43,22 +43,20 @@ class DemoResult:
 
 
 def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = None, config=None, device=None,
-             progress=None, **settings) -> DemoResult:
+             progress: Reporter = None, **settings) -> DemoResult:
     """Make a relief scene, refine the depth of each of its views, compare with the truth, fuse a mesh.
 
     `folder` gets `scene/` (photos, cameras, coarse mesh, depth maps: input for the other commands), `report/` with the
     page and the pictures, `mesh_refined.ply`. `contexts`: views besides the target and one held-out view. `preset`,
     `config`, `device` and `progress` as in refine_depth; `settings` are further fields of synthetic.Relief.
     """
-    folder, progress = Path(folder), progress or (lambda stage, done, total: None)
+    folder, shown = Path(folder), progress_of(progress)
     synthetic = relief_scene(width, height, contexts, held_out=1, **settings)
-    for number in range(len(synthetic.cameras)):
-        progress("make the scene", number, len(synthetic.cameras))
+    for number in reported(shown, "make the scene", range(len(synthetic.cameras))):
         synthetic.image(number)
     write_scene(synthetic, folder / "scene")
-    progress("make the scene", len(synthetic.cameras), len(synthetic.cameras))
     start = time.perf_counter()
-    results = _refined(synthetic, settings_of(preset, config), device, progress)
+    results = _refined(synthetic, settings_of(preset, config), device, shown)
     seconds = time.perf_counter() - start
     depths = [result.depth for result in results]
     initial = [synthetic.initial_depth(view.camera) for view in synthetic.views]
@@ -71,7 +69,7 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = 
         for view, old, result in zip(synthetic.views, initial, results):
             report.add(view, old, result.depth, contexts=[v.camera for v in synthetic.views if v is not view],
                        confidence=result.confidence, counts=result.counts)
-        mesh = _mesh(synthetic, depths, folder, progress, report, device)
+        mesh = _mesh(synthetic, depths, folder, shown, report, device)
     target, other = synthetic.views[0], synthetic.held_out[0]
     predicted = compare_predictions(target, [initial[0], depths[0]], other, synthetic.true_depth(other.camera))
     return DemoResult(_errors(synthetic, initial), _errors(synthetic, depths), tuple(p.median for p in predicted),
@@ -87,16 +85,13 @@ def make_example(folder, format: str, width: int = 288, height: int = 216, conte
             f"--output {folder}_fine.ply\n")
 
 
-def _refined(synthetic: SyntheticScene, config, device, progress):
+def _refined(synthetic: SyntheticScene, config, device, progress: Progress):
     from pagas_cl.one_view import refine_depth
 
-    results, view_progress = [], ViewProgress(progress, len(synthetic.views))
-    for number, view in enumerate(synthetic.views):
-        view_progress.at(number)
+    results = []
+    for view in reported(progress, "refine", synthetic.views):
         others = [other for other in synthetic.views if other is not view]
-        results.append(refine_depth(view, others, synthetic.initial_depth(view.camera), config=config, device=device,
-                                    progress=view_progress.inside(number)))
-    view_progress.at(len(synthetic.views))
+        results.append(refine_depth(view, others, synthetic.initial_depth(view.camera), config=config, device=device))
     return results
 
 
@@ -107,7 +102,7 @@ def _errors(synthetic, depths):
             for view, depth in zip(synthetic.views, depths)}
 
 
-def _mesh(synthetic, depths, folder, progress, report, device):
+def _mesh(synthetic, depths, folder, progress: Progress, report, device):
     try:
         import open3d  # noqa: F401
     except ImportError as error:  # absent, or one of the system libraries that it needs is

@@ -10,7 +10,7 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.errors import DeviceMemoryError, InputError, log
-from pagas_cl.progress import Progress, ViewProgress
+from pagas_cl.progress import NONE, Progress, Stage, stage
 from pagas_cl.result import joined
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.files import differing
@@ -32,7 +32,8 @@ from pagas_cl.surface.subdivide import undivided
 
 _DETAIL, FLAT = 1.5, 0.04     # footprints: edges that hold what photos show; how flat is flat
 _MEMORY, _SHARE = 300.0, 14e-6   # MB for the mesh, where more is free: 660 000 triangles; the same a pixel of all views
-_FITTED, _CHECKED = 0.57, 1.2  # measured: of what is left, that of the last level; rounds by time, what follows them
+_PERCENT = 100             # of the mesh's progress
+_FITTED, _SOLVED = 0.8, 0.9    # shares of its time, measured: until the triangles are chosen, and until they lie right
 _POLISH = 1                  # rounds of the solve on a fused mesh, which lies on the depth maps
 
 
@@ -52,8 +53,8 @@ def check_flat(flat) -> None:
 
 
 def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdivide: float | None = None,
-              flat: float = FLAT, device=None, memory_mb: float | None = None, tell: Callable | None = None,
-              progress: Progress | None = None):
+              flat: float = FLAT, device=None, memory_mb: float | None = None, note: Callable | None = None,
+              progress: Progress = NONE):
     """A mesh of the kind of `mesh` (anything that refine_mesh takes; of a path a Surface) with everything that sits on
     it, its vertices where the refined depth maps say. `results` are what refine_views gave.
 
@@ -61,11 +62,16 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
     (1.5) pixel footprints are split where depth maps lie off them; afterwards splits are undone where the surface is
     flat within `flat` footprints, and the rest is solved once more. In `memory_mb` of host memory, or mesh_mb.
     "displace": with the same triangles (surface.mesh_solve), or all edges split that are longer than `subdivide`.
-    `tell(text)` is told what is wrong with triangles, before and after.
+    `note(text)` is called with what is wrong with triangles, before and after.
     """
-    solving = ViewProgress(progress, 1, "solve the mesh")
-    solving.at(0)
     check_subdivide(subdivide)
+    with stage(progress, "solve the mesh", _PERCENT) as solving:
+        return _kept(mesh, views, results, config, output, subdivide, flat, device, memory_mb, note, solving)
+
+
+def _kept(mesh, views, results, config: Config, output: str, subdivide: float | None, flat: float, device,
+          memory_mb: float | None, note: Callable | None, solving: Stage):
+    """kept_mesh, of arguments that were checked."""
     used = [result for _, result in joined(views, results)]
     surface = given = to_surface(mesh)
     mesh = given if isinstance(mesh, (str, Path)) else mesh
@@ -76,27 +82,26 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
     if output == "mesh":
         most = int((memory_mb or mesh_mb(cameras)) * 1e6 / TRIANGLE_BYTES)
         division, surface = _detailed(given, observed, device, finest, subdivide or _DETAIL, flat, least_views, most,
-                                      solving.at)
+                                      lambda share: solving.advance(_FITTED * _PERCENT * share))
         rounds = 1
-        solving.further(_FITTED)
     elif subdivide is not None:
         division = split_edges(given.vertices, given.faces, subdivide * finest)
         surface = Surface(division.vertices(given.vertices), division.faces)
     solved = solve_mesh(surface, observed, device, least_views=least_views, rounds=rounds)
-    solving.further(rounds / (rounds + _CHECKED))
+    solving.advance(_PERCENT * _SOLVED)
     before = given.vertices if division is None else division.vertices(given.vertices)
     vertices, faults = without_new(device, given, division, solved.vertices)
     moved = unlike(vertices, before)
     log.info("mesh: %d of %d vertices moved; %d were held back, since a triangle would have turned over", moved.sum(),
              len(moved), solved.held)
     log.info("mesh: %s", faults)
-    if tell:
-        tell(f"mesh: {faults}")
+    if note:
+        note(f"mesh: {faults}")
     if not moved.any():
         log.warning("no vertex moved: no two refined views agree on any of them (%d views were refined)",
                     sum(not result.reason for result in used))
     quality = np.where(moved, vertex_confidence(vertices, used), 0)
-    solving.at(1)
+    solving.advance(_PERCENT)
     return with_vertices(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
 
 

@@ -8,13 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.acceptance import nothing_reason, own_reason, rejection_reason
-from pagas_cl.before_steps import BeforeSteps
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision, decide_mismatch, settle
 from pagas_cl.errors import log
 from pagas_cl.measurements import Measurements
 from pagas_cl.presets import settings_of
-from pagas_cl.progress import Progress
+from pagas_cl.progress import NONE, OnStep, Reporter, progress_of, stage
+from pagas_cl.resemblance import views_to_ask
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device, open_device
 from pagas_cl.scene.choice import Partners
@@ -25,7 +25,7 @@ from pagas_cl.splat.budget import fit_memory
 
 
 def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *, preset: str | None = None,
-                 config: Config | None = None, device: str | Device | None = None, progress: Progress | None = None,
+                 config: Config | None = None, device: str | Device | None = None, progress: Reporter = None,
                  held_out: Sequence[View] = (), photos: PhotoStore | None = None) -> DepthResult:
     """Refine the depth map of one view. Needs neither Open3D nor a mesh.
 
@@ -42,8 +42,8 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
         returned as it came, with the reason.
     photos : PhotoStore, optional
         Photos that are on the device already.
-    progress : callable of (stage, done, total), optional
-        Told of steps that the device has done, of those of all levels.
+    progress : True, a function (stage, done, total), or a Progress, optional
+        One stage, whose total is 1.
     preset, config, device
         As in refine_mesh.
 
@@ -54,48 +54,45 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     config, depth, device = settings_of(preset, config), checked_depth(depth, target), open_device(device)
     if not contexts:
         return DepthResult.unrefined(target.camera, depth, "no context views were given", name=target.name)
-    photos = photos or PhotoStore(device)
-    return _refined(target, contexts, depth, config, device, photos, progress, held_out,
-                    cache(lambda: NormalizedDepth(target, depth, device)))
+    photos, shown = photos or PhotoStore(device), progress_of(progress)
+    with stage(shown, f"refine {target.name}", 1.0) as view:
+        on_step = None if shown is NONE else lambda done, total: view.advance(done / total)
+        return _refined(target, contexts, depth, config, device, photos, on_step, held_out,
+                        cache(lambda: NormalizedDepth(target, depth, device)))
 
 
 def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, depth: npt.ArrayLike, config: Config,
-               device: Device, photos: PhotoStore, progress: Progress | None = None, *,
-               before: BeforeSteps | None = None, meanwhile: Callable[[], None] | None = None) -> DepthResult:
+               device: Device, photos: PhotoStore, on_step: OnStep | None = None) -> DepthResult:
     """One of many views, with the partners chosen for it: a pure function, which any worker may run.
 
-    `views` by place: a list, or a dict with those that are needed. `progress` as in refine_depth. `before`: what was
-    found of it already; `meanwhile()` as of splat.refine_levels.
+    `views` by place: a list, or a dict with those that are needed. `on_step(done, total)` is called for each step that
+    the device has done, of those of all levels.
     """
     target, depth = views[partners.target], checked_depth(depth, views[partners.target])
     if not partners.contexts:
         log.warning("view %s is kept as it came: %s", target.name, partners.reason)
         return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
-    before = before or BeforeSteps(views, partners, depth, config, device, photos)
-    before.finish()
-    asked, decision = before.asked, before.decision
-    result = _refined(target, [views[k] for k in asked.contexts], depth, config, device, photos, progress,
-                      [views[k] for k in asked.held_out], before.on_device, before.measured, meanwhile)
+    on_device = cache(lambda: NormalizedDepth(target, depth, device))
+    asked, decision = views_to_ask(views, partners, depth, config, device, photos, on_device)
+    result = _refined(target, [views[k] for k in asked.contexts], depth, config, device, photos, on_step,
+                      [views[k] for k in asked.held_out], on_device)
     result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
     result.report["left_out"] = [k for k in partners.all if k not in asked.all]         # by place: not all have names
     return result
 
 
 def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
-             photos: PhotoStore, progress: Progress | None, held_out: Sequence[View],
-             on_device: Callable[[], NormalizedDepth], known: Measurements | None = None,
-             meanwhile: Callable[[], None] | None = None) -> DepthResult:
-    """refine_depth, of arguments that were checked; `known` as of settle."""
+             photos: PhotoStore, on_step: OnStep | None, held_out: Sequence[View],
+             on_device: Callable[[], NormalizedDepth]) -> DepthResult:
+    """refine_depth, of arguments that were checked."""
     start = time.perf_counter()
-    steps_done = (lambda done, total: progress(f"refine {target.name}", done, total)) if progress else None
 
     def attempt(photos: PhotoStore) -> tuple[Refinement, list[Decision], Measurements | None]:
         normalized = on_device()
-        with settle(target, contexts, depth, config, device, photos, normalized=normalized, known=known) as (
+        with settle(target, contexts, depth, config, device, photos, normalized=normalized) as (
                 own, decisions, measured, used):
-            refined = refine_levels(target, used, depth, own, device, photos, progress=steps_done, held_out=held_out,
-                                    measured=measured, normalized=normalized,
-                                    meanwhile=meanwhile if isinstance(photos, PhotoStore) else None)
+            refined = refine_levels(target, used, depth, own, device, photos, on_step=on_step, held_out=held_out,
+                                    measured=measured, normalized=normalized)
         return refined, decisions, measured
 
     refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)

@@ -1,42 +1,203 @@
-"""What a run of many views tells its caller: views that are done, and the part of one that is under way."""
+"""How a run reports how far it is: a stage is started with its total, advances, and is finished.
 
-from collections.abc import Callable
-from typing import Any, TypeAlias
+Every public function takes `progress`: None (nothing is shown), True (bars on a terminal or in a notebook, a line a
+stage elsewhere), a function (stage, done, total), or an object of one's own with the method of `Progress`.
+"""
 
-# What a caller is told of a run by: (stage, done, total).
-Progress: TypeAlias = Callable[[str, float, float], Any]
-_STEPS = 0.95     # of a view's time; what judges and writes its depth comes after
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Protocol, TextIO, TypeAlias, TypeVar, runtime_checkable
+
+from pagas_cl.errors import InputError, plain
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress as RichProgress
+
+Item = TypeVar("Item")
+OnStep: TypeAlias = Callable[[int, int], Any]
+"""Called with (steps done, all steps) of a view."""
+
+_STEPS = 0.95     # of a view's time; what judges and writes its depth comes after them
 
 
-def tell(progress: Progress | None, what: str, *given: Any) -> None:
-    """Tell who listens, if it wants to know, what is to come: `what` is a method of Outlook."""
-    if hasattr(progress, what):
-        getattr(progress, what)(*given)
+class Stage(Protocol):
+    """A stage that is under way."""
+
+    def advance(self, done: float) -> None:
+        """So much of the total is done by now; a fraction lies within the piece that is at work."""
+
+    def finish(self) -> None:
+        """The stage has ended: all of it is done, or an error has ended it earlier."""
 
 
-class ViewProgress:
-    """Calls `progress(stage, done, total)` with views done, a fraction within one; never with fewer than before.
+@runtime_checkable
+class Progress(Protocol):
+    """Shows the stages of a run."""
 
-    A view that is tried again says nothing until it is further than it was. `progress` None: nobody is told.
-    """
+    def start(self, name: str, total: float) -> Stage:
+        """A stage of `total` pieces of work (views, settings, ...) begins."""
 
-    def __init__(self, progress: Progress | None, total: int, stage: str = "refine"):
-        self.progress, self.total, self.stage, self._most = progress, total, stage, -1.0
 
-    def expect(self, number: int, of: int) -> None:
-        """So many are left to do, of `of` views that the run has."""
-        tell(self.progress, "expect_some", self.stage, number, self.total, of)
+Reporter: TypeAlias = Progress | Callable[[str, float, float], Any] | bool | None
+"""What public functions take as `progress`."""
 
-    def at(self, done: float) -> None:
-        """`done` views are."""
-        if self.progress and done > self._most:
+
+@contextmanager
+def stage(progress: Progress, name: str, total: float) -> Iterator[Stage]:
+    """Context of a stage: started at its beginning, finished at its end, however that comes about."""
+    started = progress.start(name, total)
+    started.advance(0)
+    try:
+        yield started
+    finally:
+        started.finish()
+
+
+def reported(progress: Progress, name: str, items: Sequence[Item]) -> Iterator[Item]:
+    """The `items`, one after the other, as a stage of so many."""
+    with stage(progress, name, len(items)) as under_way:
+        for number, item in enumerate(items):
+            yield item
+            under_way.advance(number + 1)
+
+
+def progress_of(reporter: Reporter) -> Progress:
+    """The Progress that a caller's `progress` stands for; InputError for anything else."""
+    if reporter is None or reporter is False:
+        return NONE
+    if reporter is True:
+        return shown_on(sys.stderr)
+    if isinstance(reporter, Progress):
+        return reporter
+    if callable(reporter):
+        return CallbackProgress(reporter)
+    raise InputError(f"progress is a {type(reporter).__name__}, expected True, None, a function (stage, done, total), "
+                     "or an object with start(name, total)")
+
+
+def shown_on(stream: TextIO) -> Progress:
+    """Bars where `stream` is a terminal or this is a notebook, else a line a stage."""
+    from rich.console import Console
+
+    console = Console(file=stream)
+    return BarProgress(console) if console.is_terminal or console.is_jupyter else LineProgress(stream)
+
+
+def within_view(views: Stage, number: int) -> OnStep:
+    """Of the view after the first `number` of a stage of views."""
+    return lambda steps, of: views.advance(number + _STEPS * steps / of)
+
+
+class _Nothing:
+    """A Progress and a Stage that show nothing."""
+
+    def start(self, name: str, total: float) -> Stage:
+        return self
+
+    def advance(self, done: float) -> None:
+        pass
+
+    def finish(self) -> None:
+        pass
+
+
+NONE = _Nothing()
+
+
+class CallbackProgress:
+    """Calls function(stage, done, total), with never less done than before."""
+
+    def __init__(self, function: Callable[[str, float, float], Any]):
+        self._function = function
+
+    def start(self, name: str, total: float) -> Stage:
+        """A stage that calls the function."""
+        return _CalledStage(lambda done: self._function(name, done, total), total)
+
+
+class _CalledStage:
+    def __init__(self, call: Callable[[float], Any], total: float):
+        self._call, self._total, self._most = call, total, -1.0
+
+    def advance(self, done: float) -> None:
+        if done > self._most:       # a view that is tried again reports nothing until it is further than it was
             self._most = done
-            self.progress(self.stage, done, self.total)
+            self._call(min(done, self._total))
 
-    def further(self, share: float) -> None:
-        """Such a share of what was left is done."""
-        self.at(self._most + share * (self.total - self._most))
+    def finish(self) -> None:
+        pass
 
-    def inside(self, done: int) -> Progress | None:
-        """Progress of refine_depth for the view after the first `done`; None where nobody is told."""
-        return self.progress and (lambda stage, steps, of: self.at(done + _STEPS * steps / of))
+
+class LineProgress:
+    """For a file or a pipe: one line when a stage has ended."""
+
+    def __init__(self, stream: TextIO):
+        self._stream = stream
+
+    def start(self, name: str, total: float) -> Stage:
+        """A stage that writes its line at its end."""
+        return _LineStage(self._stream, plain(name), total)
+
+
+class _LineStage:
+    def __init__(self, stream: TextIO, name: str, total: float):
+        self._stream, self._name, self._total = stream, name, total
+        self._done, self._began = 0.0, time.monotonic()
+
+    def advance(self, done: float) -> None:
+        self._done = max(done, self._done)
+
+    def finish(self) -> None:
+        took = time.monotonic() - self._began
+        self._stream.write(f"{self._name}: {int(self._done)} of {int(self._total)} in {took:.0f} s\n")
+
+
+class BarProgress:
+    """A bar a stage on `console`, with the time that has passed and the time that is left of it, by rich."""
+
+    def __init__(self, console: "Console"):
+        self._console = console
+        self._bars: RichProgress | None = None
+        self._open = 0
+
+    def start(self, name: str, total: float) -> Stage:
+        """A stage with a bar; bars stay on the screen when all stages that are under way have ended."""
+        if self._bars is None:
+            self._bars = _bars(self._console)
+            self._bars.start()
+        self._open += 1
+        return _BarStage(self, self._bars, plain(name), total)
+
+    def close_one(self) -> None:
+        """A stage has ended."""
+        self._open -= 1
+        if self._open == 0 and self._bars is not None:
+            self._bars.stop()
+            self._bars = None
+
+
+def _bars(console: "Console") -> "RichProgress":
+    from rich import progress
+
+    return progress.Progress(progress.TextColumn("{task.description}", markup=False), progress.BarColumn(),
+                             progress.MofNCompleteColumn(), progress.TimeElapsedColumn(), progress.TextColumn("left:"),
+                             progress.TimeRemainingColumn(), console=console, speed_estimate_period=600,
+                             redirect_stdout=False)      # which may be a file, and is none of the bar's
+
+
+class _BarStage:
+    def __init__(self, owner: BarProgress, bars: "RichProgress", name: str, total: float):
+        self._owner, self._bars = owner, bars
+        self._task, self._most = bars.add_task(name, total=total), 0.0
+
+    def advance(self, done: float) -> None:
+        if done > self._most:
+            self._most = done
+            self._bars.update(self._task, completed=done)
+
+    def finish(self) -> None:
+        self._bars.stop_task(self._task)
+        self._owner.close_one()

@@ -1,42 +1,87 @@
 """The method on one page (arXiv 2604.22129): photos, cameras and a coarse surface in, a finer surface out."""
 
-from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pagas_cl.before_steps import BeforeSteps
-from pagas_cl.cameras.effect import settle_cameras
+from pagas_cl.cameras import refine as camera_refinement
+from pagas_cl.cameras.blocks import MakeBlocks
+from pagas_cl.cameras.effect import resolve_cameras
+from pagas_cl.cameras.refine import CameraRefinement
 from pagas_cl.config import Config
 from pagas_cl.effects import decide_consistency
 from pagas_cl.errors import InputError, log
 from pagas_cl.jobs import refine_all
+from pagas_cl.jobs.camera_blocks import blocks_by
+from pagas_cl.jobs.finished import one_run, work_folder
+from pagas_cl.jobs.store import Store
 from pagas_cl.keep_mesh import FLAT, check_flat, check_subdivide, kept_mesh, polished
 from pagas_cl.one_view import refine_one
 from pagas_cl.presets import settings_of
-from pagas_cl.progress import Progress, ViewProgress
+from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult, OnDisk, joined
 from pagas_cl.rounds import later_rounds
-from pagas_cl.runtime.device import Devices
+from pagas_cl.runtime.device import Devices, is_elsewhere, one_of, open_device
 from pagas_cl.scene.check import check_seen
-from pagas_cl.scene.choice import PartnerChooser
-from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, depth_array, depth_maps
+from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, depth_maps
 from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
-from pagas_cl.scene.reasons import warn_of_nothing
 from pagas_cl.scene.view import View
-from pagas_cl.splat import PhotoStore, photos_here
+from pagas_cl.splat import PhotoStore
 from pagas_cl.surface import blocks
 from pagas_cl.surface.agree import comparison_device, confirmed
 from pagas_cl.surface.fuse import weights_of
 from pagas_cl.surface.raster import each_depth
 
+OUTPUTS = ("mesh", "tsdf", "displace")
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where the work is done, and where finished views are kept: parameters of refine_views."""
+
+    device: Devices | None = None
+    executor: Executor | str | None = None
+    folder: str | Path | None = None
+
+    def photos(self) -> PhotoStore | None:
+        """Room for photos on the one device of this process; None where other processes work."""
+        return None if is_elsewhere(self.executor, self.device) else PhotoStore(open_device(one_of(self.device)))
+
+    def blocks(self) -> AbstractContextManager[MakeBlocks]:
+        """Context of what adds up the normal equations of cameras."""
+        return blocks_by(self.executor, self.device, self.folder)
+
+
+@dataclass(frozen=True, eq=False)
+class MeshOptions:
+    """What comes of the depth maps: `output` as in refine_mesh, None for no mesh. `memory_mb` of host memory; `note` is
+    called with a sentence on what was found out while it was made."""
+
+    output: str | None = None
+    subdivide: float | None = None
+    flat: float = FLAT
+    memory_mb: float | None = None
+    note: Callable[[str], Any] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """What a run gives: the views with the cameras that depth maps and mesh belong to, results as of refine_views, the
+    mesh (of the kind that came in), and what is known of the cameras, where they were refined before the views."""
+
+    views: list[View]
+    results: list[DepthResult]
+    mesh: Mesh | None
+    cameras: CameraRefinement | None
+
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
-                config: Config | None = None, device: Devices | None = None, progress: Progress | None = None,
+                config: Config | None = None, device: Devices | None = None, progress: Reporter = None,
                 output: str = "mesh", subdivide: float | None = None, flat: float = FLAT,
                 executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
     """Refine a mesh with calibrated photos.
@@ -58,8 +103,8 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     device : str, optional
         Part of the name of an OpenCL device; a GPU before a CPU by default. "all", or a list of names: one process on
         each of these devices of this machine.
-    progress : callable of (stage, done, total), optional
-        `done` is a fraction within a view.
+    progress : True, a function (stage, done, total), or a Progress, optional
+        True: bars with the time left, in a terminal or a notebook. `done` has fractions within a view.
     output : str
         "mesh": the given mesh with as many triangles as the detail that photos show needs; what no photo sees stays,
         and so do texture coordinates and attributes; in 300 MB of host memory, or 14 bytes a pixel of all photos.
@@ -83,28 +128,63 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     ------
     InputError, DeviceError, MissingExtraError
     """
-    if output not in ("mesh", "tsdf", "displace"):
+    if output not in OUTPUTS:
         raise InputError(f"output is {output!r}, expected 'mesh', 'tsdf' or 'displace'")
     check_subdivide(subdivide)
     check_flat(flat)
-    config, views, surface = settings_of(preset, config), as_views(cams, images, masks), to_surface(mesh)
-    photos = photos_here(device, executor, folder)
-    views, config, _ = settle_cameras(views, surface, config, device, progress, photos, executor, folder)
-    depths = initial_depths(surface, views, progress, device=device)
-    results = refine_views(views, depths, config=config, device=device, progress=progress, executor=executor,
-                           folder=folder, photos=photos)
-    if output != "tsdf":
-        given = surface if isinstance(mesh, (str, Path)) else mesh
-        return kept_mesh(given, views, results, config, output, subdivide, flat, device, progress=progress)
-    fused = fuse_results(views, results, config, progress, executor=executor, folder=folder, device=device)
-    return from_surface(fused, like=mesh)
+    given = to_surface(mesh) if isinstance(mesh, (str, Path)) else mesh
+    return refine_scene(as_views(cams, images, masks), given, None, settings_of(preset, config),
+                        making=MeshOptions(output, subdivide, flat), place=Place(device, executor, folder),
+                        progress=progress).mesh
+
+
+def refine_scene(views: Sequence[View], mesh: Mesh | None, depths: Sequence[Depth | None] | None, config: Config, *,
+                 names: Collection[str] | None = None, making: MeshOptions = MeshOptions(), place: Place = Place(),
+                 progress: Reporter = None, on_view: Callable[[View, Depth, DepthResult], Any] | None = None,
+                 choose: Callable[[list[View], Sequence[Any], Config], Config] | None = None) -> Refined:
+    """The whole run, from a mesh or from depth maps: what refine_mesh and the command line do.
+
+    `choose(views, depths, config)` gives the settings to go on with, once cameras and depth maps are there. The other
+    parameters are as in refine_mesh and refine_views.
+    """
+    shown, photos = progress_of(progress), place.photos()
+    with one_run(Path(place.folder)) if place.folder is not None else nullcontext():
+        views, cameras = list(views), None
+        if mesh is not None:
+            surface = to_surface(mesh)
+            views, config, cameras = resolve_cameras(views, surface, config, place.device, shown, photos, place.blocks)
+            depths = initial_depths(surface, views, shown, _kept_in(place.folder), place.device)
+        elif depths is None:
+            raise InputError("expected a mesh or depth maps to start from, got neither")
+        if choose is not None:
+            config = choose(views, depths, config)
+        results = _refine_views(views, depths, names, config, place, shown, on_view, photos=photos)
+        return Refined(views, results, _made(views, results, mesh, config, making, place, shown), cameras)
+
+
+def _made(views: list[View], results: list[DepthResult], mesh: Mesh | None, config: Config, making: MeshOptions,
+          place: Place, progress: Progress) -> Mesh | None:
+    """The mesh that comes of refined depth maps."""
+    if making.output is None:
+        return None
+    if making.output == "tsdf":
+        fused = fuse_results(views, results, config, progress, making.memory_mb, making.note, executor=place.executor,
+                             folder=place.folder, device=place.device)
+        return fused if mesh is None else from_surface(fused, like=mesh)
+    return kept_mesh(mesh, views, results, config, making.output, making.subdivide, making.flat, place.device,
+                     making.memory_mb, making.note, progress)
+
+
+def _kept_in(folder: str | Path | None) -> Callable[[np.ndarray], Any] | None:
+    """What keeps a depth map in the work folder of a run."""
+    return None if folder is None else Store(work_folder(Path(folder).resolve()) / "inputs").put
 
 
 def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names: Collection[str] | None = None,
                  config: Config | None = None, preset: str | None = None, device: Devices | None = None,
-                 progress: Progress | None = None, on_view: Callable[[View, Depth, DepthResult], Any] | None = None,
+                 progress: Reporter = None, on_view: Callable[[View, Depth, DepthResult], Any] | None = None,
                  executor: Executor | str | None = None, folder: str | Path | None = None,
-                 extras: bool = True, photos: PhotoStore | None = None) -> list[DepthResult]:
+                 extras: bool = True) -> list[DepthResult]:
     """Refine the depth maps of many views, each by itself; where cameras are off, these first (effects.cameras): each
     result has the camera that its depth map belongs to. Then, where the effect `agreement` is called for, in rounds in
     which depth maps of views that see the same surface are evidence for one another (method section 8.1).
@@ -117,7 +197,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     names : collection of str, optional
         Views to refine; all that have a depth map by default. The others are context views still.
     on_view : callable of (view, initial depth, DepthResult), optional
-        Called when a view is finished, in the last round (with `folder`: its batch of 64); what it returns is dropped.
+        Called when a view is finished, in the last round; what it returns is dropped.
     executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
         Where the views are refined instead of in this process; see pagas_cl.jobs.
     folder : path, optional
@@ -125,8 +205,6 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
         their arrays from there when they are asked for.
     extras : bool
         With `folder`: whether it keeps status, deviation and parallax too, 9 bytes a pixel.
-    photos : PhotoStore, optional
-        Photos that are on the one device already; they are forgotten in the end.
 
     Returns
     -------
@@ -136,47 +214,39 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     ------
     InputError, DeviceError
     """
-    config, depths = settings_of(preset, config), depth_maps(views, depths)
+    return _refine_views(list(views), depths, names, settings_of(preset, config), Place(device, executor, folder),
+                         progress_of(progress), on_view, extras)
+
+
+def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Collection[str] | None, config: Config,
+                  place: Place, progress: Progress, on_view: Callable[..., Any] | None, extras: bool = True,
+                  photos: PhotoStore | None = None) -> list[DepthResult]:
+    """refine_views; `photos` are on the one device already."""
+    depths = depth_maps(views, depths)
     asked = asked_views(views, depths, names)
-    photos = photos_here(device, executor, folder, photos)
-    views, config, cameras = settle_cameras(views, depths, config, device, progress, photos, executor, folder)
-    depths, later = depths if cameras is None else cameras.scaled(depths), later_rounds(config, len(asked))
-    if photos is None:
-        return refine_all(refine_one, views, depths, asked, config, device=device, executor=executor, folder=folder,
-                          extras=extras, progress=progress, on_view=on_view, later=later, before=BeforeSteps)
-    opened, results, view_progress = photos.device, [], ViewProgress(progress, len(asked))
-    arrays: list[Any] = [None if depth is None else depth_array(depth) for depth in depths]
-    chooser = PartnerChooser([view.camera for view in views], arrays, config.context)
-    partners = {index: chooser.choose(index) for index in asked}
-    found = deque(BeforeSteps(views, partners[index], arrays[index], config, opened, photos) for index in asked)
-    for done, index in enumerate(asked):
-        view_progress.at(done)
-        own = found.popleft()
-        following = found[0].go_on if found and not photos.on_host else None
-        results.append(refine_one(views, partners[index], arrays[index], config, opened, photos,
-                                  progress=view_progress.inside(done), before=own, meanwhile=following))
-        if cameras is not None:
-            results[-1].report["camera"] = {"moved": float(cameras.moved[index]), "accepted": cameras.accepted}
-        if on_view and not later:
-            on_view(views[index], arrays[index], results[-1])
-    view_progress.at(len(asked))
-    for number, later_round in enumerate(later, start=1):
-        view_progress, before = ViewProgress(progress, len(asked), f"agree, round {number}"), dict(zip(asked, results))
-        for done, index in enumerate(asked):
-            view_progress.at(done)
-            given = [before[k] for k in partners[index].refined(before)]
-            results[done] = later_round.work(views, partners[index], given, config, opened, photos,
-                                             progress=view_progress.inside(done), reuse=True)
-            if on_view and number == len(later):
-                on_view(views[index], arrays[index], results[done])
-        view_progress.at(len(asked))
-        photos.forget(before.values())
-    photos.clear()
-    warn_of_nothing(views, depths, results)
+    photos = photos or place.photos()
+    views, config, cameras = resolve_cameras(views, depths, config, place.device, progress, photos, place.blocks)
+    depths = depths if cameras is None else cameras.scaled(depths)
+    results = refine_all(refine_one, views, depths, asked, config, device=place.device, executor=place.executor,
+                         folder=place.folder, extras=extras, progress=progress, on_view=on_view,
+                         later=later_rounds(config, len(asked)), photos=photos)
+    if cameras is not None:
+        for place_of_view, result in zip(asked, results):
+            result.report["camera"] = {"moved": float(cameras.moved[place_of_view]), "accepted": cameras.accepted}
     return results
 
 
-def initial_depths(surface: Surface, views: Sequence[View], progress: Progress | None = None,
+def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, *,
+                   device: Devices | None = None, executor: Executor | str | None = None,
+                   folder: str | Path | None = None, **options: Any) -> CameraRefinement:
+    """Refine the cameras of `views`, so that their photos agree through the surface: cameras.refine.refine_cameras,
+    whose further parameters are `options`, with blocks of views added up where refine_views works. The same bytes."""
+    with blocks_by(executor, device, folder) as make_blocks:
+        return camera_refinement.refine_cameras(views, depths_or_mesh, device=one_of(device), make_blocks=make_blocks,
+                                                **options)
+
+
+def initial_depths(surface: Surface, views: Sequence[View], progress: Progress = NONE,
                    keep: Callable[[np.ndarray], Any] | None = None, device: Devices | None = None) -> list[Any]:
     """Depth of every view from the surface, float32 of shape (H, W), 0 = no surface: drawn on `device` (as in
     refine_mesh), by Open3D's ray casting where there is none.
@@ -185,21 +255,21 @@ def initial_depths(surface: Surface, views: Sequence[View], progress: Progress |
     """
     cameras, depths = [view.camera for view in views], []
     check_seen(surface, cameras)
-    for depth in each_depth(surface, cameras, comparison_device(device)):
-        depths.append(keep(depth) if keep else depth)
-        if progress:
-            progress("render the mesh", len(depths), len(cameras))
+    with stage(progress, "render the mesh", len(cameras)) as rendering:
+        for depth in each_depth(surface, cameras, comparison_device(device)):
+            depths.append(keep(depth) if keep else depth)
+            rendering.advance(len(depths))
     return depths
 
 
 def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: Config,
-                 progress: Progress | None = None, memory_mb: float | None = None,
-                 tell: Callable[[str], Any] | None = None, *, executor: Executor | str | None = None,
+                 progress: Progress = NONE, memory_mb: float | None = None,
+                 note: Callable[[str], Any] | None = None, *, executor: Executor | str | None = None,
                  folder: str | Path | None = None, device: Devices | None = None) -> Surface:
     """Keep what other views confirm, then TSDF: a Surface. In `memory_mb` of host memory, or what is free.
 
     Results find their views by name (see result.joined); views without one take no part.
-    `tell(text)` is told whether other views were asked, and why. Where one grid does not fit, its boxes go to
+    `note(text)` is called with whether other views were compared, and why. Where one grid does not fit, its boxes go to
     `executor`, if that is a concurrent.futures.Executor and photos and depth maps are files that it can read. Views are
     compared on `device` (as in refine_mesh), in NumPy where there is none.
     """
@@ -211,8 +281,8 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     config, decision = decide_consistency(cameras, results, config, device)
     if decision is not None:
         log.info("%s", decision)
-        if tell:
-            tell(str(decision))
+        if note:
+            note(str(decision))
     on_disk = config.fusion.agree_views == 0  # read one at a time, then
     depths = [result.file if on_disk and isinstance(result, OnDisk) else result.depth for result in results]
     agreed = confirmed(cameras, depths, config.fusion, device=device)

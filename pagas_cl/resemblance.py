@@ -27,17 +27,17 @@ _LITTLE = 1e-6       # that one of those adds at least
 
 def views_to_ask(views: Sequence[View] | Mapping[int, View], partners: Partners, depth: np.ndarray, config: Config,
                  device: Device, photos: PhotoStore,
-                 on_device: Callable[[], NormalizedDepth] | None = None) -> tuple[Partners, Decision | None]:
+                 on_device: Callable[[], NormalizedDepth]) -> tuple[Partners, Decision | None]:
     """`partners` without the context and held-out views that would take more than they add, and why; all of them, and
-    None, where that is not asked for, or where fewer are usable than are wanted. `on_device()`: `depth` there, if it
-    is; else parameters as in refine_one."""
+    None, where that is not asked for, or where fewer are usable than are wanted. `on_device()`: `depth` on the device;
+    else parameters as in refine_one."""
     usable, choice = (*partners.contexts, *partners.held_out), config.effects.resemblance
     if choice in ("off", "set") or len(usable) < config.context.number:
         return partners, None
     target, others = views[partners.target], [views[k] for k in usable]
     scale = min(1.0, _COARSE / max(target.camera.width, target.camera.height))
     parallax, explained = fit_memory(lambda photos: explained_by(
-        target, others, depth, config, device.beside, photos, scale=scale, normalized=on_device and on_device()),
+        target, others, depth, config, device, photos, scale=scale, normalized=on_device()),
         target, others, config, device, photos)
     told = np.flatnonzero((parallax[:, NUMBER] >= _LEAST) & np.isfinite(explained).any(axis=(1, 2)))
     if not len(told):

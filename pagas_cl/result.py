@@ -94,6 +94,15 @@ class DepthResult:
         return cls(camera, depth, status, deviation, np.zeros_like(depth), reason, report or {}, name)
 
 
+@dataclass(frozen=True)
+class RoundInput:
+    """A result of the round before: a DepthResult, or what reads its arrays from disk; `identity` is what the device
+    knows it by."""
+
+    identity: Any
+    result: Any
+
+
 @runtime_checkable
 class OnDisk(Protocol):
     """A result whose depth map is a file, read when it is asked for."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from pagas_cl.config import MOST_WEIGHT, Config
@@ -24,9 +24,10 @@ from pagas_cl.effects import (
     shaded,
 )
 from pagas_cl.errors import DeviceMemoryError
+from pagas_cl.jobs.task import Round
 from pagas_cl.measurements import Measurements
-from pagas_cl.progress import Progress
-from pagas_cl.result import DepthResult
+from pagas_cl.progress import OnStep
+from pagas_cl.result import DepthResult, RoundInput
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.view import View
 from pagas_cl.surface.agreement import Agreement, Told, send
@@ -57,55 +58,33 @@ def _told(owner: Any, result: DepthResult, device: Device, photos: PhotoStore, w
     return photos.held(owner, Told.nbytes(_pixels(result), whole), lambda: send(result, device, whole))
 
 
-def _take_back(result: DepthResult, device: Device, told: Told) -> None:
-    """Give `result` new arrays with what the device was told of it: its own serve another one."""
-    from pagas_cl.runtime.memory import download
-
-    for name in _ARRAYS:
-        array = getattr(result, name)
-        object.__setattr__(result, name, download(device, getattr(told, name), array.shape, array.dtype))
-
-
-@dataclass(frozen=True)
-class Round:
-    """One round: `work`, a function of a module as below, which any process finds; whether it looks at `photos`; and
-    `keep`, what is done with each result of the round before it."""
-
-    work: Callable[..., DepthResult]
-    photos: bool
-    keep: Callable[..., None] = keep
-
-
 def later_rounds(config: Config, views: int) -> list[Round]:
     """What is done with each of so many views after all of them were refined."""
     rounds = agreement_rounds(config, views)
-    return [Round(average_and_step, True)] * (rounds - 1) + [Round(average_depths, False)] * (rounds > 0)
+    return [Round(average_and_step, True, keep)] * (rounds - 1) + [Round(average_depths, False, keep)] * (rounds > 0)
 
 
-def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partners, results: Sequence[DepthResult],
-                   config: Config, device: Device, photos: PhotoStore, progress: Progress | None = None,
-                   steps: Config | None = None, reuse: bool = False) -> DepthResult:
+def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partners, given: Sequence[RoundInput],
+                   config: Config, device: Device, photos: PhotoStore, on_step: OnStep | None = None,
+                   steps: Config | None = None) -> DepthResult:
     """One view's depths averaged with those of other views, where they see the same surface. What photos refused stays
     as it is: none is asked again. With `steps`, settings of some: see average_and_step.
 
-    `results`: of the round before, the view's own first, then those of others, in memory or on disk (StoredResult),
-    from where they are read when the device has to have them. `reuse`: what this leaves has the arrays of the view's
-    own one, on a device with memory of its own, which holds what others ask of it: the system takes as long to give new
-    memory as a round takes. The others are as in one_view.refine_one.
+    `given`: of the round before, the view's own first, in memory, then those of others, which are read when the device
+    has to have them. The other parameters are as in one_view.refine_one.
     """
     from pagas_cl.splat.units import room_for
 
-    own, *others = results[0], *(result for result in results[1:] if not result.reason)
-    own = own if isinstance(own, DepthResult) else own.loaded()         # it may be on disk
+    own, others = given[0].result, [one.result for one in given[1:] if not one.result.reason]
+    identity = {id(one.result): one.identity for one in given}
     start, found = time.perf_counter(), {}
     if own.reason or not others:
         return own
-    promised = None if reuse and not photos.on_host else room_for(own.depth.shape)
-    photos.trim(_BYTES * max(_pixels(result) for result in results))
+    room = room_for(own.depth.shape)
+    photos.trim(_BYTES * max(_pixels(one.result) for one in given))
 
     def owner(result: Any) -> Any:
-        given = results[0] if result is own else result
-        return getattr(given, "identity", given)
+        return identity[id(result)]
 
     # once for all views of a round that are compared with it, whose arrays are not looked at again
     comparison = Agreement(own, others, device,
@@ -121,15 +100,12 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
         photos.forget(map(owner, others))
     if averaged is not None:
         report["differences"] = spreads
-        held = promised is None and photos.on_leaving(own, partial(_take_back, own, device))
-        into = partial(_arrays_of, own) if held else (promised or room_for(own.depth.shape)).result
         if steps is not None:
-            told = (lambda done, total: progress(f"agree {own.name}", done, total)) if progress else None
             few = _few(steps, len(report["contexts"]))
-            stepped, left = _steps(views, partners, comparison, averaged, few, device, photos, told, into)
+            stepped, left = _steps(views, partners, comparison, averaged, few, device, photos, on_step, room.result)
             found = {name: getattr(stepped, name) for name in _ARRAYS}
         else:
-            found = comparison.read(averaged, dict(zip(_ARRAYS, into())))
+            found = comparison.read(averaged, dict(zip(_ARRAYS, room.result())))
     comparison.release()
     report["seconds"] = report.get("seconds", 0.0) + time.perf_counter() - start
     result = replace(own, report=report, **found)
@@ -140,12 +116,11 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     return result
 
 
-def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partners, results: Sequence[DepthResult],
-                     config: Config, device: Device, photos: PhotoStore, progress: Progress | None = None,
-                     reuse: bool = False) -> DepthResult:
+def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partners, given: Sequence[RoundInput],
+                     config: Config, device: Device, photos: PhotoStore, on_step: OnStep | None = None) -> DepthResult:
     """The same, also in place of depths that photos refused, and then some steps of the photos, from there, which
     refuse what matches worse than it did."""
-    return average_depths(views, partners, results, config, device, photos, progress, between_rounds(config), reuse)
+    return average_depths(views, partners, given, config, device, photos, on_step, between_rounds(config))
 
 
 @lru_cache(16)
@@ -160,7 +135,7 @@ def _few(config: Config, contexts: int) -> Config:
 
 def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement,
            averaged: Mapping[str, Any], config: Config, device: Device, photos: PhotoStore,
-           told: Callable[[int, int], None] | None, into: Callable[[], list[np.ndarray]]) -> tuple[Any, Told]:
+           on_step: OnStep | None, into: Callable[[], list[np.ndarray]]) -> tuple[Any, Told]:
     """From what was `averaged`, for what the view called for when it was refined, or calls for now; and the same on the
     device."""
     from pagas_cl.splat import NormalizedDepth, refine_levels
@@ -194,14 +169,10 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
                 solver__gradient_filter=filter_between(result.report.get("resolved", float("nan")),
                                                        len(comparison.others), config),
                 smoothness__weight=min(MOST_WEIGHT, share * own.smoothness.weight))
-            return refine_levels(target, used, result.depth, own, device, photos, progress=told, measured=measured,
+            return refine_levels(target, used, result.depth, own, device, photos, on_step=on_step, measured=measured,
                                  normalized=normalized, start=start, held_out=held_out)
 
     return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out), left[0]
-
-
-def _arrays_of(result: DepthResult) -> list[np.ndarray]:
-    return [getattr(result, name) for name in _ARRAYS]
 
 
 def _pixels(result: DepthResult) -> int:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
+
 import pytest
 from support.job_scenes import QUICK, load_small_scene, write_small_scene
 
 pytest.importorskip("pyopencl")
+from pagas_cl.errors import InputError
 from pagas_cl.one_view import refine_depth, refine_one
-from pagas_cl.progress import ViewProgress
+from pagas_cl.progress import LineProgress, Progress, progress_of, reported, shown_on, stage, within_view
 from pagas_cl.refine import refine_views
 from pagas_cl.splat.step import AHEAD, StepProgress
 
@@ -42,22 +45,69 @@ def test_nobody_asks_and_nothing_waits():
 
 def test_a_view_is_not_finished_with_its_steps():
     told = []
-    inside = ViewProgress(lambda *given: told.append(given), 7).inside(3)
-    inside("refine left.png", 5, 10)
-    inside("refine left.png", 10, 10)
+    views = progress_of(lambda *given: told.append(given)).start("refine", 7)
+    within_view(views, 3)(5, 10)
+    within_view(views, 3)(10, 10)
     assert told[0] == ("refine", pytest.approx(3.475), 7) and 3.9 < told[1][1] < 4
-    assert ViewProgress(None, 7).inside(3) is None
 
 
-def test_a_view_that_is_tried_again_says_nothing_new():
+def test_a_view_that_is_tried_again_reports_nothing_new():
     told = []
-    views = ViewProgress(lambda stage, done, total: told.append(done), 2)
-    for inside in (views.inside(0), views.inside(0)):
-        for step in range(1, 5):
-            inside("refine left.png", step, 4)
-    views.at(0)
-    views.at(1)
-    assert told == pytest.approx([0.2375, 0.475, 0.7125, 0.95, 1])
+    with stage(progress_of(lambda name, done, total: told.append(done)), "refine", 2) as views:
+        for _ in range(2):
+            for step in range(1, 5):
+                within_view(views, 0)(step, 4)
+        views.advance(0)
+        views.advance(1)
+    assert told == pytest.approx([0, 0.2375, 0.475, 0.7125, 0.95, 1])
+
+
+def test_what_progress_may_be():
+    class Own:
+        def start(self, name, total):
+            return self
+
+        def advance(self, done):
+            pass
+
+        def finish(self):
+            pass
+
+    own = Own()
+    assert progress_of(own) is own and isinstance(progress_of(None), Progress)
+    assert progress_of(False) is progress_of(None)
+    assert isinstance(progress_of(True), Progress) and progress_of(progress_of(print)) is not print
+    for wrong in (1, "yes", object()):
+        with pytest.raises(InputError, match="progress is a .*, expected True"):
+            progress_of(wrong)
+
+
+def test_lines_where_there_is_no_terminal():
+    stream = io.StringIO()
+    assert isinstance(shown_on(stream), LineProgress)
+    for _ in reported(shown_on(stream), "re\x1b[31mfine", range(3)):
+        pass
+    with pytest.raises(ZeroDivisionError), stage(shown_on(stream), "fuse", 4) as fusing:
+        fusing.advance(1)
+        raise ZeroDivisionError
+    assert stream.getvalue().splitlines() == ["re\\x1b[31mfine: 3 of 3 in 0 s", "fuse: 1 of 4 in 0 s"]
+
+
+def test_bars_on_a_terminal():
+    """One a stage, gone on with after an error; nothing is drawn between stages, where others write."""
+    from rich.console import Console
+
+    from pagas_cl.progress import BarProgress
+
+    console = Console(file=io.StringIO(), force_terminal=True, width=100)
+    bars = BarProgress(console)
+    with stage(bars, "refine", 2) as views, stage(bars, "pictures", 1):
+        views.advance(2)
+    with pytest.raises(ZeroDivisionError), stage(bars, "fuse", 4):
+        raise ZeroDivisionError
+    drawn = console.file.getvalue()
+    assert all(name in drawn for name in ("refine", "pictures", "fuse", "2/2", "0/4"))
+    assert drawn.count("\x1b[?25l") == drawn.count("\x1b[?25h") == 2      # the cursor is hidden and shown again
 
 
 def test_steps_of_all_levels(device, made):
@@ -66,7 +116,7 @@ def test_steps_of_all_levels(device, made):
                                              effects__pyramid="set")
     refine_depth(made.views[0], made.views[1:], made.initial_depth(made.views[0].camera), config=config, device=device,
                  progress=lambda *given: told.append(given))
-    assert told == [(f"refine {made.views[0].name}", k, 8) for k in range(1, 9)]
+    assert told == [(f"refine {made.views[0].name}", pytest.approx(k / 8), 1) for k in range(9)]
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +131,7 @@ def test_progress_within_views(tmp_path, device, kept, monkeypatch):
     views, depths = load_small_scene(write_small_scene(tmp_path / "scene"))
     told = []
     monkeypatch.setattr("pagas_cl.jobs.whole.groups",
-                        lambda asked, *_: [asked[k:k + kept] for k in range(0, len(asked), kept)])
+                        lambda asked, *_: [asked[k:k + (kept or 2)] for k in range(0, len(asked), kept or 2)])
     refine_views(views, depths, config=QUICK, device=device, folder=tmp_path / "out" if kept else None,
                  progress=lambda *given: told.append(given))
     done = [given[1] for given in told]
@@ -117,14 +167,5 @@ def test_work_that_tells_nothing(tmp_path, device):
     told = []
     with ThreadPoolExecutor(1) as executor:
         refine_all(refine_one, views, depths, range(VIEWS), QUICK, executor=executor, folder=tmp_path / "out",
-                   progress=lambda *given: told.append(given))
+                   progress=progress_of(lambda *given: told.append(given)))
     assert [given[1] for given in told] == list(range(VIEWS + 1))
-
-
-def test_a_share_of_what_was_left():
-    told = []
-    stage = ViewProgress(lambda stage, done, total: told.append(done), 2)
-    stage.at(0)
-    for share in (0.5, 0.5, 0.0, 1.0):
-        stage.further(share)
-    assert told == pytest.approx([0, 1, 1.5, 2])

@@ -1,18 +1,17 @@
 """The effect `cameras` (method section 8): whether cameras are refined before the views are, for a whole scene."""
 
-import time
-from collections.abc import Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
+from pagas_cl.cameras.blocks import MakeBlocks, blocks
 from pagas_cl.cameras.frames import depths_of
 from pagas_cl.cameras.refine import OFF, CameraRefinement, photos_off, refine_cameras
 from pagas_cl.config import Config
 from pagas_cl.effects import Decision
 from pagas_cl.errors import DeviceError, log
-from pagas_cl.progress import Progress, tell
+from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.runtime.device import one_of, open_device
 from pagas_cl.scene.inputs import Depth
 from pagas_cl.scene.mesh import Mesh
@@ -21,17 +20,17 @@ from pagas_cl.splat import PhotoStore
 
 FEWEST = 4                # views: three to tell how far a camera is off, and one more to judge
 MOST = 300                # views for which it is decided unasked: all depth maps are in memory at once
-_TIMES = 9                # as long as measuring them takes refining them
+OpenBlocks: TypeAlias = Callable[[], AbstractContextManager[MakeBlocks]]
 WORDS = "pixels that photos are off by across the direction of depth"
 
 
-def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, config: Config,
-                   device: Any = None, progress: Progress | None = None, photos: PhotoStore | None = None,
-                   executor: Executor | str | None = None,
-                   folder: str | Path | None = None) -> tuple[list[View], Config, CameraRefinement | None]:
-    """Settle effects.cameras: the views with the cameras that follow, settings in which it is "set", and the refinement
-    (None where none was called for). Arguments as in refine_cameras; `photos`, on the one device, serve whoever works
-    on the views after it."""
+def resolve_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, config: Config,
+                    device: Any = None, progress: Progress = NONE, photos: PhotoStore | None = None,
+                    open_blocks: OpenBlocks = lambda: nullcontext(blocks),
+                    ) -> tuple[list[View], Config, CameraRefinement | None]:
+    """Decide effects.cameras: the views with the cameras that follow, settings in which it is "set", and the refinement
+    (None where the scene does not need it). Arguments as in refine_cameras; `photos`, on the one device, serve whoever
+    works on the views after it; `open_blocks()` is a context of its `make_blocks`."""
     settled = replace(config, effects=replace(config.effects, cameras="set"))
     choice = config.effects.cameras
     if not _may(choice, len(views)):
@@ -44,16 +43,15 @@ def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
         log.warning("cameras stay as given, nothing is measured here: %s", error)
         return list(views), settled, None
     if choice == "auto":
-        start = time.perf_counter()
-        decision, off = decide_cameras(views, depths_or_mesh, config, here, photos)
-        if progress:
-            progress("measure the cameras", 1, 1)
+        with stage(progress, "measure the cameras", 1) as measuring:
+            decision, off = decide_cameras(views, depths_or_mesh, config, here, photos)
+            measuring.advance(1)
         log.info("%s", decision)
         if not decision.on:
             return list(views), settled, None
-        tell(progress, "expect", "refine the cameras", _TIMES * (time.perf_counter() - start), "cameras")
-    found = refine_cameras(views, depths_or_mesh, config=config, device=device, progress=progress, measured=off,
-                           photos=photos, executor=executor, folder=folder)
+    with open_blocks() as make_blocks:
+        found = refine_cameras(views, depths_or_mesh, config=config, device=here, progress=progress, measured=off,
+                               photos=photos, make_blocks=make_blocks)
     log.info("%s", found)
     moved = [view if camera is view.camera else replace(view, camera=camera)
              for view, camera in zip(views, found.cameras)]

@@ -2,16 +2,14 @@
 
 import time
 from collections.abc import Collection, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pagas_cl.cameras.accept import bent, beyond, lost, no_gain, strays, wrong_views
 from pagas_cl.cameras.adjust import Adjuster
-from pagas_cl.cameras.blocks import blocks_by
+from pagas_cl.cameras.blocks import MakeBlocks, blocks
 from pagas_cl.cameras.frames import Frames, depths_of
 from pagas_cl.cameras.motion import pixel_motion, surface_points
 from pagas_cl.cameras.pairs import choose_pairs
@@ -20,8 +18,8 @@ from pagas_cl.config import Config
 from pagas_cl.errors import InputError, log
 from pagas_cl.measurements import FAR_OFF, measure
 from pagas_cl.presets import settings_of
-from pagas_cl.progress import Progress
-from pagas_cl.runtime.device import Device, one_of, open_device, translate_cl_errors
+from pagas_cl.progress import Reporter, progress_of
+from pagas_cl.runtime.device import Device, open_device, translate_cl_errors
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.depth_source import rescaled
@@ -91,8 +89,8 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
                    unknowns: Collection[str] = ("pose",), lenses: Sequence[int] | None = None,
                    gauge: Sequence[Camera] | None = None, measured: tuple[float, float] | None = None,
                    preset: str | None = None, config: Config | None = None, device: Any = None,
-                   progress: Progress | None = None, photos: PhotoStore | None = None,
-                   executor: Executor | str | None = None, folder: str | Path | None = None) -> CameraRefinement:
+                   progress: Reporter = None, photos: PhotoStore | None = None,
+                   make_blocks: MakeBlocks = blocks) -> CameraRefinement:
     """Refine the cameras of `views`, so that their photos agree through the surface.
 
     Parameters
@@ -110,8 +108,10 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     measured : (float, float), optional
         Pixels that photos are off by across the direction of depth, and the share of samples that match elsewhere;
         measured by default.
-    device, executor, folder
-        As in refine_views: blocks of views are added up elsewhere, the rest is done here. The same bytes.
+    device
+        As in refine_depth.
+    make_blocks : callable, optional
+        What adds up the normal equations of views: `blocks`, or other processes.
 
     Returns
     -------
@@ -122,11 +122,10 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     ------
     InputError, DeviceError
     """
-    here, config = open_device(one_of(device)), settings_of(preset, config)
-    with (translate_cl_errors(here, "the refinement of the cameras"),
-          blocks_by(executor, device, folder) as make_blocks):
-        return _refine(list(views), depths_or_mesh, tuple(unknowns), lenses, gauge, measured, config, here, progress,
-                       photos, make_blocks)
+    here, config = open_device(device), settings_of(preset, config)
+    with translate_cl_errors(here, "the refinement of the cameras"):
+        return _refine(list(views), depths_or_mesh, tuple(unknowns), lenses, gauge, measured, config, here,
+                       progress_of(progress), photos, make_blocks)
 
 
 def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], config: Config, device: Device,

@@ -1,19 +1,20 @@
 """The rounds of a refinement of cameras: frames, blocks, solution, motion; coarse to fine (method section 9)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pagas_cl.cameras.adjust import PRIOR, Block, Frame
-from pagas_cl.cameras.blocks import Wanted, blocks
+from pagas_cl.cameras.blocks import MakeBlocks, Wanted, blocks
 from pagas_cl.cameras.frames import Frames, release, through
 from pagas_cl.cameras.motion import moved, placed, twist_between
 from pagas_cl.cameras.onto import onto_mesh
 from pagas_cl.cameras.pairs import Pairs
 from pagas_cl.cameras.solve import Term, Unknowns, assemble, pixel_scales, solve
 from pagas_cl.cameras.turns import first_turns, turned
-from pagas_cl.progress import Progress
+from pagas_cl.progress import NONE, Progress
+from pagas_cl.progress import stage as reported
 from pagas_cl.scene.camera import Camera
 
 NEAR_ENOUGH, LOOSE, ANY = 0.01, 0.03, 0.5      # share of the depth by which views that see the same point may differ
@@ -74,7 +75,7 @@ class Rounds:
     the views, units; `make_blocks`: blocks.blocks, or what does the same elsewhere."""
 
     def __init__(self, frames: Frames, pairs: Pairs, finest: float, typical: Sequence[float],
-                 progress: Progress | None = None, make_blocks=blocks):
+                 progress: Progress = NONE, make_blocks: MakeBlocks = blocks):
         self.frames, self.pairs, self.finest, self.typical, self.progress = frames, pairs, finest, typical, progress
         self.make_blocks = make_blocks
         self.adjuster = frames.adjuster
@@ -83,9 +84,24 @@ class Rounds:
     def run(self, stages: Sequence[Stage], state: State) -> None:
         """All stages; `state` is changed. The depths that come of it are used up: their scale is put into the cameras
         (the surface stays as large as it was given)."""
+        with reported(self.progress, "refine the cameras", len(stages)) as shown:
+            before, initial = self._run_stages(stages, state, shown.advance)
+            if stages[-1].free and self.frames.moves:
+                self._onto_mesh(before, state)
+            elif stages[-1].free:
+                self._rescale(before, initial, state)
+            shown.advance(len(stages))
+        release(before)
+        for buffer in initial:
+            buffer.release()
+
+    def _run_stages(self, stages: Sequence[Stage], state: State,
+                    done: Callable[[float], None]) -> tuple[list[Frame], list]:
+        """The frames of the last stage, and the depths that it started from; `done(n)` is called before stage n."""
         before: list[Frame] = []
-        initial = []
-        for stage in stages:
+        initial: list = []
+        for number, stage in enumerate(stages):
+            done(number)
             now = self.frames.at(state.cameras, self.finest * stage.share, stage.sigma, state.maps)
             first = [self.adjuster.copied(frame) for frame in now]
             if before and stage.free:
@@ -94,23 +110,13 @@ class Rounds:
             for buffer in initial:
                 buffer.release()
             before, initial = now, first
-            if self.progress:
-                self.progress("refine the cameras", stages.index(stage), len(stages))
             for _ in range(SETTLE if stage.free and stage.share >= FINE[0].share else 0):
                 self._blocks(now, NEAR_ENOUGH, sums=False)      # cameras are nearly right; else depths would hide it
             for _ in range(stage.rounds):
                 before, step = self._round(before, state, stage)
                 if step < STILL:
                     break
-        if stages[-1].free and self.frames.moves:
-            self._onto_mesh(before, state)
-        elif stages[-1].free:
-            self._rescale(before, initial, state)
-        if self.progress:
-            self.progress("refine the cameras", len(stages), len(stages))
-        release(before)
-        for buffer in initial:
-            buffer.release()
+        return before, initial
 
     def _round(self, frames: list[Frame], state: State, stage: Stage) -> tuple[list[Frame], float]:
         cameras = [frame.camera for frame in frames]

@@ -1,18 +1,16 @@
-"""What the commands write to standard error: messages, and progress with the time left."""
+"""What the commands write to standard error: messages, and progress."""
 
 import logging
 import os
 import sys
-import time
 import warnings
 from collections import Counter
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 
-from pagas_cl.errors import NothingRefinedError, NothingRefinedWarning, log, plain
-from pagas_cl.outlook import Course, Outlook
-
-_LINE_EVERY = 10.0  # seconds between lines where standard error is a file
+from pagas_cl.errors import NothingRefinedError, NothingRefinedWarning, log
+from pagas_cl.progress import NONE, BarProgress, LineProgress, Progress
 
 
 class _Lenient:
@@ -153,70 +151,9 @@ def noted(note):
 
 
 @contextmanager
-def shown_progress(quiet: bool = False):
-    """Context of a callable progress(stage, done, total) that draws a bar, or writes a line now and then."""
+def shown_progress(quiet: bool = False) -> Iterator[Progress]:
+    """Context of a bar a stage on a terminal, a line a stage elsewhere, on standard error; nothing where `quiet`."""
     if quiet:
-        yield lambda stage, done, total: None
-    elif not sys.stderr.isatty():
-        yield Lines()
+        yield NONE
     else:
-        with Bar() as bar:
-            yield bar
-
-
-class Bar(Outlook):
-    """Progress on a terminal: one bar from start to end, of the time of the whole run."""
-
-    def __init__(self):
-        super().__init__()
-        from rich import progress
-
-        self._bars = progress.Progress(
-            progress.TextColumn("{task.description}", markup=False), progress.BarColumn(),
-            progress.TextColumn("{task.fields[count]}"), progress.TimeElapsedColumn(),
-            progress.TextColumn("gone, {task.fields[left]} left"), console=console())
-        self._task = self._bars.add_task("start", total=1.0, count="", left="?")
-
-    def __enter__(self) -> "Bar":
-        self._bars.start()
-        return self
-
-    def __exit__(self, *_) -> None:
-        self._bars.stop()
-
-    def expect(self, stage: str, course: Course, kind: str = "device", known: bool = False) -> None:
-        super().expect(stage, course, kind, known)
-        if self._under is None:
-            self._show("start", "")
-
-    def __call__(self, stage: str, done: float, total: int) -> None:
-        super().__call__(stage, done, total)
-        self._show(plain(stage), f"{int(done)}/{total}")
-
-    def _show(self, stage: str, count: str) -> None:
-        left, gone = self.left(), self.now - self.began
-        known = gone + left > 0      # not where it is NaN
-        self._bars.update(self._task, description=stage, completed=gone / (gone + left) if known else 0.0, count=count,
-                          left=f"{int(left) // 60}:{int(left) % 60:02}" if known else "?")
-
-
-class Lines(Outlook):
-    """Progress for a file or a pipe: one line every few seconds, and one when a stage is done."""
-
-    def __init__(self, write=None, clock=time.monotonic):
-        super().__init__(clock)
-        self._write, self._told = write or sys.stderr.write, float("nan")
-        self._begins: dict[str, float] = {}
-
-    def __call__(self, stage: str, done: float, total: int) -> None:
-        stage = plain(stage)
-        super().__call__(stage, done, total)
-        began = self._begins.setdefault(stage, self.now)
-        self._told = self.began if self._told != self._told else self._told
-        if done >= total:
-            self._begins.pop(stage)
-            self._write(f"{stage}: {total} of {total} in {self.now - began:.0f} s\n")
-        elif done and self.now - self._told >= _LINE_EVERY:
-            self._told = self.now
-            left = self.left()
-            self._write(f"{stage}: {int(done)} of {total}" + (f", about {left:.0f} s left\n" if left == left else "\n"))
+        yield BarProgress(console()) if sys.stderr.isatty() else LineProgress(sys.stderr)

@@ -3,6 +3,7 @@
 from pagas_cl.config import Config, setting_names
 from pagas_cl.errors import InputError, log
 from pagas_cl.presets import preset
+from pagas_cl.progress import Progress, stage
 
 _YES_NO = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 
@@ -76,18 +77,17 @@ def check_times(per_view: float | None, budget: float | None, preset: str, sever
 
 
 def config_in_time(views, depths, names, device, per_view: float | None, budget: float | None, change,
-                   expected) -> Config:
+                   progress: Progress) -> Config:
     """The best settings whose expected time fits, told in the log; `change(config)` is applied to all of them first.
 
-    Arguments as in refine_views; `per_view` seconds, or `budget` minutes for all views: one of the two; `expected`
-    (pagas_cl.expected.Expected) is told what follows.
+    Arguments as in refine_views; `per_view` seconds, or `budget` minutes for all views: one of the two.
     """
     from pagas_cl.costs import RUNS, Costs
 
-    costs = Costs(views, depths, device, names, expected.progress)
-    choice = costs.choose(per_view if per_view is not None else 60 * budget / len(costs.pixels), change)
+    with stage(progress, "time the settings", RUNS) as timing:
+        costs = Costs(views, depths, device, names, timing)
+        choice = costs.choose(per_view if per_view is not None else 60 * budget / len(costs.pixels), change)
+        timing.advance(RUNS)
     log.info("settings: %s, about %.3g s per view, %.1f minutes for %d views (reading the mesh and fusing not counted)",
              choice.name, choice.seconds, choice.seconds * choice.views / 60, choice.views)
-    expected.progress("time the settings", RUNS, RUNS)
-    expected.timed(choice.config, choice.seconds * choice.views)
     return choice.config

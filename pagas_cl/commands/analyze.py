@@ -15,7 +15,6 @@ from pagas_cl.commands._settings import build_config, effect_settings
 from pagas_cl.commands._start import check_report, check_source, check_writable, initial_depths, load_scene
 from pagas_cl.effects import EFFECTS
 from pagas_cl.errors import plain
-from pagas_cl.expected import Expected
 from pagas_cl.jobs.finished import one_run
 from pagas_cl.report.page import html_page
 from pagas_cl.runtime.device import open_device
@@ -54,11 +53,6 @@ def command(
     check_report(report, "analysis.json")
     with shown_progress(quiet) as progress, one_run(report) if report else nullcontext():
         device = open_device(device)
-        expected = Expected(progress, [v for v in found.views if names is None or v.name in names], config, device)
-        if mesh is not None:
-            expected.mesh_drawn()
-        expected.analyzed(costs)
-        expected.cameras(False, analyzed=True)
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, names=names)
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
                            progress=progress)
@@ -69,7 +63,6 @@ def command(
         if report is not None:
             write_text(report / "analysis.json", text)
             write_text(report / "index.html", page(analysis, found.source))
-        expected.remember()
 
 
 def rows(analysis) -> list[list[str]]:

@@ -7,11 +7,11 @@ from pathlib import Path
 import typer
 
 from pagas_cl.cameras.model import REPORT, check_place, write_model
-from pagas_cl.cameras.refine import refine_cameras
 from pagas_cl.commands._console import shown_progress
 from pagas_cl.commands._start import check_source, check_writable, initial_depths, load_scene, place_of
 from pagas_cl.errors import log, plain
 from pagas_cl.jobs.finished import one_run
+from pagas_cl.refine import refine_cameras
 from pagas_cl.scene.files import write_text
 from pagas_cl.scene.mesh import to_surface
 

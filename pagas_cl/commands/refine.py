@@ -1,17 +1,18 @@
 """`pagas-cl refine`: the whole way from a folder of photos to refined depth maps and a mesh."""
 
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
-from itertools import count, product
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import typer
 
 from pagas_cl import __version__
-from pagas_cl.cameras.effect import settle_cameras
 from pagas_cl.commands._console import noted, nothing_refined, shown_progress
 from pagas_cl.commands._given import look, together
 from pagas_cl.commands._memory import tell_memory
@@ -20,24 +21,27 @@ from pagas_cl.commands._start import (
     check_report,
     check_source,
     check_writable,
-    initial_depths,
     loaded,
     place_of,
     resumable,
 )
+from pagas_cl.config import Config
 from pagas_cl.effects import Decision
 from pagas_cl.errors import InputError, PagasError, log, need
-from pagas_cl.expected import Expected
 from pagas_cl.jobs.finished import one_run, remove_run
 from pagas_cl.jobs.task import view_digest
-from pagas_cl.keep_mesh import check_kept, check_subdivide, kept_mesh
-from pagas_cl.refine import fuse_results, refine_views
+from pagas_cl.keep_mesh import check_kept, check_subdivide
+from pagas_cl.progress import stage
+from pagas_cl.refine import MeshOptions, Place, Refined, refine_scene
 from pagas_cl.report import Report, picture_files
-from pagas_cl.result import joined
+from pagas_cl.result import DepthResult, joined
+from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import trim
+from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.mesh import to_surface
 from pagas_cl.scene.mesh_file import check_digits_of_scene, check_mesh_path, write_mesh
 from pagas_cl.scene.readers import camera_file
+from pagas_cl.scene.view import View
 from pagas_cl.surface.agree import comparison_device
 from pagas_cl.surface.raster import each_depth
 
@@ -121,59 +125,53 @@ def command(
     # finished views are kept with the depth maps, or beside the mesh until it is written; all that can be asked of
     # them later is kept, so that nothing is refined again for it
     folder = output.parent / f".{output.name}.views" if save_depth is None and output is not None else save_depth
-    place = place_of(device, devices, scheduler)
+    place = Place(**place_of(device, devices, scheduler), folder=folder)
     config_words = ", ".join([preset, *settings])
     with (resumable(folder, len(names or found.views)), shown_progress(quiet) as progress,
           one_run(folder) if folder else nullcontext(), one_run(report) if report else nullcontext(),
-          _report(report, found, config_words, place, asked.obj, pictures) as page):
-        expected = Expected(progress, [v for v in found.views if names is None or v.name in names], config,
-                            place["device"])
-        expected.cameras(mesh is not None)
-        if mesh is not None:
-            expected.mesh_drawn()
-        if time_per_view is not None or time_budget is not None:
-            expected.probed()
-        expected.rounds(page is not None)
-        if output is not None:
-            expected.made(page is not None, kept)
-        found, config = _settled_cameras(found, mesh, config, place, folder, progress, page)
-        if mesh is not None:
-            depths = initial_depths(found, mesh, None, None, progress, folder, names, place["device"])
-            more["effects__cameras"] = "set"
-        else:
+          _report(report, found, config_words, place, asked.obj, pictures) as page, noted(page and page.note)):
+        depths = None
+        if mesh is None:
             depths = together(given, align, _digests(given))
             depths = depths if folder is not None else loaded(depths)
-        if time_per_view is not None or time_budget is not None:
-            config = config_in_time(found.views, depths, names, place["device"], time_per_view, time_budget,
-                                    lambda config: apply_settings(config, settings, **more), expected)
-            config = config.with_settings(effects__cameras="set" if mesh else config.effects.cameras)
-        tell_memory(found.views, config, place["device"], output is not None and not kept, memory, kept)
-        with noted(page and page.note):
-            drawn = page and partial(_add_pictures, page, cameras, count(1), len(names or found.views), progress)
-            results = refine_views(found.views, depths, names=names, config=config, **place, folder=folder,
-                                   progress=progress, on_view=drawn)
-        made = None
-        if kept:
-            made = kept_mesh(mesh if keep_mesh or output.suffix.lower() == ".obj" else to_surface(mesh), found.views,
-                             results, config, "displace" if keep_mesh else "mesh", subdivide, device=place["device"],
-                             memory_mb=memory, tell=page and page.note, progress=progress)
-        elif output is not None:
-            made = fuse_results(found.views, results, config, progress, memory, page and page.note,
-                                device=place["device"])
+
+        def choose(views: list[View], depths: Sequence[Any], config: Config) -> Config:
+            """The settings that the time allows, once cameras and depth maps are there."""
+            if time_per_view is not None or time_budget is not None:
+                decided = {"effects__cameras": config.effects.cameras}
+                config = config_in_time(views, depths, names, place.device, time_per_view, time_budget,
+                                        lambda config: apply_settings(config, settings, **more, **decided), progress)
+            tell_memory(views, config, place.device, output is not None and not kept, memory, kept)
+            return config
+
+        done = refine_scene(
+            found.views, mesh and to_surface(mesh), depths, config, names=names, place=place, choose=choose,
+            making=MeshOptions(_made_as(output, kept, keep_mesh), subdivide, memory_mb=memory, note=page and page.note),
+            progress=progress, on_view=page and _Pictures(page, cameras))
+        if page is not None and done.cameras is not None:
+            page.note(str(done.cameras))
         if output is not None:
-            write_mesh(output, to_surface(made))
+            write_mesh(output, done.mesh)
             trim()
             log.info("mesh: %s", output)
-        if page is not None and made is not None:
-            progress("show the mesh", 0, 1)
-            _show_mesh(page, found.views, mesh, made, results, place["device"])
-            progress("show the mesh", 1, 1)
+            if page is not None:
+                with stage(progress, "show the mesh", 1) as showing:
+                    _show_mesh(page, done, mesh, place.device)
+                    showing.advance(1)
         if save_depth is not None:
-            _save_cameras(save_depth, as_given, results)
-        _tell(results, save_depth, report)
+            _save_cameras(save_depth, as_given, done.results)
+        _tell(done.results, save_depth, report)
         if folder is not None and save_depth is None:
             remove_run(folder)
-        expected.remember()
+
+
+def _made_as(output: Path | None, kept: bool, keep_mesh: bool) -> str | None:
+    """What comes of the depth maps, as MeshOptions.output."""
+    if output is None:
+        return None
+    if not kept:
+        return "tsdf"
+    return "displace" if keep_mesh else "mesh"
 
 
 def _digests(given):
@@ -181,17 +179,6 @@ def _digests(given):
     for view, depth in zip(given.scene.views, given.depths):
         yield partial(view_digest, view)
         yield partial(getattr, depth, "digest", None)
-
-
-def _settled_cameras(found, mesh, config, place, folder, progress, page):
-    """The scene with refined cameras, where its mesh calls for them; those of depth maps come with refine_views."""
-    if mesh is None or config.effects.cameras in ("off", "set"):
-        return found, config
-    views, config, told = settle_cameras(found.views, to_surface(mesh), config, progress=progress, folder=folder,
-                                         **place)
-    if told is not None and page is not None:
-        page.note(str(told))
-    return replace(found, views=views), config
 
 
 def _save_cameras(folder: Path, views, results) -> None:
@@ -235,34 +222,40 @@ def _check_request(mesh, depth_dir, output, save_depth, report, memory, keep_mes
                          "(--set fusion.voxel=...)")
 
 
-def _add_pictures(page, given, number, total: int, progress, view, initial, result) -> None:
-    """Put a view's pictures on the page as soon as it is done, so that an interrupted run has them; `given`: cameras by
-    name, as they came."""
-    report = result.report
-    remarks = ["context views: " + ", ".join(report["contexts"])] if report.get("contexts") else []
-    for on, what in ((True, "effects simulated"), (False, "effects not called for")):
-        effects = [str(Decision(**fields)) for fields in report.get("effects", ()) if fields["on"] == on]
-        remarks += [f"{what}: " + "; ".join(effects)] if effects else []
-    figures = {"seconds": round(report["seconds"], 2)} if "seconds" in report else {}
-    page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
-             counts={**result.counts, **figures}, remarks=remarks, reason=result.reason, given=given[view.name])
-    progress("pictures", next(number), total)
+class _Pictures:
+    """Puts a view's pictures on the page as soon as it is done, so that an interrupted run has them; `given`: cameras
+    by name, before they were refined."""
+
+    def __init__(self, page: Report, given: dict[str, Camera]):
+        self._page, self._given = page, given
+
+    def __call__(self, view: View, initial: np.ndarray, result: DepthResult) -> None:
+        report = result.report
+        remarks = ["context views: " + ", ".join(report["contexts"])] if report.get("contexts") else []
+        for on, what in ((True, "effects simulated"), (False, "effects not called for")):
+            effects = [str(Decision(**fields)) for fields in report.get("effects", ()) if fields["on"] == on]
+            remarks += [f"{what}: " + "; ".join(effects)] if effects else []
+        figures = {"seconds": round(report["seconds"], 2)} if "seconds" in report else {}
+        self._page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
+                       counts={**result.counts, **figures}, remarks=remarks, reason=result.reason,
+                       given=self._given[view.name])
 
 
-def _show_mesh(page, views, mesh, made, results, device) -> None:
+def _show_mesh(page: Report, done: Refined, mesh: Path | None, device: Any) -> None:
     """Put the given and the made mesh on the page, seen from the view of which most was refined."""
-    before, after = mesh and to_surface(mesh), to_surface(made)
-    place, _ = max(joined(views, results), key=lambda pair: pair[1].counts["refined"])
-    depths = before and [next(each_depth(surface, [views[place].camera], comparison_device(device)))
+    before, after = mesh and to_surface(mesh), to_surface(done.mesh)
+    place, _ = max(joined(done.views, done.results), key=lambda pair: pair[1].counts["refined"])
+    view = done.views[place]
+    depths = before and [next(each_depth(surface, [view.camera], comparison_device(device)))
                          for surface in (before, after)]
-    page.add_mesh(before, after, view=views[place], depths=depths)
+    page.add_mesh(before, after, view=view, depths=depths)
 
 
 def _report(folder, found, settings: str, place, asked: str, pictures):
     """The Report to fill, or a context of None where none was asked for."""
     if folder is None:
         return nullcontext()
-    where = place.get("executor") or getattr(place["device"], "info", place["device"])
+    where = place.executor or (place.device.info if isinstance(place.device, Device) else place.device)
     return Report(folder, "pagas-cl refine", pictures=pictures, facts=[
         ("scene", f"{found.source}, {len(found.views)} views"), ("settings", settings), ("command", asked or ""),
         ("version", f"pagas_cl {__version__}"), ("device", str(where))])

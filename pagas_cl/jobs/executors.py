@@ -1,38 +1,43 @@
-"""Where tasks run: in this process, in one process a device, or on somebody's cluster."""
+"""Other processes that tasks run in: one a device of this machine, an executor of the caller's, or a Dask cluster."""
 
 import multiprocessing
 import re
 import signal
+from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 
 from pagas_cl.errors import DeviceError, InputError, need
-from pagas_cl.jobs.worker import follow_parent
+from pagas_cl.jobs.task import code_version
+from pagas_cl.jobs.worker import close_workers, follow_parent
 from pagas_cl.runtime.claim import known_devices
-from pagas_cl.runtime.device import elsewhere, open_device, shares
+from pagas_cl.runtime.device import shares
 
 PATIENCE = 20  # seconds to wait for a scheduler's answer
 
 
 class Workers:
-    """An executor and the device that its tasks are to take; arguments as in whole.refine_all. `device` is what the
-    workers are told: this process opens its device here, others choose from what is named. `own`: the executor is ours
-    to close; `local`: tasks run in this process, one after another."""
+    """Workers in other processes, and the device that their tasks are to take; arguments as in whole.refine_all.
+
+    `is_own`: the executor is ours to close.
+    """
 
     def __init__(self, executor, device):
-        self._pooled = executor is None and elsewhere(executor, device)
-        self.own, self.local = executor is None or isinstance(executor, str), executor is None and not self._pooled
+        self._is_pool = executor is None
+        self.is_own = self._is_pool or isinstance(executor, str)
         self.device = tuple(device) if isinstance(device, list) else device
-        if self.local:
-            self.executor, self.device = SerialExecutor(), open_device(device)
-        elif self._pooled:
+        self._sent = 0
+        if self._is_pool:
             self.executor = local_pool(device)
         else:
             self.executor = dask_executor(executor) if isinstance(executor, str) else executor
 
+    def submit(self, task: Callable, *arguments) -> Future:
+        """Have task(*arguments, code, attempt) run by a worker (see worker.run_batch)."""
+        self._sent += 1
+        return self.executor.submit(task, *arguments, code_version(), self._sent)
+
     def count(self) -> int:
-        """How many tasks run at a time elsewhere, 0 where they run here; 4 where the executor does not tell."""
-        if self.local:
-            return 0
+        """How many tasks run at a time; 4 where the executor does not say."""
         client = getattr(self.executor, "_client", None)  # Dask
         if client is not None and hasattr(client, "ncores"):
             return max(1, sum(client.ncores().values()))
@@ -40,22 +45,27 @@ class Workers:
 
     def renew(self, error: Exception) -> None:
         """A new pool for one that has lost a process, which ends all of it; DeviceError where it was not ours."""
-        if not self._pooled:
+        if not self._is_pool:
             raise DeviceError(f"the executor has lost a worker and takes no more tasks ({error}); finished views are "
                               "kept: start the same command again") from error
         self.executor.shutdown(wait=True)
         self.executor = local_pool(self.device)
 
+    def close(self) -> None:
+        """End the executor, where it is ours, and let go of what threads of this process keep."""
+        if self.is_own:
+            self.executor.shutdown(wait=True)
+        close_workers()
+
 
 class SerialExecutor(Executor):
     """Runs each task at once, in this process."""
 
-    _max_workers = 1
-
-    def submit(self, work, /, *arguments, **keywords) -> Future:
-        future = Future()
+    def submit(self, task: Callable, /, *arguments, **keywords) -> Future:
+        """Run it; the Future holds what came of it."""
+        future: Future = Future()
         try:
-            future.set_result(work(*arguments, **keywords))
+            future.set_result(task(*arguments, **keywords))
         except Exception as error:
             future.set_exception(error)
         return future

@@ -26,7 +26,7 @@ import numpy as np
 from pagas_cl.errors import InputError, OutputError, log
 from pagas_cl.jobs.store import translate_os_errors, written
 from pagas_cl.jobs.task import Record, ViewTask
-from pagas_cl.result import DepthResult, in_short, normals_of
+from pagas_cl.result import DepthResult, RoundInput, in_short, normals_of
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import confidence_of, load_depth
 from pagas_cl.scene.files import DAMAGE, digest_of, opened, read_bytes, read_member, sum_of, write_arrays
@@ -204,11 +204,10 @@ class EarlierResults:
         """What they are is told by the keys of their tasks."""
         return " ".join(key for _, _, key in self.results)
 
-    def load(self) -> "list[StoredResult]":
-        """The view's own is read, ahead of its turn; the others are told of: a round reads them one at a time."""
+    def load(self) -> list[RoundInput]:
+        """The view's own is read; the others are read by the round, one at a time."""
         own, *others = (StoredResult.found(camera, self.folder, stem, key) for camera, stem, key in self.results)
-        vars(own)["ahead"] = own.loaded()
-        return [own, *others]
+        return [RoundInput(own.identity, own.loaded()), *(RoundInput(other.identity, other) for other in others)]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -234,9 +233,9 @@ class StoredResult:
     normals = property(lambda self: normals_of(self.depth, self.camera))
 
     def loaded(self) -> DepthResult:
-        """Everything in memory; what was read ahead is let go of."""
-        return vars(self).pop("ahead", None) or DepthResult(
-            self.camera, self.depth, self.status, self.deviation, self.parallax, self.reason, self.report, self.name)
+        """Everything in memory."""
+        return DepthResult(self.camera, self.depth, self.status, self.deviation, self.parallax, self.reason,
+                           self.report, self.name)
 
     @classmethod
     def found(cls, camera: Camera, folder: Path, stem: str, key: str) -> "StoredResult":

@@ -4,14 +4,12 @@ from collections.abc import Collection
 from contextlib import suppress
 from copy import copy
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError
-from pagas_cl.jobs.finished import EarlierResults
-from pagas_cl.jobs.store import Store
+from pagas_cl.jobs.results import Results
 from pagas_cl.jobs.task import Batch, ViewTask, task_key, view_digest
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.choice import PartnerChooser, Partners
@@ -24,31 +22,30 @@ _THREADS = 2     # that choose partners: each of many short calls of NumPy waits
 _SHARES = 8      # batches for each worker, so that a slow one leaves its share to others
 
 
-def on_disk(views: list[View], store: Store) -> list[View]:
-    """The views with photos and masks that live in memory put into `store`."""
-    return [View(view.camera, *store.put_arrays((view.image, view.mask)), view.name) for view in views]
-
-
 class Planner:
-    """Makes one view's task after another, so that workers have begun long before the last one is planned. Photos and
-    masks of `views` are on disk; `depths` have load() and digest, `samples` are for scene.choice."""
+    """Makes one view's task after another, so that workers have begun long before the last one is planned.
 
-    def __init__(self, views: list[View], depths: list, samples: list, config: Config, work):
+    `depths` have load() and digest, `samples` are for scene.choice. `has_digests`: photos and masks are on disk and
+    hashed, so that a task is known again by a later run.
+    """
+
+    def __init__(self, views: list[View], depths: list, samples: list, config: Config, work, has_digests: bool = True):
         self.views, self._depths, self._config, self._work = views, depths, config, work
+        self._has_digests = has_digests
         self._chooser = PartnerChooser([view.camera for view in views], samples, config.context)
         self.stems = file_stems([view.name for view in views])
         self._digests, self._partners, self._keys = {}, {}, {}
         self._earlier = None
 
-    def settle(self, asked: Collection[int]) -> None:
+    def choose_all(self, asked: Collection[int]) -> None:
         """Choose the partners of all views `asked` at once, and forget the depth maps."""
         side_by_side(self.partners, asked, _THREADS)
         self._chooser = None
 
-    def after(self, folder: Path, refined: Collection[int], work) -> "Planner":
-        """Of the round after this one, whose results of the views `refined` are in `folder`."""
+    def after(self, results: Results, refined: Collection[int], work) -> "Planner":
+        """Of the round after this one, which leaves `results` of the views `refined`."""
         planner = copy(self)
-        planner._earlier, planner._keys, planner._work = (self, folder, set(refined)), {}, work
+        planner._earlier, planner._keys, planner._work = (self, results, set(refined)), {}, work
         return planner
 
     def partners(self, index: int) -> Partners:
@@ -60,6 +57,8 @@ class Planner:
     def task(self, index: int) -> ViewTask:
         """The task of the view `index`."""
         partners, depth = self.partners(index), self._given(index)
+        if not self._has_digests:
+            return ViewTask(self.views[index].name, self.stems[index], partners, depth, self.stems[index])
         key = task_key(partners, {k: self.digest(k) for k in partners.all}, depth.digest, self._config, self._work)
         return ViewTask(self.views[index].name, self.stems[index], partners, depth, key)
 
@@ -67,9 +66,9 @@ class Planner:
         """What the view starts from: its depth map, or what the round before has left of it and its context views."""
         if self._earlier is None:
             return self._depths[index]
-        before, folder, refined = self._earlier
-        return EarlierResults(folder, tuple((self.views[k].camera, self.stems[k], before._key(k))
-                                            for k in self.partners(index).refined(refined)))
+        before, results, refined = self._earlier
+        return results.earlier([(self.views[k].camera, self.stems[k], before._key(k))
+                                for k in self.partners(index).refined(refined)])
 
     def _key(self, index: int) -> str:
         if index not in self._keys:
@@ -77,7 +76,10 @@ class Planner:
         return self._keys[index]
 
     def hash_inputs(self, indices: Collection[int]) -> None:
-        """Read what the tasks of these views will ask hashes of; who asks is told of what cannot be read."""
+        """Read what the keys of these views' tasks are made of; faults are raised where a key is made."""
+        if not self._has_digests:
+            return
+
         def ask(index: int) -> None:
             with suppress(InputError):
                 self.digest(index), getattr(self._depths[index], "digest", None)
@@ -85,7 +87,9 @@ class Planner:
         side_by_side(ask, {k for index in indices for k in self.partners(index).all})
 
     def digest(self, index: int) -> str:
-        """Hash of a view's photo, mask and camera; read once."""
+        """Hash of a view's photo, mask and camera, read once; its place where nothing is hashed."""
+        if not self._has_digests:
+            return str(index)
         if index not in self._digests:
             self._digests[index] = view_digest(self.views[index])
         return self._digests[index]

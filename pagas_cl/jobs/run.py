@@ -1,155 +1,190 @@
-"""Work to an executor: batches of views, records back; and parts of any other work. What fails is asked for again,
-three times at most."""
+"""Batches of views to workers, records back; and parts of any other work.
 
-import math
+Only a view whose worker or device was lost is tried again, three times at most: any other failure would come again. Of
+such a view the run says so once, and goes on with the others.
+"""
+
+from __future__ import annotations
+
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError, log
+from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError, log
 from pagas_cl.jobs.executors import Workers
-from pagas_cl.jobs.finished import find_finished, work_folder
-from pagas_cl.jobs.task import Batch, Record, code_version
-from pagas_cl.jobs.worker import STOP, WorkerContext, attempts, on_a_line, run_batch, run_part
+from pagas_cl.jobs.results import FolderResults, Results
+from pagas_cl.jobs.task import Batch, Fault, Record, on_a_line
+from pagas_cl.jobs.worker import Worker, run_batch, run_part
+
+if TYPE_CHECKING:
+    from pagas_cl.progress import OnStep
 
 TRIES = 3
-STALLED = 1800.0  # seconds without a view done, while workers tell that they have no device, until the run ends
-HOPELESS = 8  # so many views given up before one is done: something is wrong that no other view will escape
+HOPELESS = 8        # views that fail before one is done, or batches that no worker has a device for: the run ends
+_STALLED = 1800.0   # seconds without a view begun, while workers have no device, until the run ends
+_PAUSE = 0.5        # seconds before a batch that was refused is sent again
+_ERRORS = {Fault.INPUT: InputError, Fault.MEMORY: DeviceMemoryError}
 
 
-class Run:
-    """One run's batches on their way; results go to `folder`. `on_record(Record)` is called for each view, done or
-    given up; `inside(k)` is the progress of view `k` of the present batch, where it is refined in this process."""
+def error_of(record: Record, message: str) -> PagasError:
+    """The exception of the kind that a record's fault is."""
+    return _ERRORS.get(record.fault, PagasError)(message)
 
-    def __init__(self, workers: Workers, folder: Path, on_record, inside=None):
-        self.workers, self.folder, self.on_record = workers, folder, on_record
-        self._inside = (inside,) if workers.local else ()
+
+class _Run:
+    """A round: `on_record(Record)` is called for each view, done or given up; `is_uniform`: photos are of one size, so
+    that what the device cannot hold for one of them it can hold for none."""
+
+    def __init__(self, results: Results, on_record: Callable[[Record], Any], is_uniform: bool):
+        self.results, self._on_record, self._is_uniform = results, on_record, is_uniform
         self._queue: deque[Batch] = deque()
-        self._waiting: dict[Future, Batch] = {}
-        self._errors: dict[str, list[Record]] = {}
-        self._done, self._given_up = 0, 0
-        self._refused, self._last = 0, time.monotonic()       # workers without a device, since a view was last done
+        self._failures: dict[str, int] = {}
+        self._is_hopeful = False        # a view is done
+        self._given_up = 0
+
+    def _take(self, record: Record, batch: Batch) -> None:
+        if not record.error:
+            self._is_hopeful = True
+            self._on_record(record)
+            return
+        failures = self._failures[record.name] = self._failures.get(record.name, 0) + 1
+        if record.fault is Fault.LOST and failures < TRIES:
+            log.warning("view %s is tried again: %s", record.name, record.error)
+            self._queue.append(batch.only([task for task in batch.tasks if task.name == record.name]))
+        else:
+            self._give_up(record, failures)
+
+    def _give_up(self, record: Record, failures: int) -> None:
+        if record.fault is Fault.MEMORY and self._is_uniform and not self._is_hopeful:
+            raise error_of(record, record.error)
+        log.error("view %s has failed%s and is left out: %s", record.name,
+                  f" {failures} times" if failures > 1 else "", record.error)
+        self._given_up += 1
+        if self._given_up >= HOPELESS and not self._is_hopeful:
+            raise error_of(record, f"the first {HOPELESS} views have all failed, the last one, {record.name}: "
+                           f"{record.error}")
+        self._on_record(record)
+
+
+class RunHere(_Run):
+    """A round that `worker` works on, in this process; `on_step` as of Worker.records."""
+
+    def __init__(self, results: Results, on_record: Callable[[Record], Any], is_uniform: bool, worker: Worker,
+                 on_step: Callable[[int], OnStep | None]):
+        super().__init__(results, on_record, is_uniform)
+        self._worker, self._on_step = worker, on_step
+
+    def finish(self, batches: Iterable[Batch]) -> None:
+        """Work through `batches`."""
+        for batch in batches:
+            self._queue.append(batch)
+            while self._queue:
+                part = self._queue.popleft()
+                for record in self._worker.records(part, self._on_step):
+                    self._take(record, part)
+
+
+class RunElsewhere(_Run):
+    """A round whose batches other processes work on."""
+
+    results: FolderResults
+
+    def __init__(self, results: FolderResults, on_record: Callable[[Record], Any], is_uniform: bool, workers: Workers):
+        super().__init__(results, on_record, is_uniform)
+        self._workers = workers
+        self._waiting: dict[Future[list[Record]], Batch] = {}
+        self._refused = 0       # batches that workers had no device for, since one of them was last seen at work
+        self._has_warned = False
+        self._signs, self._seen = 0, time.monotonic()       # views begun, and when there was a new one
 
     def finish(self, batches: Iterable[Batch]) -> None:
         """Work through `batches`, which may be planned while others are at work."""
-        source, most = iter(batches), 1 if self.workers.local else math.inf
+        source = iter(batches)
         try:
             while True:
-                while len(self._waiting) < most:
-                    batch = self._queue.popleft() if self._queue else next(source, None)
-                    if batch is None:
-                        break
+                batch = self._queue.popleft() if self._queue else next(source, None)
+                if batch is not None:
                     self._send(batch)
                     self._receive_done(0)
-                if not self._waiting and not self._queue:
+                elif self._waiting:
+                    self._receive_done(None)
+                else:
                     break
-                self._receive_done(None)
         except BaseException:
-            self._ask_to_stop()
+            for future in self._waiting:
+                future.cancel()
+            self.results.ask_to_stop()
             raise
-
-    def close(self) -> None:
-        """End the executor, without the batches that have not begun."""
-        for future in self._waiting:
-            future.cancel()
-        self.workers.executor.shutdown(wait=True)
 
     def _send(self, batch: Batch) -> None:
         try:
-            self._waiting[self.workers.executor.submit(run_batch, batch, *self._inside)] = batch
+            self._waiting[self._workers.submit(run_batch, batch)] = batch
         except BrokenExecutor as error:
-            self._broken(error, batch)
+            self._replace_workers(error, batch)
 
-    def _receive_done(self, timeout) -> None:
+    def _receive_done(self, timeout: float | None) -> None:
         for future in wait(self._waiting, timeout, FIRST_COMPLETED).done:
             if future in self._waiting:
                 self._receive(future, self._waiting.pop(future))
 
-    def _receive(self, future: Future, batch: Batch) -> None:
+    def _receive(self, future: Future[list[Record]], batch: Batch) -> None:
         try:
             records = future.result()
         except OutputError:
             raise
         except BrokenExecutor as error:
-            self._broken(error, batch)
+            self._replace_workers(error, batch)
             return
         except DeviceError as error:
             self._refuse(error, batch)
             return
         except Exception as error:  # a lost worker, as the executor tells it: what it had finished is kept
             message = f"{type(error).__name__}: {error}"
-            records = [find_finished(batch.folder, task, batch.extras) or task.failed(message) for task in batch.tasks]
+            records = [self.results.find(task) or task.failed(message, Fault.LOST) for task in batch.tasks]
         for record in records:
             self._take(record, batch)
 
-    def _take(self, record: Record, batch: Batch) -> None:
-        if not record.error:
-            self._done += 1
-            self._refused, self._last = 0, time.monotonic()
-            self.on_record(record)
-            return
-        failures = self._errors.setdefault(record.name, [])
-        failures.append(record)
-        # read by the same process again a bad file is as bad; another worker may reach what this one does not
-        if len(failures) >= TRIES or record.bad_input and self.workers.local:
-            self._give_up(record)
-            return
-        log.warning("view %s has failed, it is tried again: %s", record.name, record.error)
-        self._queue.append(batch.only([task for task in batch.tasks if task.name == record.name]))
-
     def _refuse(self, error: DeviceError, batch: Batch) -> None:
-        """A worker has no device, which is not its views' fault: to another one."""
+        """A worker has no device, which is not its views' fault: another one may have. The run ends where no worker
+        is seen at work."""
+        signs, now = sum(self.results.attempts().values()), time.monotonic()
+        if signs != self._signs:
+            self._signs, self._seen, self._refused = signs, now, 0
         self._refused += 1
-        stalled = not self._done or time.monotonic() - self._last > STALLED
-        if self.workers.local or self._refused >= HOPELESS and stalled:
+        if self._refused >= HOPELESS and (not signs or now - self._seen > _STALLED):
             raise error
-        log.warning("a worker cannot work: %s", error)
+        if not self._has_warned:
+            log.warning("a worker cannot work: %s", error)
+            self._has_warned = True
+        time.sleep(_PAUSE)
         self._queue.append(batch)
 
-    def _broken(self, error: BrokenExecutor, lost: Batch) -> None:
+    def _replace_workers(self, error: BrokenExecutor, lost: Batch) -> None:
         """A process of a pool was killed, which ends the whole pool and does not tell at which view: those that were
-        begun three times are given up, the others are asked for one at a time."""
-        self.workers.renew(error)
+        begun three times are given up, the others are sent one at a time."""
+        self._workers.renew(error)
         unfinished = [lost, *self._queue, *self._waiting.values()]
-        self._queue.clear(), self._waiting.clear()
+        self._queue.clear()
+        self._waiting.clear()
         log.warning("a worker process was lost; its views are given to a new one")
-        begun = attempts(self.folder)
+        begun = self.results.attempts()
         for batch in unfinished:
             for task in batch.tasks:
-                record = find_finished(batch.folder, task, batch.extras)
+                record = self.results.find(task)
+                times = begun[on_a_line(task.name)]
                 if record is not None:
                     self._take(record, batch)
-                elif begun[on_a_line(task.name)] >= TRIES:
-                    self._give_up(task.failed("its worker process was lost each time"))
+                elif times >= TRIES:
+                    self._give_up(task.failed("its worker process was lost each time", Fault.LOST), times)
                 else:
                     self._queue.append(batch.only([task]))
 
-    def _give_up(self, record: Record) -> None:
-        times = len(self._errors.get(record.name, ())) or TRIES
-        log.error("view %s has failed%s and is left out: %s", record.name, f" {times} times" if times > 1 else "",
-                  record.error)
-        self._given_up += 1
-        if self._given_up >= HOPELESS and not self._done:
-            kind = InputError if record.bad_input else PagasError
-            raise kind(f"the first {HOPELESS} views have all failed, the last one, {record.name}: {record.error}")
-        self.on_record(record)
 
-    def _ask_to_stop(self) -> None:
-        """Let every worker end after its present view."""
-        for future in self._waiting:
-            future.cancel()
-        try:
-            (work_folder(self.folder) / STOP).touch()
-        except OSError as error:
-            log.warning("workers cannot be asked to stop: %s", error)
-
-
-def results_of(workers: Workers, work: Callable[[Any, WorkerContext], Any], parts: Sequence[Any]) -> list[Any]:
-    """What `work(part, context)` gives of each part. One whose worker or device was lost is asked for again, three
-    times at most: its last error is raised then."""
+def results_of(workers: Workers, work: Callable[[Any, Worker], Any], parts: Sequence[Any]) -> list[Any]:
+    """What `work(part, worker)` gives of each part. One whose worker or device was lost is sent again, three times at
+    most: its last error is raised then."""
     found: dict[int, Any] = {}
     for left in reversed(range(TRIES)):
         todo, futures, errors = [k for k in range(len(parts)) if k not in found], [], []
@@ -176,10 +211,10 @@ def results_of(workers: Workers, work: Callable[[Any, WorkerContext], Any], part
     return [found[k] for k in range(len(parts))]
 
 
-def _sent(workers: Workers, work, part) -> Future:
+def _sent(workers: Workers, work: Callable[[Any, Worker], Any], part: Any) -> Future[Any]:
     try:
-        return workers.executor.submit(run_part, work, part, workers.device, code_version())
+        return workers.submit(run_part, work, part, workers.device)
     except BrokenExecutor as error:
-        future: Future = Future()
+        future: Future[Any] = Future()
         future.set_exception(error)
         return future

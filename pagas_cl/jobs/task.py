@@ -1,19 +1,25 @@
 """What is sent to a worker and what comes back, small and free of arrays; and what makes two tasks the same."""
 
 import json
+import os
 import pickle
+import socket
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pagas_cl.config import Config
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.files import digest_file, digest_of
 from pagas_cl.scene.view import View
+
+if TYPE_CHECKING:
+    from pagas_cl.jobs.results import Results
 
 _OTHER_SETTINGS = ("context", "fusion")     # partners are named in the key; fusing comes after
 
@@ -28,33 +34,49 @@ class ViewTask:
     depth: Any            # the initial depth map: an object with load() and digest
     key: str              # see task_key
 
-    def failed(self, error: str, bad_input: bool = False) -> "Record":
+    def failed(self, error: str, fault: "Fault") -> "Record":
         """The record of a view that could not be refined."""
-        return Record(self.name, self.stem, self.key, error=error, bad_input=bad_input)
+        return Record(self.name, self.stem, self.key, error=error, fault=fault)
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
     """Neighbouring views that one worker refines one after another, so that it reads the photos they share once."""
 
-    work: Callable      # of a module: (views, partners, depth, config, device, photos, progress or None) -> DepthResult
-    views: dict[int, View]      # every one that the tasks need, photos and masks on disk
-    digests: dict[int, str]     # view_digest of each
+    work: Callable      # of a module: (views, partners, depth, config, device, photos, on_step or None) -> DepthResult
+    views: dict[int, View]      # every one that the tasks need; for other processes with photos and masks on disk
+    digests: dict[int, str]     # of each: equal ones are the same view
     tasks: tuple[ViewTask, ...]
     config: Config
-    folder: Path                # for results; every worker sees it under this name
-    device: Any                 # see runtime.claim.claim_device; a Device is taken as it is (in this process only)
-    code: str                   # the code_version that planned it
-    extras: bool = True         # whether status, deviation and parallax are kept beside the depth
+    results: "Results"          # where they go
+    device: Any = None          # see runtime.claim.claim_device; of a worker in another process
     photos: bool = True         # whether the work looks at photos
-    before: Callable | None = None  # (views, partners, depth, config, device, photos): what is found of a view ahead
-    keep: Callable | None = None    # (owner, result, device, photos): has what the next round asks for stay there
+    keep: Callable | None = None    # (owner, result, device, photos): has what the next round needs stay there
 
     def only(self, tasks) -> "Batch":
         """The same with fewer tasks."""
         needed = {index for task in tasks for index in task.partners.all}
         return replace(self, tasks=tuple(tasks), views={k: v for k, v in self.views.items() if k in needed},
                        digests={k: v for k, v in self.digests.items() if k in needed})
+
+
+@dataclass(frozen=True)
+class Round:
+    """What is done with each view after all were refined: `work` as in Batch; whether it looks at `photos`; and `keep`,
+    called with each result of the round before it (see Batch)."""
+
+    work: Callable
+    photos: bool
+    keep: Callable
+
+
+class Fault(str, Enum):
+    """Why a view could not be refined. Only what is LOST is tried again: all else would come again."""
+
+    INPUT = "input"       # its photo, mask or depth map
+    MEMORY = "memory"     # the device cannot hold what it needs
+    LOST = "lost"         # a worker or its device failed: another attempt may not meet it
+    OTHER = "other"
 
 
 @dataclass(frozen=True)
@@ -69,7 +91,7 @@ class Record:
     report: dict = field(default_factory=dict)     # DepthResult.report, and the device and worker
     digests: dict = field(default_factory=dict)    # sums (scene.files.sum_of) of the files that belong to it
     error: str = ""                                # what went wrong, one sentence; empty where the view is done
-    bad_input: bool = False                        # whether that lies in the input
+    fault: Fault | None = None                     # of which kind that is
 
 
 @cache
@@ -121,3 +143,16 @@ def _source_digest(source) -> str:
     if isinstance(source, Path):
         return digest_file(source)
     return digest_file(source.path) + digest_of([pickle.dumps(source, protocol=4)])    # a lens, and a path
+
+
+def worker_name() -> str:
+    """Machine and process."""
+    return f"{_machine()}-{os.getpid()}"
+
+
+_machine = cache(socket.gethostname)      # whoever asks the system lets other threads go first
+
+
+def on_a_line(name: str) -> str:
+    """A view's name on one line of any text file, whatever characters it has."""
+    return name.encode("unicode_escape").decode()

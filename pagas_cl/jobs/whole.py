@@ -1,40 +1,55 @@
-"""From views and depth maps to refined depth maps in a folder, by any executor."""
+"""From views and depth maps to refined depth maps, by this process or by any executor, in rounds."""
 
-import shutil
+from __future__ import annotations
+
 import tempfile
-from dataclasses import replace
-from functools import partial
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pagas_cl.errors import InputError, PagasError, log
+from pagas_cl.config import Config
+from pagas_cl.errors import InputError, log
 from pagas_cl.jobs.executors import Workers
-from pagas_cl.jobs.finished import (
-    StoredResult,
-    claim_names,
-    find_finished,
-    one_run,
-    records_in,
-    round_folder,
-    work_folder,
-)
-from pagas_cl.jobs.plan import Planner, groups, on_disk
-from pagas_cl.jobs.run import Run
-from pagas_cl.jobs.store import Store, translate_os_errors
-from pagas_cl.jobs.task import Batch, Record, code_version
-from pagas_cl.jobs.worker import STOP, close_worker_contexts
-from pagas_cl.progress import ViewProgress, tell
+from pagas_cl.jobs.keeping import Keeping, KeptInFolder, KeptInMemory
+from pagas_cl.jobs.plan import Planner, groups
+from pagas_cl.jobs.results import Results
+from pagas_cl.jobs.run import RunElsewhere, RunHere, error_of
+from pagas_cl.jobs.task import Batch, Fault, Record, Round, ViewTask
+from pagas_cl.jobs.worker import Worker
+from pagas_cl.progress import NONE, Progress, Stage, stage, within_view
 from pagas_cl.result import DepthResult
-from pagas_cl.runtime.host import side_by_side
+from pagas_cl.runtime.device import is_elsewhere, open_device
+from pagas_cl.runtime.host import side_by_side, trim
 from pagas_cl.scene.choice import for_planning
-from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.images import Loads
 from pagas_cl.scene.reasons import warn_of_nothing
+from pagas_cl.scene.view import View
+from pagas_cl.splat.budget import check_device_memory
+
+if TYPE_CHECKING:
+    from pagas_cl.progress import OnStep
+    from pagas_cl.splat import PhotoStore
 
 
-def refine_all(work, views, depths, asked, config, *, device=None, executor=None, folder=None, extras=True,
-               progress=None, on_view=None, later=(), before=None) -> list:
-    """Refine the views `asked`, resuming what an earlier run has finished.
+@dataclass(frozen=True)
+class Scene:
+    """What a run works on: places of the views to refine in `asked`; a depth map (or what loads it, or None) a view;
+    `on_view` is called with (view, initial depth, result) when a view is finished, in the order of `asked`."""
+
+    views: Sequence[View]
+    depths: Sequence[Any]
+    asked: list[int]
+    on_view: Callable[[View, Any, Any], Any] | None = None
+
+
+def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: Sequence[Any], asked: Collection[int],
+               config: Config, *, device: Any = None, executor: Any = None, folder: str | Path | None = None,
+               extras: bool = True, progress: Progress = NONE, on_view: Callable[..., Any] | None = None,
+               later: Sequence[Round] = (), photos: PhotoStore | None = None) -> list[Any]:
+    """Refine the views `asked`, going on from what an earlier run has finished in `folder`.
 
     Parameters
     ----------
@@ -44,137 +59,177 @@ def refine_all(work, views, depths, asked, config, *, device=None, executor=None
     device : str, sequence of str, Device, or None
         "all" and sequences: one process a device. With an executor: what each worker chooses from.
     executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
-        This process alone where it is left out, and no several devices are asked for.
+        This process alone where it is left out, and no several devices are named.
     folder : path, optional
         Gets `<stem>.npz` of each view and the work folder; every worker must see it. A run that finds finished views
-        of the same inputs, settings and code there does not do them again. A temporary folder where it is left out.
+        of the same inputs, settings and code there does not do them again. Results stay in memory where it is left out.
     extras : bool
-        Whether status, deviation and parallax are kept.
+        Whether status, deviation and parallax are kept in the folder.
     on_view : callable of (view, initial depth, result), optional
         Called in the order of `asked`, in which the results come too: StoredResult (DepthResult without a folder). A
-        view that failed three times has no surface, and its error in `report["failed"]`.
-    later : sequence of rounds.Round
+        view that failed has no surface, and its error in `report["failed"]`.
+    later : sequence of task.Round
         What is done after it, round by round, with each view's result and those of its context views. What the rounds
-        before the last one leave is in the work folder until all views are done.
-    before : callable, optional
-        See task.Batch; of the first round.
+        before the last one leave is kept until all views are done.
+    photos : PhotoStore, optional
+        Photos that are on the one device already.
     """
-    if folder is None:
-        with tempfile.TemporaryDirectory(prefix="pagas_cl-") as temporary:
-            results = refine_all(work, views, depths, asked, config, device=device, executor=executor, folder=temporary,
-                                 progress=progress, on_view=on_view, later=later, before=before)
-            return [result if isinstance(result, DepthResult) else result.loaded() for result in results]
-    folder = Path(folder).resolve()
-    with one_run(folder):
-        return _refine_in(folder, work, views, depths, asked, config, device, executor, extras, progress, on_view,
-                          later, before)
-
-
-def _refine_in(folder, work, views, depths, asked, config, device, executor, extras, progress, on_view, later,
-               before) -> list:
-    store = Store(work_folder(folder) / "inputs")
-    for depth in depths:
-        file = depth.file if isinstance(depth, DepthSource) else None
-        if isinstance(file, Path) and file.resolve().parent == folder:
-            raise InputError(f"the depth maps to start from are in {str(folder)!r}, where the refined ones would go; "
-                             "the next run would refine those: choose another folder")
-    samples, asked = _sampled(depths, asked)
-    depths = store.put_arrays(depths)
-    planner = Planner(on_disk(views, store), depths, samples, config, work)
-    if any(isinstance(sample, np.ndarray) for sample in samples):       # few views: whole depth maps
-        planner.settle(asked)
-    del samples
-    claim_names(folder, [planner.stems[index] for index in asked])
+    scene = Scene(views, depths, list(asked), on_view)
+    if not is_elsewhere(executor, device):
+        worker = Worker(open_device(device) if photos is None else photos.device, photos)
+        keeping = KeptInMemory() if folder is None else KeptInFolder(folder, extras)
+        try:
+            return _Rounds(keeping, worker, work, scene, config, progress, later).run()
+        finally:
+            worker.close()
+            trim()
     workers = Workers(executor, device)
-    template = Batch(work, {}, {}, (), config, folder, workers.device, code_version(), extras, before=before)
-    _make_ready(folder)
-    runs, failed, wanted = [], [], _wanted(planner, asked, folder, extras, later)
-    places = [*(round_folder(folder, number) for number in range(len(later))), folder]
-    for number, (some, place) in enumerate(zip(wanted, places)):
-        unfinished = max(0, len(some) - len(records_in(place)))      # told anew when it is planned
-        tell(progress, "expect_some", _stage(number), unfinished, len(some), len(asked))
     try:
-        for number, views_of_round in enumerate(wanted[:-1]):
-            place = round_folder(folder, number)
-            _make_ready(place)
-            collect = _Collect(views_of_round, views, depths, place, progress, None, _stage(number))
-            runs.append(Run(workers, place, collect, progress and collect.inside))
-            to_here = replace(template, folder=place, extras=True, keep=later[number].keep)
-            runs[-1].finish(_unfinished(planner, groups(views_of_round, views, workers.count()), to_here, collect,
-                                        len(asked)))
-            collect.results()        # raises where every view has failed
-            failed += [record for record in collect.records.values() if record.error]
-            lost = {record.name for record in failed}
-            asked_next = [k for k in asked if views[k].name not in lost]
-            wanted[number + 1] = [k for k in wanted[number + 1] if k in asked_next]
-            planner = planner.after(place, asked_next, later[number].work)
-            template = replace(template, work=later[number].work, photos=later[number].photos, before=None)
-        collect = _Collect(asked, views, depths, folder, progress, on_view, _stage(len(later)))
-        for record in failed:
-            collect(record)
-        runs.append(Run(workers, folder, collect, progress and collect.inside))
-        runs[-1].finish(_unfinished(planner, groups(wanted[-1], views, workers.count()), template, collect,
-                                    len(asked)))
-    except _Ended as ended:
-        raise ended.error from None
+        if folder is not None:
+            return _Rounds(KeptInFolder(folder, extras), workers, work, scene, config, progress, later).run()
+        with tempfile.TemporaryDirectory(prefix="pagas_cl-") as temporary:
+            results = _Rounds(KeptInFolder(temporary), workers, work, scene, config, progress, later).run()
+            return [result if isinstance(result, DepthResult) else result.loaded() for result in results]
     finally:
-        if workers.own:
-            (runs[-1] if runs else Run(workers, folder, None)).close()
-        close_worker_contexts()
-    results = collect.results()
-    if not any(record.error for record in collect.records.values()):
-        side_by_side(partial(shutil.rmtree, ignore_errors=True),
-                     work_folder(folder).glob("round_*"))      # of killed runs with other settings, too
-    warn_of_nothing(views, depths, results)     # which may read the depth maps
-    shutil.rmtree(store.folder, ignore_errors=True)
-    return results
+        workers.close()
 
 
-def _stage(number: int) -> str:
+class _Rounds:
+    """All rounds of a run."""
+
+    def __init__(self, keeping: Keeping, place: Worker | Workers, work: Callable[..., DepthResult], scene: Scene,
+                 config: Config, progress: Progress, later: Sequence[Round]):
+        self._keeping, self._place, self._scene, self._config = keeping, place, scene, config
+        self._progress, self._works = progress, [work, *(step.work for step in later)]
+        self._later, self._last = later, len(later)
+        self._failed: list[Record] = []
+        self._is_uniform = len({(view.camera.width, view.camera.height) for view in scene.views}) == 1
+
+    def run(self) -> list[Any]:
+        """The results, in the order of the views that are refined."""
+        if isinstance(self._place, Worker):
+            check_device_memory([view.camera for view in self._scene.views], self._config, self._place.device)
+        with self._keeping.opened():
+            planner, asked = self._planned()
+            self._keeping.begin([planner.stems[index] for index in asked])
+            wanted = self._wanted(planner, asked)
+            for number in range(self._last):
+                results = self._round(number, planner, wanted[number], asked)
+                lost = {record.name for record in self._failed}
+                asked_next = [k for k in asked if self._scene.views[k].name not in lost]
+                wanted[number + 1] = [k for k in wanted[number + 1] if k in asked_next]
+                planner = planner.after(results, asked_next, self._works[number + 1])
+                self._forget(number - 1)
+            found = self._last_round(planner, wanted[-1], asked)
+        warn_of_nothing(self._scene.views, self._scene.depths, found)     # which may read the depth maps
+        return found
+
+    def _forget(self, number: int) -> None:
+        """Let go of what the device holds of a round whose results are used up."""
+        if number >= 0 and isinstance(self._place, Worker):
+            self._place.forget(self._keeping.results(number, self._last).held())
+
+    def _planned(self) -> tuple[Planner, list[int]]:
+        """Who makes the first round's tasks, and places of the views that can be refined."""
+        scene = self._scene
+        samples, asked = _sampled(scene.depths, scene.asked)
+        views, depths = self._keeping.inputs(scene.views, scene.depths)
+        planner = Planner(views, depths, samples, self._config, self._works[0], self._keeping.has_digests)
+        if any(isinstance(sample, np.ndarray) for sample in samples):       # few views: whole depth maps
+            planner.choose_all(asked)
+        return planner, asked
+
+    def _wanted(self, planner: Planner, asked: list[int]) -> list[list[int]]:
+        """Views that each round has to work on: all, or, where an earlier run has left results, those that are not
+        finished, and before them those whose results they need."""
+        rounds = range(self._last + 1)
+        if not self._last or not any(self._keeping.earlier(number, self._last) for number in rounds):
+            return [list(asked) for _ in rounds]
+        last = planner
+        for number in range(self._last):
+            last = last.after(self._keeping.results(number, self._last), asked, self._works[number + 1])
+        results = self._keeping.results(self._last, self._last)
+        needed = {k for k in asked if not _is_finished(last, k, results)}
+        wanted = [list(asked)]
+        for _ in range(self._last):
+            needed = {j for k in needed for j in planner.partners(k).refined(asked)}
+            wanted.insert(0, [k for k in asked if k in needed])
+        return wanted
+
+    def _round(self, number: int, planner: Planner, wanted: list[int], asked: list[int]) -> Results:
+        """Work through a round before the last one; what fails in it takes no part in the next ones."""
+        results = self._keeping.results(number, self._last)
+        with stage(self._progress if wanted else NONE, _name_of(number), len(wanted)) as shown:
+            collect = _Collect(wanted, replace(self._scene, on_view=None), results, shown)
+            self._work_through(number, planner, wanted, results, collect)
+        collect.raise_if_all_failed()
+        self._failed += [record for record in collect.records.values() if record.error]
+        return results
+
+    def _last_round(self, planner: Planner, wanted: list[int], asked: list[int]) -> list[Any]:
+        results = self._keeping.results(self._last, self._last)
+        with stage(self._progress, _name_of(self._last), len(asked)) as shown:
+            collect = _Collect(asked, self._scene, results, shown)
+            for record in self._failed:
+                collect(record)
+            self._work_through(self._last, planner, wanted, results, collect)
+        collect.raise_if_all_failed()
+        self._keeping.end(complete=not any(record.error for record in collect.records.values()))
+        return [collect.result(index) for index in asked]
+
+    def _work_through(self, number: int, planner: Planner, wanted: list[int], results: Results,
+                      collect: _Collect) -> None:
+        following = self._later[number] if number < self._last else None
+        looks = number == 0 or self._later[number - 1].photos
+        template = Batch(self._works[number], {}, {}, (), self._config, results, photos=looks,
+                         keep=following and following.keep)
+        if isinstance(self._place, Worker):
+            batches = self._unfinished(number, planner, groups(wanted, self._scene.views, 0), template, collect)
+            shows = self._progress is not NONE
+            try:
+                RunHere(results, collect, self._is_uniform, self._place,
+                        collect.on_step if shows else _silent).finish(batches)
+            except _CallerError as error:
+                raise error.error from None
+        else:
+            template = replace(template, device=self._place.device)
+            batches = self._unfinished(number, planner, groups(wanted, self._scene.views, self._place.count()),
+                                       template, collect)
+            RunElsewhere(results, collect, self._is_uniform, self._place).finish(batches)
+
+    def _unfinished(self, number: int, planner: Planner, parts: list[list[int]], template: Batch,
+                    collect: _Collect) -> Iterator[Batch]:
+        """Batches of what no earlier run has finished, each planned when it is needed; where there was an earlier run
+        all of them first, so that what is kept of it is reported before the work begins."""
+        todos = (_todo(planner, part, template.results, collect) for part in parts)
+        if self._keeping.earlier(number, self._last):
+            todos = iter(list(todos))
+            kept = sum(not record.error for record in collect.records.values())
+            log.info("%d of %d views were finished by an earlier run and are kept%s", kept, len(collect.asked),
+                     "" if kept else ": it had other inputs, settings or code")
+        for todo in todos:
+            if todo:
+                collect.begin_batch()
+                yield planner.batch(todo, template)
+
+
+def _silent(number: int) -> None:
+    """No view's steps are reported."""
+
+
+def _name_of(number: int) -> str:
     """What progress calls a round."""
     return f"agree, round {number}" if number else "refine"
 
 
-def _wanted(planner: Planner, asked, folder: Path, extras: bool, later) -> list[list[int]]:
-    """Views that each round has to work on: all, or, where an earlier run has left finished views, those that are not
-    finished, and before them those that they take results of."""
-    wanted, places = [list(asked)], [round_folder(folder, number) for number in range(len(later))]
-    if later and any(records_in(place) for place in (folder, *places)):
-        last = planner
-        for place, step in zip(places, later):
-            last = last.after(place, asked, step.work)
-        needed = {k for k in asked if not _is_finished(last, k, folder, extras)}
-        for _ in later:
-            needed = {j for k in needed for j in planner.partners(k).refined(asked)}
-            wanted.insert(0, [k for k in asked if k in needed])
-        return wanted
-    return wanted * (len(later) + 1)
-
-
-def _is_finished(planner: Planner, index: int, folder: Path, extras: bool) -> bool:
+def _is_finished(planner: Planner, index: int, results: Results) -> bool:
     try:
-        return find_finished(folder, planner.task(index), extras) is not None
-    except InputError:        # told of when it is planned
+        return results.find(planner.task(index)) is not None
+    except InputError:        # raised again when it is planned
         return False
 
 
-def _unfinished(planner: Planner, parts, template: Batch, collect: "_Collect", of: int):
-    """Batches of what no earlier run has finished, each planned when it is asked for; where there was an earlier run
-    all of them first, so that what is kept of it is told before the work begins."""
-    todos = (_todo(planner, part, template, collect) for part in parts)
-    earlier = len(records_in(template.folder))
-    if earlier:
-        todos = list(todos)
-        collect.progress.expect(sum(map(len, todos)), of)
-        kept = sum(not record.error for record in collect.records.values())
-        log.info("%d of %d views were finished by an earlier run and are kept%s", kept, len(collect.asked),
-                 "" if kept else ": it had other inputs, settings or code")
-    for todo in todos:
-        if todo:
-            yield planner.batch(todo, template)
-
-
-def _todo(planner: Planner, part, template: Batch, collect: "_Collect") -> list:
+def _todo(planner: Planner, part: list[int], results: Results, collect: _Collect) -> list[ViewTask]:
     """The tasks of a part of the views, without those that are finished, which are collected."""
     todo = []
     planner.hash_inputs(part)
@@ -184,9 +239,9 @@ def _todo(planner: Planner, part, template: Batch, collect: "_Collect") -> list:
         except InputError as error:  # a photo that has gone meanwhile
             name = planner.views[index].name
             log.error("view %s is left out: %s", name, error)
-            collect(Record(name, "", "", error=str(error), bad_input=True))
+            collect(Record(name, "", "", error=str(error), fault=Fault.INPUT))
             continue
-        record = find_finished(template.folder, task, template.extras)
+        record = results.find(task)
         if record is None:
             todo.append(task)
         else:
@@ -194,8 +249,8 @@ def _todo(planner: Planner, part, template: Batch, collect: "_Collect") -> list:
     return todo
 
 
-class _Ended(BaseException):
-    """The caller's own error, on its way past those who take errors for a view's."""
+class _CallerError(BaseException):
+    """What the caller's own function has raised, on its way past those who take errors for a view's."""
 
     def __init__(self, error: Exception):
         super().__init__(str(error))
@@ -203,57 +258,63 @@ class _Ended(BaseException):
 
 
 class _Collect:
-    """Takes the records as they come, tells of them in the order of the views."""
+    """Takes a round's records as they come, and hands results to the caller in the order of the views."""
 
-    def __init__(self, asked, views, depths, folder, progress, on_view, stage: str = "refine"):
-        self.asked, self.views, self.depths, self.folder = asked, views, depths, folder
-        self.progress, self.on_view = ViewProgress(progress, len(asked), stage), on_view
-        self.records, self._told = {}, 0
-        self.progress.at(0)
+    def __init__(self, asked: list[int], scene: Scene, results: Results, shown: Stage):
+        self.asked, self._scene, self._results, self._shown = asked, scene, results, shown
+        self.records: dict[str, Record] = {}
+        self._handed_over = self._before_batch = 0
 
-    def __call__(self, record) -> None:
+    def __call__(self, record: Record) -> None:
         self.records[record.name] = record
-        self.progress.at(len(self.records))
-        while self.on_view and self._told < len(self.asked):
-            index = self.asked[self._told]
-            record = self.records.get(self.views[index].name)
-            if record is None:
+        self._shown.advance(len(self.records))
+        while self._scene.on_view and self._handed_over < len(self.asked):
+            index = self.asked[self._handed_over]
+            next_one = self.records.get(self._scene.views[index].name)
+            if next_one is None:
                 break
-            self._told += 1
-            if record.key:  # it could be planned
-                self.on_view(self.views[index], self.depths[index].load(), self._result(index))
+            self._handed_over += 1
+            if next_one.key:  # it could be planned
+                depth = self._scene.depths[index]
+                self._scene.on_view(self._scene.views[index], depth.load() if isinstance(depth, Loads) else depth,
+                                    self.result(index))
 
-    def inside(self, number: int):
-        """Progress of view `number` of the batch at hand. What it raises is the caller's error, and ends the run."""
-        tell = self.progress.inside(len(self.records) + number)
+    def begin_batch(self) -> None:
+        """The views that are counted from here on are those of another batch."""
+        self._before_batch = len(self.records)
 
-        def relay(*given):
+    def on_step(self, number: int) -> OnStep:
+        """Progress within the view after the first `number` of the batch at hand. What the caller's function raises
+        ends the run."""
+        advance = within_view(self._shown, self._before_batch + number)
+
+        def on_step(done: int, total: int) -> None:
             try:
-                tell(*given)
+                advance(done, total)
             except Exception as error:
-                raise _Ended(error) from error
+                raise _CallerError(error) from error
 
-        relay("", 0, 1)       # those before it are done
-        return relay
+        on_step(0, 1)       # those before it are done
+        return on_step
 
-    def results(self) -> list:
+    def raise_if_all_failed(self) -> None:
+        """An error where no view is left."""
         failed = [record for record in self.records.values() if record.error]
         if failed and len(failed) == len(self.asked):
-            kind = InputError if all(record.bad_input for record in failed) else PagasError
-            raise kind(f"every view has failed; {failed[0].name}: {failed[0].error}")
-        return [self._result(index) for index in self.asked]
+            raise error_of(failed[0], f"every view has failed; {failed[0].name}: {failed[0].error}")
 
-    def _result(self, index: int):
-        record, camera = self.records[self.views[index].name], self.views[index].camera
+    def result(self, index: int) -> Any:
+        """The result of the view `index`."""
+        record, camera = self.records[self._scene.views[index].name], self._scene.views[index].camera
         if record.error:
             return DepthResult.missing(camera, record.error, record.name)
-        return StoredResult(camera, self.folder, record)
+        return self._results.result_of(record, camera)
 
 
-def _sampled(depths, asked) -> tuple[list, list[int]]:
+def _sampled(depths: Sequence[Any], asked: list[int]) -> tuple[list[Any], list[int]]:
     """What planning needs of each depth map, and which of the views `asked` have a valid depth."""
-    def sample(depth):
-        return for_planning(depth.load() if hasattr(depth, "load") else depth, len(depths))
+    def sample(depth: Any) -> Any:
+        return for_planning(depth.load() if isinstance(depth, Loads) else depth, len(depths))
 
     samples = side_by_side(sample, depths)      # no more than these are in memory at a time
     valid = [k for k in asked if samples[k] is not None and (getattr(samples[k], "depth", samples[k]) > 0).any()]
@@ -262,12 +323,3 @@ def _sampled(depths, asked) -> tuple[list, list[int]]:
     if len(valid) < len(asked):
         log.warning("%d views have a depth map without a valid pixel and are left out", len(asked) - len(valid))
     return samples, valid
-
-
-def _make_ready(folder: Path) -> None:
-    """The folder without what killed runs have left."""
-    work = work_folder(folder)
-    for left in ("parts", "journal"):
-        shutil.rmtree(work / left, ignore_errors=True)
-    with translate_os_errors(folder):
-        (work / STOP).unlink(missing_ok=True)

@@ -41,22 +41,6 @@ class Device:
     """Whether events of `queue` carry times."""
 
     @cached_property
-    def beside(self) -> "Device":
-        """The same device with another queue, where what is asked at once does not wait for what `queue` is at; itself
-        where it is a CPU, which has nothing to spare.
-
-        Its buffers are never those that were given back here, which `queue` may be at still. What is made there may
-        be used here when it was waited for.
-        """
-        if self.info.kind == "CPU":
-            return self
-        from pagas_cl.runtime.memory import MemoryBeside
-
-        other = replace(self, queue=_queue(self.context, self.cl_device, self.profiling))
-        vars(other).update(beside=other, memory=MemoryBeside(self.memory))
-        return other
-
-    @cached_property
     def memory(self) -> "Memory":
         """The buffers that this process holds on the device, counted."""
         from pagas_cl.runtime.memory import Memory, limit_of
@@ -150,7 +134,7 @@ def working(device: Device) -> Device:
                           f"{ENVIRONMENT}") from error
 
 
-def elsewhere(executor: Any, devices: Any) -> bool:
+def is_elsewhere(executor: Any, devices: Any) -> bool:
     """Whether these arguments of refine_views ask for other processes than this one."""
     return executor is not None or devices == "all" or isinstance(devices, (list, tuple))
 

@@ -61,10 +61,6 @@ class Memory:
         self.peak, self._planned = self.held, min(self.limit, planned)
         self._free(self._most)
 
-    def has_room(self, nbytes: int) -> bool:
-        """Whether so many bytes fit beside what is planned."""
-        return max(self.held, self._planned) + nbytes <= self.limit
-
     @property
     def _most(self) -> int:
         return max(self._planned, int(self.spare * self.limit))
@@ -94,18 +90,6 @@ class Memory:
         """Let the driver have kept buffers, until no more than `most` bytes are held and kept."""
         while self._kept and self.held + self.waiting > most:
             self._pop(*next(iter(self._kept)))
-
-
-class MemoryBeside:
-    """The same for another queue of the device: counted together, but no buffer that the one gave back, and may be at
-    still, serves the other."""
-
-    def __init__(self, memory: Memory):
-        self._memory = memory
-
-    def buffer(self, context: cl.Context, nbytes: int, role: str = "") -> "_Counted":
-        """As of Memory."""
-        return self._memory.buffer(context, nbytes, f"beside {role}")
 
 
 class _Counted(cl.Buffer):

@@ -117,6 +117,18 @@ def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoS
         raise DeviceMemoryError(f"{error}, even with one photo at a time; {what_fits(*given, device)}") from error
 
 
+def check_device_memory(cameras: Sequence[Camera], config: Config, device) -> None:
+    """Before any work: DeviceMemoryError where `device` can hold the refinement of none of the views with these
+    `cameras`: not of the smallest one with one context view, with the leanest settings."""
+    smallest = sorted(cameras, key=lambda camera: camera.width * camera.height)[:2]
+    leanest = [config.with_settings(**change) for change in ({}, *LEANER)]
+    needed = min(plan_for(smallest, len(smallest) - 1, lean, streamed=True).nbytes for lean in leanest)
+    if needed > device.memory.limit:
+        raise DeviceMemoryError(f"a view of {smallest[0].width} x {smallest[0].height} needs {needed / 1e6:,.1f} MB at "
+                                f"least, {device.info.title} may hold {device.memory.limit / 1e6:,.1f} MB; "
+                                f"{what_fits(smallest, len(smallest) - 1, config, device)}")
+
+
 def what_fits(cameras: list[Camera], contexts: int, config: Config, device) -> str:
     """What to change so that the view fits: a setting, or the size of the photos."""
     def fits(changed: Config, share: float = 1.0) -> bool:

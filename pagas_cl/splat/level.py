@@ -139,11 +139,11 @@ class Level:
         """Adam from its first step."""
         return step.Solver(self._first, self.buffers, self.target.size, self.given.viewing_distance)
 
-    def run(self, steps: int, progress=None, schedule: Schedule | None = None, meanwhile=None) -> int:
-        """At most `steps` steps; returns how many were enqueued. `progress(done, total)` is told of those that are
-        done, of the last few by `tell_rest`; `meanwhile()` as of StepProgress."""
+    def run(self, steps: int, on_step=None, schedule: Schedule | None = None) -> int:
+        """At most `steps` steps; returns how many were enqueued. `on_step(done, total)` is called for those that are
+        done, for the last few by `report_rest`."""
         schedule = schedule or Schedule.of(self.config, steps)
-        queue, solver, self._told = self.device.queue, self.solver(), step.StepProgress(progress, steps, meanwhile)
+        queue, solver, self._reported = self.device.queue, self.solver(), step.StepProgress(on_step, steps)
         self.ending = solver.launches
         for number in range(steps):
             if number in schedule.fits:
@@ -155,15 +155,15 @@ class Level:
             ended = solver.enqueue(number, steps)
             self._moved = [moved + solver.rate(number, steps) for moved in self._moved]
             queue.flush()
-            self._told.enqueued(number + 1, ended)
+            self._reported.enqueued(number + 1, ended)
             if solver.finished(number):
                 steps = number + 1
                 break
         return steps
 
-    def tell_rest(self):
+    def report_rest(self):
         """Wait for the last steps of `run`: when what comes after them is enqueued."""
-        self._told.finish()
+        self._reported.finish()
 
     def read(self, name: str, shape, dtype=np.float32) -> np.ndarray:
         """Copy of the buffer `name` on the host."""

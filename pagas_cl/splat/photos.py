@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.errors import InputError
-from pagas_cl.runtime.device import elsewhere, open_device
 from pagas_cl.splat.buffers import Size
 
 PHOTO_MARGIN = 16         # pixels behind a photo that may be read
@@ -28,15 +26,14 @@ class PhotoStore:
         self.device, self.on_host = device, device.info.kind == "CPU"
         self.limit = limit_bytes or min(device.memory.limit // 4, _ON_A_CPU if self.on_host else device.memory.limit)
         self._held: dict[Hashable, tuple] = {}        # by owner: what is on the device, bytes
-        self._leaving: dict[Hashable, Callable[[Any], None]] = {}      # by owner, who is told before it goes
         self._ahead: dict[Any, Future[np.ndarray]] = {}                # by view
 
     def photo(self, view) -> cl.Buffer:
         """Buffer of (height, width) uchar4 of `view`, a pagas_cl.scene.view.View."""
         def send() -> cl.Buffer:
             pixels = self._ahead.pop(view).result() if view in self._ahead else _read(view)
-            buffer = photo_buffer(self.device.beside, size)
-            cl.enqueue_copy(self.device.beside.queue, buffer, pixels).wait()      # another queue will use it
+            buffer = photo_buffer(self.device, size)
+            cl.enqueue_copy(self.device.queue, buffer, pixels)
             return buffer
 
         size = _full_size(view).pixels
@@ -64,12 +61,6 @@ class PhotoStore:
             if view in self._held:
                 self._held[other] = self._held.pop(view)
 
-    def on_leaving(self, owner: Hashable, call: Callable[[Any], None]) -> bool:
-        """Have `call(what is held)` made before that of `owner` makes room for something else; whether it is held."""
-        if owner in self._held:
-            self._leaving[owner] = call
-        return owner in self._held
-
     def has(self, view) -> bool:
         """Whether its photo is on the device."""
         return view in self._held
@@ -77,7 +68,6 @@ class PhotoStore:
     def forget(self, owners) -> None:
         """Let go of what is held for `owners`, and so of them; what else may serve is given back."""
         for owner in owners:
-            self._leaving.pop(owner, None)
             if owner in self._held:
                 self._held.pop(owner)[0].release()
 
@@ -116,20 +106,7 @@ class PhotoStore:
             self._let_go(next(iter(self._held)))
 
     def _let_go(self, owner: Hashable):
-        found, _ = self._held.pop(owner)
-        if owner in self._leaving:
-            self._leaving.pop(owner)(found)
-
-
-def photos_here(device, executor, folder, photos: PhotoStore | None = None) -> PhotoStore | None:
-    """Room for photos on the one device on which this process refines views: that of `photos`, if given; None where
-    views are refined elsewhere (arguments as of refine_views)."""
-    if folder is None and not elsewhere(executor, device):
-        return photos or PhotoStore(open_device(device))
-    if photos is not None:
-        raise InputError("photos that are on one device serve this process alone: leave out photos, or folder, "
-                         "executor and several devices")
-    return None
+        self._held.pop(owner)
 
 
 class StreamedPhotos:

@@ -1,4 +1,4 @@
-"""Launches of step.cl, Adam and its schedule (method section 6); and progress that tells of steps when the device has
+"""Launches of step.cl, Adam and its schedule (method section 6); and progress that reports steps when the device has
 done them, not when they are enqueued."""
 
 from collections import deque
@@ -10,8 +10,7 @@ from pagas_cl.runtime.memory import constant, download
 from pagas_cl.splat.constants import BEST, DONE, LOSS, LOSS_ONE, RATE
 
 _LOOK_EVERY = 10          # steps between two looks of the host at the schedule
-AHEAD = 8          # steps that stay enqueued beyond the one that is told of: the device never waits for the host
-FAR_AHEAD = 24     # where the host has something else to do
+AHEAD = 8          # steps that stay enqueued beyond the one that is reported: the device never waits for the host
 
 
 def loss_of(device, buffers) -> float:
@@ -71,19 +70,16 @@ class Solver:
 
 
 class StepProgress:
-    """Calls `progress(done, total)` after each step; does nothing where that is None. `meanwhile()` is called whenever
-    so many steps are enqueued that the device has something to do for as long as that takes."""
+    """Calls `on_step(done, total)` when a step has ended on the device; does nothing where that is None."""
 
-    def __init__(self, progress, total: int, meanwhile=None):
-        self.progress, self.total, self._under_way, self._meanwhile = progress, total, deque(), meanwhile
+    def __init__(self, on_step, total: int):
+        self._on_step, self._total, self._under_way = on_step, total, deque()
 
     def enqueued(self, number: int, event):
         """Step `number` (from 1) was; `event` ends it."""
-        if self._meanwhile and number % FAR_AHEAD == 0:
-            self._meanwhile()
-        if self.progress:
+        if self._on_step:
             self._under_way.append((number, event))
-        while len(self._under_way) > (FAR_AHEAD if self._meanwhile else AHEAD):
+        while len(self._under_way) > AHEAD:
             self._wait()
 
     def finish(self):
@@ -93,4 +89,4 @@ class StepProgress:
     def _wait(self):
         number, event = self._under_way.popleft()
         event.wait()
-        self.progress(number, self.total)
+        self._on_step(number, self._total)

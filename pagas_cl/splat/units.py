@@ -47,7 +47,6 @@ class NormalizedDepth:
         mask = target.load_mask()
         self.scene_scale = scene_scale if scene_scale and mask is None else scene_scale_of(depth, mask)
         self._device, self._own = device, given is None
-        device = device.beside if self._own else device      # who makes it waits for it
         with np.errstate(over="ignore"):
             self.given = upload(device, depth.astype(np.float32, copy=False)) if given is None else given
         doubles = depth.dtype == np.float64          # rounded once, after the division

@@ -42,17 +42,16 @@ class Refinement:
 
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
-                  progress=None, held_out=(), measured=None, normalized: NormalizedDepth | None = None,
-                  start: Start | None = None, meanwhile: Callable[[], None] | None = None) -> Refinement:
+                  on_step=None, held_out=(), measured=None, normalized: NormalizedDepth | None = None,
+                  start: Start | None = None) -> Refinement:
     """Run the pyramid on one view with at least one context view; `depth` (H, W), z in scene units, 0 = no surface.
 
-    `photos` are a PhotoStore (a new one by default) or StreamedPhotos; `progress(done, total)` is told of the steps
-    that the device has done, of those of all levels; `held_out` views take no part and judge the result; evidence and
+    `photos` are a PhotoStore (a new one by default) or StreamedPhotos; `on_step(done, total)` is called when the
+    device has done a step, of those of all levels; `held_out` views take no part and judge the result; evidence and
     deviations depend on `measured` (Measurements); `normalized` is the depth where it is on the device already, and is
     used up. `start`: where the steps of a full-size level alone start from, in place of `depth`, which the evidence
-    compares with; it is not told then what photos say of the whole (cost, held_out). `meanwhile()` is called now and
-    then when the device has steps of full size to go on with. DeviceMemoryError comes before the first step, where the
-    device may not hold what is planned.
+    compares with; what photos say of the whole (cost, held_out) is not known then. DeviceMemoryError comes before the
+    first step, where the device may not hold what is planned.
     """
     photos = photos or PhotoStore(device)
     cameras = [view.camera for view in (target, *contexts, *held_out)]
@@ -70,19 +69,19 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     for number, (scale, steps) in enumerate(zip(config.pyramid.scales, config.pyramid.steps)):
         level = run.level(scale, before, start)
         earlier = sum(config.pyramid.steps[:number])
-        done.append(level.run(steps, progress and (lambda done, _, earlier=earlier: progress(earlier + done, total)),
-                              Schedule.of(config, steps, start is not None), meanwhile if scale == 1 else None))
+        done.append(level.run(steps, on_step and (lambda done, _, earlier=earlier: on_step(earlier + done, total)),
+                              Schedule.of(config, steps, start is not None)))
         if level.buffers.history is not None:
             losses += level.read("history", max(config.pyramid.steps))[:done[-1]].tolist()
         if scale < 1:
-            level.tell_rest()
+            level.report_rest()
             before = level.buffers.take("depth"), level.target.size
             level.release()
             del level            # its photos too, before those of the next one
     found = run.finish(level, EvidencePrior.of(measured), tuple(done), losses, planned.nbytes, start, into)
-    level.tell_rest()
-    if progress and done[-1] < steps:                # the schedule has ended it
-        progress(total, total)
+    level.report_rest()
+    if on_step and done[-1] < steps:                # the schedule has ended it
+        on_step(total, total)
     return found
 
 

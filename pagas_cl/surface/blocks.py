@@ -16,6 +16,7 @@ import numpy as np
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import InputError, log
+from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
@@ -66,7 +67,7 @@ class Box:
 
 
 def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_mb: float | None = None, *, weights=None,
-                progress=None, executor=None, folder=None) -> Surface:
+                progress: Progress = NONE, executor=None, folder=None) -> Surface:
     """Fuse depth maps to a mesh in at most `memory_mb` of host memory, in boxes if need be. By default in some 600 MB,
     or what the mesh itself takes, of what is free, and with the bytes that one grid gives.
 
@@ -93,13 +94,13 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
             inputs = scratch / "inputs.pickle"
         tasks = [(box, scratch / f"{k:06d}.npz") for k, box in enumerate(boxes)]
         run = map if executor is None else executor.map
-        for done, file in enumerate(run(partial(fuse_box, inputs), tasks), start=1):
-            files.append(file)
-            if progress:
-                progress("fuse", done, len(tasks))
-        whole = join([file for file in files if file is not None], boxes, plan, memory_mb is None)
-        if progress:
-            progress("extract the mesh", 1, 1)
+        with stage(progress, "fuse", len(tasks)) as fusing:
+            for file in run(partial(fuse_box, inputs), tasks):
+                files.append(file)
+                fusing.advance(len(files))
+        with stage(progress, "extract the mesh", 1) as extracting:
+            whole = join([file for file in files if file is not None], boxes, plan, memory_mb is None)
+            extracting.advance(1)
         return whole
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import InputError, log
+from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import clean_depth, load_depth
 from pagas_cl.scene.mesh import Surface
@@ -65,7 +66,8 @@ def fusion_plan(views, depths, settings: Fusion = Fusion()) -> FusionPlan:
     return plan_with_blocks(views, depths, settings, [])[0]
 
 
-def plan_with_blocks(views, depths, settings: Fusion, of_views, progress=None) -> tuple[FusionPlan, np.ndarray]:
+def plan_with_blocks(views, depths, settings: Fusion, of_views,
+                     progress: Progress = NONE) -> tuple[FusionPlan, np.ndarray]:
     """`fusion_plan`, and all different blocks: int32 of shape (N, 3). Those of each view are appended to `of_views`."""
     cameras = [view.camera if isinstance(view, View) else view for view in views]
     if len(cameras) != len(depths):
@@ -73,15 +75,15 @@ def plan_with_blocks(views, depths, settings: Fusion, of_views, progress=None) -
     footprint, grid_scale, middle, low, high = _measured(cameras, depths)
     plan = FusionPlan(settings, settings.voxel * footprint, (low, high), middle, grid_scale, of_views)
     grid, union = plan.grid(1, colour=False), Union()
-    for camera, depth in zip(cameras, depths):
-        depth, blocks = _in_grid(plan, camera, depth), np.zeros((0, 3), np.int32)
-        if depth is not None:
-            wide = bool(depth.max() * grid_scale / camera.fx > 2 * plan.voxel)
-            blocks = grid.touched(depth, _intrinsics(camera), _pose(plan, camera), every=wide)
-        of_views.append(blocks)
-        union.add(blocks)
-        if progress:
-            progress("plan the mesh", len(of_views), len(cameras))
+    with stage(progress, "plan the mesh", len(cameras)) as planning:
+        for camera, depth in zip(cameras, depths):
+            depth, blocks = _in_grid(plan, camera, depth), np.zeros((0, 3), np.int32)
+            if depth is not None:
+                wide = bool(depth.max() * grid_scale / camera.fx > 2 * plan.voxel)
+                blocks = grid.touched(depth, _intrinsics(camera), _pose(plan, camera), every=wide)
+            of_views.append(blocks)
+            union.add(blocks)
+            planning.advance(len(of_views))
     blocks = union.blocks()
     return replace(plan, block_count=len(blocks)), blocks
 
@@ -102,7 +104,7 @@ def _vertices(blocks: int, settings: Fusion) -> float:
     return blocks * block_resolution(settings.truncation)**2 * _VERTICES
 
 
-def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, progress=None, *,
+def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, progress: Progress = NONE, *,
          plan: FusionPlan | None = None, memory_mb: float | None = None) -> Surface:
     """Fuse depth maps to a mesh with colours and normals.
 
@@ -113,7 +115,7 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
     weights : list of (ndarray of shape (H, W) from 0 to 1, or None), optional
         How far each depth counts, rounded up to thirds; 0 leaves a pixel out. Open3D's own integration has no weights:
         a depth of weight 2/3 is integrated twice, so that `min_views` then counts thirds.
-    progress : callable(stage, done, total), optional
+    progress : Progress, optional
     plan : FusionPlan, optional
         From `fusion_plan` with these settings, so that it is not made twice.
     memory_mb : float, optional
@@ -127,17 +129,25 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
         fits = settings.voxel * np.sqrt(plan.memory_mb / allowed) * 1.05
         raise InputError(f"fusion needs {plan.memory_mb:.0f} MB and {allowed:.0f} MB are free: set fusion.voxel to "
                          f"{fits:.2g} (it is {settings.voxel:g}), or give the machine more memory")
-    tell, grid = progress or (lambda stage, done, total: None), plan.grid(plan.block_count)
-    tell("fuse", 0, len(views))
-    for i, view in enumerate(views):
-        integrate(grid, plan, plan.blocks[i], view, depths[i], None if weights is None else weights[i])
-        tell("fuse", i + 1, len(views))
-    tell("extract the mesh", 0, 2)
-    seen = f"voxels seen by 1, 2, 3, more views: {', '.join(map(str, grid.seen()))}"
-    log.info("fusion: %s", seen)
-    vertices, faces, normals, colours = grid.extract(settings.min_views - 0.5)
-    del grid  # cleaning the mesh takes memory of its own
-    tell("extract the mesh", 1, 2)
+    grid = plan.grid(plan.block_count)
+    with stage(progress, "fuse", len(views)) as fusing:
+        for i, view in enumerate(views):
+            integrate(grid, plan, plan.blocks[i], view, depths[i], None if weights is None else weights[i])
+            fusing.advance(i + 1)
+    with stage(progress, "extract the mesh", 2) as extracting:
+        seen = f"voxels seen by 1, 2, 3, more views: {', '.join(map(str, grid.seen()))}"
+        log.info("fusion: %s", seen)
+        extracted = grid.extract(settings.min_views - 0.5)
+        del grid  # cleaning the mesh takes memory of its own
+        extracting.advance(1)
+        surface = _cleaned(plan, extracted, seen)
+        extracting.advance(2)
+    return surface
+
+
+def _cleaned(plan: FusionPlan, extracted, seen: str) -> Surface:
+    """The mesh without small pieces, in an order of its own, in world coordinates."""
+    (vertices, faces, normals, colours), settings = extracted, plan.settings
     if len(faces) == 0:
         raise empty_mesh(plan, f" {seen};")
     keep, faces, dropped = without_small_pieces(faces, len(vertices), settings.min_component)
@@ -145,9 +155,7 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
     first, faces = in_order(vertices[keep], normals[keep], faces)
     keep = keep[first]
     vertices, normals, colours = in_world(plan, vertices[keep], normals[keep], colours[keep])
-    surface = Surface(vertices, faces, normals, colours)
-    tell("extract the mesh", 2, 2)
-    return surface
+    return Surface(vertices, faces, normals, colours)
 
 
 def integrate(grid: Grid, plan: FusionPlan, blocks: np.ndarray, view: View, depth, weight) -> None:

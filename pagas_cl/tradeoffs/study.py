@@ -10,6 +10,7 @@ from pathlib import Path
 from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.jobs.executors import SerialExecutor
 from pagas_cl.jobs.finished import one_run
+from pagas_cl.progress import Reporter, progress_of, reported
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.files import DAMAGE, read_bytes
 from pagas_cl.splat import PhotoStore
@@ -38,7 +39,8 @@ class Study:
 
 
 def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: int = 1, budget=None, settings=None,
-             device=None, report=None, repeats: int = 1, executor: Executor | None = None, progress=None) -> Study:
+             device=None, report=None, repeats: int = 1, executor: Executor | None = None,
+             progress: Reporter = None) -> Study:
     """Measure error against time of many settings on a sample of a scene's views.
 
     Parameters
@@ -66,7 +68,8 @@ def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: in
 
 
 def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *, budget=None, device=None, report=None,
-            repeats: int = 1, executor: Executor | None = None, progress=None) -> Study:
+            repeats: int = 1, executor: Executor | None = None,
+             progress: Reporter = None) -> Study:
     """As `tradeoff`, on cases that are made already."""
     most = max(len(case.contexts) for case in cases)
     settings, device = distinct(settings or front_plan(), most), open_device(device)
@@ -78,7 +81,8 @@ def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *
     cases, initial = _judged(cases)
     with nullcontext() if report is None else one_run(Path(report)):
         book = Book(None if report is None else Path(report), device.info.title, cases)
-        left_out = _fill(book, cases, settings, device, budget, repeats, executor or SerialExecutor(), progress)
+        left_out = _fill(book, cases, settings, device, budget, repeats, executor or SerialExecutor(),
+                         progress_of(progress))
         study = collect(book.records, settings, initial, str(device.info), left_out)
         if report is not None:
             write_report(Path(report), study, book.device)
@@ -168,9 +172,7 @@ def _fill(book, cases, settings, device, budget, repeats, executor, progress) ->
         log.info("%d settings on %d views, %d runs still to do: about %.1f minutes%s", len(settings), len(cases),
                  len(todo), sum(guess.seconds(setting, cases[k]) for setting, k in todo) / 60,
                  f", at most {budget:g}" if budget else "")
-    for done, (setting, k) in enumerate(todo):
-        if progress:
-            progress("measure", done, len(todo))
+    for setting, k in reported(progress, "measure", todo):
         started = time.monotonic()
         if budget and started - began + guess.seconds(setting, cases[k]) > 60 * budget:
             left_out.append(setting.name)
@@ -183,8 +185,6 @@ def _fill(book, cases, settings, device, budget, repeats, executor, progress) ->
         _write_judged(book, waiting)
         guess.learn(setting, cases[k], time.monotonic() - started)
     _write_judged(book, waiting, wait=True)
-    if progress:
-        progress("measure", len(todo), len(todo))
     if left_out:
         left_out = list(dict.fromkeys(left_out))
         log.warning("left out, since the budget of %g minutes would not do: %s", budget, "; ".join(left_out))

@@ -117,7 +117,7 @@ def run(cameras, folder: Path, ask, watch: Watch) -> None:
     start = watch.last
     if not ask.given:
         photos = PhotoStore(device)
-        views, config, _ = refine.settle_cameras(views, surface, config, device, None, photos)
+        views, config, _ = refine.resolve_cameras(views, surface, config, device, None, photos)
     watch.tell("are cameras off?")
     depths = refine.initial_depths(surface, views, device=device)
     watch.tell("draw the given mesh")

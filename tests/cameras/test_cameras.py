@@ -7,7 +7,7 @@ import pytest
 from support.camera_noise import after_similarity, noisy, rms_motion
 
 import pagas_cl
-from pagas_cl.cameras.effect import settle_cameras
+from pagas_cl.cameras.effect import resolve_cameras
 from pagas_cl.cameras.motion import exponential, moved, pixel_motion, placed, twist_between
 from pagas_cl.cameras.onto import onto_mesh
 from pagas_cl.cameras.pairs import choose_pairs
@@ -73,7 +73,7 @@ def test_nothing_moves_where_nothing_is_off(relief, device):
     found = refine_cameras(views, relief.depths, device=device)
     assert np.max(found.moved) < 0.03 and not found.accepted and "agree clearly better" in found.reason
     assert all(a is b for a, b in zip(found.cameras, relief.cameras))
-    same, config, told = settle_cameras(views, relief.depths, pagas_cl.preset("balanced"), device)
+    same, config, told = resolve_cameras(views, relief.depths, pagas_cl.preset("balanced"), device)
     assert told is None and all(a is b for a, b in zip(same, views)) and config.effects.cameras == "set"
 
 

@@ -9,7 +9,6 @@ import pytest
 from PIL import Image
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.commands._console import Lines
 from pagas_cl.commands._settings import build_config
 from pagas_cl.errors import DeviceError, InputError, MissingExtraError, NoDeviceError
 from pagas_cl.scene.depthmap import load_depth, save_depth
@@ -320,11 +319,3 @@ def test_settings_take_the_type_of_their_field():
     assert config.splatting.blend == "order_free"
     with pytest.raises(InputError, match="expected true or false"):
         build_config("paper", ["loss.grey=perhaps"])
-
-
-def test_progress_lines_tell_the_time_left():
-    times, written = iter([0.0, 5.0, 20.0, 21.0, 40.0]), []
-    lines = Lines(written.append, lambda: next(times))
-    for done in range(5):
-        lines("refine", done, 4)
-    assert written == ["refine: 2 of 4, about 20 s left\n", "refine: 4 of 4 in 40 s\n"]

@@ -15,10 +15,10 @@ from support.camera_noise import noisy
 from support.job_scenes import QUICK, TESTS, bytes_of, compile_once, load_small_scene, said, write_small_scene
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.cameras.refine import refine_cameras
 from pagas_cl.jobs import refine_all
 from pagas_cl.one_view import refine_one
-from pagas_cl.refine import refine_views
+from pagas_cl.progress import progress_of
+from pagas_cl.refine import refine_cameras, refine_views
 
 pytestmark = pytest.mark.slow
 
@@ -101,7 +101,7 @@ def test_a_worker_is_killed_and_another_joins(scene, cluster, tmp_path):
             cluster.add("127.0.0.5")
 
     out = tmp_path / "out"
-    refine_all(work.slow_refine, views, depths, range(VIEWS), QUICK, folder=out, progress=progress,
+    refine_all(work.slow_refine, views, depths, range(VIEWS), QUICK, folder=out, progress=progress_of(progress),
                executor=cluster.client.get_executor(pure=False), extras=False)
     assert happened and bytes_of(out) == bytes_of(alone) and len(bytes_of(out)) == VIEWS
     began, ended = said(out, "began"), said(out, "ended")
@@ -144,6 +144,6 @@ def test_blocks_of_cameras_are_added_up_by_its_workers(scene, cluster, monkeypat
     alone = refine_cameras(views, depths)
     cluster.add("127.0.0.2")
     cluster.ready(1)
-    monkeypatch.setattr("pagas_cl.cameras.blocks.blocks", None)      # not in this process
+    monkeypatch.setattr("pagas_cl.jobs.camera_blocks.blocks", None)      # not in this process
     found = refine_cameras(views, depths, executor=cluster.address)
     assert found.moved.max() > 0.1 and np.array_equal(found.moved, alone.moved) and found.pairs == alone.pairs

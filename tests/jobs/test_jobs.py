@@ -1,9 +1,11 @@
 """Many views through executors: the same bytes, shared photos read once, failing views left out, devices not shared."""
 
 import multiprocessing
+import pickle
 import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -14,9 +16,13 @@ from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_sm
 from test_package import SOURCES
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.errors import DeviceError, InputError, OutputError, PagasError
-from pagas_cl.jobs import refine_all, task
-from pagas_cl.jobs.plan import Planner, along_curve, groups, on_disk
+from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError
+from pagas_cl.jobs import refine_all, run, task, worker
+from pagas_cl.jobs.executors import SerialExecutor
+from pagas_cl.jobs.keeping import KeptInFolder
+from pagas_cl.jobs.plan import Planner, along_curve, groups
+from pagas_cl.jobs.results import FolderResults
+from pagas_cl.jobs.run import HOPELESS
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.task import Batch
 from pagas_cl.one_view import refine_one
@@ -107,25 +113,38 @@ def test_a_photo_is_read_once(scene, tmp_path, monkeypatch):
 # -- who fails ---------------------------------------------------------------------------------------------------
 
 
-def test_a_view_that_fails_twice_is_done(scene, tmp_path, monkeypatch):
+def test_a_view_whose_device_is_lost_is_tried_again(scene, tmp_path, monkeypatch):
     views, depths = load_small_scene(scene)
     monkeypatch.setenv("PAGAS_CL_TEST_MARK", str(tmp_path / "mark"))
-    results = refine_all(work.fails_twice, views, depths, range(8), QUICK, folder=tmp_path / "out")
-    assert (tmp_path / "mark").read_text() == "2" and all("failed" not in r.report for r in results)
-    assert len(said(tmp_path / "out", "failed")) == 2
+    results = refine_all(work.lost_once, views, depths, range(8), QUICK, folder=tmp_path / "out")
+    assert (tmp_path / "mark").exists() and all("failed" not in r.report for r in results)
+    assert len(said(tmp_path / "out", "failed")) == 1
 
 
-def test_a_view_that_fails_three_times_is_named_and_left_out(scene, tmp_path, caplog):
+@pytest.mark.parametrize("where", ["in memory", "in a folder", "in another process"])
+def test_what_would_come_again_is_tried_once_and_told_once(scene, tmp_path, caplog, where):
+    """The same rules everywhere: the view is left out, and the others go on."""
     views, depths = load_small_scene(scene)
-    results = refine_all(work.fails_always, views, depths, range(8), QUICK, folder=tmp_path)
+    place = {"in memory": {}, "in a folder": {"folder": tmp_path}, "in another process": {"device": "all"}}[where]
+    results = refine_all(work.fails_always, views, depths, range(8), QUICK, **place)
     assert [k for k, r in enumerate(results) if "failed" in r.report] == [1] and not results[1].depth.any()
-    assert f"view {views[1].name} has failed 3 times and is left out: LinAlgError: never" in caplog.text
-    assert len(bytes_of(tmp_path)) == 7
+    assert caplog.text.count(f"view {views[1].name} has failed and is left out: LinAlgError: never") == 1
+    if where == "in a folder":
+        assert len(bytes_of(tmp_path)) == 7 and len(said(tmp_path, "began")) == 8
 
 
-def test_nothing_is_tried_for_ever(scene, tmp_path, monkeypatch):
+@pytest.mark.parametrize("kept", [False, True], ids=["in memory", "in a folder"])
+def test_a_device_that_is_too_small_is_told_once_before_any_work(scene, tmp_path, device, monkeypatch, caplog, kept):
     views, depths = load_small_scene(scene)
-    monkeypatch.setattr("pagas_cl.jobs.worker.write_finished", lambda *_: 1 / 0)
+    monkeypatch.setattr(device.memory, "limit", 1000)
+    with pytest.raises(DeviceMemoryError, match="a view of 64 x 48 needs .* it fits with photos of"):
+        refine_all(refine_one, views, depths, range(8), QUICK, device=device, folder=tmp_path / "a" if kept else None)
+    assert not caplog.records and not (tmp_path / "a").exists()
+
+
+def test_a_result_that_cannot_be_kept_ends_the_run(scene, tmp_path, monkeypatch):
+    views, depths = load_small_scene(scene)
+    monkeypatch.setattr("pagas_cl.jobs.finished.write_finished", lambda *_: 1 / 0)
     with pytest.raises(PagasError, match="ZeroDivisionError"):
         refine_all(work.copy_depth, views, depths, range(8), QUICK, folder=tmp_path)
 
@@ -152,11 +171,45 @@ def test_a_broken_executor_of_the_caller_is_told(scene, tmp_path):
             refine_all(work.killed_always, views, depths, range(8), QUICK, executor=pool, folder=tmp_path)
 
 
+class Pure(SerialExecutor):
+    """Keeps what equal arguments gave, as Dask's executor does unless it is told that functions are not pure."""
+
+    def __init__(self):
+        self.kept, self.sent = {}, 0
+
+    def submit(self, task, /, *arguments, **keywords):
+        self.sent += 1
+        key = pickle.dumps(arguments)
+        if key not in self.kept:
+            self.kept[key] = super().submit(task, *arguments, **keywords)
+        return self.kept[key]
+
+
+@pytest.mark.parametrize("refusals", [3, 1000])
+def test_a_worker_without_a_device_is_asked_again_but_not_for_ever(scene, tmp_path, monkeypatch, caplog, refusals):
+    views, depths = load_small_scene(scene)
+    claim, times = worker.claim_device, []
+
+    def refuse(names):
+        times.append(names)
+        if len(times) <= refusals:
+            raise DeviceError("every device is at work for another process")
+        return claim(names)
+
+    monkeypatch.setattr(worker, "claim_device", refuse)
+    monkeypatch.setattr(run, "_PAUSE", 0.0)
+    executor, few = Pure(), refusals < HOPELESS
+    with nullcontext() if few else pytest.raises(DeviceError, match="at work for another process"):
+        results = refine_all(work.copy_depth, views, depths, range(8), QUICK, executor=executor, folder=tmp_path)
+        assert all(r.depth.any() for r in results)
+    assert executor.sent <= 8 + HOPELESS and caplog.text.count("a worker cannot work") == 1
+
+
 def test_another_version_of_the_code_is_refused(scene, tmp_path, monkeypatch):
     views, depths = load_small_scene(scene)
     monkeypatch.setattr("pagas_cl.jobs.worker.code_version", lambda: "other")
-    with pytest.raises(DeviceError, match="another version"):
-        refine_all(work.copy_depth, views, depths, range(8), QUICK, folder=tmp_path)
+    with ThreadPoolExecutor(1) as pool, pytest.raises(DeviceError, match="another version"):
+        refine_all(work.copy_depth, views, depths, range(8), QUICK, executor=pool, folder=tmp_path)
 
 
 def test_the_exit_status_tells_of_views_left_out(scene, tmp_path, monkeypatch, capsys):
@@ -176,9 +229,8 @@ def test_keys_follow_every_input(scene, monkeypatch):
     views, depths = load_small_scene(scene)
 
     def keys(views=views, depths=depths, config=QUICK):
-        store = Store(scene.parent / "store")
-        kept = [store.put(depth) for depth in depths]
-        planner = Planner(on_disk(views, store), kept, depths, config, refine_one)
+        on_disk, kept = KeptInFolder(scene.parent / "store").inputs(views, depths)
+        planner = Planner(on_disk, kept, depths, config, refine_one)
         return [planner.task(k).key for k in range(8)]
 
     first = keys()
@@ -285,7 +337,7 @@ def test_a_batch_can_be_cut_down(scene, tmp_path):
     views, depths = load_small_scene(scene)
     store = Store(tmp_path)
     planner = Planner(views, [store.put(depth) for depth in depths], depths, QUICK, refine_one)
-    template = Batch(refine_one, {}, {}, (), QUICK, tmp_path, None, "")
+    template = Batch(refine_one, {}, {}, (), QUICK, FolderResults(tmp_path))
     batch = planner.batch([planner.task(k) for k in range(3)], template)
     one = batch.only(batch.tasks[:1])
     assert one.views.keys() == one.digests.keys() == set(batch.tasks[0].partners.all) < batch.views.keys()

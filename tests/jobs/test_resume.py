@@ -217,7 +217,7 @@ def test_a_photo_deleted_during_the_run(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("what, more", [("surface.blocks.fuse_within", ["--fuse"]),
-                                        ("commands.refine.kept_mesh", [])])
+                                        ("refine.kept_mesh", [])])
 def test_mesh_output_goes_on_too_and_leaves_nothing_beside(scene, tmp_path, monkeypatch, what, more):
     pytest.importorskip("open3d")
     arguments = ["refine", str(scene), "--mesh", str(scene / "mesh_coarse.ply"), "--output", str(tmp_path / "fine.ply"),
@@ -232,6 +232,6 @@ def test_mesh_output_goes_on_too_and_leaves_nothing_beside(scene, tmp_path, monk
     kept = tmp_path / ".fine.ply.views" / ".pagas_cl" / "views"
     records = [json.loads(path.read_text()) for path in kept.glob("*.json")]
     assert len(records) == 8 and not (tmp_path / "fine.ply").exists()
-    monkeypatch.setattr("pagas_cl.jobs.worker._attempt", lambda *_: 1 / 0)  # nothing is left to refine
+    monkeypatch.setattr("pagas_cl.jobs.worker.Worker._attempt", lambda *_: 1 / 0)  # nothing is left to refine
     assert command_line.run(arguments) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["fine.ply"]

@@ -12,6 +12,7 @@ import numpy as np
 from support.scenes import relief_scene
 
 from pagas_cl.effects import EFFECTS
+from pagas_cl.errors import DeviceLostError
 from pagas_cl.one_view import refine_one
 from pagas_cl.presets import preset
 from pagas_cl.refine import refine_views
@@ -62,18 +63,18 @@ def said(folder, what: str) -> list[str]:
 # -- work ----------------------------------------------------------------------------------------------------------
 
 
-def copy_depth(views, partners, depth, config, device, photos, progress=None) -> DepthResult:
+def copy_depth(views, partners, depth, config, device, photos, on_step=None) -> DepthResult:
     """No refinement at all: the depth as it came."""
     return DepthResult.unrefined(views[partners.target].camera, depth, "copied")
 
 
-def slow_refine(views, partners, depth, config, device, photos, progress=None) -> DepthResult:
+def slow_refine(views, partners, depth, config, device, photos, on_step=None) -> DepthResult:
     """The real refinement, half a second later."""
     time.sleep(0.5)
     return refine_one(views, partners, depth, config, device, photos)
 
 
-def killed_once(views, partners, depth, config, device, photos, progress=None) -> DepthResult:
+def killed_once(views, partners, depth, config, device, photos, on_step=None) -> DepthResult:
     """Kills its process at the third view, the first time."""
     path = Path(os.environ["PAGAS_CL_TEST_MARK"])
     if partners.target == 2 and not path.exists():
@@ -82,24 +83,23 @@ def killed_once(views, partners, depth, config, device, photos, progress=None) -
     return copy_depth(views, partners, depth, config, device, photos)
 
 
-def killed_always(views, partners, depth, config, device, photos, progress=None) -> DepthResult:
+def killed_always(views, partners, depth, config, device, photos, on_step=None) -> DepthResult:
     """Kills its process at the third view."""
     if partners.target == 2:
         os.kill(os.getpid(), signal.SIGKILL)
     return copy_depth(views, partners, depth, config, device, photos)
 
 
-def fails_twice(views, partners, depth, config, device, photos, progress=None) -> DepthResult:
-    """Fails at the second view, two times."""
-    mark = Path(os.environ["PAGAS_CL_TEST_MARK"])
-    count = int(mark.read_text()) if mark.exists() else 0
-    if partners.target == 1 and count < 2:
-        mark.write_text(str(count + 1))
-        raise ValueError("not now")
+def lost_once(views, partners, depth, config, device, photos, on_step=None) -> DepthResult:
+    """Loses its device at the second view, the first time."""
+    path = Path(os.environ["PAGAS_CL_TEST_MARK"])
+    if partners.target == 1 and not path.exists():
+        path.touch()
+        raise DeviceLostError("the device is gone")
     return copy_depth(views, partners, depth, config, device, photos)
 
 
-def fails_always(views, partners, depth, config, device, photos, progress=None) -> DepthResult:
+def fails_always(views, partners, depth, config, device, photos, on_step=None) -> DepthResult:
     """Fails at the second view."""
     if partners.target == 1:
         raise np.linalg.LinAlgError("never")
