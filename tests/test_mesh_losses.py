@@ -7,10 +7,10 @@ from PIL import Image
 from support.job_scenes import write_small_scene
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.errors import OutputError
+from pagas_cl.errors import InputError, OutputError
 from pagas_cl.scene.files import replaced_with_others
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_file import read_content, read_mesh, write_mesh
+from pagas_cl.scene.mesh_file import check_digits_of_scene, read_content, read_mesh, write_mesh
 from pagas_cl.scene.mesh_losses import losses
 
 pytestmark = pytest.mark.slow
@@ -191,3 +191,16 @@ def test_digits_that_would_be_lost_are_told_before_the_work(scene, tmp_path, cap
     assert command_line.run(["refine", str(scene), "--mesh", str(tmp_path / "far.ply"), "--output",
                              str(tmp_path / f"out{suffix}"), "--quiet"]) == 2
     assert "keep 7 digits of a coordinate" in capsys.readouterr().err and not list(tmp_path.glob("out*"))
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".glb", ".ply"])
+def test_digits_of_a_fused_mesh_are_judged_by_the_cameras(suffix):
+    near = np.random.default_rng(0).normal(size=(9, 3))
+    check_digits_of_scene(f"a{suffix}", near)
+    check_digits_of_scene(f"a{suffix}", near[:1] + 5e6)
+    far = near + [500000, 5400000, 0]
+    if suffix == ".ply":
+        check_digits_of_scene(f"a{suffix}", far)
+    else:
+        with pytest.raises(InputError, match="keep 7 digits"):
+            check_digits_of_scene(f"a{suffix}", far)

@@ -40,7 +40,7 @@ from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.mesh import to_surface
-from pagas_cl.scene.mesh_file import check_mesh_path, write_mesh
+from pagas_cl.scene.mesh_file import check_digits_of_scene, check_mesh_path, write_mesh
 from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import View
@@ -116,6 +116,7 @@ def command(
     if kept:
         check_kept(output, mesh, allow_loss or not keep_mesh)
     elif output is not None:
+        check_digits_of_scene(output, np.array([view.camera.center for view in found.views]))
         need("open3d", "mesh", "fusing depth maps to a mesh (--output without --mesh, or with --fuse)")
     as_given, cameras = found.views, {view.name: view.camera for view in found.views}
     for view in as_given:
@@ -163,7 +164,7 @@ def command(
         if page is not None and done.cameras is not None:
             page.note(str(done.cameras))
         if output is not None:
-            write_mesh(output, to_surface(done.mesh))
+            write_mesh(output, done.mesh)
             trim()
             log.info("mesh: %s", output)
             if page is not None:

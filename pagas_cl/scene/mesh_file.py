@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl import child
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, OutputError
 from pagas_cl.scene import gltf, ply, ply_header
 from pagas_cl.scene.files import replaced, replaced_with_others, translated
 from pagas_cl.scene.mesh import Surface
@@ -28,6 +28,7 @@ WRITERS: dict[str, Callable[[Path, Surface], None]] = {
 SUFFIXES = tuple(WRITERS)
 _SINGLE = (".stl", ".glb")                 # kinds that store float32
 _ROUNDING, _AHEAD = 1e-2, 0.1              # of the median edge; by so much refined edges may be shorter
+_OF_CAMERAS = 1e-4                         # of the extent of cameras: a tenth of a pixel of a wide photo, or less
 _KINDS = {stat.S_IFIFO: "a named pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFSOCK: "a socket",
           stat.S_IFDIR: "a folder"}
 _SECONDS, _BYTES_A_SECOND = 60.0, 1e6      # that another program's reader may take
@@ -117,16 +118,27 @@ def check_mesh_path(path: str | Path) -> None:
 def check_digits(path: str | Path, surface: Surface, ahead: bool = False) -> None:
     """Raise InputError where the kind of `path` keeps coordinates as float32 and rounding moves vertices by more than
     1 % of the median edge; `ahead` of a refinement, which makes edges shorter, by more than 0.1 %."""
-    path = Path(path)
-    if path.suffix.lower() not in _SINGLE:
-        return
-    moved = float(np.abs(surface.vertices - surface.vertices.astype(np.float32)).max())
     sides = surface.vertices[surface.faces] - surface.vertices[surface.faces[:, [1, 2, 0]]]
-    edge = float(np.median(np.linalg.norm(sides, axis=2)))
-    if moved > _ROUNDING * (_AHEAD if ahead else 1) * edge:
+    lengths = np.linalg.norm(sides, axis=2)
+    edge = float(np.median(lengths[lengths > 0]))
+    _check_rounding(path, surface.vertices, edge, _ROUNDING * (_AHEAD if ahead else 1), "edges are")
+
+
+def check_digits_of_scene(path: str | Path, centers: np.ndarray) -> None:
+    """As `check_digits` ahead of a mesh that is fused of what cameras at `centers` (N, 3) see: by more than a
+    ten-thousandth of how far they are from their middle."""
+    far = float(np.median(np.linalg.norm(centers - np.median(centers, axis=0), axis=1)))
+    if far > 0:
+        _check_rounding(path, centers, far, _OF_CAMERAS, "the scene is")
+
+
+def _check_rounding(path: str | Path, points: np.ndarray, length: float, share: float, what: str) -> None:
+    path = Path(path)
+    moved = float(np.abs(points - points.astype(np.float32)).max())
+    if path.suffix.lower() in _SINGLE and moved > share * length:
         raise InputError(f"mesh {str(path)!r}: {path.suffix} files keep 7 digits of a coordinate, which would move "
-                         f"vertices at up to {np.abs(surface.vertices).max():.9g} by {moved:.2g} where edges are "
-                         f"{edge:.2g} long; write .ply, .obj or .off, or move the scene's origin near the mesh")
+                         f"points at up to {np.abs(points).max():.9g} by {moved:.2g} where {what} {length:.2g} "
+                         "long; write .ply, .obj or .off, or move the scene's origin near the mesh")
 
 
 def write_mesh(path: str | Path, surface: Surface) -> None:
@@ -136,5 +148,11 @@ def write_mesh(path: str | Path, surface: Surface) -> None:
     check_mesh_path(path)
     check_digits(path, surface)
     suffix = path.suffix.lower()
-    with replaced_with_others(path) if suffix == ".obj" else replaced(path) as beside:
-        WRITERS[suffix](beside, surface)
+    try:
+        with replaced_with_others(path) if suffix == ".obj" else replaced(path) as beside:
+            WRITERS[suffix](beside, surface)
+    except OutputError:
+        raise
+    except OSError as error:       # of materials and their images
+        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; make room, or choose another place"
+                          ) from error
