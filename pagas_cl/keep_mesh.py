@@ -86,13 +86,14 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
     before = given.vertices if division is None else division.vertices(given.vertices)
     vertices, faults = without_new(device, given, division, solved.vertices)
     moved = unlike(vertices, before)
-    log.info("mesh: %d of %d vertices moved; %d were held back, since a triangle would have turned over", moved.sum(),
-             len(moved), solved.held)
-    log.info("mesh: %s", faults)
+    log.debug("mesh: %d of %d vertices moved; %d were held back, since a triangle would have turned over", moved.sum(),
+              len(moved), solved.held)
+    log.debug("mesh: %s", faults)
     if tell:
         tell(f"mesh: {faults}")
     if not moved.any():
-        log.warning("no vertex moved: no two refined views agree on any of them (%d views were refined)",
+        log.warning("the mesh is unchanged: nowhere do two refined views agree on where it should be (%d views were "
+                    "refined); check its cameras and photos with 'pagas-cl check'",
                     sum(not result.reason for result in used))
     quality = np.where(moved, vertex_confidence(vertices, used), 0)
     solving.at(1)
@@ -105,7 +106,7 @@ def _detailed(given: Surface, observed, device, finest, detail: float, flat: flo
                                        least_views=least_views, most=most, at=at)
     within, count = flat * detail * solved.unit**2, len(division.faces)
     division, keep = undivided(division, solved.vertices, np.where(np.isfinite(within), within, 0), place)
-    log.info("mesh: %d of %d triangles are needed to be within %g footprints", len(division.faces), count, flat)
+    log.debug("mesh: %d of %d triangles are needed to be within %g footprints", len(division.faces), count, flat)
     return division, Surface(solved.vertices[keep], division.faces)
 
 
@@ -125,7 +126,7 @@ def polished(surface: Surface, results, config: Config, device) -> Surface:
         solved = solve_mesh(surface, Observations(results), device, rounds=_POLISH,
                             least_views=_least_views(config))
     except (DeviceMemoryError, InputError) as error:      # InputError: results that were kept without their deviations
-        log.warning("the fused mesh is not polished: %s", error)
+        log.warning("the fused mesh is complete, but its last smoothing step failed: %s", error)
         return surface
     return replace(surface, vertices=solved.vertices,
                    attributes={"deviation": solved.deviation, "views": solved.seen.astype(np.float64)})
@@ -167,7 +168,7 @@ def check_kept(path, mesh, allow_loss: bool = False) -> None:
         raise InputError(f"--keep-mesh would lose of mesh {str(mesh)!r}: {', '.join(lost)}; pass --allow-loss to go on "
                          "without them" + (", or write an .obj file" if lost == ["texture coordinates"] else ""))
     if lost:
-        log.warning("%s will not have of %s: %s", path, mesh, ", ".join(lost))
+        log.warning("%s will not hold all that %s does; left out: %s", path, mesh, ", ".join(lost))
     path = Path(path)
     if path.suffix.lower() == ".obj" and any(path.parent.glob(f"{glob.escape(path.stem)}[._]*")):
         whole = load_whole(mesh)
@@ -177,7 +178,7 @@ def check_kept(path, mesh, allow_loss: bool = False) -> None:
             taken = differing(Path(folder).iterdir(), path)
         if taken:
             raise InputError(f"--output {str(path)!r}: its materials and textures would replace {taken[0]}, which is "
-                             "not ours; choose another name or folder")
+                             "written by another program; choose another name or folder")
 
 
 def _with_textures(path: Path, mesh) -> bool:

@@ -22,7 +22,7 @@ from pagas_cl.splat import PhotoStore
 FEWEST = 4                # views: three to tell how far a camera is off, and one more to judge
 MOST = 300                # views for which it is decided unasked: all depth maps are in memory at once
 _TIMES = 9                # as long as measuring them takes refining them
-WORDS = "pixels that photos are off by across the direction of depth"
+WORDS = "epipolar residual, pixels"
 
 
 def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, config: Config,
@@ -41,15 +41,16 @@ def settle_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     except DeviceError as error:
         if choice == "on":
             raise
-        log.warning("cameras stay as given, nothing is measured here: %s", error)
+        log.warning("cameras stay unchanged and are not checked, since that takes an OpenCL device: %s", error)
         return list(views), settled, None
     if choice == "auto":
         start = time.perf_counter()
         decision, off = decide_cameras(views, depths_or_mesh, config, here, photos)
         if progress:
             progress("measure the cameras", 1, 1)
-        log.info("%s", decision)
+        log.debug("%s", decision)
         if not decision.on:
+            log.info("cameras: no error was found, they stay unchanged")
             return list(views), settled, None
         tell(progress, "expect", "refine the cameras", _TIMES * (time.perf_counter() - start), "cameras")
     found = refine_cameras(views, depths_or_mesh, config=config, device=device, progress=progress, measured=off,
@@ -69,7 +70,7 @@ def decide_cameras(views: Sequence[View], depths_or_mesh, config: Config, device
     depths = depths_of(depths_or_mesh, device)[0]([view.camera for view in views])
     off = photos_off(views, depths, config, device, photos or PhotoStore(device))
     on = choice == "on" or (choice == "auto" and off[0] > OFF)
-    return Decision("cameras", off[0], OFF, on, WORDS if choice == "auto" else f"asked for: {choice}"), off
+    return Decision("cameras", off[0], OFF, on, WORDS if choice == "auto" else f"requested: {choice}"), off
 
 
 def camera_seconds(views: Sequence[View], depths_or_mesh, config: Config, device, number: int) -> float:

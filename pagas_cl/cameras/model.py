@@ -21,8 +21,8 @@ def check_place(out: str | Path, views: Sequence[View]) -> None:
     none that a COLMAP model can have."""
     place = Path(out) / "sparse" / "0"
     if place.exists() and not (place.is_dir() and not any(place.iterdir())) and not (Path(out) / REPORT).is_file():
-        raise InputError(f"--output: {str(place)!r} is a model of somebody else, which ours would replace: choose "
-                         "another folder")
+        raise InputError(f"--output: {str(place)!r} is a model that another program wrote, which would be replaced: "
+                         "choose another folder")
     for view in views:
         try:
             view.name.encode()

@@ -45,7 +45,7 @@ def command(
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
     quiet: bool = typer.Option(False, "--quiet", help="No progress."),
 ):
-    """Measure what SCENE calls for; refines nothing. The decisions are those that refine takes."""
+    """Measure which effects SCENE needs; refines nothing. The decisions are those that refine takes."""
     check_source(mesh, depth_dir, "where a refinement would start", outside)
     config = build_config(preset, [*settings, *effect_settings(effects)])
     found = load_scene(scene, format, outside)
@@ -103,7 +103,7 @@ def _told(analysis) -> list[tuple[str, str]]:
     without = sum(not view.decisions for view in analysis.views)
     lines = [("", f"{len(analysis.views)} views" + (f", {without} of them not to be refined (--table says why)"
                                                     if without else ""))]
-    for on, what in ((True, "Called for:"), (False, "Not called for:")):
+    for on, what in ((True, "Needed:"), (False, "Not needed:")):
         of = {}
         for decision in decided:
             if decision.on == on:
@@ -172,5 +172,5 @@ def page(analysis, source: str) -> str:
     sections = [(v.view, [], [v.reason] if v.reason else ["context views: " + ", ".join(v.contexts)])
                 for v in analysis.views]
     return html_page("pagas-cl analyze", notes[1:], COLUMNS, rows(analysis), sections,
-                     headline=f"The scene calls for {', '.join(on) or 'no effect'} ({notes[0]}).",
+                     headline=f"The scene needs {', '.join(on) or 'no effect'} ({notes[0]}).",
                      facts=[("scene", source), ("version", f"pagas_cl {__version__}"), ("device", analysis.device)])

@@ -20,7 +20,7 @@ MANY = ("--unknowns",)
 
 def command(
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
-    mesh: Path = typer.Option(None, "--mesh", help="The surface as it is known; it stays where it is."),
+    mesh: Path = typer.Option(None, "--mesh", help="The surface; it stays where it is."),
     depth_dir: Path = typer.Option(None, "--depth-dir", help="Depth maps, <image stem>.npz, not --mesh."),
     output: Path = typer.Option(..., "--output", help="Folder for sparse/0 (a COLMAP model) and cameras_report.json."),
     unknowns: list[str] = typer.Option([], "--unknowns", metavar="NAME",
@@ -52,7 +52,7 @@ def command(
         write_text(output / REPORT, json.dumps(told.as_dict(), indent=1) + "\n")
         model = write_model(scene, found.views, told.cameras, output)
     sys.stdout.write(table(told, [view.name for view in found.views]))
-    log.info("cameras: %s", model)
+    log.info("the refined cameras, for COLMAP and others: %s", model)
 
 
 def table(told, names) -> str:

@@ -28,7 +28,7 @@ def command(
     check_writable("--output", output)
     taken = [output / name for name in ("scene", "report", "mesh_refined.ply") if (output / name).exists()]
     if taken and not (output / "scene" / "depth_true").is_dir() and format is None:      # no earlier demo's
-        raise InputError(f"--output: {str(taken[0])!r} is not ours to replace: choose another folder")
+        raise InputError(f"--output: {str(taken[0])!r} was not written by this command: choose another folder")
     if format is not None:
         sys.stdout.write(make_example(output, format, width, round(width * 0.75), contexts))
         return

@@ -73,8 +73,8 @@ def claim_names(folder: Path, stems: list[str]) -> None:
         file = Path(folder) / f"{stem}.npz"
         records = _view_file(folder, stem, ".json"), Path(folder) / ".work" / f"{stem}.json"      # the latter of 0.1.0
         if stem not in known and file.exists() and not any(record.exists() for record in records):
-            raise OutputError(f"{str(file)!r} is there and was not written by a run of ours: move it away, or choose "
-                              "another folder for the refined depth maps")
+            raise OutputError(f"{str(file)!r} is there and was not written by a run of pagas_cl: move it away, or "
+                              "choose another folder for the refined depth maps")
     if not known.issuperset(stems):
         with written(_names_file(folder), _parts(folder)) as file:
             file.write(json.dumps(sorted(known.union(stems))).encode())
@@ -162,7 +162,7 @@ def find_finished(folder: Path, task: ViewTask, extras: bool) -> Record | None:
         log.warning("record %s cannot be used (%s): the view is refined again", path, error)
         return None
     if other:
-        log.warning("%s is not as it was written: view %s is refined again", other[0], task.name)
+        log.warning("%s has changed since it was written: view %s is refined again", other[0], task.name)
     return None if other else record
 
 

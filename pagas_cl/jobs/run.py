@@ -115,7 +115,7 @@ class Run:
         self.workers.renew(error)
         unfinished = [lost, *self._queue, *self._waiting.values()]
         self._queue.clear(), self._waiting.clear()
-        log.warning("a worker process was lost; its views are given to a new one")
+        log.warning("a worker process has ended unexpectedly; its views are given to a new one")
         begun = attempts(self.folder)
         for batch in unfinished:
             for task in batch.tasks:
@@ -123,7 +123,7 @@ class Run:
                 if record is not None:
                     self._take(record, batch)
                 elif begun[on_a_line(task.name)] >= TRIES:
-                    self._give_up(task.failed("its worker process was lost each time"))
+                    self._give_up(task.failed("its worker process ended unexpectedly each time"))
                 else:
                     self._queue.append(batch.only([task]))
 
@@ -144,7 +144,7 @@ class Run:
         try:
             (work_folder(self.folder) / STOP).touch()
         except OSError as error:
-            log.warning("workers cannot be asked to stop: %s", error)
+            log.warning("workers cannot be stopped and go on to their end: %s", error)
 
 
 def results_of(workers: Workers, work: Callable[[Any, WorkerContext], Any], parts: Sequence[Any]) -> list[Any]:

@@ -144,5 +144,5 @@ def tell_left_out(depths: Sequence[DepthSource | None], where: str) -> None:
     """Log the threshold of confidence and what it costs."""
     asked = [depth for depth in depths if depth is not None and depth.confidence is not None]
     if asked:
-        log.info("%s: depths of confidence below %.3g are left out, %.0f %%", where, asked[0].least,
-                 100 * np.mean([depth.low() for depth in asked[:_ASKED]]))
+        log.info("%s: depths that it marks as uncertain (confidence below %.3g) are left out, %.0f %%", where,
+                 asked[0].least, 100 * np.mean([depth.low() for depth in asked[:_ASKED]]))

@@ -44,8 +44,8 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
             if format is None and scene.depths is None:
                 _tell_depth(folder, name)
             return scene
-    raise InputError(f"scene {str(folder)!r} holds no cameras in a known format ({', '.join(FORMATS)}); expected for "
-                     "instance images/ and a COLMAP model in sparse/0")
+    raise InputError(f"scene {str(folder)!r} holds no cameras in a supported format ({', '.join(FORMATS)}); expected "
+                     "for instance images/ and a COLMAP model in sparse/0")
 
 
 def _tell_depth(folder: Path, taken: str) -> None:
