@@ -27,7 +27,7 @@ from pagas_cl.synthetic.scene import write_scene
     ("splatting.radus", "splatting.radius"), ("radius", "splatting.radius"), ("Voxel", "fusion.voxel"),
     ("fusion.voxle", "fusion.voxel"), ("beta", "solver.beta")])
 def test_a_setting_nearly_right_is_named(name, near):
-    with pytest.raises(InputError, match=f"nearest known one is '{near}"):
+    with pytest.raises(InputError, match=f"nearest one is '{near}"):
         pagas_cl.preset("fast").with_settings(**{name: 1})
 
 

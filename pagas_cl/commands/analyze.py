@@ -169,7 +169,7 @@ def page(analysis, source: str) -> str:
     on = dict.fromkeys(row[1] for row in rows(analysis) if row[4] == "on")
     notes = [f"{', '.join(head.strip().split(maxsplit=1))}{': ' if head else ''}{text}"
              for head, text in _told(analysis) if text]
-    sections = [(v.view, [], [v.reason] if v.reason else ["context views: " + ", ".join(v.contexts)])
+    sections = [(v.view, [], [v.reason] if v.reason else ["context views: " + ", ".join(v.contexts)], [])
                 for v in analysis.views]
     return html_page("pagas-cl analyze", notes[1:], COLUMNS, rows(analysis), sections,
                      headline=f"The scene needs {', '.join(on) or 'no effect'} ({notes[0]}).",

@@ -1,5 +1,6 @@
 """`pagas-cl refine`: the whole way from a folder of photos to refined depth maps and a mesh."""
 
+import time
 from collections import Counter
 from contextlib import nullcontext
 from dataclasses import replace
@@ -32,6 +33,7 @@ from pagas_cl.jobs.task import view_digest
 from pagas_cl.keep_mesh import check_kept, check_subdivide, kept_mesh, write_whole
 from pagas_cl.refine import fuse_results, refine_views
 from pagas_cl.report import Report, picture_files
+from pagas_cl.report.headline import sentence
 from pagas_cl.result import joined
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.mesh import to_surface
@@ -72,8 +74,8 @@ def command(
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
     photos: Path = typer.Option(None, "--photos", help="Folder of the original photos, where SCENE has a network's "
                                 "small ones."),
-    align: bool = typer.Option(True, "--align/--no-align", help="Bring depth maps together that disagree, in scale and "
-                               "shift, before they are refined."),
+    align: bool = typer.Option(True, "--align/--no-align", help="Align depth maps that disagree, in scale and shift, "
+                               "before they are refined."),
     fuse: bool = typer.Option(False, "--fuse", help="Fuse a new mesh from the depth maps, not --mesh refined."),
     keep_mesh: bool = typer.Option(False, "--keep-mesh", help="Move the vertices of --mesh and keep its triangles."),
     allow_loss: bool = typer.Option(False, "--allow-loss",
@@ -154,21 +156,20 @@ def command(
         if kept:
             made = kept_mesh(mesh if keep_mesh or output.suffix.lower() == ".obj" else to_surface(mesh), found.views,
                              results, config, "displace" if keep_mesh else "mesh", subdivide, device=place["device"],
-                             memory_mb=memory, tell=page and page.note, progress=progress)
+                             memory_mb=memory, tell=page and page.detail, progress=progress)
         elif output is not None:
-            made = fuse_results(found.views, results, config, progress, memory, page and page.note,
+            made = fuse_results(found.views, results, config, progress, memory, page and page.detail,
                                 device=place["device"])
         if output is not None:
             write_whole(output, made)
             trim()
-            log.info("mesh: %s", output)
         if page is not None and made is not None:
             progress("show the mesh", 0, 1)
             _show_mesh(page, found.views, mesh, made, results, place["device"])
             progress("show the mesh", 1, 1)
         if save_depth is not None:
             _save_cameras(save_depth, as_given, results)
-        _tell(results, save_depth, report)
+        _tell(results, output, save_depth, report)
         if folder is not None and save_depth is None:
             remove_run(folder)
         expected.remember()
@@ -197,7 +198,7 @@ def _save_cameras(folder: Path, views, results) -> None:
     `views`."""
     pairs = joined(views, results)
     if any(result.camera is not views[place].camera for place, result in pairs):
-        log.info("refined cameras: %s", camera_file.write(
+        log.info("the refined cameras: %s", camera_file.write(
             folder, [replace(views[place], camera=result.camera, mask=None) for place, result in pairs]))
 
 
@@ -237,13 +238,15 @@ def _add_pictures(page, given, number, total: int, progress, view, initial, resu
     """Put a view's pictures on the page as soon as it is done, so that an interrupted run has them; `given`: cameras by
     name, as they came."""
     report = result.report
-    remarks = ["context views: " + ", ".join(report["contexts"])] if report.get("contexts") else []
-    for on, what in ((True, "effects simulated"), (False, "effects not called for")):
+    remarks = ["compared with the photos: " + ", ".join(report["contexts"])] if report.get("contexts") else []
+    details = []
+    for on, what in ((True, "effects simulated"), (False, "effects not needed")):
         effects = [str(Decision(**fields)) for fields in report.get("effects", ()) if fields["on"] == on]
-        remarks += [f"{what}: " + "; ".join(effects)] if effects else []
-    figures = {"seconds": round(report["seconds"], 2)} if "seconds" in report else {}
+        details += [f"{what}: " + "; ".join(effects)] if effects else []
+    figures = {"seconds for this view": round(report["seconds"], 2)} if "seconds" in report else {}
     page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
-             counts={**result.counts, **figures}, remarks=remarks, reason=result.reason, given=given[view.name])
+             counts={**result.counts, **figures}, remarks=remarks, details=details, reason=result.reason,
+             given=given[view.name])
     progress("pictures", next(number), total)
 
 
@@ -261,24 +264,25 @@ def _report(folder, found, settings: str, place, asked: str, pictures):
     if folder is None:
         return nullcontext()
     where = place.get("executor") or getattr(place["device"], "info", place["device"])
-    return Report(folder, "pagas-cl refine", pictures=pictures, facts=[
-        ("scene", f"{found.source}, {len(found.views)} views"), ("settings", settings), ("command", asked or ""),
-        ("version", f"pagas_cl {__version__}"), ("device", str(where))])
+    return Report(folder, "pagas-cl refine", pictures=pictures, began=time.monotonic(),
+                  facts=[("scene", f"{found.source}, {len(found.views)} views")], particulars=[
+                      ("command", asked or ""), ("settings", settings), ("version", f"pagas_cl {__version__}"),
+                      ("device", str(where))])
 
 
-def _tell(results, save_depth, report) -> None:
+def _tell(results, output, save_depth, report) -> None:
     """Say what came out; an error where views were left out, though what was made without them stays."""
     total = Counter()
     for result in results:
         total.update(result.counts)
-    kept = sum(bool(result.reason) for result in results)
-    log.info("%d view%s%s; pixels: %s", len(results), "" if len(results) == 1 else "s",
-             f", {kept} of them kept as they came" if kept else "",
-             ", ".join(f"{number:,} {name}" for name, number in total.items()))
+    log.debug("pixels: %s", ", ".join(f"{number:,} {name}" for name, number in total.items()))
+    log.info("%s", sentence([result.counts for result in results], [result.reason for result in results]))
+    if output is not None:
+        log.info("the refined mesh: %s", output)
     if save_depth is not None:
-        log.info("depth maps: %s", save_depth)
+        log.info("the refined depth maps: %s", save_depth)
     if report is not None:
-        log.info("pictures: %s", report / "index.html")
+        log.info("pictures and figures, to open in a browser: %s", report / "index.html")
     failed = [(r.name, r.report["failed"]) for r in results if "failed" in r.report]
     if failed:
         names = ", ".join(name for name, _ in failed[:10]) + (", ..." if len(failed) > 10 else "")

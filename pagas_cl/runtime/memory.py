@@ -105,7 +105,7 @@ class MemoryBeside:
 
     def buffer(self, context: cl.Context, nbytes: int, role: str = "") -> "_Counted":
         """As of Memory."""
-        return self._memory.buffer(context, nbytes, f"beside {role}")
+        return self._memory.buffer(context, nbytes, f"next to {role}")
 
 
 class _Counted(cl.Buffer):

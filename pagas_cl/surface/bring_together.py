@@ -134,8 +134,8 @@ def _doubts(names: list[str], common: CommonScale, off: float) -> list[str]:
     if off > ALONE:
         said.append(f"cameras are off: photos miss one another by about {off:.1f} pixels, whatever the depth. Up to "
                     f"some {REACH:g} pixels are corrected before depth is refined (effect 'cameras'); where they are "
-                    "off by more, adjust them first: COLMAP's bundle_adjuster with these as its start, or the network's "
-                    "own (VGGT: --use_ba)")
+                    "off by more, adjust them first: COLMAP's bundle_adjuster with these as its start, or the "
+                    "network's own (VGGT: --use_ba)")
     elif common.agreement < AGREE:
         said.append(f"photos do not fit together over the depth (they agree {common.agreement:.2f}, of 1), and moving "
                     "them by some pixels does not mend it: depth or cameras are far off, or photos and cameras are "

@@ -56,7 +56,7 @@ def meshes_of(made):
     (SMOOTH.replace('value="true"', 'value="yes"'), "expected 'true' or 'false'"),
     ('<filter name="Re-Compute Vertex Normals"><Param type="RichEnum" name="weightMode" value="4"/></filter>',
      "whole number from 0 to 3"),
-    (OURS.replace('"voxel"', '"voxels"'), "unknown parameter 'voxels'; the nearest known one is 'voxel'"),
+    (OURS.replace('"voxel"', '"voxels"'), "unknown parameter 'voxels'; the nearest one is 'voxel'"),
     (OURS.replace("RichFloat", "RichInt"), "has type 'RichInt', expected 'RichFloat'"),
     (OURS.replace('value="2"', 'value="nan"'), "expected a number"),
     (OURS.replace('value="2"', 'value="-1"'), "fusion.voxel is -1"),
