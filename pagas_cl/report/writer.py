@@ -17,7 +17,8 @@ from pagas_cl.scene.names import OWN, flat_stem
 
 LEGEND = ["Of the surface to start from: refined = moved by the photos; kept = unchanged, since no other photo sees "
           "it, it is masked out, the photos show nothing there, or the whole view is unchanged; rejected = unchanged, "
-          "since the photos contradict the new depth. No surface: share of the whole photo. Pixels are counted in report.json.",
+          "since the photos contradict the new depth. No surface: share of the whole photo. report.json counts the "
+          "pixels.",
           "Change: how far the surface moved as the other photos see it, in their pixels (px): half of it by more than "
           "the median. Confidence: 1 = the photos fix the depth, 0.5 = to one pixel, 0 = they say nothing.",
           "Pictures: click for full size; dark grey = no value; the strip below a picture is its scale, from left to "
