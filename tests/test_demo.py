@@ -78,7 +78,7 @@ def test_demo_replaces_nothing_of_others(tmp_path, capsys):
     for name in ("scene", "report", "mesh_refined.ply"):
         (tmp_path / name).write_text("theirs")
         assert run(["demo", "--output", str(tmp_path)]) == 2
-        assert f"{name}' is not ours to replace: choose another folder" in capsys.readouterr().err
+        assert f"{name}' was not written by this command: choose another folder" in capsys.readouterr().err
         assert [path.read_text() for path in tmp_path.iterdir()] == ["theirs"]
         (tmp_path / name).unlink()
 

@@ -88,7 +88,7 @@ def test_the_command_line_hears_nothing_of_python(inverted, tmp_path, capsys, co
 def test_a_result_prints_as_a_line(tmp_path):
     camera = Camera(4, 3, 10, 10, 2, 1.5, np.eye(4), "a.png")
     result = DepthResult.unrefined(camera, np.ones((3, 4)), "nobody sees it")
-    assert repr(result) == "DepthResult('a.png', 4 x 3: 12 kept; as it came: nobody sees it)"
+    assert repr(result) == "DepthResult('a.png', 4 x 3: 12 kept; unchanged: nobody sees it)"
     stored = StoredResult(camera, tmp_path, Record("a.png", "a", "k", "", {"refined": 12345}))
     assert repr(stored) == "StoredResult('a.png', 4 x 3: 12,345 refined)"
 

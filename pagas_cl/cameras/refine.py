@@ -69,7 +69,7 @@ class CameraRefinement:
             return f"cameras stay unchanged: {self.reason}{wrong}"
         scales = self.depth_scales
         scaled = "" if scales is None else f"; depth maps scaled by {np.median(scales):.4f} (median)"
-        return (f"cameras were off and are corrected: photos moved by {np.nanmedian(self.moved):.2f} pixels (median), "
+        return (f"cameras were off and are corrected: by {np.nanmedian(self.moved):.2f} pixels in the typical photo, "
                 f"at most {np.nanmax(self.moved):.2f}{scaled}{wrong}")
 
     def scaled(self, depths: Sequence[Any]) -> list[Any]:

@@ -243,7 +243,7 @@ def _add_pictures(page, given, number, total: int, progress, view, initial, resu
     for on, what in ((True, "effects simulated"), (False, "effects not needed")):
         effects = [str(Decision(**fields)) for fields in report.get("effects", ()) if fields["on"] == on]
         details += [f"{what}: " + "; ".join(effects)] if effects else []
-    figures = {"seconds for this view": round(report["seconds"], 2)} if "seconds" in report else {}
+    figures = {"seconds": round(report["seconds"], 2)} if "seconds" in report else {}
     page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
              counts={**result.counts, **figures}, remarks=remarks, details=details, reason=result.reason,
              given=given[view.name])

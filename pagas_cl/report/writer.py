@@ -138,7 +138,8 @@ class Report:
                    "pictures": sorted(name for name in self._pictures if (self.folder / name).exists())}
         write_text(self.folder / "report.json", json.dumps(content, indent=1) + "\n")
         (self.folder / _BEGUN).unlink(missing_ok=True)
-        page = html_page(self.title, self.notes, columns, rows, self._sections, LEGEND if self._views else [],
+        header = ["seconds for this view" if key == "seconds" else key for key in columns]
+        page = html_page(self.title, self.notes, header, rows, self._sections, LEGEND if self._views else [],
                          headline=headline, facts=facts, lead=bar(self._views), body=self._mesh,
                          details=folded("Command, settings and measurements",
                                         pairs(self.particulars) + paragraphs(self.details)),
