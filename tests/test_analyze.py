@@ -50,7 +50,7 @@ def test_the_command_writes_table_json_and_page(made, scene, tmp_path, capsys):
 def test_the_command_follows_what_is_asked_for(scene, capsys):
     assert run(["analyze", str(scene), "--depth-dir", str(scene / "depth_initial"), "--views", "target", "--no-costs",
                 "--effect", "exposure=off", "--quiet"]) == 0
-    assert "asked for: off" in capsys.readouterr().out
+    assert "requested: off" in capsys.readouterr().out
 
 
 def test_cameras_that_are_off_are_told_with_their_cost(made, device):

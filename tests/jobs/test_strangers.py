@@ -106,7 +106,7 @@ def test_a_depth_map_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):
     save_depth(tmp_path / "target.npz", np.full((48, 64), 7))
     command = commands(scene, tmp_path, scene / "depth_initial")["depth"]
     assert command_line.run(list(command)) == 1
-    assert "target.npz' is there and was not written by a run of ours" in capsys.readouterr().err
+    assert "target.npz' is there and was not written by a run of pagas_cl" in capsys.readouterr().err
     assert (load_depth(tmp_path / "target.npz") == 7).all() and not (tmp_path / "context_00.npz").exists()
     (tmp_path / "target.npz").unlink()
     assert command_line.run(list(command)) == 0 == command_line.run(list(command))
@@ -127,7 +127,7 @@ def test_pages_of_two_commands_do_not_replace_each_other(scene, tmp_path, capsys
     refine = commands(scene, tmp_path, scene / "depth_initial")["report"]
     study = ["tradeoff", str(scene), "--depth-dir", str(scene / "depth_initial"), "--report", str(tmp_path)]
     (tmp_path / "tradeoff.png").write_text("mine")
-    assert command_line.run(study) == 2 and "tradeoff.png' is not ours to replace" in capsys.readouterr().err
+    assert command_line.run(study) == 2 and "tradeoff.png' was not written by pagas_cl" in capsys.readouterr().err
     (tmp_path / "tradeoff.json").write_text("{}")
     (tmp_path / "index.html").write_text(page)
     analyze = ["analyze", *study[1:]]
@@ -145,7 +145,7 @@ def test_a_picture_of_somebody_else_is_not_replaced(scene, tmp_path, capsys, mon
     for file, command in (("target_change.png", refine), ("target_photo.jpg", refine), ("mesh_photo.jpg", refine),
                           ("report.json", refine), ("analysis.json", analyze)):
         (tmp_path / file).write_text("{}")
-        assert command_line.run(list(command)) == 2 and f"{file}' is not ours to replace" in capsys.readouterr().err
+        assert command_line.run(list(command)) == 2 and f"{file}' was not written by pagas_cl" in capsys.readouterr().err
         assert (tmp_path / file).read_text() == "{}" and len(list(tmp_path.iterdir())) == 2
         (tmp_path / file).unlink()
     for killed in (True, False, False):
@@ -165,7 +165,7 @@ def test_a_model_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):
     (tmp_path / "sparse/0").mkdir(parents=True)
     (tmp_path / "sparse/0/images.bin").write_text("precious")
     assert command_line.run(list(commands(scene, tmp_path, scene / "depth_initial")["cameras"])) == 2
-    assert "is a model of somebody else" in capsys.readouterr().err
+    assert "is a model that another program wrote" in capsys.readouterr().err
     assert [path.name for path in tmp_path.rglob("*")] == ["sparse", "0", "images.bin"]
     assert (tmp_path / "sparse/0/images.bin").read_text() == "precious"
 
