@@ -145,7 +145,8 @@ def test_a_picture_of_somebody_else_is_not_replaced(scene, tmp_path, capsys, mon
     for file, command in (("target_change.png", refine), ("target_photo.jpg", refine), ("mesh_photo.jpg", refine),
                           ("report.json", refine), ("analysis.json", analyze)):
         (tmp_path / file).write_text("{}")
-        assert command_line.run(list(command)) == 2 and f"{file}' was not written by pagas_cl" in capsys.readouterr().err
+        assert command_line.run(list(command)) == 2
+        assert f"{file}' was not written by pagas_cl" in capsys.readouterr().err
         assert (tmp_path / file).read_text() == "{}" and len(list(tmp_path.iterdir())) == 2
         (tmp_path / file).unlink()
     for killed in (True, False, False):
