@@ -81,24 +81,11 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Run the command line; returns the exit status."""
+    """Run the command line; returns the exit status. What went wrong is the last line, below all warnings."""
     debug = "--debug" in arguments
-    with log_to_stderr(details=debug or "--verbose" in arguments):
-        return _run([word for word in arguments if word not in ("--debug", "--verbose")] or ["--help"], debug)
-
-
-def _run(arguments: list[str], debug: bool) -> int:
-    known = command_names()
-    wanted = [word for word in arguments if not word.startswith("-")][:1]
     try:
-        one = wanted if wanted and wanted[0] in known else []
-        refuse_empty(arguments)
-        many = getattr(_module(one[0]), "MANY", ()) if one else ()      # options that take several words
-        status = build_app(one or known)(expand_lists(arguments, many), prog_name="pagas-cl", standalone_mode=False,
-                                         obj=shlex.join(["pagas-cl", *arguments]))  # what was asked, for reports
-        if status == INTERRUPTED:  # typer has caught it
-            raise KeyboardInterrupt
-        return status if isinstance(status, int) else 0
+        with log_to_stderr(details=debug or "--verbose" in arguments):
+            return _run([word for word in arguments if word not in ("--debug", "--verbose")] or ["--help"])
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write("pagas-cl: interrupted\n")
         return INTERRUPTED
@@ -106,6 +93,19 @@ def _run(arguments: list[str], debug: bool) -> int:
         if debug:
             raise
         return _explain(error)
+
+
+def _run(arguments: list[str]) -> int:
+    known = command_names()
+    wanted = [word for word in arguments if not word.startswith("-")][:1]
+    one = wanted if wanted and wanted[0] in known else []
+    refuse_empty(arguments)
+    many = getattr(_module(one[0]), "MANY", ()) if one else ()      # options that take several words
+    status = build_app(one or known)(expand_lists(arguments, many), prog_name="pagas-cl", standalone_mode=False,
+                                     obj=shlex.join(["pagas-cl", *arguments]))  # what was asked, for reports
+    if status == INTERRUPTED:  # typer has caught it
+        raise KeyboardInterrupt
+    return status if isinstance(status, int) else 0
 
 
 def _explain(error: Exception) -> int:

@@ -17,7 +17,7 @@ from support.scenes import relief_scene
 import pagas_cl
 import pagas_cl.__main__ as command_line
 from pagas_cl.commands._console import log_to_stderr
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, NothingRefinedError
 from pagas_cl.filters import parameters
 from pagas_cl.filters.open3d_frames import read_frames
 from pagas_cl.jobs.finished import StoredResult
@@ -116,6 +116,21 @@ def test_warnings_are_told_once(capsys, details):
     assert lines.count("WARNING the same") == (20 if details else 1) and lines.count("INFO as it is") == 20
     assert sum("is odd" in line and "more" not in line for line in lines) == (20 if details else 5)
     assert ("WARNING 15 more warnings like 'view ... is odd' (--verbose shows all)" in lines) == (not details)
+
+
+@pytest.mark.parametrize("error, status", [(InputError("the cause"), 2), (NothingRefinedError("the cause"), 3),
+                                           (RuntimeError("the cause"), 1), (KeyboardInterrupt(), 130)])
+def test_the_cause_is_the_last_line_below_all_warnings(monkeypatch, capsys, error, status):
+    def fails(_):
+        for k in range(20):
+            logging.getLogger("pagas_cl").warning("view %s is odd", k)
+        raise error
+
+    monkeypatch.setattr(command_line, "_run", fails)
+    assert command_line.run(["refine"]) == status
+    *_, rest, last = capsys.readouterr().err.splitlines()
+    assert "15 more warnings like" in rest
+    assert last.startswith("pagas-cl: ") and ("the cause" in last or "interrupted" in last)
 
 
 # what the method measures and plans, in its own terms: with --verbose alone
