@@ -100,7 +100,8 @@ def _check_runs(known: native.Known, name: str, where: str) -> None:
     """Refuse a filter that pymeshlab has not, or that would end the process."""
     if not known.exists:
         near = _nearest(name)
-        raise InputError(f"{where} is neither ours nor pymeshlab's" + (f"; did you mean {near!r}?" if near else ""))
+        raise InputError(f"{where} is neither a step of pagas_cl nor a filter of pymeshlab"
+                         + (f"; did you mean {near!r}?" if near else ""))
     if known.crash == "SIGABRT":
         raise InputError(f"{where} ends the whole Python process here ({known.crash}): MeshLab's filters that draw "
                          "need OpenGL, which this Python has not")

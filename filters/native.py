@@ -93,7 +93,7 @@ def _ask(questions: list[tuple[str, str | None]]) -> None:
             _answers.update({line["name"]: _read(line) for line in lines if "known" in line})
             questions = [question for question in questions if question[0] not in _answers]
             if questions and (not lines or "start" not in lines[-1]):
-                raise InputError(f"pymeshlab cannot be asked about its filters: the child process ended with {how}")
+                raise InputError(f"pymeshlab cannot list its filters: the child process ended with {how}")
             if questions:
                 _answers[questions.pop(0)[0]] = Known(True, crash=how)
 

@@ -147,6 +147,6 @@ def _agreed(read: list[Frame], depths: list[np.ndarray], share: float) -> list[n
         taken += np.count_nonzero(take & (frame.depth > 0))
         chosen.append(np.where(take, depths[i], frame.depth))
     total = sum(np.count_nonzero(frame.depth) for frame in read)
-    log.info("frames agree within %g of the depth on %.0f %% of the refined depths; the rest is as it came", share,
+    log.info("frames agree within %g of the depth on %.0f %% of the refined depths; the rest stays unchanged", share,
              100 * taken / max(1, total))
     return chosen

@@ -89,11 +89,11 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Run the command line; returns the exit status."""
+    """Run the command line; returns the exit status. What went wrong is the last line, below all warnings."""
     debug = "--debug" in arguments
     try:
-        with log_to_stderr(debug):
-            return _run([word for word in arguments if word != "--debug"] or ["--help"])
+        with log_to_stderr(details=debug or "--verbose" in arguments):
+            return _run([word for word in arguments if word not in ("--debug", "--verbose")] or ["--help"])
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write("pagas-cl: interrupted\n")
         return INTERRUPTED
@@ -144,10 +144,11 @@ def _show_version(wanted: bool):
 
 
 def _options(
-    debug: bool = typer.Option(False, "--debug", help="Show a traceback when something goes wrong."),
+    verbose: bool = typer.Option(False, "--verbose", help="Show what was measured and planned, too."),
+    debug: bool = typer.Option(False, "--debug", help="The same, and a traceback when something goes wrong."),
     version: bool = typer.Option(False, "--version", callback=_show_version, is_eager=True, help="Show the version."),
 ):
-    """Options before the command; `--debug` may stand anywhere and is read in `run`."""
+    """Options before the command; `--verbose` and `--debug` may stand anywhere and are read in `run`."""
 
 
 if __name__ == "__main__":

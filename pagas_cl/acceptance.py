@@ -25,7 +25,7 @@ def nothing_reason(refined) -> str:
     if (refined.status == REJECTED).any():
         return "the photos confirm no refined depth"
     if refined.silent:
-        return "no depth moved by what the photos show (are they black, or of one colour?)"
+        return "nothing in the photos moved a depth (are they black, or of one colour?)"
     return "no other photo sees a depth of it that its mask leaves"
 
 
@@ -40,7 +40,7 @@ def rejection_reason(refined, depth, contexts: int, held_out, measured) -> str:
         return reason
     before, after = np.mean([cost for _, cost in seen], axis=0) if seen else refined.cost
     judges = f"the photos that took no part ({', '.join(name for name, _ in seen)})" if seen else "the context photos"
-    through = f"through the refined depth (1 - correlation {before:.4f} before, {after:.4f} after)"
+    through = f"over the refined depth (mismatch {before:.4f} before, {after:.4f} after)"
     if after > before:       # not where nothing was seen: NaN
         return f"{judges} match worse {through}"
     if seen and before - after < LEAST_GAIN * before:
@@ -69,10 +69,10 @@ def own_reason(target, depth, refined, photos, measured, device, store) -> str:
     before, after = np.mean(costs, axis=0) if costs else (np.inf, 0)
     if after < before:
         return ""
-    return (f"its photo and the others are off by {measured.misaligned:.1f} pixels across the direction of depth, more "
-            f"than depths moved ({moved:.1f}), and with a pose fitted to each, {len(costs)} photos match no better "
-            f"through the refined depth (1 - correlation {before:.4f} before, {after:.4f} after): is its own photo "
-            "blurred, or was its shutter rolling?")
+    return (f"its photo and the others are off by {measured.misaligned:.1f} pixels that no depth explains, more than "
+            f"depths moved ({moved:.1f}), and with a pose fitted to each, {len(costs)} photos match no better over the "
+            f"refined depth (mismatch {before:.4f} before, {after:.4f} after): is its own photo blurred, or was its "
+            "shutter rolling?")
 
 
 def _likely_reason(refined, depth, contexts: int, measured) -> str:
@@ -80,7 +80,7 @@ def _likely_reason(refined, depth, contexts: int, measured) -> str:
     off = measured.misaligned if measured else 0.0
     added = off / np.sqrt(contexts)          # to a depth, by cameras that are off independently of one another
     if off > MISALIGNED and (moved := _moved(refined, depth)) < 2 * added:
-        return (f"the photos are off by {off:.1f} pixels across the direction of depth, so that {contexts} of them add "
+        return (f"the photos are off by {off:.1f} pixels that no depth explains, so that {contexts} of them add "
                 f"errors of about {added:.1f} pixels of parallax to depths that moved by {moved:.1f}: "
                 "are the cameras right?")
     refused, accepted = (int(np.count_nonzero(refined.status == status)) for status in (REJECTED, REFINED))

@@ -50,7 +50,7 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = 
     page and the pictures, `mesh_refined.ply`. `contexts`: views besides the target and one held-out view. `preset`,
     `config`, `device` and `progress` as in refine_depth; `settings` are further fields of synthetic.Relief.
     """
-    folder, shown = Path(folder), progress_of(progress)
+    folder, shown, began = Path(folder), progress_of(progress), time.monotonic()
     synthetic = relief_scene(width, height, contexts, held_out=1, **settings)
     for number in reported(shown, "make the scene", range(len(synthetic.cameras))):
         synthetic.image(number)
@@ -63,9 +63,9 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = 
     relief = synthetic.relief
     notes = [f"A synthetic relief, {relief.width} x {relief.height} pixels, {len(synthetic.views)} views "
              f"{relief.spacing:g} degrees apart; the initial depth has the fine detail smoothed away.",
-             f"One pixel of parallax is {relief.parallax:.3g} scene units.", f"Refined in {seconds:.1f} s."]
-    facts = [("version", f"pagas_cl {__version__}"), ("device", str(getattr(device, "info", device or "the default")))]
-    with Report(folder / "report", "pagas-cl demo", notes, facts) as report:
+             f"One pixel of parallax is {relief.parallax:.3g} scene units."]
+    made = [("version", f"pagas_cl {__version__}"), ("device", str(getattr(device, "info", device or "the default")))]
+    with Report(folder / "report", "pagas-cl demo", notes, particulars=made, began=began) as report:
         for view, old, result in zip(synthetic.views, initial, results):
             report.add(view, old, result.depth, contexts=[v.camera for v in synthetic.views if v is not view],
                        confidence=result.confidence, counts=result.counts)
@@ -115,5 +115,5 @@ def _mesh(synthetic, depths, folder, progress: Progress, report, device):
     view = synthetic.views[0]
     made = next(each_depth(surface, [view.camera], comparison_device(device)))
     report.add_mesh(synthetic.initial_mesh(), surface, view=view, depths=(synthetic.initial_depth(view.camera), made))
-    log.info("%s: %d vertices, %d triangles", path, len(surface.vertices), len(surface.faces))
+    log.debug("%s: %d vertices, %d triangles", path, len(surface.vertices), len(surface.faces))
     return path

@@ -149,7 +149,7 @@ def _decision(config: Config, name: str, measured: Measurements) -> Decision:
     if name == "unseen_mask" and config.splatting.blend == "order_free":
         called_for, what = False, "the order-free blend compares only what is covered"
     on = choice == "on" or (choice == "auto" and called_for)
-    return Decision(name, evidence, effect.threshold, on, what if choice == "auto" else f"asked for: {choice}")
+    return Decision(name, evidence, effect.threshold, on, what if choice == "auto" else f"requested: {choice}")
 
 
 @contextmanager
@@ -201,7 +201,7 @@ def shaded(config: Config) -> Config:
 def decide_mismatch(evidence: float, config: Config) -> Decision:
     """What share of the refined detail is noise, and whether it was taken back (splat.mismatch)."""
     choice = config.effects.mismatch
-    reason = "refined detail that is noise by how photos match" if choice == "auto" else f"asked for: {choice}"
+    reason = "refined detail that is noise by how photos match" if choice == "auto" else f"requested: {choice}"
     return Decision("mismatch", evidence, NOISY_DETAIL, choice == "on" or evidence > NOISY_DETAIL, reason)
 
 
@@ -252,7 +252,7 @@ def decide_agreement(spread: float, config: Config) -> Decision:
     if choice == "auto":
         return Decision("agreement", spread, DIFFERENT, spread > DIFFERENT,
                         "difference of refined depth maps, pixels of parallax")
-    return Decision("agreement", spread, DIFFERENT, spread == spread, f"asked for: {choice}")
+    return Decision("agreement", spread, DIFFERENT, spread == spread, f"requested: {choice}")
 
 
 def decide_consistency(cameras, depths, config: Config, device=None) -> tuple[Config, Decision | None]:
@@ -268,9 +268,9 @@ def decide_consistency(cameras, depths, config: Config, device=None) -> tuple[Co
         return config, None
     have = [k for k, depth in enumerate(depths) if depth is not None]
     if choice != "auto":
-        on, why = choice == "on", f"asked for: {choice}"
+        on, why = choice == "on", f"requested: {choice}"
     elif len(have) < 3:
-        on, why = False, "it takes three views to tell who is wrong"
+        on, why = False, "it takes three views to find which is wrong"
     else:
         share = contradicted([cameras[k] for k in have], [depths[k] for k in have], config.fusion.agree_pixels, device)
         on, why = share > CONTRADICTED, "share of depths that other views contradict"

@@ -58,7 +58,7 @@ def nearest_of(word: str, known: Iterable[str]) -> str:
     known = list(known)
     ends = {name.rpartition(".")[2].lower(): name for name in known} | {name.lower(): name for name in known}
     near = get_close_matches(word.rpartition(".")[2].lower(), ends, n=1)
-    return f"the nearest known one is {ends[near[0]]!r}" if near else ""
+    return f"the nearest one is {ends[near[0]]!r}" if near else ""
 
 
 class PagasError(Exception):

@@ -93,13 +93,14 @@ def _kept(mesh, views, results, config: Config, output: str, subdivide: float | 
     before = given.vertices if division is None else division.vertices(given.vertices)
     vertices, faults = without_new(device, given, division, solved.vertices)
     moved = unlike(vertices, before)
-    log.info("mesh: %d of %d vertices moved; %d were held back, since a triangle would have turned over", moved.sum(),
+    log.debug("mesh: %d of %d vertices moved; %d were held back, since a triangle would have turned over", moved.sum(),
              len(moved), solved.held)
-    log.info("mesh: %s", faults)
+    log.debug("mesh: %s", faults)
     if note:
         note(f"mesh: {faults}")
     if not moved.any():
-        log.warning("no vertex moved: no two refined views agree on any of them (%d views were refined)",
+        log.warning("the mesh is unchanged: nowhere do two refined views agree on where it should be (%d views were "
+                    "refined); check its cameras and photos with 'pagas-cl check'",
                     sum(not result.reason for result in used))
     quality = np.where(moved, vertex_confidence(vertices, used), 0)
     solving.advance(_PERCENT)
@@ -112,7 +113,7 @@ def _detailed(given: Surface, observed, device, finest, detail: float, flat: flo
                                        least_views=least_views, most=most, at=at)
     within, count = flat * detail * solved.unit**2, len(division.faces)
     division, keep = undivided(division, solved.vertices, np.where(np.isfinite(within), within, 0), place)
-    log.info("mesh: %d of %d triangles are needed to be within %g footprints", len(division.faces), count, flat)
+    log.debug("mesh: %d of %d triangles are needed to be within %g footprints", len(division.faces), count, flat)
     return division, Surface(solved.vertices[keep], division.faces)
 
 
@@ -132,7 +133,7 @@ def polished(surface: Surface, results, config: Config, device) -> Surface:
         solved = solve_mesh(surface, Observations(results), device, rounds=_POLISH,
                             least_views=_least_views(config))
     except (DeviceMemoryError, InputError) as error:      # InputError: results that were kept without their deviations
-        log.warning("the fused mesh is not polished: %s", error)
+        log.warning("the fused mesh is complete, but its last smoothing step failed: %s", error)
         return surface
     return replace(surface, vertices=solved.vertices,
                    attributes={"deviation": solved.deviation, "views": solved.seen.astype(np.float64)})

@@ -75,7 +75,7 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
     """
     target, depth = views[partners.target], checked_depth(depth, views[partners.target])
     if not partners.contexts:
-        log.warning("view %s is kept as it came: %s", target.name, partners.reason)
+        log.warning("view %s stays unchanged: %s", target.name, partners.reason)
         return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
     on_device = cache(lambda: NormalizedDepth(target, depth, device))
     asked, decision = views_to_ask(views, partners, depth, config, device, photos, on_device)
@@ -113,7 +113,7 @@ def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: 
     if refined.resolved == refined.resolved:
         report["resolved"] = refined.resolved
     if reason:
-        log.warning("view %s is kept as it came: %s", target.name, reason)
+        log.warning("view %s stays unchanged: %s", target.name, reason)
         return DepthResult.unrefined(target.camera, depth, reason, report, target.name)
     return DepthResult(target.camera, refined.depth, refined.status, refined.deviation, refined.parallax, "", report,
                        target.name)

@@ -293,7 +293,7 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     cameras = [view.camera for view in used]
     config, decision = decide_consistency(cameras, results, config, device)
     if decision is not None:
-        log.info("%s", decision)
+        log.debug("%s", decision)
         if note:
             note(str(decision))
     on_disk = config.fusion.agree_views == 0  # read one at a time, then

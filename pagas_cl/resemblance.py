@@ -49,7 +49,7 @@ def views_to_ask(views: Sequence[View] | Mapping[int, View], partners: Partners,
     share = 1 - (len(contexts) + len(held_out)) / len(usable)
     return (replace(partners, contexts=contexts, held_out=held_out) if contexts else partners,
             Decision("resemblance", share, 0.0, share > 0, "share of usable views that resemble too little"
-                     if choice == "auto" else f"asked for: {choice}"))
+                     if choice == "auto" else f"requested: {choice}"))
 
 
 def adding(explained: np.ndarray, parallax: np.ndarray) -> list[int]:

@@ -21,7 +21,7 @@ _ROWS = 64      # of a depth map whose normals are worked out in float64 at a ti
 def in_short(result: Any) -> str:
     """A result in a line: view, size, what became of its depths."""
     counts = ", ".join(f"{number:,} {what}" for what, number in result.counts.items() if number)
-    came = f"; as it came: {result.reason}" if result.reason else ""
+    came = f"; unchanged: {result.reason}" if result.reason else ""
     camera = result.camera
     return f"{type(result).__name__}({result.name!r}, {camera.width} x {camera.height}: {counts or 'nothing'}{came})"
 

@@ -43,14 +43,14 @@ def test_the_command_writes_table_json_and_page(made, scene, tmp_path, capsys):
     assert all(name in printed and told["costs"][name]["seconds_on"] > 0 for name in EFFECTS)
     assert told["costs"]["exposure"]["device_bytes"] > 0 and told["costs"]["noise"]["device_bytes"] == 0
     page = (tmp_path / "page" / "index.html").read_text()
-    assert 'class="headline">The scene calls for ' in page and "<td class=words>" in page
+    assert 'class="headline">The scene needs ' in page and "<td class=long data-name=" in page
     assert all(name in page for name in EFFECTS) and (tmp_path / "page" / "analysis.json").exists()
 
 
 def test_the_command_follows_what_is_asked_for(scene, capsys):
     assert run(["analyze", str(scene), "--depth-dir", str(scene / "depth_initial"), "--views", "target", "--no-costs",
                 "--effect", "exposure=off", "--quiet"]) == 0
-    assert "asked for: off" in capsys.readouterr().out
+    assert "requested: off" in capsys.readouterr().out
 
 
 def test_cameras_that_are_off_are_told_with_their_cost(made, device):
@@ -64,7 +64,7 @@ def test_cameras_that_are_off_are_told_with_their_cost(made, device):
     found = analyze(views, [made.initial_depth(view.camera) for view in made.views], names=["target"], device=device)
     told = " ".join(line.strip() for line in summary(found))
     assert found.cameras.on and found.costs["cameras"].on > 0
-    assert "cameras scene pixels that photos are off by" in " ".join(told.split()) and "a view" in told
+    assert "cameras scene epipolar residual, pixels" in " ".join(told.split()) and "a view" in told
 
 
 def test_a_summary_comes_first_and_the_table_on_demand(scene, capsys):
@@ -75,7 +75,7 @@ def test_a_summary_comes_first_and_the_table_on_demand(scene, capsys):
     assert run([*asked, "--table", "--views", "target", "context_00"]) == 0
     long = capsys.readouterr().out
     assert all(len(line) <= 80 and not set(line) & set("┃│") for line in (short + long).splitlines())
-    assert short.startswith("4 views\n\nCalled for:\n") and "Not called for:" in short and "evidence" not in short
+    assert short.startswith("4 views\n\nNeeded:\n") and "Not needed:" in short and "evidence" not in short
     exposure = short[short.index("  exposure "):]
     assert exposure.startswith("  exposure        4 of 4 views") and "(on above 0.012)" in " ".join(exposure.split())
     rows = [line.split() for line in long[long.index("\nview "):].splitlines()

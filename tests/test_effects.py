@@ -59,7 +59,7 @@ def test_off_and_on_hold_against_the_evidence(effect):
     called_for = calling_for(effect)
     off, told = decide(ALPHA.with_settings(**{f"effects__{effect}": "off"}), called_for)
     assert not switched_on(off)[effect]
-    assert "asked for: off" in {d.reason for d in told}
+    assert "requested: off" in {d.reason for d in told}
     on = decide(ALPHA.with_settings(**{f"effects__{effect}": "on"}), replace(CALM, textureless=0.5))[0]
     if effect != "noise":         # on, it follows the noise that was measured: here there is none
         assert switched_on(on)[effect]

@@ -31,8 +31,8 @@ def beyond(costs: np.ndarray, beside: np.ndarray, wrong: float, pixels: float, w
     share = max(_lost(costs, beside), wrong)
     if share <= MOST_LOST and not (pixels and wrong):      # where all were far off, one that is left out still is
         return ""
-    told = f"by about {pixels:.0f} pixels" if np.isfinite(pixels) else "by more than can be measured"
-    return (f"photos lie {told} beside one another, and {share:.0%} of those looked at still show other things than "
+    told = f"about {pixels:.0f} pixels" if np.isfinite(pixels) else "more than can be measured"
+    return (f"photos are {told} off, and {share:.0%} of those looked at still show other things than "
             f"the surface has there after the cameras were moved; at best {REACH * width:.0f} pixels can be brought "
             "back: run a bundle adjustment of features first (colmap bundle_adjuster, or that of the program that the "
             "cameras are of)")
@@ -50,7 +50,7 @@ def no_gain(costs: np.ndarray, seen_before: float, seen_after: float) -> str:
         return "no pair of photos that took no part sees the same surface"
     before, after = costs.mean(axis=0)
     better = int((costs[:, 1] < costs[:, 0]).sum())
-    told = f"(mean cost {before:.4f} before, {after:.4f} after; {better} of {len(costs)} pairs better)"
+    told = f"(mean mismatch {before:.4f} before, {after:.4f} after; {better} of {len(costs)} pairs better)"
     if before - after < max(LEAST_GAIN * before, LEAST_FALL) or 2 * better < len(costs):
         return f"the pairs of photos that took no part do not agree clearly better {told}"
     if seen_after < 0.8 * seen_before:
@@ -67,8 +67,8 @@ def bent(costs: np.ndarray, seen_before: float, seen_after: float) -> str:
     worse = after > (1 + WIDE_LOSS) * before and 2 * better <= len(costs)      # most pairs: one that is off is no bend
     if not worse and seen_after >= 0.8 * seen_before:
         return ""
-    return (f"neighbouring photos agree better, those of views far apart do not: a chain of views bends (mean cost "
-            f"{before:.4f} before, {after:.4f} after; {better} of {len(costs)} wide pairs better)")
+    return (f"neighbouring photos agree better, those of views far apart do not: a chain of views bends (mean "
+            f"mismatch {before:.4f} before, {after:.4f} after; {better} of {len(costs)} wide pairs better)")
 
 
 def wrong_views(rounds: Rounds, state: State, stage: Stage) -> set[int]:

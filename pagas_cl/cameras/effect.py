@@ -21,7 +21,7 @@ from pagas_cl.splat import PhotoStore
 FEWEST = 4                # views: three to tell how far a camera is off, and one more to judge
 MOST = 300                # views for which it is decided unasked: all depth maps are in memory at once
 OpenBlocks: TypeAlias = Callable[[], AbstractContextManager[MakeBlocks]]
-WORDS = "pixels that photos are off by across the direction of depth"
+WORDS = "epipolar residual, pixels"
 
 
 def resolve_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, config: Config,
@@ -40,14 +40,15 @@ def resolve_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None
     except DeviceError as error:
         if choice == "on":
             raise
-        log.warning("cameras stay as given, nothing is measured here: %s", error)
+        log.warning("cameras stay unchanged and are not checked, since that takes an OpenCL device: %s", error)
         return list(views), settled, None
     if choice == "auto":
         with stage(progress, "measure the cameras", 1) as measuring:
             decision, off = decide_cameras(views, depths_or_mesh, config, here, photos)
             measuring.advance(1)
-        log.info("%s", decision)
+        log.debug("%s", decision)
         if not decision.on:
+            log.info("cameras: no error was found, they stay unchanged")
             return list(views), settled, None
     with open_blocks() as make_blocks:
         found = refine_cameras(views, depths_or_mesh, config=config, device=here, progress=progress, measured=off,
@@ -67,7 +68,7 @@ def decide_cameras(views: Sequence[View], depths_or_mesh, config: Config, device
     depths = depths_of(depths_or_mesh, device)[0]([view.camera for view in views])
     off = photos_off(views, depths, config, device, photos or PhotoStore(device))
     on = choice == "on" or (choice == "auto" and off[0] > OFF)
-    return Decision("cameras", off[0], OFF, on, WORDS if choice == "auto" else f"asked for: {choice}"), off
+    return Decision("cameras", off[0], OFF, on, WORDS if choice == "auto" else f"requested: {choice}"), off
 
 
 def camera_seconds(views: Sequence[View], depths_or_mesh, config: Config, device, number: int) -> float:

@@ -62,13 +62,13 @@ class CameraRefinement:
     """Plain numbers: off (pixels), rounds, residual before and after, seconds."""
 
     def __str__(self) -> str:
-        wrong = f"; wrong and left out: {', '.join(self.left_out)}" if self.left_out else ""
+        wrong = f"; wrong, and therefore unchanged: {', '.join(self.left_out)}" if self.left_out else ""
         if not self.accepted:
-            return f"cameras stay as given: {self.reason}{wrong}"
+            return f"cameras stay unchanged: {self.reason}{wrong}"
         scales = self.depth_scales
         scaled = "" if scales is None else f"; depth maps scaled by {np.median(scales):.4f} (median)"
-        return (f"cameras moved by {np.nanmedian(self.moved):.2f} pixels (median), at most "
-                f"{np.nanmax(self.moved):.2f}{scaled}{wrong}")
+        return (f"cameras were off and are corrected: by {np.nanmedian(self.moved):.2f} pixels in the typical photo, "
+                f"at most {np.nanmax(self.moved):.2f}{scaled}{wrong}")
 
     def scaled(self, depths: Sequence[Any]) -> list[Any]:
         """Depth maps, or what loads them, with these scales and shifts; the same objects where they stay."""
@@ -160,8 +160,8 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     typical = [z / scene_scale if np.isfinite(z) else 1.0 for z in typical]
     pairs = choose_pairs(given, surfaces, config.context, hide=not _map_numbers(unknowns))
     if not pairs.held or sum(map(bool, pairs.used)) < 3:
-        return CameraRefinement(given, False, "it takes four views that see the same surface: three to tell how far a "
-                                "camera is off, and one more to judge", nothing, [])
+        return CameraRefinement(given, False, "it takes four views that see the same surface: three to measure how "
+                                "far a camera is off, and one more to judge", nothing, [])
     measured, elsewhere = known or photos_off(views, surfaces, config, device, photos)
     adjuster = Adjuster(device, scene_scale, intrinsics=unknowns != ("pose",))
     frames = Frames(adjuster, views, depths, moves, photos)
@@ -240,7 +240,8 @@ def _judged(views, given, rounds, state, wrong, samples, report) -> CameraRefine
                               for pair, (a, b) in zip(wide_names, wide.tolist())]}
     left_out = tuple(views[k].name for k in sorted(wrong))
     for name in left_out:
-        log.warning("the camera of view %s is wrong: its photo does not fit the surface that the others see", name)
+        log.warning("the camera of view %s is wrong: its photo does not fit the surface that the others see; align it "
+                    "again, or leave it out with --hold-out", name)
     return CameraRefinement(given if reason else state.cameras, not reason, reason, moved, told, left_out,
                             state.maps[:, 0] if maps else None,
                             state.maps[:, 1] * rounds.scene_scale if maps else None, report)

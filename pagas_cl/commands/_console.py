@@ -85,13 +85,14 @@ class Once(logging.Filter):
 
     def rest(self) -> list[str]:
         """A line for each kind of which some were left out."""
-        return [f"{count - self.MOST} more warnings like '{str(kind).replace('%s', '...')}' (--debug shows all)"
+        return [f"{count - self.MOST} more warnings like '{str(kind).replace('%s', '...')}' (--verbose shows all)"
                 for kind, count in self._kinds.items() if count > self.MOST]
 
 
 @contextmanager
-def log_to_stderr(debug: bool = False):
-    """Context that sends the messages of the logger "pagas_cl" to standard error, and leaves it as it was."""
+def log_to_stderr(details: bool = False):
+    """Context that sends the messages of the logger "pagas_cl" to standard error, and leaves it as it was; with
+    `details` (level DEBUG) also what was measured and planned, and each warning every time."""
     if sys.stderr.isatty():
         from rich.logging import RichHandler
 
@@ -100,17 +101,17 @@ def log_to_stderr(debug: bool = False):
         handler = logging.StreamHandler()
         handler.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
     once = Once()
-    if not debug:
+    if not details:
         handler.addFilter(once)
     logger = logging.getLogger("pagas_cl")
     before = logger.handlers, logger.propagate, logger.level
     logger.handlers, logger.propagate = [handler], False
-    logger.setLevel(logging.DEBUG if debug else logging.INFO)
+    logger.setLevel(logging.DEBUG if details else logging.INFO)
     try:
         yield
     finally:
         handler.removeFilter(once)
-        for line in once.rest() if not debug else ():
+        for line in once.rest() if not details else ():
             logger.warning("%s", line)
         logger.handlers, logger.propagate = before[:2]
         logger.setLevel(before[2])
@@ -129,7 +130,7 @@ def nothing_refined():
     for text in told:
         if text.startswith("nothing"):
             raise NothingRefinedError(f"{text.replace('nothing was refined', 'NOTHING WAS REFINED', 1)}; what was "
-                                      "written holds the depths that came in")
+                                      "written holds the depths as they were given")
         log.warning("%s", text)
 
 

@@ -59,6 +59,6 @@ def tell_memory(views: Sequence[View], config: Config, device, fused: bool,
         planned["fusing"] = now + _KERNELS + min(whole, memory_mb or USUAL_MB)
     if solved:
         planned["the mesh"] = now + _KERNELS + (memory_mb or mesh_mb(cameras))
-    log.info("host memory: %s MB are planned (%s)", f"{max(planned.values()):,.0f}",
-             ", ".join(f"{stage} {mb:,.0f}" for stage, mb in planned.items()))
+    log.debug("host memory: %s MB are planned (%s)", f"{max(planned.values()):,.0f}",
+              ", ".join(f"{stage} {mb:,.0f}" for stage, mb in planned.items()))
     return planned

@@ -72,7 +72,7 @@ def check_report(folder: Path | None, beside: str, pictures: Collection[str] = (
     own.update([beside] if page.exists() or own else [])
     others = [file for file in (beside, *pictures) if file not in own and (folder / file).exists()]
     if page.exists() and b"pagas" not in read_bytes(page):
-        taken = f"{str(page)!r} is a page of somebody else"
+        taken = f"{str(page)!r} is a page that another program wrote"
     elif page.exists() and there != {beside}:
         taken = f"{str(page)!r} is the page of another command"
     elif others:
@@ -99,7 +99,7 @@ def resumable(folder: Path | None, total: int):
 
     left, how = found()
     if left:
-        log.info("an earlier run has left %d %s view%s in %s: what this run would do alike is not done again",
+        log.info("an earlier run has left %d %s view%s in %s: what would come out the same is not done again",
                  left, how, "" if left == 1 else "s", folder)
     try:
         yield
@@ -145,10 +145,11 @@ def depth_files(found, depth_dir, depth_scale, names=None, as_numbers: bool = Tr
     without = [view for view, file in zip(found.views, files) if file is None]
     asked = [view for view in without if names and view.name in names]
     if asked:
-        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the view {asked[0].name!r}, which was "
-                         f"asked for, expected for instance {asked[0].stem}.npz")
+        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the view {asked[0].name!r}, which is "
+                         f"to be refined, expected for instance {asked[0].stem}.npz")
     if without and not names:
-        log.warning("%d views have no depth map in %s and serve as context views only: %s", len(without), depth_dir,
+        log.warning("%d views have no depth map in %s: they help to refine others, but are not refined: %s",
+                    len(without), depth_dir,
                     ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
     silent = next((file for file in files if file and file.suffix.lower() == ".png"), None)
     said = depth_scale is not None or silent is None

@@ -47,7 +47,7 @@ def command(
     overwrite: bool = OVERWRITE,
     quiet: bool = QUIET,
 ):
-    """Measure what SCENE calls for; refines nothing. The decisions are those that refine takes."""
+    """Measure which effects SCENE needs; refines nothing. The decisions are those that refine takes."""
     check_source(mesh, depth_dir, "where a refinement would start", outside)
     config = build_config(preset, [*settings, *effect_settings(effects)])
     found = load_scene(scene, format, outside)
@@ -100,7 +100,7 @@ def _told(analysis) -> list[tuple[str, str]]:
     without = sum(not view.decisions for view in analysis.views)
     lines = [("", f"{len(analysis.views)} views" + (f", {without} of them not to be refined (--table says why)"
                                                     if without else ""))]
-    for on, what in ((True, "Called for:"), (False, "Not called for:")):
+    for on, what in ((True, "Needed:"), (False, "Not needed:")):
         of = {}
         for decision in decided:
             if decision.on == on:
@@ -166,8 +166,8 @@ def page(analysis, source: str) -> str:
     on = dict.fromkeys(row[1] for row in rows(analysis) if row[4] == "on")
     notes = [f"{', '.join(head.strip().split(maxsplit=1))}{': ' if head else ''}{text}"
              for head, text in _told(analysis) if text]
-    sections = [(v.view, [], [v.reason] if v.reason else ["context views: " + ", ".join(v.contexts)])
+    sections = [(v.view, [], [v.reason] if v.reason else ["context views: " + ", ".join(v.contexts)], [])
                 for v in analysis.views]
     return html_page("pagas-cl analyze", notes[1:], COLUMNS, rows(analysis), sections,
-                     headline=f"The scene calls for {', '.join(on) or 'no effect'} ({notes[0]}).",
+                     headline=f"The scene needs {', '.join(on) or 'no effect'} ({notes[0]}).",
                      facts=[("scene", source), ("version", f"pagas_cl {__version__}"), ("device", analysis.device)])

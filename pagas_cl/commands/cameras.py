@@ -23,7 +23,7 @@ MANY = ("--unknowns",)
 
 def command(
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
-    mesh: Path = typer.Option(None, "--mesh", help="The surface as it is known; it stays where it is."),
+    mesh: Path = typer.Option(None, "--mesh", help="The surface; it stays where it is."),
     depth_dir: Path = typer.Option(None, "--depth-dir", help="Depth maps, <image stem>.npz, not --mesh."),
     output: Path = typer.Option(..., "--output", help="Folder for sparse/0 (a COLMAP model) and cameras_report.json."),
     unknowns: list[str] = typer.Option([], "--unknowns", metavar="NAME",

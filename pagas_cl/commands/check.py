@@ -16,7 +16,7 @@ from pagas_cl.scene.sheets import mesh_of_depths
 
 
 def command(
-    scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with photos and cameras, in any known format."),
+    scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with photos and cameras, in any supported format."),
     mesh: Path = typer.Option(None, "--mesh", help="The mesh that the cameras should see. Without it: SCENE's depth."),
     depth_dir: Path = typer.Option(None, "--depth-dir", help="Depth maps, <image stem>.npz, not --mesh."),
     depth_scale: float = DEPTH_SCALE,

@@ -158,7 +158,7 @@ def _told_floor(clouds, surfaces) -> tuple[str, str]:
     if not floor:
         return "to the surface", ""
     to = "to points" if surfaces == (None, None) else "to the surface of one, to the points of the other"
-    return to, f"; below about {floor:.2g} they tell the spacing of the points and no error"
+    return to, f"; below about {floor:.2g} they measure the spacing of the points and no error"
 
 
 def _table(title, rows):

@@ -1,5 +1,6 @@
 """`pagas-cl refine`: the whole way from a folder of photos to refined depth maps and a mesh."""
 
+import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -35,6 +36,7 @@ from pagas_cl.keep_mesh import check_kept, check_subdivide
 from pagas_cl.progress import stage
 from pagas_cl.refine import MeshOptions, Place, Refined, refine_scene
 from pagas_cl.report import Report, picture_files
+from pagas_cl.report.headline import sentence
 from pagas_cl.result import DepthResult, joined
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import trim
@@ -79,8 +81,8 @@ def command(
     outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
     photos: Path = typer.Option(None, "--photos", help="Folder of the original photos, where SCENE has a network's "
                                 "small ones."),
-    align: bool = typer.Option(True, "--align/--no-align", help="Bring depth maps together that disagree, in scale and "
-                               "shift, before they are refined."),
+    align: bool = typer.Option(True, "--align/--no-align", help="Align depth maps that disagree, in scale and shift, "
+                               "before they are refined."),
     fuse: bool = typer.Option(False, "--fuse", help="Fuse a new mesh from the depth maps, not --mesh refined."),
     keep_mesh: bool = typer.Option(False, "--keep-mesh", help="Move the vertices of --mesh and keep its triangles."),
     allow_loss: bool = typer.Option(False, "--allow-loss",
@@ -159,21 +161,21 @@ def command(
 
         done = refine_scene(
             found.views, mesh and to_surface(mesh), depths, config, names=names, place=place, choose=choose,
-            making=MeshOptions(_made_as(output, kept, keep_mesh), subdivide, memory_mb=memory, note=page and page.note),
+            making=MeshOptions(_made_as(output, kept, keep_mesh), subdivide, memory_mb=memory,
+                               note=page and page.detail),
             progress=progress, on_view=page and _Pictures(page, cameras))
         if page is not None and done.cameras is not None:
             page.note(str(done.cameras))
         if output is not None:
             write_mesh(output, done.mesh)
             trim()
-            log.info("mesh: %s", output)
             if page is not None:
                 with stage(progress, "show the mesh", 1) as showing:
                     _show_mesh(page, done, mesh, place.device)
                     showing.advance(1)
         if save_depth is not None:
             _save_cameras(save_depth, as_given, done.results)
-        _tell(done.results, save_depth, report)
+        _tell(done.results, output, save_depth, report)
         if folder is not None and save_depth is None:
             remove_run(folder)
 
@@ -199,7 +201,7 @@ def _save_cameras(folder: Path, views, results) -> None:
     `views`."""
     pairs = joined(views, results)
     if any(result.camera is not views[place].camera for place, result in pairs):
-        log.info("refined cameras: %s", camera_file.write(
+        log.info("the refined cameras: %s", camera_file.write(
             folder, [replace(views[place], camera=result.camera, mask=None) for place, result in pairs]))
 
 
@@ -248,14 +250,15 @@ class _Pictures:
 
     def __call__(self, view: View, initial: np.ndarray, result: DepthResult) -> None:
         report = result.report
-        remarks = ["context views: " + ", ".join(report["contexts"])] if report.get("contexts") else []
-        for on, what in ((True, "effects simulated"), (False, "effects not called for")):
+        remarks = ["compared with the photos: " + ", ".join(report["contexts"])] if report.get("contexts") else []
+        details = []
+        for on, what in ((True, "effects simulated"), (False, "effects not needed")):
             effects = [str(Decision(**fields)) for fields in report.get("effects", ()) if fields["on"] == on]
-            remarks += [f"{what}: " + "; ".join(effects)] if effects else []
+            details += [f"{what}: " + "; ".join(effects)] if effects else []
         figures = {"seconds": round(report["seconds"], 2)} if "seconds" in report else {}
         self._page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
-                       counts={**result.counts, **figures}, remarks=remarks, reason=result.reason,
-                       given=self._given[view.name])
+                       counts={**result.counts, **figures}, remarks=remarks, details=details,
+                       reason=result.reason, given=self._given[view.name])
 
 
 def _show_mesh(page: Report, done: Refined, mesh: Path | None, device: Any) -> None:
@@ -273,24 +276,25 @@ def _report(folder, found, settings: str, place, asked: str, pictures):
     if folder is None:
         return nullcontext()
     where = place.executor or (place.device.info if isinstance(place.device, Device) else place.device)
-    return Report(folder, "pagas-cl refine", pictures=pictures, facts=[
-        ("scene", f"{found.source}, {len(found.views)} views"), ("settings", settings), ("command", asked or ""),
-        ("version", f"pagas_cl {__version__}"), ("device", str(where))])
+    return Report(folder, "pagas-cl refine", pictures=pictures, began=time.monotonic(),
+                  facts=[("scene", f"{found.source}, {len(found.views)} views")], particulars=[
+                      ("command", asked or ""), ("settings", settings), ("version", f"pagas_cl {__version__}"),
+                      ("device", str(where))])
 
 
-def _tell(results, save_depth, report) -> None:
+def _tell(results, output, save_depth, report) -> None:
     """Say what came out; an error where views were left out, though what was made without them stays."""
     total = Counter()
     for result in results:
         total.update(result.counts)
-    kept = sum(bool(result.reason) for result in results)
-    log.info("%d view%s%s; pixels: %s", len(results), "" if len(results) == 1 else "s",
-             f", {kept} of them kept as they came" if kept else "",
-             ", ".join(f"{number:,} {name}" for name, number in total.items()))
+    log.debug("pixels: %s", ", ".join(f"{number:,} {name}" for name, number in total.items()))
+    log.info("%s", sentence([result.counts for result in results], [result.reason for result in results]))
+    if output is not None:
+        log.info("the refined mesh: %s", output)
     if save_depth is not None:
-        log.info("depth maps: %s", save_depth)
+        log.info("the refined depth maps: %s", save_depth)
     if report is not None:
-        log.info("pictures: %s", report / "index.html")
+        log.info("pictures and figures, to open in a browser: %s", report / "index.html")
     failed = [(r.name, r.report["failed"]) for r in results if "failed" in r.report]
     if failed:
         names = ", ".join(name for name, _ in failed[:10]) + (", ..." if len(failed) > 10 else "")

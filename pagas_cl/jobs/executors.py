@@ -46,8 +46,8 @@ class Workers:
     def renew(self, error: Exception) -> None:
         """A new pool for one that has lost a process, which ends all of it; DeviceError where it was not ours."""
         if not self._is_pool:
-            raise DeviceError(f"the executor has lost a worker and takes no more tasks ({error}); finished views are "
-                              "kept: start the same command again") from error
+            raise DeviceError(f"a worker of the executor has ended and it takes no more tasks ({error}); finished "
+                              "views are kept: start the same command again") from error
         self.executor.shutdown(wait=True)
         self.executor = local_pool(self.device)
 

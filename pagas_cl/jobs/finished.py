@@ -215,7 +215,7 @@ def find_finished(folder: Path, task: ViewTask, extras: bool) -> Record | None:
         log.warning("record %s cannot be used (%s): the view is refined again", path, error)
         return None
     if other:
-        log.warning("%s is not as it was written: view %s is refined again", other[0], task.name)
+        log.warning("%s has changed since it was written: view %s is refined again", other[0], task.name)
     return None if other else record
 
 

@@ -103,7 +103,7 @@ class FolderResults:
         try:
             self._stop.touch()
         except OSError as error:
-            log.warning("workers cannot be asked to stop: %s", error)
+            log.warning("workers cannot be stopped and go on to their end: %s", error)
 
     @property
     def _journal(self) -> Path:

@@ -168,7 +168,7 @@ class RunElsewhere(_Run):
         unfinished = [lost, *self._queue, *self._waiting.values()]
         self._queue.clear()
         self._waiting.clear()
-        log.warning("a worker process was lost; its views are given to a new one")
+        log.warning("a worker process has ended unexpectedly; its views are given to a new one")
         begun = self.results.attempts()
         for batch in unfinished:
             for task in batch.tasks:
@@ -177,7 +177,7 @@ class RunElsewhere(_Run):
                 if record is not None:
                     self._take(record, batch)
                 elif times >= TRIES:
-                    self._give_up(task.failed("its worker process was lost each time", Fault.LOST), times)
+                    self._give_up(task.failed("its worker process ended unexpectedly each time", Fault.LOST), times)
                 else:
                     self._queue.append(batch.only([task]))
 

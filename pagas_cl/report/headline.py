@@ -21,7 +21,8 @@ def summed(rows: list[dict]) -> dict[str, int]:
 
 
 def sentence(rows: list[dict], reasons: list[str], stopped: str = "") -> str:
-    """What became of the views `rows`, of which those with a reason (not "") came back as they came."""
+    """What became of the views `rows`, of which those with a reason (not "") stay unchanged; where most of the surface
+    does, what to do."""
     done = f"{len(rows)} view{'s' * (len(rows) != 1)}"
     if stopped:
         done += f" (the run ended with: {stopped})"
@@ -33,17 +34,21 @@ def sentence(rows: list[dict], reasons: list[str], stopped: str = "") -> str:
         return f"Nothing was refined: {done}, none with a surface to start from."
     if not share.get("refined"):
         often = Counter(returned).most_common(1)
-        return f"Nothing was refined: {done}, each as it came" + (f" ({often[0][0]})." if often else ".")
+        return f"Nothing was refined: {done}, all unchanged" + (f" ({often[0][0]})." if often else ".")
     moves = [np.median([row[name] for row in rows if name in row and row.get("refined")])
              for name in ("median change (px)", "95% change (px)")
              if any(name in row and row.get("refined") for row in rows)]
-    told = f"The photos refined {share['refined']:.1%} of the surface in {done}"
+    text = f"The photos refined {share['refined']:.1%} of the surface in {done}."
     if len(moves) == 2:
-        told += f", and moved it by {moves[0]:.2g} pixels of parallax (median), 95% of it by at most {moves[1]:.2g}"
+        text += (f" Half of it moved by more than {moves[0]:.2g} pixels as other photos see it, 5% by more than "
+                 f"{moves[1]:.2g}.")
     if returned:
-        told += (f"; {len(returned)} of the views came back as {'it' if len(returned) == 1 else 'they'} came "
-                 f"({Counter(returned).most_common(1)[0][0]})")
-    return told + "."
+        text += (f" {len(returned)} of the views {'stays' if len(returned) == 1 else 'stay'} unchanged "
+                 f"({Counter(returned).most_common(1)[0][0]}).")
+    if share["refined"] < 0.5:
+        text += (" Most of the surface stays unchanged: check cameras and photos with 'pagas-cl check', or add photos "
+                 "of it from places nearby.")
+    return text
 
 
 def bar(rows: list[dict]) -> str:

@@ -119,10 +119,10 @@ def _fragment(told: dict, values) -> str:
                       + (f", {mesh['faces']:,} of them after simplifying are shown" if mesh["faces"] < mesh["of"]
                          else "") for mesh in told["meshes"])
     return (f'<div class="viewer"><div class="stage"><canvas tabindex="0" aria-label="the mesh; drag to turn it">'
-            f'</canvas><p class="told">loading the mesh</p>{both}</div><div class="choice">{buttons}'
+            f'</canvas><p class="loading">loading the mesh</p>{both}</div><div class="choice">{buttons}'
             f'<label><input type="checkbox"> facets</label>{scales}</div>'
             f'<p class="legend">{escape(sizes)}. Drag: turn; wheel (after a click) or two fingers: zoom; right button '
-            "or two fingers: move; double click: as at first."
+            "or two fingers: move; double click: back to the first view."
             f'</p><script type="application/json">{data}</script></div>')
 
 
@@ -159,8 +159,8 @@ def _packed(numbers, kind) -> bytes:
 
 
 def _first_sight(vertices, faces, corner, camera) -> dict:
-    """The rows of the first view's rotation (x right, y down, z away); in it, the middle of most of the mesh (in the
-    mesh's own axes), half its size along each axis, and the radius."""
+    """The rows of the first view's rotation (x right, y down, z away); in it, the middle of the mesh (in the mesh's own
+    axes), half its size along each axis, and the radius: of all of it but for a few vertices that lie far off."""
     if camera is not None:
         rotation = camera.world_to_camera[:3, :3]
     else:
@@ -170,6 +170,7 @@ def _first_sight(vertices, faces, corner, camera) -> dict:
         right = np.cross(down, away)
         right /= np.linalg.norm(right)
         rotation = np.stack([right, np.cross(away, right), away])
-    low, high = np.percentile((vertices - corner) @ rotation.T, (1, 99), axis=0)
+    least, low, high, most = np.percentile((vertices - corner) @ rotation.T, (0, 1, 99, 100), axis=0)
+    low, high = np.maximum(least, low - (high - low) / 2), np.minimum(most, high + (high - low) / 2)
     return {"middle": ((low + high) / 2 @ rotation).tolist(), "half": ((high - low) / 2).tolist(),
             "radius": float(np.linalg.norm(high - low) / 2) or 1.0, "rotation": np.asarray(rotation).tolist()}

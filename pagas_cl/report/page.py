@@ -10,7 +10,7 @@ from PIL import Image
 
 from pagas_cl.report.pictures import css_gradient
 
-_WORDS = 24       # letters, from which on a column of a table holds sentences
+_LONG = 24        # letters, from which on a column of a table holds sentences
 _THUMBNAIL = 480  # pixels, longer side of a picture inside the page
 
 
@@ -38,37 +38,35 @@ def slider(label: str) -> str:
 
 def html_page(title: str, notes: list[str], header: list[str], rows: list[list[str]], sections: list[tuple] = (),
               legend: list[str] = (), picture: str = "", marked=(), *, headline: str = "", facts=(), lead: str = "",
-              body: str = "", closing: list[str] = (), scripts: list[str] = ()) -> str:
-    """The whole page, all text escaped but for `lead`, `body` and the pictures of sections, which are HTML.
+              body: str = "", closing: list[str] = (), scripts: list[str] = (), details: str = "") -> str:
+    """The whole page, all text escaped but for `lead`, `details`, `body` and the pictures of sections, which are HTML.
 
-    From the top: `headline`, one sentence; `lead`; `facts`, pairs of a word and a text; `notes`; `body`; an image
-    `picture`; a table, `legend` below it; the sections; `closing` lines. A section is (name, pictures as HTML, lines of
-    text); a row whose first cell names one leads there. Rows that are `marked` stand out. `scripts` of this package run
-    at the end.
+    From the top: `headline`, one sentence; `lead`; `facts`, pairs of a word and a text; `notes`; `details` (folded);
+    `body`; an image `picture`; a table, `legend` below it; the sections; `closing` lines. A section is (name, pictures
+    as HTML, lines of text, more of them that are folded); a row whose first cell names one leads there. Rows that are
+    `marked` stand out. `scripts` of this package run at the end.
     """
     parts = ['<!doctype html><html lang="en"><meta charset="utf-8"><meta name="generator" content="pagas-cl">'
              '<meta name="viewport" content="width=device-width, initial-scale=1">'
              f"<title>{escape(title)}</title><style>{_shipped('page.css')}</style><h1>{escape(title)}</h1>"]
     parts += [f'<p class="headline">{escape(headline)}</p>'] if headline else []
     parts.append(lead)
-    if facts:
-        parts.append('<dl class="facts">' + "".join(f"<dt>{escape(word)}</dt><dd>{_fact(word, text)}</dd>"
-                                                    for word, text in facts) + "</dl>")
-    parts += [_paragraphs(notes), body]
+    parts += [pairs(facts), paragraphs(notes), details, body]
     if picture:
         parts.append(f'<div class="wide"><img src="{_address(picture)}" alt="{escape(title)}"></div>')
     places = {name: f"section-{k}" for k, (name, *_) in enumerate(sections)}
     if rows:
-        words = [k for k, column in enumerate(zip(*rows)) if max(map(len, column)) > _WORDS and k]
-        parts.append('<div class="wide"><table>' + _row("th", header, words))
-        parts += [_row("td", row, words, places.get(row[0], ""), k < len(marked) and marked[k])
+        long = [k for k, column in enumerate(zip(*rows)) if max(map(len, column)) > _LONG and k]
+        parts.append('<div class="wide"><table>' + _row("th", header, long))
+        parts += [_row("td", row, long, places.get(row[0], ""), k < len(marked) and marked[k], header)
                   for k, row in enumerate(rows)]
         parts.append("</table></div>")
-    parts.append(_paragraphs(legend, ' class="legend"'))
-    for name, figures, remarks in sections:
-        parts += [f'<h2 id="{places[name]}">{escape(name)}</h2>', _paragraphs(remarks),
+    parts.append(paragraphs(legend, ' class="legend"'))
+    for name, figures, remarks, more in sections:
+        parts += [f'<h2 id="{places[name]}">{escape(name)}</h2>', paragraphs(remarks),
+                  folded("What was measured of this view", paragraphs(more)),
                   f'<div class="pictures">{"".join(figures)}</div>']
-    parts.append(_paragraphs(closing))
+    parts.append(paragraphs(closing))
     parts += [f"<script>{_shipped(name)}</script>" for name in scripts]
     return "\n".join(part for part in parts if part) + "\n</html>\n"
 
@@ -77,22 +75,36 @@ def _shipped(name: str) -> str:
     return files("pagas_cl.report").joinpath(name).read_text("utf-8")
 
 
+def pairs(facts) -> str:
+    """HTML of pairs of a word and a text."""
+    rows = "".join(f"<dt>{escape(word)}</dt><dd>{_fact(word, text)}</dd>" for word, text in facts)
+    return f'<dl class="facts">{rows}</dl>' if rows else ""
+
+
 def _fact(word: str, text: str) -> str:
     return f"<code>{escape(text)}</code>" if word == "command" else escape(text)
 
 
-def _paragraphs(lines, kind: str = "") -> str:
+def paragraphs(lines, kind: str = "") -> str:
+    """HTML of lines of text."""
     return "\n".join(f"<p{kind}>{escape(line)}</p>" for line in lines)
 
 
-def _row(tag: str, row: list[str], words: list[int], place: str = "", marked: bool = False) -> str:
-    """A row of the table; columns `words` hold sentences and no numbers."""
+def folded(summary: str, content: str) -> str:
+    """HTML of `content`, HTML itself, that a click on the `summary` shows; nothing where it is empty."""
+    return f"<details><summary>{escape(summary)}</summary>{content}</details>" if content else ""
+
+
+def _row(tag: str, row: list[str], long: list[int], place: str = "", marked: bool = False, header=()) -> str:
+    """A row of the table; columns `long` hold sentences and no numbers. Cells carry what the `header` calls them, for
+    narrow screens."""
     cells = [escape(cell) for cell in row]
     if place:
         cells[0] = f'<a href="#{place}">{cells[0]}</a>'
     kind = ' class="marked"' if marked else ""
-    return f"<tr{kind}>" + "".join(f"<{tag}{' class=words' * (k in words)}>{cell}</{tag}>"
-                                   for k, cell in enumerate(cells)) + "</tr>"
+    names = [f' data-name="{escape(name)}"' for name in header] or [""] * len(row)
+    return f"<tr{kind}>" + "".join(f"<{tag}{' class=long' * (k in long)}{name}>{cell}</{tag}>"
+                                   for k, (cell, name) in enumerate(zip(cells, names))) + "</tr>"
 
 
 def _address(name: str) -> str:

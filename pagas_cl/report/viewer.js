@@ -26,11 +26,12 @@ void main() {
   shown = vec4(pow(pow(paint, vec3(2.2)) * light, vec3(1. / 2.2)), 1.);
 }`;
 const LENS = 2.75;   // focal length in units of half the shorter side
+const FILLED = 0.94;  // of half the canvas, by the mesh as it is seen at first
 const CLAY = [214, 208, 198], NOTHING = [96, 98, 104];
 
 for (const box of document.querySelectorAll(".viewer")) {
   show(box).catch(error => {
-    box.querySelector(".told").textContent = `The mesh cannot be shown here: ${error.message}.`;
+    box.querySelector(".loading").textContent = `The mesh cannot be shown here: ${error.message}.`;
   });
 }
 
@@ -61,8 +62,9 @@ async function show(box) {
   };
   const meshes = data.meshes.map(told => {
     const mesh = { array: gl.createVertexArray(), count: told.vertices, corners: 3 * told.faces };
+    mesh.places = take(Uint16Array, told.vertices, 3);
     gl.bindVertexArray(mesh.array);
-    attribute("place", take(Uint16Array, told.vertices, 3), gl.UNSIGNED_SHORT, 3);
+    attribute("place", mesh.places, gl.UNSIGNED_SHORT, 3);
     attribute("bent", take(Uint16Array, told.vertices, 2), gl.UNSIGNED_SHORT, 2);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, take(Uint32Array, told.faces, 3), gl.STATIC_DRAW);
@@ -71,10 +73,26 @@ async function show(box) {
   const after = meshes[meshes.length - 1], shades = data.values.map(() => take(Uint8Array, after.count, 1));
 
   const state = { at: slider ? 0.5 : 0 };
-  const reset = () => {     // the mesh after fills the canvas
-    const wide = canvas.clientWidth, high = canvas.clientHeight, [x, y, z] = data.half.map(h => h / data.radius);
-    const away = 0.7 * z + 1.15 * LENS * Math.max(x * Math.min(1, high / wide), y * Math.min(1, wide / high));
-    Object.assign(state, { rotation: data.rotation.map(row => [...row]), x: 0, y: 0, away });
+  const lens = () => {      // focal lengths in units of half the width, and half the height
+    const wide = canvas.clientWidth, high = canvas.clientHeight;
+    return [LENS * Math.min(1, high / wide), LENS * Math.min(1, wide / high)];
+  };
+  const away = mesh => {    // as near as all of it can be seen from, but for what lies outside the box of data.half
+    const half = data.half.map(h => 1.001 * h / data.radius), [across, down] = lens().map(f => f / FILLED);
+    const rows = data.rotation.map(row => row.map((r, k) => r * data.size[k] / data.radius / 65535));
+    const start = data.rotation.map(row => row.reduce((sum, r, k) => sum + r * data.middle[k] / data.radius, 0));
+    let most = 0;
+    for (let i = 0; i < mesh.places.length; i += 3) {
+      const [x, y, z] = rows.map((r, k) => r[0] * mesh.places[i] + r[1] * mesh.places[i + 1] + r[2] * mesh.places[i + 2]
+        - start[k]);
+      if (Math.abs(x) <= half[0] && Math.abs(y) <= half[1] && Math.abs(z) <= half[2])
+        most = Math.max(most, across * Math.abs(x) - z, down * Math.abs(y) - z);
+    }
+    return most;
+  };
+  const reset = () => {     // the meshes fill the canvas
+    const rotation = data.rotation.map(row => [...row]);
+    Object.assign(state, { rotation, x: 0, y: 0, away: Math.max(...meshes.map(away)), moved: false });
   };
   let waiting = 0;
   const later = () => { waiting ||= requestAnimationFrame(() => { waiting = 0; draw(); }); };
@@ -82,7 +100,7 @@ async function show(box) {
     const [width, height] = [canvas.clientWidth, canvas.clientHeight].map(side => Math.round(side * devicePixelRatio));
     if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
     gl.viewport(0, 0, width, height);
-    gl.uniform2f(uniform("lens"), LENS * Math.min(1, height / width), LENS * Math.min(1, width / height));
+    gl.uniform2f(uniform("lens"), ...lens());
     gl.uniform3f(uniform("view"), state.x, state.y, state.away);
     gl.uniformMatrix3fv(uniform("rotation"), true, state.rotation.flat());
     gl.disable(gl.SCISSOR_TEST);
@@ -113,12 +131,13 @@ async function show(box) {
   const turn = (across, down) => {    // about the eye's own axes
     const [ca, sa, cd, sd] = [Math.cos(across), Math.sin(across), Math.cos(down), Math.sin(down)];
     const spin = [[ca, 0, -sa], [-sd * sa, cd, -sd * ca], [cd * sa, sd, cd * ca]];
+    state.moved = true;
     state.rotation = spin.map(row => [0, 1, 2].map(k => row.reduce((sum, s, j) => sum + s * state.rotation[j][k], 0)));
   };
-  const zoom = by => { state.away = Math.min(20, Math.max(0.15, state.away * by)); };
+  const zoom = by => { state.moved = true; state.away = Math.min(20, Math.max(0.15, state.away * by)); };
   const shift = (x, y) => {
     const unit = 2 * state.away / LENS / Math.min(canvas.clientWidth, canvas.clientHeight);
-    state.x += x * unit; state.y += y * unit;
+    state.moved = true; state.x += x * unit; state.y += y * unit;
   };
   const fingers = new Map();
   canvas.addEventListener("pointerdown", event => {
@@ -167,11 +186,11 @@ async function show(box) {
     gl.uniform1i(uniform("facets"), event.target.checked);
     later();
   });
-  new ResizeObserver(later).observe(canvas);
+  new ResizeObserver(() => { if (!state.moved) reset(); later(); }).observe(canvas);
   reset();
   paint(-1);
   draw();
-  box.querySelector(".told").remove();
+  box.querySelector(".loading").remove();
   box.draw = draw;
 }
 

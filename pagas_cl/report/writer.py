@@ -9,22 +9,23 @@ import numpy as np
 
 from pagas_cl.report.headline import STATUS, bar, sentence, shares, summed
 from pagas_cl.report.mesh_view import SCRIPTS, mesh_viewer
-from pagas_cl.report.page import compared, figure, html_page
+from pagas_cl.report.page import compared, figure, folded, html_page, pairs, paragraphs
 from pagas_cl.report.pictures import change_in_units, parallax_change, shaded_pictures, view_pictures
 from pagas_cl.scene.files import DAMAGE, read_bytes, write_text
 from pagas_cl.scene.images import write_image
 from pagas_cl.scene.names import OWN, flat_stem
 from pagas_cl.scene.own_files import write_json
 
-LEGEND = ["Shares are of the pixels with a surface to start from: refined = moved by the photos; kept = the input "
-          "stays, since no other photo sees the pixel, it is masked out, the photos show "
-          "nothing there, or the whole view came back as it came; rejected = the "
-          "input stays, since the photos speak against the new depth. No surface: share of all pixels. "
-          "The pixels themselves are counted in report.json.",
-          "Change: how far the surface moved as the other photos see it, in pixels of parallax (px). Confidence: 1 = "
-          "the photos fix the depth, 0.5 = they fix it to one pixel of parallax, 0 = they say nothing.",
+LEGEND = ["Of the surface to start from: refined = moved by the photos; kept = unchanged, since no other photo sees "
+          "it, it is masked out, the photos show nothing there, or the whole view is unchanged; rejected = unchanged, "
+          "since the photos contradict the new depth. No surface: share of the whole photo. report.json counts the "
+          "pixels.",
+          "Change: how far the surface moved as the other photos see it, in their pixels (px): half of it by more than "
+          "the median. Confidence: 1 = the photos fix the depth, 0.5 = to one pixel, 0 = they say nothing.",
           "Pictures: click for full size; dark grey = no value; the strip below a picture is its scale, from left to "
           "right."]
+_NO_MESH_BEFORE = ("There is no mesh before: the run began with depth maps. They are shown before and after, view by "
+                   "view, below.")
 _MESH, _BEGUN = "mesh", f"{OWN}/pictures.json"
 _OF_A_VIEW = ("photo.jpg", "depth_before.png", "depth_after.png", "normals_before.png", "normals_after.png",
               "change.png", "confidence.png", "camera.png")
@@ -53,14 +54,18 @@ class Report:
     """A folder with `index.html`, `report.json` and, for every view, `<view>_<picture>.png` (the photo as .jpg).
 
     Used as a context manager, so that an interrupted run has a page of what was done. The folder is made, files of the
-    same names are replaced; `notes` are lines below the title, `facts` pairs of a word and a text (scene, command).
-    `pictures`: names (`picture_files`) that are noted down as ours before the first is written, for the next run.
+    same names are replaced; `notes` are lines below the title, `facts` pairs of a word and a text (scene),
+    `particulars` more of them that are folded away (command, device); `began`: time.monotonic() at the start of the
+    run, so that the page says how long it took. `pictures`: names (`picture_files`) that are
+    noted down as ours before the first is written, for the next run.
     """
 
-    def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=(), pictures=()):
+    def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=(), pictures=(), *, particulars=(),
+                 began: float | None = None):
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
         self.title, self.notes, self.facts = title, list(notes), list(facts)
+        self.particulars, self.details = list(particulars), list[str]()
         self._views: list[dict] = []
         self._reasons: list[str] = []
         self._sections: list[tuple] = []
@@ -68,7 +73,7 @@ class Report:
         self._pictures = pictures_in(self.folder).union(pictures)
         if pictures:
             write_text(self.folder / _BEGUN, json.dumps({"pictures": sorted(self._pictures)}))
-        self._mesh, self._stopped, self._began = "", "", time.monotonic()
+        self._mesh, self._stopped, self._began = "", "", began
 
     def __enter__(self) -> "Report":
         return self
@@ -79,13 +84,13 @@ class Report:
         self.write()
 
     def add(self, view, before, after, *, contexts=(), parallax=None, confidence=None, counts=None, remarks=(),
-            reason: str = "", given=None) -> None:
+            details=(), reason: str = "", given=None) -> None:
         """Write the pictures of one View (maps as in `view_pictures`) and remember its row of the table.
 
         The change is measured by the Cameras `contexts` (`parallax_change`), or by `parallax` (H, W), the change of
         depth that is one pixel of parallax, 0 = unknown; without either of them there is no picture of it. `counts` are
-        columns of the table, `remarks` lines above the pictures; `reason`: why the view came back as it came;
-        `given`: its Camera before cameras were refined.
+        columns of the table, `remarks` lines above the pictures, `details` more of them that are folded; `reason`:
+        why the view is unchanged; `given`: its Camera before cameras were refined.
         """
         photo, camera = view.load_image(), view.camera
         change = parallax_change(camera, list(contexts), before, after) if contexts else None
@@ -98,8 +103,8 @@ class Report:
         figures = self._figures(stem, pictures)
         self._views.append({"view": view.name, **(counts or {}), **_change_figures(change, confidence, after)})
         self._reasons.append(reason)
-        lines = [f"kept as it came: {reason}"] if reason else []
-        self._sections.append((view.name, figures, [*lines, *remarks]))
+        lines = [f"unchanged: {reason}"] if reason else []
+        self._sections.append((view.name, figures, [*lines, *remarks], details))
 
     def add_mesh(self, before, after, *, view=None, depths=None) -> None:
         """Show two meshes (see `mesh_viewer`) at the head of the page.
@@ -109,10 +114,16 @@ class Report:
         """
         html = mesh_viewer(before, after, camera=view and view.camera)
         figures = self._figures(_MESH, shaded_pictures(view, *depths)) if depths is not None else []
-        self._mesh = f'<h2>mesh</h2>{html}<div class="pictures">{"".join(figures)}</div>'
+        absent = paragraphs([] if before is not None else [_NO_MESH_BEFORE])
+        self._mesh = f'<h2>mesh</h2>{html}{absent}<div class="pictures">{"".join(figures)}</div>'
 
     def note(self, text: str) -> None:
+        """A line below the title, for whoever looks at the page."""
         self.notes.append(text)
+
+    def detail(self, text: str) -> None:
+        """A line of what was measured, folded away."""
+        self.details.append(text)
 
     def write(self) -> Path:
         """Write the page and the numbers; returns the page's path."""
@@ -120,13 +131,19 @@ class Report:
         total = {"view": f"all {len(self._views)} views", **summed(self._views)} if len(self._views) > 1 else {}
         rows = [_cells(row, columns) for row in (*self._views, *([total] if len(total) > 1 else []))]
         headline = sentence(self._views, self._reasons, self._stopped)
-        facts = [*self.facts, ("time", _duration(time.monotonic() - self._began))] if self.facts else []
-        content = {"headline": headline, "facts": dict(facts), "notes": self.notes, "views": self._views,
+        facts = list(self.facts)
+        if self._began is not None:
+            facts.append(("time of the whole run", _duration(time.monotonic() - self._began)))
+        content = {"headline": headline, "facts": {**dict(facts), **dict(self.particulars)}, "notes": self.notes,
+                   "details": self.details, "views": self._views,
                    "pictures": sorted(name for name in self._pictures if (self.folder / name).exists())}
         write_json(self.folder / "report.json", self.title.removeprefix("pagas-cl "), content)
         (self.folder / _BEGUN).unlink(missing_ok=True)
-        page = html_page(self.title, self.notes, columns, rows, self._sections, LEGEND if self._views else [],
+        header = ["seconds for this view" if key == "seconds" else key for key in columns]
+        page = html_page(self.title, self.notes, header, rows, self._sections, LEGEND if self._views else [],
                          headline=headline, facts=facts, lead=bar(self._views), body=self._mesh,
+                         details=folded("Command, settings and measurements",
+                                        pairs(self.particulars) + paragraphs(self.details)),
                          scripts=["page.js", *(SCRIPTS if self._mesh else [])])
         return write_text(self.folder / "index.html", page)
 

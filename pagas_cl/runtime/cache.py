@@ -51,8 +51,8 @@ def write(kind: str, key: str, value: dict[str, Any]) -> None:
         _in_memory.pop(path, None)
     except OSError as error:
         _in_memory[path] = value
-        log.info("what was found out about OpenCL here cannot be kept for the next run (%s): make %s writable, or name "
-                 "another folder with XDG_CACHE_HOME", error, folder())
+        log.info("every run starts some seconds later than it could, since nothing can be stored (%s): make %s "
+                 "writable, or name another folder with XDG_CACHE_HOME", error, folder())
 
 
 def write_whole(path: Path, text: str) -> None:

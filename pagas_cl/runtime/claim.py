@@ -70,7 +70,7 @@ def claim_device(names: str | Sequence[str] | Device | None = None) -> Device:
     if fault:
         raise DeviceError(f"{fault}; see 'pagas-cl devices'")
     titles = ", ".join(info.title for info, *_ in known)
-    raise DeviceError(f"every device asked for ({titles}) is at work for another process; start one worker a device, "
+    raise DeviceError(f"every requested device ({titles}) is at work for another process; start one worker a device, "
                       f"or let several share one with {devices.SHARE}={share + 1}")
 
 

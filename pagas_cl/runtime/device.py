@@ -82,7 +82,7 @@ def open_device(name: str | Device | None = None, *, profiling: bool = False) ->
             _tell(device, name, trial)
             return device
         faults.append(f"{info}: {trial.fault}")
-        log.warning("OpenCL device %s does not work and is passed over: %s", info, trial.fault)
+        log.warning("OpenCL device %s does not work and is not used: %s", info, trial.fault)
     raise DeviceError(f"no OpenCL device that matches works: {'; '.join(faults)}. Is it in use by another process, or "
                       "its driver older than the hardware ('pagas-cl devices --again' tries anew)? Choose another "
                       f"with device= or {ENVIRONMENT}. {icd.cpu_advice()}")
@@ -129,7 +129,7 @@ def working(device: Device) -> Device:
     try:
         return _keep(opened(device.info, device.cl_device, device.lanes, device.profiling))
     except import_pyopencl().Error as error:
-        raise DeviceError(f"{device.info.title} was lost and cannot be opened again ({cause(error)}): finished views "
+        raise DeviceError(f"{device.info.title} has failed and cannot be opened again ({cause(error)}): finished views "
                           "are kept, start the same command again or choose another device with "
                           f"{ENVIRONMENT}") from error
 
@@ -247,9 +247,11 @@ def _tell(device: Device, name: object, trial: Trial) -> None:
     if info in _told:
         return
     _told.add(info)
-    log.info("OpenCL device: %s%s", info, f", {device.lanes} lanes" if device.lanes > 1 else "")
+    log.debug("OpenCL device: %s%s", info, f", {device.lanes} lanes" if device.lanes > 1 else "")
     if trial.fault:
-        log.info("it works with %d lanes, not with more: %s", device.lanes, trial.fault)
+        log.debug("it works with %d lanes, not with more: %s", device.lanes, trial.fault)
     if _asked(name)[0].strip().lower() == "auto" and info.kind != "GPU":
-        log.warning("no usable OpenCL GPU found: running on %s, which is many times slower; "
-                    "'pagas-cl devices' tells what is missing", info)
+        log.warning("no graphics card (GPU) was found that OpenCL can use: computing on the processor (%s), which is "
+                    "many times slower; 'pagas-cl devices' shows what is missing", info.name.strip())
+    else:
+        log.info("computing on %s (%s)", info.name.strip(), info.kind)

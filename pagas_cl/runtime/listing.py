@@ -38,10 +38,10 @@ def check_drivers() -> None:
         known = {"left_out": [], "vendors": None} if not _falls() else _surviving()
         cache.write("drivers", key, known)
     if known["vendors"] == "":
-        raise NoDeviceError("every OpenCL driver here crashes or hangs when it is asked for its devices "
+        raise NoDeviceError("every OpenCL driver here crashes or hangs when it lists its devices "
                             f"({', '.join(icd.icd_files())}): remove or update them. {icd.cpu_advice()}")
     if known["vendors"]:
-        log.warning("OpenCL drivers that crash or hang when they are asked for their devices are left out: %s",
+        log.warning("OpenCL drivers that crash or hang when they list their devices are left out: %s",
                     ", ".join(known["left_out"]))
         os.environ[vendors.VARIABLE] = known["vendors"]
 
@@ -53,7 +53,7 @@ def _surviving() -> dict[str, Any]:
     well = [name for name, survives in alone.items() if survives]
     for choice in ((vendors.folder_of(well), *well) if well else ()):      # a loader may have drivers beside these
         if not _falls({vendors.VARIABLE: choice}):
-            return {"left_out": [name for name in alone if name not in well] or ["those beside " + choice],
+            return {"left_out": [name for name in alone if name not in well] or ["those next to " + choice],
                     "vendors": choice}
     return {"left_out": list(alone), "vendors": ""}
 

@@ -53,7 +53,7 @@ class Memory:
         try:
             return _Counted(self, context, nbytes, role)
         except cl.Error as error:
-            raise DeviceMemoryError(f"{self.title} refused {_mb(nbytes)} MB ({error}) beside the {_mb(self.held)} MB "
+            raise DeviceMemoryError(f"{self.title} refused {_mb(nbytes)} MB ({error}) next to the {_mb(self.held)} MB "
                                     "that it holds") from error
 
     def begin(self, planned: int) -> None:

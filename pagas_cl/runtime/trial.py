@@ -42,7 +42,7 @@ def try_device(info: DeviceInfo, again: bool = False) -> Trial:
     kept = None if again else _trial(cache.read("devices", key))
     if kept:
         return kept
-    log.info("trying %s: a step is compiled and run in a process of its own, which takes some seconds, once", info)
+    log.info("first run on %s: its driver is tested, which takes some seconds, once", info.title)
     start, faults, lanes, lasting = time.monotonic(), [], 0, True
     for lanes, answer in _attempts(info, widths, limit):
         if not answer["fault"]:

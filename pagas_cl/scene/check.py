@@ -103,7 +103,7 @@ def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDAr
                if seen[k] >= 0.9 * count and share.mean() > max(_MUCH, 3 * by_pose[best].mean())]
     if fitting and not seeing:
         raise InputError(f"{who}; with the mesh scaled by {UNITS[fitting[-1]]:.4g} {seen[fitting[-1]]} of {count} do: "
-                         "is it in another unit than the cameras ('pagas-cl check' tells by the photos)?")
+                         "is it in another unit than the cameras ('pagas-cl check' finds out by the photos)?")
     if better[best] >= (0.9 * count if seeing else max(1, 0.5 * count)):
         way = POSES[1 + best]
         found = f"{who}; with {way.matrices} {better[best]} of {count} do: "

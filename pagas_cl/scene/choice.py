@@ -167,7 +167,7 @@ class ContextChooser:
         causes = {f"see less than {settings.min_overlap:.0%} of what it sees": blind.sum() + others - len(inside),
                   "are blocked by nearer surfaces": blocked.sum(),
                   f"are too close to its place (rays below {settings.min_angle:g} degrees)": near.sum(),
-                  f"look from too far aside (rays above {settings.max_angle:g} degrees)": far.sum()}
+                  f"look from too far to the side (rays above {settings.max_angle:g} degrees)": far.sum()}
         reasons = "; ".join(f"{count} {what}" for what, count in causes.items() if count)
         return f"{found} of {others} other views are usable" + (f": {reasons}" if reasons else "")
 

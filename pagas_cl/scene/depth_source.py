@@ -183,5 +183,5 @@ def tell_left_out(depths: Sequence[DepthSource | None], where: str) -> None:
     """Log the threshold of confidence and what it costs."""
     sure = [depth for depth in depths if depth is not None and depth.confidence is not None]
     if sure:
-        log.info("%s: depths of confidence below %.3g are left out, %.0f %%", where, sure[0].least,
-                 100 * np.mean([depth.low() for depth in sure[:_SAMPLED]]))
+        log.info("%s: depths that it marks as uncertain (confidence below %.3g) are left out, %.0f %%", where,
+                 sure[0].least, 100 * np.mean([depth.low() for depth in sure[:_SAMPLED]]))

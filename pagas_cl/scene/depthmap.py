@@ -99,7 +99,7 @@ def clean_depth(values: npt.ArrayLike, who: str = "depth map") -> npt.NDArray[np
         bad = ~np.isfinite(depth) | (depth < 0)
     count = int(np.count_nonzero(bad))
     if count:
-        log.info("%s: %d of %d depths are not finite or below 0, taken as no surface", who, count, depth.size)
+        log.info("%s: %d of %d depths are not finite or below 0: no surface is assumed there", who, count, depth.size)
         depth[bad] = 0
     return depth
 

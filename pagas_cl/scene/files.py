@@ -180,7 +180,8 @@ def replaced_with_others(path: str | Path) -> Iterator[Path]:
             aside = Path(tempfile.mkdtemp(prefix=f"{path.stem}~", dir=path.parent))
             for file in written:
                 os.replace(file, aside / file.name)
-            raise OutputError(f"{taken[0]} is there and is not ours to replace: the mesh and its files are in {aside}")
+            raise OutputError(f"{taken[0]} is there and was not written by pagas_cl: the mesh and its files are "
+                              f"in {aside}")
         for file in written:
             _rename(file, path.with_name(file.name))
 

@@ -140,5 +140,5 @@ def half_pixel(readings: Sequence[Reading], fit: Fit | None, mends: Mapping[str,
         best = max(better, key=lambda r: r.agreement or 0.0)
         return (f"pixel centres: the photos prefer {best.name} ({agreements}); if K came from a program that counts "
                 f"so, {mends[best.name]}")
-    return (f"pixel centres: the photos do not ask for a shift ({agreements}); a shift that all views share hardly "
+    return (f"pixel centres: the photos do not show a shift ({agreements}); a shift that all views share hardly "
             "shows unless cameras are rolled against each other")

@@ -137,7 +137,7 @@ def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> 
     faults |= {
         "the refined depth is not finite": not np.isfinite(first.depth).all() or np.isnan(first.deviation).any()
         or np.isnan(first.parallax).any(),
-        "the refinement made or lost a surface": ((first.status != NO_SURFACE) != surface).any(),
+        "the refinement made or removed a surface": ((first.status != NO_SURFACE) != surface).any(),
         "a refined depth is not above 0, or one without a surface is not 0":
             (first.depth[surface] <= 0).any() or first.depth[~surface].any(),
         "a pixel that was not refined did not keep its bits": (first.depth[kept] != given[kept]).any(),

@@ -39,8 +39,8 @@ class Plan:
         """Log the plan; one that was told before, for a view of the same size, is not told again."""
         if self not in _told:
             _told.add(self)
-            log.info("view %s: %s MB of device memory are planned, %s MB of it photos", name,
-                     f"{self.nbytes / 1e6:,.1f}", f"{self.photos / 1e6:,.1f}")
+            log.debug("view %s: %s MB of device memory are planned, %s MB of it photos", name,
+                      f"{self.nbytes / 1e6:,.1f}", f"{self.photos / 1e6:,.1f}")
 
     def check(self, name: str, device) -> None:
         """Raise DeviceMemoryError where `device` may not hold it."""

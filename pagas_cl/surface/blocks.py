@@ -83,11 +83,11 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
         allowed = min(available_mb(), max(USUAL_MB, 2 * mesh_mb(plan))) if memory_mb is None else memory_mb
         if plan.memory_mb <= allowed:
             return fuse(views, depths, settings, weights, progress, plan=plan, memory_mb=allowed)
-        log.info("%s", plan)
+        log.debug("%s", plan)
         boxes = cut(plan, blocks, allowed, views)
         most = max(grid_mb(box.blocks, settings) for box in boxes)
-        log.info("fusion: %d boxes, at most %.0f MB each, %.0f MB for the mesh, %.0f MB allowed", len(boxes), most,
-                 mesh_mb(plan), allowed)
+        log.debug("fusion: %d boxes, at most %.0f MB each, %.0f MB for the mesh, %.0f MB allowed", len(boxes), most,
+                  mesh_mb(plan), allowed)
         inputs, files = (views, depths, weights, plan), []
         if executor is not None:
             (scratch / "inputs.pickle").write_bytes(pickle.dumps(inputs))

@@ -67,9 +67,9 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
     unit, agreement, given = (1.0, float("nan"), float("nan")) if unit_is_known else find_unit(views, cameras, held,
                                                                                                      greys)
     if unit != 1:
-        said.append(f"depths are {unit:g} times as large as the cameras' positions ask for{_name(unit)}: photos agree "
-                    f"{agreement:.2f} over the depths divided by that, {given:.2f} over them as they are; they are "
-                    "divided")
+        said.append(f"depths are {unit:g} times as large as the cameras' positions require{_name(unit)}: photos "
+                    f"agree {agreement:.2f} over the depths divided by that, {given:.2f} over them as they are; they "
+                    "are divided")
         factors[have] /= unit
     held = [None if map is None else map / np.float32(unit) for map in held]
     small = side_by_side(lambda k: alignment.reduced(cameras[k], held[k]), have)       # type: ignore[arg-type]
@@ -132,17 +132,17 @@ def _doubts(names: list[str], common: CommonScale, off: float) -> list[str]:
         said.append(f"{len(names)} views still disagree with their neighbours by more than {_STILL:.0%}: "
                     + ", ".join(names[:5]) + (", ..." if len(names) > 5 else ""))
     if off > ALONE:
-        said.append(f"photos agree only {common.agreement:.2f} over the depth: they are off by about {off:.1f} pixels "
-                    "across the direction of depth, which no depth explains; the effect 'cameras' bridges some "
-                    f"{REACH:g}, depth refinement by itself {ALONE:g}. Beyond that adjust the cameras: COLMAP's "
-                    "bundle_adjuster with these as its start, or the network's own (VGGT: --use_ba)")
+        said.append(f"cameras are off: photos miss one another by about {off:.1f} pixels, whatever the depth. Up to "
+                    f"some {REACH:g} pixels are corrected before depth is refined (effect 'cameras'); where they are "
+                    "off by more, adjust them first: COLMAP's bundle_adjuster with these as its start, or the "
+                    "network's own (VGGT: --use_ba)")
     elif common.agreement < AGREE:
-        said.append(f"photos agree only {common.agreement:.2f} over the depth, and moving them by some pixels does not "
-                    "mend it: depth or cameras are far off, or photos and cameras are paired wrongly; run COLMAP's "
-                    "bundle adjustment, or give better depth")
+        said.append(f"photos do not fit together over the depth (they agree {common.agreement:.2f}, of 1), and moving "
+                    "them by some pixels does not mend it: depth or cameras are far off, or photos and cameras are "
+                    "paired wrongly; run COLMAP's bundle adjustment, or give better depth")
     return said
 
 
 def _name(unit: float) -> str:
-    return {1e3: " (millimetres beside metres)", 1e-3: " (metres beside millimetres)",
-            1e2: " (centimetres beside metres)"}.get(unit, "")
+    return {1e3: " (millimetres and metres)", 1e-3: " (metres and millimetres)",
+            1e2: " (centimetres and metres)"}.get(unit, "")

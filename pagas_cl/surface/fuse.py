@@ -123,7 +123,7 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
         depth is valid, and where the mesh is empty.
     """
     plan = plan or fusion_plan(views, depths, settings)
-    log.info("%s", plan)
+    log.debug("%s", plan)
     allowed = available_mb() if memory_mb is None else memory_mb
     if plan.memory_mb > allowed:
         fits = settings.voxel * np.sqrt(plan.memory_mb / allowed) * 1.05
@@ -136,7 +136,7 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
             fusing.advance(i + 1)
     with stage(progress, "extract the mesh", 2) as extracting:
         seen = f"voxels seen by 1, 2, 3, more views: {', '.join(map(str, grid.seen()))}"
-        log.info("fusion: %s", seen)
+        log.debug("fusion: %s", seen)
         extracted = grid.extract(settings.min_views - 0.5)
         del grid  # cleaning the mesh takes memory of its own
         extracting.advance(1)
@@ -186,8 +186,8 @@ def empty_mesh(plan: FusionPlan, seen: str = "") -> InputError:
 def tell_dropped(pieces: int, settings: Fusion) -> None:
     """Log how many pieces were too small."""
     if pieces:
-        log.info("fusion: %d pieces with fewer than %g of the largest one's triangles are dropped", pieces,
-                 settings.min_component)
+        log.info("%d small fragments apart from the main surface are left out of the mesh (of fewer triangles than %g "
+                 "of the largest part's; --set fusion.min_component=0 keeps them)", pieces, settings.min_component)
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,8 +55,8 @@ def without_new(device: Device, given: Surface, division: Subdivision | None,
     mended, both, new = unlike(now, end), CROSSING | FOLDED, found & ~let
     told = (f"{_count(found, both)} of {len(faces)} triangles cross others ({_count(old, both)} of {len(old)} given "
             f"ones did), {_count(new, both)} of them where none did before; {_count(found, TURNED)} are turned "
-            f"over, {_count(found, FLAT)} have no area ({_count(old, FLAT)} before); {mended.sum()} vertices went with "
-            "their neighbours, or back, for it")
+            f"over, {_count(found, FLAT)} have no area ({_count(old, FLAT)} before); to avoid them {mended.sum()} "
+            "vertices moved as their neighbours did, or less far")
     return np.where(mended[place][:, None], now[place], vertices), told
 
 

@@ -59,10 +59,10 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
         wanted, count = off > _OFF * flat, len(mesh.edges)
         number, done = np.count_nonzero(wanted), mesh.split_longest_with(long, wanted, off, lengths, most)
         if done < number:
-            log.warning("mesh: %d edges are not split though depth maps show detail there: memory is set aside for "
-                        "%d triangles (--memory gives it more)", number - done, most)
-        log.info("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
-                 number, len(long), _OFF * flat, count, len(mesh.edges))
+            log.warning("the mesh is coarser than the depth maps would allow, at %d edges: the memory planned for it "
+                        "holds %d triangles; start again with a larger --memory", number - done, most)
+        log.debug("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
+                  number, len(long), _OFF * flat, count, len(mesh.edges))
     division = Subdivision(len(surface.vertices), surface.faces, mesh.own.faces, mesh.own.table[6], mesh.rounds)
     return division, solved.at(mesh.place), mesh.place
 

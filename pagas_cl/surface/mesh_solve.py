@@ -165,9 +165,9 @@ def solve_welded(mesh: OnDevice, views: Sequence[Observed], *, least_views: int,
             moved = unlike(place, start)
             way = (place - start).astype(np.float64) * drawing.unit
             vertices = np.where(moved[:, None], surface.vertices + way, surface.vertices)
-            log.info("mesh: round %d, %.0f %% of %d vertices have evidence, moved by %.3g footprints (root mean "
-                     "square)", number + 1, 100 * (np.isfinite(sigma)).mean(), count,
-                     np.sqrt(np.square(place - start).sum(axis=1).mean()) / middle)
+            log.debug("mesh: round %d, %.0f %% of %d vertices have evidence, moved by %.3g footprints (root mean "
+                      "square)", number + 1, 100 * (np.isfinite(sigma)).mean(), count,
+                      np.sqrt(np.square(place - start).sum(axis=1).mean()) / middle)
         for buffer in own.values():
             buffer.release()
         return Solved(vertices, seen, sigma.astype(np.float64) * drawing.unit, unit * drawing.unit, held)

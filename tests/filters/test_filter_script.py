@@ -44,11 +44,11 @@ def meshes_of(made):
 
 
 @pytest.mark.parametrize("body, sentence", [
-    (SMOOTH + '<filter name="PAGaS Deph Refinement"/>', "step 2 'PAGaS Deph Refinement' is neither ours nor "
-     "pymeshlab's; did you mean 'PAGaS Depth Refinement'. nothing was run"),
+    (SMOOTH + '<filter name="PAGaS Deph Refinement"/>', "step 2 'PAGaS Deph Refinement' is neither a step of "
+     "pagas_cl nor a filter of pymeshlab; did you mean 'PAGaS Depth Refinement'. nothing was run"),
     ('<filter name="Laplacain Smooth"/>', "did you mean 'Laplacian Smooth'. nothing was run"),
     ('<filter name="laplacian smooth"/>', "did you mean 'Laplacian Smooth'"),
-    ('<filter name="apply_coord_laplacian_smoothing"/>', "did you mean 'Laplacian Smooth'|neither ours"),
+    ('<filter name="apply_coord_laplacian_smoothing"/>', "did you mean 'Laplacian Smooth'|neither a step"),
     (SMOOTH.replace("stepSmoothNum", "stepSmothNum"), "unknown parameter 'stepSmothNum'; .* 'stepSmoothNum'"),
     (SMOOTH.replace("RichInt", "RichFloat"), "has type 'RichFloat', expected 'RichInt'"),
     (SMOOTH.replace('value="1"', 'value="1.5"'), "whole number"),
@@ -56,7 +56,7 @@ def meshes_of(made):
     (SMOOTH.replace('value="true"', 'value="yes"'), "expected 'true' or 'false'"),
     ('<filter name="Re-Compute Vertex Normals"><Param type="RichEnum" name="weightMode" value="4"/></filter>',
      "whole number from 0 to 3"),
-    (OURS.replace('"voxel"', '"voxels"'), "unknown parameter 'voxels'; the nearest known one is 'voxel'"),
+    (OURS.replace('"voxel"', '"voxels"'), "unknown parameter 'voxels'; the nearest one is 'voxel'"),
     (OURS.replace("RichFloat", "RichInt"), "has type 'RichInt', expected 'RichFloat'"),
     (OURS.replace('value="2"', 'value="nan"'), "expected a number"),
     (OURS.replace('value="2"', 'value="-1"'), "fusion.voxel is -1"),

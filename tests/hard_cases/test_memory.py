@@ -129,7 +129,7 @@ def test_peak_is_as_planned(device, name, held_out):
 
 def test_the_plan_is_told_beforehand(device, caplog, monkeypatch):
     monkeypatch.setattr(budget, "_told", set())
-    with caplog.at_level(logging.INFO, "pagas_cl"):
+    with caplog.at_level(logging.DEBUG, "pagas_cl"):
         report = refined(device, CONFIGS["balanced"]).report
     assert f"{report['planned_bytes'] / 1e6:,.1f} MB of device memory are planned" in caplog.text
 

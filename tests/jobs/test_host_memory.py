@@ -79,7 +79,7 @@ def test_what_a_run_will_take_is_told(scene, device, caplog):
     from pagas_cl.commands._memory import tell_memory
     from pagas_cl.runtime.host import resident_mb
 
-    with caplog.at_level("INFO", "pagas_cl"):
+    with caplog.at_level("DEBUG", "pagas_cl"):
         planned = tell_memory(scene[0], QUICK, device, True, None)
     assert f"host memory: {max(planned.values()):,.0f} MB are planned" in caplog.text
     assert all(resident_mb() < mb < resident_mb() + 200 for mb in planned.values())

@@ -116,7 +116,7 @@ def test_a_page_of_somebody_else_is_not_replaced(scene, tmp_path, capsys):
     assert "pagas" in html_page("any", [], [], [])      # by which our own pages are known
     (tmp_path / "index.html").write_text("<html>my own page</html>")
     command = commands(scene, tmp_path, scene / "depth_initial")["report"]
-    assert command_line.run(list(command)) == 2 and "page of somebody else" in capsys.readouterr().err
+    assert command_line.run(list(command)) == 2 and "page that another program wrote" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["index.html"]
     (tmp_path / "index.html").unlink()
     assert command_line.run(list(command)) == 0 == command_line.run(list(command))

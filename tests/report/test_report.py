@@ -1,6 +1,8 @@
 """The report: colours, the change in pixels of parallax, and the files of a run."""
 
 import json
+import re
+import time
 from html import escape
 
 import numpy as np
@@ -104,9 +106,9 @@ def test_report_writes_pictures_page_and_numbers(tmp_path):
     page = (folder / "index.html").read_text()
     assert "a &lt;title&gt;" in page and "&lt;b&gt;.png" in page and "<b>.png" not in page
     assert page.count("data:image/jpeg") == 7 and "http" not in page
-    assert "rejected = the input stays, since" in page and "dark grey = no value" in page
+    assert "rejected = unchanged, since" in page and "dark grey = no value" in page
     told = json.loads((folder / "report.json").read_text())["views"][0]
-    assert told["refined"] == 7000 and "<td>100.0%</td>" in page and told["mean confidence"] == 0.5
+    assert told["refined"] == 7000 and '<td data-name="refined">100.0%</td>' in page and told["mean confidence"] == 0.5
     names = sorted(path.name for path in folder.iterdir())
     assert len(names) == 9 and not any("part" in name for name in names)
     assert Image.open(folder / "b_depth_after.png").size == (WIDTH, HEIGHT)
@@ -130,8 +132,8 @@ def counts(refined, kept=0, rejected=0, nothing=0):
 
 @pytest.mark.parametrize("rows, reasons, stopped, said", [
     ([counts(90, 6, 4), counts(80, 20)], ["", ""], "", "The photos refined 85.0% of the surface in 2 views."),
-    ([counts(90, 10), counts(0, 100)], ["", "blurred"], "", "1 of the views came back as it came (blurred)."),
-    ([counts(0, 100), counts(0, 100)], ["too far", "too far"], "", "Nothing was refined: 2 views, each as it came"),
+    ([counts(90, 10), counts(0, 100)], ["", "blurred"], "", "1 of the views stays unchanged (blurred)."),
+    ([counts(0, 100), counts(0, 100)], ["too far", "too far"], "", "Nothing was refined: 2 views, all unchanged"),
     ([counts(0, 0, 0, 50)], [""], "", "none with a surface"),
     ([counts(10)], [""], "disk full", "in 1 view (the run ended with: disk full)"),
     ([], [], "interrupted", "before a view was done, with: interrupted")])
@@ -141,17 +143,44 @@ def test_the_headline_says_what_became_of_the_views(rows, reasons, stopped, said
 
 def test_the_page_has_shares_facts_and_pictures_in_pairs(tmp_path):
     view = View(camera(name="a.png"), np.full((HEIGHT, WIDTH, 3), 99, np.uint8))
-    with Report(tmp_path, facts=[("command", "pagas-cl 'a <b>'"), ("version", "pagas_cl 1")]) as report:
+    shares = ["all 2 views", "37.5%", "62.5%", "0.0%", "0.0%", "", ""]
+    with Report(tmp_path, facts=[("scene", "here")], began=time.monotonic(), particulars=[
+            ("command", "pagas-cl 'a <b>'"), ("version", "pagas_cl 1")]) as report:
         for reason in ("", "<i>dark</i>"):
             report.add(view, plane(4.0), plane(4.1), contexts=[camera(0.5)], reason=reason,
                        counts=counts(900 * (not reason), 300 + 900 * bool(reason)))
     page = (tmp_path / "index.html").read_text()
     assert "37.5% of the surface in 2 views" in page and "&lt;i&gt;dark&lt;/i&gt;" in page and "<i>dark" not in page
-    assert "<td>all 2 views</td><td>37.5%</td><td>62.5%</td><td>0.0%</td><td>0.0%</td>" in page
-    assert "<code>pagas-cl &#x27;a &lt;b&gt;&#x27;</code>" in page and "<dt>time</dt>" in page
+    assert re.findall(r">([^<>]*)</td>", page)[-len(shares):] == shares
+    assert "<code>pagas-cl &#x27;a &lt;b&gt;&#x27;</code>" in page and "<dt>time of the whole run</dt>" in page
     assert page.count('<div class="pair">') == 4, "depth and normals of two views"
     told = json.loads((tmp_path / "report.json").read_text())
     assert told["facts"]["version"] == "pagas_cl 1" and escape(told["headline"]) in page
+
+
+def test_what_was_measured_is_folded_and_what_became_of_the_run_is_not(tmp_path):
+    view = View(camera(name="a.png"), np.full((HEIGHT, WIDTH, 3), 99, np.uint8))
+    with Report(tmp_path, facts=[("scene", "here")], particulars=[("device", "a long name")]) as report:
+        report.note("cameras were corrected")
+        report.detail("consistency off: 0.0006, threshold 0.04")
+        report.add(view, plane(4.0), plane(4.1), contexts=[camera(0.5)], remarks=["compared with the photos: b.png"],
+                   details=["exposure off: 0.0005, threshold 0.012"], counts={**counts(1200), "seconds": 1.5})
+    page = (tmp_path / "index.html").read_text()
+    folded = re.findall("<details>.*?</details>", page, re.S)
+    open_ = re.sub("<details>.*?</details>", "", page, flags=re.S)
+    assert "threshold" not in open_ and "a long name" not in open_
+    assert "cameras were corrected" in open_ and "compared with the photos" in open_ and "moved by more than" in open_
+    assert "consistency off" in folded[0] and "a long name" in folded[0] and "exposure off" in folded[1]
+    assert "time of the whole run" not in page and "seconds for this view" in page, "what a time is of stands with it"
+    assert json.loads((tmp_path / "report.json").read_text())["details"] == ["consistency off: 0.0006, threshold 0.04"]
+
+
+def test_a_mesh_without_one_before_says_why(tmp_path):
+    mesh = (np.eye(3), [[0, 1, 2]])
+    for before, told in ((None, True), (mesh, False)):
+        with Report(tmp_path) as report:
+            report.add_mesh(before, mesh)
+        assert ("There is no mesh before: the run" in (tmp_path / "index.html").read_text()) == told
 
 
 def test_shaded_pictures_are_brighter_where_the_surface_faces_the_light():

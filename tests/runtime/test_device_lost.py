@@ -102,7 +102,7 @@ def scene(tmp_path_factory):
 def test_lost_for_good(scene, tmp_path, failing, device, opens, share):
     out = tmp_path / "out"
     failing(int(share * scene.launches), opens=opens)
-    with pytest.raises(DeviceError, match="lost and cannot be opened again" if not opens else "failed during") as told:
+    with pytest.raises(DeviceError, match="cannot be opened again" if not opens else "failed during") as told:
         refine_views(scene.views, scene.depths, config=QUICK, folder=out)
     assert "start the same command again" in str(told.value) and "\n" not in str(told.value)
     finished = check_whole(out)

@@ -78,7 +78,7 @@ def test_half_a_pixel_shows_where_cameras_are_rolled(scene):
         turn[:2, :2] = [[c, -s], [s, c]]
         rolled.append(replace(camera, world_to_camera=turn @ camera.world_to_camera))
     images = [photograph(made.true_solid, made.skin, camera) for camera in rolled]
-    assert "do not ask for a shift" in check_cameras(mesh, rolled, images).half_pixel
+    assert "do not show a shift" in check_cameras(mesh, rolled, images).half_pixel
     off = [replace(c, cx=c.cx - 0.5, cy=c.cy - 0.5) for c in rolled]
     report = check_cameras(mesh, off, images)
     assert "prefer half a pixel more" in report.half_pixel and "pixel_center=0 " in report.half_pixel

@@ -38,7 +38,7 @@ def test_useful_angles_come_first_and_useless_ones_not_at_all():
     more = choose_contexts(0, cameras, depths_of(cameras), Context(number=5))
     assert set(more.indices) == {2, 3, 4}
     assert more.reason == ("3 of 5 other views are usable: 1 are too close to its place (rays below 1 degrees); "
-                           "1 look from too far aside (rays above 60 degrees)")
+                           "1 look from too far to the side (rays above 60 degrees)")
 
 
 def test_views_that_look_elsewhere_or_from_behind_a_wall_are_left_out():

@@ -148,7 +148,7 @@ def test_cut_off_models(tmp_path, ring, name):
 def test_no_scene_and_unknown_format(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         read_scene(tmp_path / "no")
-    with pytest.raises(InputError, match="no cameras in a known format"):
+    with pytest.raises(InputError, match="no cameras in a supported format"):
         read_scene(tmp_path)
     with pytest.raises(InputError, match="unknown format 'x', expected one of cameras, colmap"):
         read_scene(tmp_path, "x")

@@ -114,7 +114,7 @@ def test_low_confidence_is_left_out_and_told(frames, tmp_path, caplog):
         with caplog.at_level(logging.INFO, "pagas_cl"):
             scene = read_scene(tmp_path / name)
         assert (scene.depths[0].load()[:, :36] == 0).all() and (scene.depths[0].load()[:, 48:] > 0).all(), name
-        assert re.search(rf"confidence below {told} are left out, 2[3-7] %", caplog.text), name
+        assert re.search(rf"confidence below {told}\) are left out, 2[3-7] %", caplog.text), name
     assert (read_scene(tmp_path / "da3", confidence=0.5).depths[0].load() > 0).all()
 
 

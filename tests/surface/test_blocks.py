@@ -68,7 +68,7 @@ def scene():
 def test_boxes_give_the_mesh_of_one_grid_bit_for_bit(scene, share, caplog):
     views, depths = scene
     plan, caplog.handler.level = fusion_plan(views, depths, SETTINGS), 0
-    with caplog.at_level("INFO", "pagas_cl"):
+    with caplog.at_level("DEBUG", "pagas_cl"):
         mesh = fuse_within(views, depths, SETTINGS, share * plan.memory_mb)
     assert_same(mesh, fuse(views, depths, SETTINGS))
     assert " boxes, at most " in caplog.text

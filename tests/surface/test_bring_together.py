@@ -125,7 +125,7 @@ def _reduced(made, depths, scale):
     return views
 
 
-@pytest.mark.parametrize("pixels, words", [(2, "off by about [1-6].* pixels across"), (60, "paired wrongly")])
+@pytest.mark.parametrize("pixels, words", [(2, "miss one another by about [1-6].* pixels"), (60, "paired wrongly")])
 def test_cameras_that_are_off_are_told(made, coarse, pixels, words):
     off = []
     for k, view in enumerate(made.views):

@@ -113,7 +113,7 @@ def test_the_plan_comes_first_and_holds(scene, caplog):
     low, high = plan.depth_range
     assert low == min(d.min() for d in depths) and high == max(d.max() for d in depths)
     assert plan.block_count <= sum(len(b) for b in plan.blocks) and 1 < plan.memory_mb < 200
-    with caplog.at_level(logging.INFO, "pagas_cl"):
+    with caplog.at_level(logging.DEBUG, "pagas_cl"):
         fuse(views, depths, plan=plan)
     assert str(plan) in caplog.text and "voxels seen by 1, 2, 3, more views" in caplog.text
     finer = fusion_plan(views, depths, Fusion(voxel=0.5))

@@ -48,7 +48,7 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
             if format is None and scene.depths is None:
                 _tell_depth(folder, name)
             return scene
-    raise InputError(f"scene {str(folder)!r} holds no cameras in a known format ({', '.join(FORMATS)}); "
+    raise InputError(f"scene {str(folder)!r} holds no cameras in a supported format ({', '.join(FORMATS)}); "
                      + (_DUST3R if _has_dust3r(folder) else
                         "expected for instance images/ and a COLMAP model in sparse/0"))
 

@@ -134,7 +134,7 @@ def _with_originals(views: list[View], folder: Path) -> list[View]:
             raise InputError(f"photos: {folder} holds no photo called {Path(view.name).name}, of the {len(views)} that "
                              "the cameras belong to")
         if view.mask is not None:
-            raise InputError(f"view {view.name!r} has a mask of its small photo; put masks beside the originals, or "
+            raise InputError(f"view {view.name!r} has a mask of its small photo; put masks next to the originals, or "
                              "leave them out")
         small = view.camera.width, view.camera.height
         placement = find_placement(photo, small, view.load_image(), f"photo {photo}")

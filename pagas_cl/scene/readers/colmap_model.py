@@ -171,7 +171,7 @@ def _rows(lines: Iterator[str], splits: int, least: int, path: Path, columns: st
         if line and not line.startswith("#"):
             row = line.split(maxsplit=splits)
             if len(row) < least:
-                raise InputError(f"{path}: line {short(line)} has {len(row)} words, expected {columns}")
+                raise InputError(f"{path}: line {short(line)} has {len(row)} fields, expected {columns}")
             yield row
 
 

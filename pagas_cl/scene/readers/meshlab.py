@@ -190,9 +190,9 @@ def settle_flavour(project: Project) -> tuple[str, str]:
     try:
         scores = _scores(project)
     except (InputError, MissingExtraError) as error:
-        return "meshlab", f"{unsettled}; photos could not settle it ({error})"
+        return "meshlab", f"{unsettled}; photos could not decide it ({error})"
     if not scores:
-        return "meshlab", f"{unsettled}; photos could not settle it (too few textured patches are seen by two views)"
+        return "meshlab", f"{unsettled}; photos could not decide it (too few textured patches are seen by two views)"
     medians = [float(np.nanmedian(scores[f])) for f in FLAVOURS]
     agreement = f"(correlation {medians[0]:.2f} from the bottom, {medians[1]:.2f} from the top)"
     if patches.prefers(scores["openmvs"], scores["meshlab"]):

@@ -92,7 +92,7 @@ def read_camera(path: Path) -> tuple[np.ndarray, np.ndarray]:
     tokens = untrusted.read_text(path, 1 << 20).split()
     if not 27 <= len(tokens) <= 31 or tokens[0] != "extrinsic" or tokens[17] != "intrinsic":
         raise InputError(f"{path}: expected 'extrinsic', 16 numbers, 'intrinsic', 9 numbers and the depth range of up "
-                         f"to 4, got {len(tokens)} words: is the file damaged?")
+                         f"to 4, got {len(tokens)} numbers: is the file damaged?")
     pose = untrusted.words(tokens[1:17], f"{path}: extrinsic").reshape(4, 4)
     K = untrusted.words(tokens[18:27], f"{path}: intrinsic").reshape(3, 3)
     untrusted.words(tokens[27:], f"{path}: depth range")
@@ -120,5 +120,5 @@ def read_pairs(path: Path) -> dict[int, list[tuple[int, float]]]:
                        for _ in range(count)]
     left = len(list(tokens))
     if left:
-        raise InputError(f"{path}: {left} words after the last view: is the file damaged?")
+        raise InputError(f"{path}: {left} numbers after the last view: is the file damaged?")
     return pairs

@@ -52,7 +52,7 @@ def read(folder: Path, *, pixel_center: float = PIXEL_CENTER) -> Scene:
         intrinsic = photos.first_file(path.parent, _INTRINSICS) or photos.first_file(folder, _INTRINSICS)
         if intrinsic is None:
             raise InputError(f"{path} has poses but no intrinsics (Open3D's .log drops them): put {_INTRINSICS[0]} "
-                             "beside it (o3d.io.write_pinhole_camera_intrinsic), or write the trajectory as .json")
+                             "next to it (o3d.io.write_pinhole_camera_intrinsic), or write the trajectory as .json")
         size, K = _intrinsic(untrusted.read_json(intrinsic), str(intrinsic))
         cameras = [untrusted.pinhole(K, pose, *size, f"camera {i}", pixel_center=pixel_center)
                    for i, pose in enumerate(read_log(path))]

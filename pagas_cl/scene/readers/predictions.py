@@ -97,8 +97,8 @@ def scene_of(folder: Path, rows: Sequence[Row], originals: Sequence[Path] | None
     confidence below which depths are left out, measured where it is None.
     """
     if originals is None and any(row.photo is None for row in rows):
-        raise InputError(f"{source} holds no photos, and none were found: put them into images/ beside it, under names "
-                         "in the order that the network had them, or name their folder (--photos DIR)")
+        raise InputError(f"{source} holds no photos, and none were found: put them into images/ next to it, under "
+                         "names in the order that the network had them, or name their folder (--photos DIR)")
     compared = set(evenly(len(rows), _COMPARED).tolist())
     views, depths = list[View](), list[DepthSource]()
     for k, row in enumerate(rows):
@@ -147,8 +147,8 @@ def _size(depth: Path | Shaped) -> tuple[int, int]:
 def _tell(depths: list[DepthSource], own: bool, source: str) -> None:
     kinds = sorted({depth.placement.kind for depth in depths if depth.placement is not None})
     if own:
-        log.info("%s: no photos beside it, the network's own are refined (%d x %d); --photos names the folder of the "
-                 "photos themselves", source, *depths[0].size)
+        log.info("%s: no photos are next to it: the network's own small ones are used (%d x %d); for all detail name "
+                 "the folder of the photos with --photos", source, *depths[0].size)
     else:
         log.info("%s: cameras and depth belong to images of %d x %d (%s); they are scaled to the photos, %d x %d",
                  source, *_size(depths[0].file), " and ".join(kinds), *depths[0].size)

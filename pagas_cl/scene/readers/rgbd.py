@@ -41,7 +41,7 @@ def scene_of(folder: Path, frames: Sequence[Frame], depth: Depth, source: str) -
     if not tracked:
         raise InputError(f"{source}: none of the {len(frames)} frames has a pose")
     if len(tracked) < len(frames):
-        log.info("%s: %d of %d frames have no pose (tracking lost) and are left out", source,
+        log.info("%s: %d of %d frames have no pose (tracking failed) and are left out", source,
                  len(frames) - len(tracked), len(frames))
     views, depths = [], list[DepthSource | None]()
     for frame in tracked:

@@ -67,7 +67,7 @@ def _rows(path: Path, least: int) -> list[list[str]]:
         raise InputError(f"{path} has {len(rows)} lines, expected 1 to {_ROWS}")
     for row in rows:
         if len(row) < least:
-            raise InputError(f"{path}: line {short(' '.join(row))} has {len(row)} words, expected {least}")
+            raise InputError(f"{path}: line {short(' '.join(row))} has {len(row)} fields, expected {least}")
     return rows
 
 
