@@ -2,6 +2,7 @@
 // area. Lengths in units of the mesh's size, places relative to its middle. Each triangle lies in one cell of a grid
 // whose cells are once to twice as wide as it is; grids are hashed into one table of `mask` + 1 places.
 //   find_cells     where each triangle lies, and what is wrong with it by itself
+//   find_boxes     the boxes around the triangles, in the order of their places
 //   find_crossing  pairs that cross: each triangle looks at those of its own size and of every larger one
 #include "constants.clh"
 
@@ -88,10 +89,22 @@ bool cross_each_other(const Triangle s, const Triangle t)
     return shared > 1 ? shared == 3 : either(s, t) || either(t, s);
 }
 
+// Where many triangles lie close together, as around a vertex of many, most of the time goes into reading those whose
+// boxes are apart: read one after the other, not corner by corner.
+__kernel void find_boxes(__global const float *positions, __global const int *faces, __global const int *order,
+                         int count, __global float *boxes)         // [F, 2, 3] low, high
+{
+    EACH(k, count)
+    const Triangle t = triangle_at(positions, faces, order[k]);
+    vstore3(t.low, 2 * k, boxes);
+    vstore3(t.high, 2 * k + 1, boxes);
+}
+
 __kernel void find_crossing(__global const float *positions, __global const int *faces, int count, int mask,
                             __global const int *levels,
                             __global const int *first,             // where the triangles of each place begin in
                             __global const int *order,             // [F], by place
+                            __global const float *boxes,           // [F, 2, 3], in this order
                             __global const int *part,              // [V] connected part of the mesh
                             __global int *crossing)                // [F] CROSSING and FOLDED, or 0
 {
@@ -113,10 +126,13 @@ __kernel void find_crossing(__global const float *positions, __global const int 
                         const int j = order[k];
                         if (j == i || (level == own.level && j < i))
                             continue;
-                        const Triangle other = triangle_at(positions, faces, j);
-                        if (any(other.low > own.high) || any(other.high < own.low) || !cross_each_other(own, other))
+                        if (any(vload3(2 * k, boxes) > own.high) || any(vload3(2 * k + 1, boxes) < own.low))
                             continue;
-                        const int found = part[own.corner.x] == part[other.corner.x] ? FOLDED : CROSSING;
+                        const int found = part[own.corner.x] == part[faces[3 * j]] ? FOLDED : CROSSING;
+                        if ((crosses & found) && (atomic_or(&crossing[j], 0) & found))      // nothing new
+                            continue;
+                        if (!cross_each_other(own, triangle_at(positions, faces, j)))
+                            continue;
                         crosses |= found;
                         atomic_or(&crossing[j], found);
                     }

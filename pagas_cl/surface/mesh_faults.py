@@ -121,8 +121,10 @@ def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndar
         run_once(device.queue, [bind(program, "find_cells", (count,), None, known, count=count, mask=mask)])
         first, order = grouped(download(device, known["cell"], count, np.int32), mask + 1)
         known |= {"first": upload(device, first), "order": upload(device, order),
+                  "boxes": device.memory.buffer(device.context, 24 * count, "boxes"),
                   "part": upload(device, part), "crossing": upload(device, np.zeros(count, np.int32))}
-        run_once(device.queue, [bind(program, "find_crossing", (count,), None, known, count=count, mask=mask)])
+        run_once(device.queue, [bind(program, "find_boxes", (count,), None, known, count=count),
+                                bind(program, "find_crossing", (count,), None, known, count=count, mask=mask)])
         wrong = download(device, known["crossing"], count, np.int32) | download(device, known["wrong"], count, np.uint8)
         for buffer in known.values():
             buffer.release()

@@ -11,7 +11,7 @@ from pagas_cl.errors import log
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.surface.edges import Edges
 from pagas_cl.surface.mesh_evidence import Observed, Words
-from pagas_cl.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded, welded, with_area
+from pagas_cl.surface.mesh_solve import OnDevice, Solved, grouped, orientation_of, solve_welded, welded, with_area
 from pagas_cl.surface.raster import Drawing
 from pagas_cl.surface.subdivide import Subdivision, spread, with_middles
 
@@ -99,31 +99,20 @@ class _Splitting:
         by_edge = np.zeros(count, np.float32)
         by_edge[long] = off
         first = first[np.argsort(-by_edge[first], kind="stable")]
-        rank = np.full(count, count, np.int32)       # of the first edge that is split, this one with it
-        rank[first] = np.arange(len(first), dtype=np.int32)
         size = np.full(count, -1, np.float32)
         size[long] = lengths[long]
         longest = np.where(size[sides[1]] > size[sides[0]], sides[1], sides[0])
         longest = np.where(size[sides[2]] > size[longest], sides[2], longest)
-        faces_of, face = np.zeros((2, count), np.int32), np.arange(len(self.edges), dtype=np.int32)
-        for side in sides:
-            faces_of[0, side] = face
-        for side in sides[::-1]:
-            faces_of[1, side[::-1]] = face[::-1]
-        while True:
-            ranks = [rank[side] for side in sides]
-            least = np.minimum(np.minimum(ranks[0], ranks[1]), ranks[2])
-            more = np.flatnonzero(least < rank[longest])
-            if not len(more):
-                break
-            while len(more):                                       # on edges of three faces, once more in all of them
-                np.minimum.at(rank, longest[more], rank[sides[:, more]].min(axis=0))
-                more = faces_of[:, longest[more]].reshape(-1)
-                more = more[rank[sides[:, more]].min(axis=0) < rank[longest[more]]]
+        begin, order = grouped(sides.reshape(-1), count)
+        longest_around = longest[order % len(self.edges)]       # edge after edge, of each face that it is a side of
         done, room = len(first), max(0, most - len(self.edges))
-        while (added := sum(np.count_nonzero(part < done) for part in ranks)) > room:
+        while True:
+            split = _with_longest(first[:done], begin, longest_around)
+            added = sum(np.count_nonzero(split[side]) for side in sides)
+            if added <= room:
+                break
             done = int(0.95 * done * room / added)
-        self._split(self.edges.in_order(np.flatnonzero(rank < done)))
+        self._split(self.edges.in_order(np.flatnonzero(split)))
         return done
 
     def _split(self, chosen: np.ndarray) -> np.ndarray:
@@ -144,6 +133,20 @@ class _Splitting:
         self.points = with_middles(self.points, pairs)
         self.unit = np.append(self.unit, np.minimum(*self.unit[pairs.T]))
         return self.edges.split_at(chosen)
+
+
+def _with_longest(first: np.ndarray, begin: np.ndarray, longest_around: np.ndarray) -> np.ndarray:
+    """Which edges are split with those of the numbers `first`: bool (E,). The longest sides of the faces around edge e
+    are longest_around[begin[e]:begin[e + 1]]. Each edge is looked at once, however many faces it or a vertex has."""
+    split = np.zeros(len(begin) - 1, bool)
+    fresh = first
+    while len(fresh):
+        split[fresh] = True
+        counts = begin[fresh + 1] - begin[fresh]
+        skipped = np.repeat(begin[fresh] - np.cumsum(counts) + counts, counts)
+        longest = longest_around[skipped + np.arange(counts.sum())]
+        fresh = np.unique(longest[~split[longest]])
+    return split
 
 
 def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: Sequence[Observed], orientation: float,
