@@ -112,9 +112,10 @@ def check_column(number: int, scenes: Scenes, folder: Path) -> None:
         assert "\x1b" not in pipe.raw
         _same(data_in(other), found, "in a pipe and in a terminal")
     cameras = called(column, scene, python)
-    both = data_in(python).keys() & found.keys()
+    here = data_in(python)
+    both = here.keys() & found.keys()
     assert both, f"{sorted(found)} came out in a terminal"
-    _same(*({name: files[name] for name in both} for files in (data_in(python), found)), "from Python and in a terminal")
+    _same(*({name: files[name] for name in both} for files in (here, found)), "from Python and in a terminal")
     if not stays_off(column):
         check_better(column, scenes, out, cameras)
 

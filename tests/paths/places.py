@@ -72,7 +72,7 @@ class Places:
         """DTU's mask of the space that its scanner saw: all around the mesh."""
         savemat, (low, high) = pytest.importorskip("scipy.io").savemat, self._box
         path = self.folder / "ObsMask.mat"
-        savemat(path, {"ObsMask": np.ones((8, 8, 8), np.uint8), "BB": np.array([low, high]), "Res": max(high - low) / 8})
+        savemat(path, {"ObsMask": np.ones((8, 8, 8), np.uint8), "BB": [low, high], "Res": max(high - low) / 8})
         return path
 
     @cached_property

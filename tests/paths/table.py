@@ -65,7 +65,7 @@ COMMANDS = {
     "a fault": Row("check {out}/nothing --debug", "pipe", status=1, says="Traceback"),
     "devices": Row("devices", says="chosen: "),
     "a device": Row("devices --device {device} --again", "pipe", says="chosen: "),
-    "bench": Row("bench --width 64 --context 2 --repeat 1 --preset fast paper --set pyramid.steps=2 --device {device} "
+    "bench": Row("bench --width 64 --context 2 --repeat 1 --preset fast balanced --set pyramid.steps=2 --device {device} "
                  "--json {out}/bench.json", says="a step"),
     "check a mesh": Row("check {scene} --mesh {mesh}", says="the cameras are right as they are"),
     "check depth maps": Row("check {scene} --depth-dir {maps} --depth-scale 1 --format cameras --outside --json",
@@ -73,7 +73,7 @@ COMMANDS = {
     "check photos": Row("check {network} --photos {network}/photos", "pipe"),
     "analyze from a mesh": Row("analyze {small} --mesh {small}/mesh_coarse.ply --views target --table --costs --device "
                                "{device} --outside --preset fast --effect exposure=auto --report {out}/page",
-                               says="Called for:"),
+                               says="alled for:"),
     "analyze from depth maps": Row("analyze {scene} --depth-dir {maps} --depth-scale 1 --no-costs --quiet --format "
                                    "cameras --set pyramid.steps=4 --json {out}/found.json", says="Not called for:"),
     "cameras over a mesh": Row("cameras {off_by_1} --mesh {mesh} --output {out}/cameras --device {device} --outside "
@@ -85,8 +85,8 @@ COMMANDS = {
     "demo": Row("demo --output {out}/demo --width 96 --context 2 --preset fast --bar 3 --device {device}",
                 says="mean depth error"),
     "a format": Row("demo --output {out}/demo --width 64 --context 2 --format da3 --quiet", says="try: "),
-    "evaluate a mesh": Row("evaluate {mesh} {true_mesh} --spacing 8 --threshold 4 8 --max-distance 50 --visible "
-                           "{visible} --ground {ground} --json {out}/figures.json", says="Chamfer distance"),
+    "evaluate a mesh": Row("evaluate {mesh} {true_mesh} --spacing 8 --threshold 4 --threshold 8 --max-distance 50 "
+                           "--visible {visible} --ground {ground} --json {out}/figures.json", says="Chamfer distance"),
     "evaluate depth maps": Row("evaluate {maps} {true_maps} --scene {scene} --held-out held_out_0 --before {maps} "
                                "--depth-scale 1", says="correlation of held-out photos"),
     "script on a mesh": Row("script {script} {scene} --mesh {mesh} --output {out}/made.ply --save-script "
