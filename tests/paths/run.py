@@ -70,7 +70,7 @@ def killed(words, folder: Path) -> None:
     """In a pipe, killed once a view is finished in the work folder below `folder`."""
     process = subprocess.Popen([COMMAND, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
                                stderr=subprocess.DEVNULL, env=_environment())
-    while process.poll() is None and not any(folder.rglob("views/*.json")):
+    while process.poll() is None and not any(files and place.endswith("views") for place, _, files in os.walk(folder)):
         time.sleep(0.005)
     process.kill()
     process.wait()

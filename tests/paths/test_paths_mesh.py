@@ -12,6 +12,7 @@ def scenes(tmp_path_factory):
     return Scenes(tmp_path_factory.mktemp("scenes"))
 
 
+@pytest.mark.filterwarnings("ignore:nothing was refined")      # with cameras that stay off
 @pytest.mark.parametrize("number", chosen(["mesh", "keep"]), ids=label)
 def test_column(number, scenes, tmp_path):
     check_column(number, scenes, tmp_path)
