@@ -24,7 +24,7 @@ def test_column(number, scenes, tmp_path):
 
 
 def test_one_view(scenes, tmp_path):
-    """refine_depth with the views that the command chooses, with a function that progress is reported to and without."""
+    """refine_depth with the views that the command chooses, with a function that progress is reported to and none."""
     scene = scenes.path("0")
     in_terminal(["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--no-align", "--views", "target",
                  "--effect", "agreement=off", "cameras=off", "--save-depth", str(tmp_path)]).must_end_well(0)
