@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from paths.run import in_pipe, in_terminal, killed
-from paths.scenes import Scenes
 from paths.table import ON_A_TERMINAL, columns
+from paths.truth import Scenes
 
 from pagas_cl import bring_together, find_depth, preset, read_scene, refine_mesh, refine_views, save_depth
 from pagas_cl.config import Config

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from paths.scenes import Scenes
+from paths.truth import Scenes
 from support.job_scenes import write_small_scene
 
 from pagas_cl.runtime.device import Device

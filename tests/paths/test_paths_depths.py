@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from paths.matrix import Heard, check_column, chosen, label
 from paths.run import in_terminal
-from paths.scenes import Scenes
+from paths.truth import Scenes
 
 from pagas_cl import find_depth, load_depth, preset, read_scene, refine_depth
 from pagas_cl.scene.choice import PartnerChooser

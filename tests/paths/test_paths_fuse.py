@@ -2,7 +2,7 @@
 
 import pytest
 from paths.matrix import check_column, chosen, label
-from paths.scenes import Scenes
+from paths.truth import Scenes
 
 pytestmark = pytest.mark.slow
 

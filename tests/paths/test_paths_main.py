@@ -3,8 +3,8 @@ surface."""
 
 import pytest
 from paths.run import in_terminal
-from paths.scenes import Scenes
 from paths.table import ON_A_TERMINAL
+from paths.truth import Scenes
 
 pytestmark = pytest.mark.slow
 
