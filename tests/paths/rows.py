@@ -1,0 +1,36 @@
+"""One row of the table's COMMANDS: run in a terminal and in a pipe, and compared."""
+
+from pathlib import Path
+
+from paths.matrix import data_in
+from paths.places import Places
+from paths.run import run
+from paths.table import COMMANDS, ON_A_TERMINAL, options_of
+
+
+def named(*commands: str) -> list[str]:
+    """Names of the rows of these commands; of all others where none is given."""
+    return [name for name, row in COMMANDS.items() if row.words.split()[0] in commands]
+
+
+def check_row(name: str, places: Places, folder: Path) -> None:
+    """Run a row wherever it is to be run: it ends as it should, and the same bytes come out."""
+    row, found = COMMANDS[name], []
+    for place in row.places.split(", "):
+        words = places.words(row.words, folder / place)
+        if place == "terminal":
+            words += [option for option in ON_A_TERMINAL if option in options_of(words[0])]
+        (folder / place).mkdir()
+        ran = run(words, place, row.until)
+        ran.must_end_well(row.status, fault="--debug" in words)
+        assert row.says in ran.text, f"{row.says!r} is not in:\n{ran.text[-3000:]}"
+        _all_is_there(words, folder / place)
+        found.append(data_in(folder / place))
+    assert all(files == found[0] for files in found), [sorted(files) for files in found]
+
+
+def _all_is_there(words, folder: Path) -> None:
+    """Whatever the words name below `folder` was written, and nothing else beside it."""
+    written = {Path(word).relative_to(folder).parts[0] for word in words if word.startswith(f"{folder}/")}
+    if "--debug" not in words:
+        assert {path.name for path in folder.iterdir()} >= written

@@ -1,0 +1,18 @@
+"""From a mesh to a new one that is fused: every column of the table that does so."""
+
+import pytest
+from paths.matrix import check_column, chosen, label
+from paths.truth import Scenes
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory):
+    return Scenes(tmp_path_factory.mktemp("scenes"))
+
+
+@pytest.mark.filterwarnings("ignore:nothing was refined")      # with cameras that stay off
+@pytest.mark.parametrize("number", chosen(["fuse"]), ids=label)
+def test_column(number, scenes, tmp_path):
+    check_column(number, scenes, tmp_path)
