@@ -8,9 +8,13 @@ import pkgutil
 import shlex
 import signal
 import sys
+from collections.abc import Callable
 from importlib import import_module
+from inspect import signature
+from typing import Any, get_origin
 
 import typer
+from typer.models import OptionInfo
 
 from pagas_cl import __version__, commands
 from pagas_cl.commands._console import log_to_stderr, make_streams_safe
@@ -31,6 +35,13 @@ def command_names() -> list[str]:
     """Every command, from the files in pagas_cl/commands."""
     found = (module.name for module in pkgutil.iter_modules(commands.__path__))
     return sorted(name.replace("_", "-") for name in found if not name.startswith("_"))
+
+
+def options_of_lists(command: Callable[..., Any]) -> list[str]:
+    """The options of a command that take several words: `--views a b c`."""
+    parameters = signature(command).parameters.values()
+    return [name for parameter in parameters if get_origin(parameter.annotation) is list
+            and isinstance(parameter.default, OptionInfo) for name in parameter.default.param_decls]
 
 
 def expand_lists(arguments: list[str], many) -> list[str]:
@@ -108,7 +119,7 @@ def _run(arguments: list[str]) -> int:
     wanted = [word for word in arguments if not word.startswith("-")][:1]
     one = wanted if wanted and wanted[0] in known else []
     refuse_empty(arguments)
-    many = getattr(_module(one[0]), "MANY", ()) if one else ()      # options that take several words
+    many = options_of_lists(_module(one[0]).command) if one else []
     status = build_app(one or known)(expand_lists(arguments, many), prog_name="pagas-cl", standalone_mode=False,
                                      obj=shlex.join(["pagas-cl", *arguments]))  # what was asked, for reports
     if status == INTERRUPTED:  # typer has caught it

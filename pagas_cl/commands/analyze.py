@@ -22,7 +22,6 @@ from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.files import write_text
 from pagas_cl.scene.own_files import write_json
 
-MANY = ("--views", "--set", "--effect")
 COLUMNS = ["view", "effect", "evidence", "threshold", "decision", "what is measured"]
 WIDTH = 80
 _MEASURABLE = 0.03     # share of a view's time, below which a difference is none

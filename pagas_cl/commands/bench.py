@@ -13,8 +13,6 @@ from pagas_cl.commands._start import check_writable
 from pagas_cl.scene.own_files import write_json
 from pagas_cl.synthetic import relief_scene
 
-MANY = ("--preset", "--set")
-
 
 def command(
     preset: list[str] = typer.Option(["fast", "balanced", "paper"], "--preset", help="Presets to measure."),

@@ -18,8 +18,6 @@ from pagas_cl.scene.mesh import to_surface
 from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.own_files import write_json
 
-MANY = ("--unknowns",)
-
 
 def command(
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),

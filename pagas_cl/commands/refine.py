@@ -49,8 +49,6 @@ from pagas_cl.scene.view import View
 from pagas_cl.surface.agree import comparison_device
 from pagas_cl.surface.raster import each_depth
 
-MANY = ("--views", "--hold-out", "--set", "--effect")  # options that take several words: `--views a b c`
-
 
 @nothing_refined()
 def command(

@@ -15,8 +15,6 @@ from pagas_cl.tradeoffs import tradeoff
 from pagas_cl.tradeoffs.page import ablation_table, closing, headline, markdown, notes
 from pagas_cl.tradeoffs.plan import ablation_plan
 
-MANY = ("--views", "--held-out")
-
 
 def command(
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),

@@ -97,6 +97,7 @@ class RunElsewhere(_Run):
         self._waiting: dict[Future[list[Record]], Batch] = {}
         self._refused = 0       # batches that workers had no device for, since one of them was last seen at work
         self._has_warned = False
+        self._broken, self._begun = 0, -1       # pools in a row that were lost with as many views begun
         self._signs, self._seen = 0, time.monotonic()       # views begun, and when there was a new one
 
     def finish(self, batches: Iterable[Batch]) -> None:
@@ -163,13 +164,19 @@ class RunElsewhere(_Run):
 
     def _replace_workers(self, error: BrokenExecutor, lost: Batch) -> None:
         """A process of a pool was killed, which ends the whole pool and does not tell at which view: those that were
-        begun three times are given up, the others are sent one at a time."""
+        begun three times are given up, the others are sent one at a time. The run ends where processes end before they
+        have begun a view."""
+        begun = self.results.attempts()
+        self._broken = 1 if sum(begun.values()) != self._begun else self._broken + 1
+        self._begun = sum(begun.values())
+        if self._broken >= TRIES:
+            raise PagasError(f"worker processes end before they have begun a view ({error}): a script that starts them "
+                             "needs 'if __name__ == \"__main__\":' around what it does") from error
         self._workers.renew(error)
         unfinished = [lost, *self._queue, *self._waiting.values()]
         self._queue.clear()
         self._waiting.clear()
         log.warning("a worker process has ended unexpectedly; its views are given to a new one")
-        begun = self.results.attempts()
         for batch in unfinished:
             for task in batch.tasks:
                 record = self.results.find(task)

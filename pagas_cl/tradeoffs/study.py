@@ -166,13 +166,14 @@ class Book:
 
 def _fill(book, cases, settings, device, budget, repeats, executor, progress) -> list[str]:
     """Run what the book does not have; returns the names of what did not fit into the budget."""
-    began, left_out, waiting = time.monotonic(), [], []
+    left_out, waiting = [], []
     todo = [(setting, k) for setting in settings for k, case in enumerate(cases) if not book.has(setting, case)]
     guess = Guess(cases[0], device, repeats) if todo else None
     if todo:
         log.info("%d settings on %d views, %d runs still to do: about %.1f minutes%s", len(settings), len(cases),
                  len(todo), sum(guess.seconds(setting, cases[k]) for setting, k in todo) / 60,
                  f", at most {budget:g}" if budget else "")
+    began = time.monotonic()        # what the guess has built and timed is of use to all settings
     for setting, k in reported(progress, "measure", todo):
         started = time.monotonic()
         if budget and started - began + guess.seconds(setting, cases[k]) > 60 * budget:

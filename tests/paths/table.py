@@ -20,7 +20,7 @@ from pagas_cl.__main__ import build_app, command_names
 MATRIX = """
 path            mesh mesh mesh mesh keep keep keep keep fuse fuse fuse fuse new  new  new  new  maps maps maps maps
 off             0    3    0    1    1    0    1    3    1    0    1    3    0    3    1    3    1    3    3    0
-kind            .ply .off .stl .obj .obj .ply .stl .off .off .stl .ply .obj .obj .stl .off .ply .obj .ply .off .off
+kind            .ply .off .stl .obj .obj .ply .stl .glb .off .stl .ply .obj .glb .stl .off .glb .obj .ply .off .glb
 run             kill once once more kill kill more once more more once kill more kill kill once once more kill more
 --quiet         yes  yes  yes  no   yes  yes  no   yes  no   no   no   yes  yes  no   no   yes  yes  no   no   yes
 --report        no   yes  yes  no   yes  no   no   no   yes  no   yes  no   no   yes  yes  yes  no   no   yes  no
@@ -57,20 +57,20 @@ class Row(NamedTuple):
 
 
 # Options that many commands have: given to each that has one, in a terminal, and not in a pipe.
-ON_A_TERMINAL: tuple[str, ...] = ()
+ON_A_TERMINAL: tuple[str, ...] = ("--verbose", "--overwrite")
 
 COMMANDS = {
     "version": Row("--version", says="pagas-cl "),
     "help": Row("refine --help", says="--save-depth"),
     "a fault": Row("check {out}/nothing --debug", "pipe", status=1, says="Traceback"),
     "devices": Row("devices", says="chosen: "),
-    "a device": Row("devices --device {device} --again", "pipe", says="chosen: "),
-    "bench": Row("bench --width 64 --context 2 --repeat 1 --preset fast balanced --set pyramid.steps=2 --device "
+    "a device": Row("devices --device {device} --again --quiet", "pipe", says="chosen: "),
+    "bench": Row("bench --quiet --width 64 --context 2 --repeat 1 --preset fast balanced --set pyramid.steps=2 --device "
                  "{device} --json {out}/bench.json", says="a step"),
-    "check a mesh": Row("check {scene} --mesh {mesh}", says="the cameras are right as they are"),
+    "check a mesh": Row("check {scene} --mesh {mesh} --verbose", says="the cameras are right as they are"),
     "check depth maps": Row("check {scene} --depth-dir {maps} --depth-scale 1 --format cameras --outside --json",
                             says='"ok": true'),
-    "check photos": Row("check {network} --photos {network}/photos", "pipe"),
+    "check photos": Row("check {network} --photos {network}/photos --quiet", "pipe"),
     "analyze from a mesh": Row("analyze {small} --mesh {small}/mesh_coarse.ply --views target --table --costs --device "
                                "{device} --outside --preset fast --effect exposure=auto --report {out}/page",
                                says="alled for:"),
@@ -87,13 +87,13 @@ COMMANDS = {
     "a format": Row("demo --output {out}/demo --width 64 --context 2 --format da3 --quiet", says="try: "),
     "evaluate a mesh": Row("evaluate {mesh} {true_mesh} --spacing 8 --threshold 4 --threshold 8 --max-distance 50 "
                            "--visible {visible} --ground {ground} --json {out}/figures.json", says="Chamfer distance"),
-    "evaluate depth maps": Row("evaluate {maps} {true_maps} --scene {scene} --held-out held_out_0 --before {maps} "
+    "evaluate depth maps": Row("evaluate {maps} {true_maps} --quiet --scene {scene} --held-out held_out_0 --before {maps} "
                                "--depth-scale 1", says="correlation of held-out photos"),
     "script on a mesh": Row("script {script} {scene} --mesh {mesh} --output {out}/made.ply --save-script "
                             "{out}/history.mlx --device {device} --format cameras"),
     "script on a project": Row("script {script} --project {project} --layer coarse --mlp-flavour meshlab --outside "
                                "--output {out}/made.mlp --quiet"),
-    "selftest": Row("selftest --device {device}", status=130, until=" ok", says="interrupted"),
+    "selftest": Row("selftest --device {device} --quiet", status=130, until=" ok", says="interrupted"),
     "tradeoff": Row("tradeoff {small} --depth-dir {small}/depth_initial --truth {small}/depth_true --views target "
                     "--ablation balanced --budget 9 --repeats 1 --report {out}/page --depth-scale 1 --format cameras "
                     "--outside --device {device} --quiet", "pipe", says="plot and page: "),
