@@ -186,7 +186,7 @@ def _check_attributes(meshes, asked: Request, spellings) -> None:
 
 def _log_lost(names: list[str], why: str) -> None:
     if names:
-        log.warning("lost: %s: %s", ", ".join(names), why)
+        log.warning("not kept: %s: %s", ", ".join(names), why)
 
 
 def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:

@@ -174,4 +174,4 @@ def check_kept(path, mesh, allow_loss: bool = False) -> None:
             taken = differing(Path(folder).iterdir(), path)
         if taken:
             raise InputError(f"--output {str(path)!r}: its materials and textures would replace {taken[0]}, which is "
-                             "not ours; choose another name or folder")
+                             "written by another program; choose another name or folder")

@@ -30,7 +30,7 @@ from pagas_cl.result import DepthResult, OnDisk, joined
 from pagas_cl.rounds import later_rounds
 from pagas_cl.runtime.device import Device, Devices, is_elsewhere, one_of, open_device
 from pagas_cl.scene.check import check_seen
-from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, depth_maps
+from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_views, depth_maps
 from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
 from pagas_cl.scene.view import View
 from pagas_cl.splat import PhotoStore
@@ -227,7 +227,8 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     InputError, DeviceError
     """
     check_kind("on_view", on_view, (Callable, NoneType), "a function of (view, initial depth, DepthResult)")
-    return _refine_views(list(views), depths, names, settings_of(preset, config), Place(device, executor, folder),
+    place = Place(device, executor, folder)
+    return _refine_views(checked_views("views", views), depths, names, settings_of(preset, config), place,
                          progress_of(progress), on_view, extras)
 
 

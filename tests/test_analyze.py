@@ -157,7 +157,7 @@ def test_fusion_drops_what_others_contradict(maps, made):
     near = {}
     for choice in ("off", "auto"):
         surface = fuse_results(made.views, results, BALANCED.with_settings(effects__consistency=choice),
-                               tell=told.append)
+                               note=told.append)
         uv, z = cameras[0].project(surface.vertices)
         inside = (uv >= 0).all(axis=1) & (uv < (96, 72)).all(axis=1)
         true = depths[0][uv[inside].astype(int)[:, 1], uv[inside].astype(int)[:, 0]]

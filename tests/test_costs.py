@@ -111,13 +111,13 @@ def test_refine_takes_a_time_instead_of_a_preset(tmp_path, capsys, monkeypatch):
     folder = write_scene(made, tmp_path / "scene")
     (folder / "depth_initial" / f"{made.views[2].name}.npz").unlink()          # a view without a depth map
     common = ["refine", str(folder), "--depth-dir", str(folder / "depth_initial"), "--save-depth",
-              str(tmp_path / "out"), "--views", made.views[0].name, "--quiet", "--no-align"]
-    assert run_command([*common, "--time-per-view", "100", "--set", "pyramid.steps=5"]) == 0
+              str(tmp_path / "out"), "--views", made.views[0].name, "--no-align"]
+    assert run_command([*common, "--verbose", "--time-per-view", "100", "--set", "pyramid.steps=5"]) == 0
     assert "settings: slow, about" in capsys.readouterr().err
     assert (tmp_path / "out" / f"{made.views[0].name}.npz").is_file()
     for wrong, told in ((["--time-per-view", "1", "--time-budget", "1"], "got both"),
                         (["--time-budget", "1", "--preset", "paper"], "leave out --preset paper"),
-                        (["--time-per-view", "0"], "expected more than 0"),
+                        (["--time-per-view", "0"], "expected a number above 0"),
                         (["--time-per-view", "1e-9"], "a view takes at least")):
         assert run_command([*common, *wrong]) == 2
         assert told in capsys.readouterr().err

@@ -11,7 +11,7 @@ from pagas_cl.presets import BALANCED
 from pagas_cl.refine import refine_views
 from pagas_cl.resemblance import adding, views_to_ask
 from pagas_cl.scene.choice import PartnerChooser
-from pagas_cl.splat import PhotoStore
+from pagas_cl.splat import NormalizedDepth, PhotoStore
 
 QUICK = BALANCED.with_settings(pyramid__steps=(6,), context__number=4, effects__cameras="off")
 
@@ -56,7 +56,8 @@ def spoiled(views, which):
 
 def asked(views, depths, device, config=QUICK, target=0):
     chosen = PartnerChooser([view.camera for view in views], depths, config.context).choose(target)
-    return chosen, *views_to_ask(views, chosen, depths[target], config, device, PhotoStore(device))
+    return chosen, *views_to_ask(views, chosen, depths[target], config, device, PhotoStore(device),
+                                 lambda: NormalizedDepth(views[target], depths[target], device))
 
 
 @pytest.mark.kernels

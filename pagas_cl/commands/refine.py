@@ -206,7 +206,7 @@ def _save_cameras(folder: Path, views, results) -> None:
 def _check_places(scene, given, mesh, depth_dir, photos, output, save_depth, report, overwrite: bool) -> None:
     """Refuse to write where something is read, and over what pagas_cl has not written."""
     outputs = {"--output": output, "--save-depth": save_depth, "--report": report,
-               "the cameras beside --save-depth": save_depth and save_depth / camera_file.NAME}
+               "the cameras in --save-depth": save_depth and save_depth / camera_file.NAME}
     inputs = {"SCENE": scene, "--mesh": mesh, "the mesh of SCENE": given.mesh if mesh is None else None,
               "--depth-dir": depth_dir, "--photos": photos, **scene_inputs(given.scene, given.depths)}
     check_outputs(outputs, inputs, overwrite)

@@ -33,7 +33,7 @@ class Planner:
         self.views, self._depths, self._config, self._work = views, depths, config, work
         self._has_digests = has_digests
         self._chooser = PartnerChooser([view.camera for view in views], samples, config.context)
-        self.stems = file_stems([view.name for view in views])
+        self.stems = file_stems([view.name for view in views]) if has_digests else [str(k) for k in range(len(views))]
         self._digests, self._partners, self._keys = {}, {}, {}
         self._earlier = None
 

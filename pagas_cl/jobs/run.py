@@ -49,10 +49,10 @@ class _Run:
             self._is_hopeful = True
             self._on_record(record)
             return
-        failures = self._failures[record.name] = self._failures.get(record.name, 0) + 1
+        failures = self._failures[record.stem] = self._failures.get(record.stem, 0) + 1
         if record.fault is Fault.LOST and failures < TRIES:
             log.warning("view %s is tried again: %s", record.name, record.error)
-            self._queue.append(batch.only([task for task in batch.tasks if task.name == record.name]))
+            self._queue.append(batch.only([task for task in batch.tasks if task.stem == record.stem]))
         else:
             self._give_up(record, failures)
 

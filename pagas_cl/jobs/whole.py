@@ -115,13 +115,14 @@ class _Rounds:
             wanted = self._wanted(planner, asked)
             for number in range(self._last):
                 results = self._round(number, planner, wanted[number], asked)
-                lost = {record.name for record in self._failed}
-                asked_next = [k for k in asked if self._scene.views[k].name not in lost]
+                lost = {record.stem for record in self._failed}
+                asked_next = [k for k in asked if planner.stems[k] not in lost]
                 wanted[number + 1] = [k for k in wanted[number + 1] if k in asked_next]
                 planner = planner.after(results, asked_next, self._works[number + 1])
                 self._forget(number - 1)
-            found = self._last_round(planner, wanted[-1], asked)
-        warn_of_nothing(self._scene.views, self._scene.depths, found)     # which may read the depth maps
+            found, failed = self._last_round(planner, wanted[-1], asked)
+            warn_of_nothing(self._scene.views, self._scene.depths, found)     # which may read the depth maps
+            self._keeping.end(complete=not failed)
         return found
 
     def _forget(self, number: int) -> None:
@@ -160,22 +161,23 @@ class _Rounds:
         """Work through a round before the last one; what fails in it takes no part in the next ones."""
         results = self._keeping.results(number, self._last)
         with stage(self._progress if wanted else NONE, _name_of(number), len(wanted)) as shown:
-            collect = _Collect(wanted, replace(self._scene, on_view=None), results, shown)
+            collect = _Collect(wanted, planner.stems, replace(self._scene, on_view=None), results, shown)
             self._work_through(number, planner, wanted, results, collect)
         collect.raise_if_all_failed()
         self._failed += [record for record in collect.records.values() if record.error]
         return results
 
-    def _last_round(self, planner: Planner, wanted: list[int], asked: list[int]) -> list[Any]:
+    def _last_round(self, planner: Planner, wanted: list[int], asked: list[int]) -> tuple[list[Any], bool]:
+        """The results, and whether a view has failed in any round."""
         results = self._keeping.results(self._last, self._last)
         with stage(self._progress, _name_of(self._last), len(asked)) as shown:
-            collect = _Collect(asked, self._scene, results, shown)
+            collect = _Collect(asked, planner.stems, self._scene, results, shown)
             for record in self._failed:
                 collect(record)
             self._work_through(self._last, planner, wanted, results, collect)
         collect.raise_if_all_failed()
-        self._keeping.end(complete=not any(record.error for record in collect.records.values()))
-        return [collect.result(index) for index in asked]
+        failed = any(record.error for record in collect.records.values())
+        return [collect.result(index) for index in asked], failed
 
     def _work_through(self, number: int, planner: Planner, wanted: list[int], results: Results,
                       collect: _Collect) -> None:
@@ -239,7 +241,7 @@ def _todo(planner: Planner, part: list[int], results: Results, collect: _Collect
         except InputError as error:  # a photo that has gone meanwhile
             name = planner.views[index].name
             log.error("view %s is left out: %s", name, error)
-            collect(Record(name, "", "", error=str(error), fault=Fault.INPUT))
+            collect(Record(name, planner.stems[index], "", error=str(error), fault=Fault.INPUT))
             continue
         record = results.find(task)
         if record is None:
@@ -260,17 +262,17 @@ class _CallerError(BaseException):
 class _Collect:
     """Takes a round's records as they come, and hands results to the caller in the order of the views."""
 
-    def __init__(self, asked: list[int], scene: Scene, results: Results, shown: Stage):
-        self.asked, self._scene, self._results, self._shown = asked, scene, results, shown
+    def __init__(self, asked: list[int], stems: list[str], scene: Scene, results: Results, shown: Stage):
+        self.asked, self._stems, self._scene, self._results, self._shown = asked, stems, scene, results, shown
         self.records: dict[str, Record] = {}
         self._handed_over = self._before_batch = 0
 
     def __call__(self, record: Record) -> None:
-        self.records[record.name] = record
+        self.records[record.stem] = record
         self._shown.advance(len(self.records))
         while self._scene.on_view and self._handed_over < len(self.asked):
             index = self.asked[self._handed_over]
-            next_one = self.records.get(self._scene.views[index].name)
+            next_one = self.records.get(self._stems[index])
             if next_one is None:
                 break
             self._handed_over += 1
@@ -305,7 +307,7 @@ class _Collect:
 
     def result(self, index: int) -> Any:
         """The result of the view `index`."""
-        record, camera = self.records[self._scene.views[index].name], self._scene.views[index].camera
+        record, camera = self.records[self._stems[index]], self._scene.views[index].camera
         if record.error:
             return DepthResult.missing(camera, record.error, record.name)
         return self._results.result_of(record, camera)

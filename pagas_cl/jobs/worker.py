@@ -73,9 +73,9 @@ class Worker:
                 record = batch.results.find(task)
                 if record is None:
                     for one in batch.tasks[number:number + 1 + waiting]:
-                        if one.name not in ahead:
-                            ahead[one.name] = self._read_ahead(batch, one, views, readers)
-                    ended.append(self._attempt(batch, task, views, ahead.pop(task.name), writers, on_step(number)))
+                        if one.stem not in ahead:
+                            ahead[one.stem] = self._read_ahead(batch, one, views, readers)
+                    ended.append(self._attempt(batch, task, views, ahead.pop(task.stem), writers, on_step(number)))
                 else:
                     ended.append(record)
                 while len(ended) > waiting or (ended and not _is_waiting(ended[0])):

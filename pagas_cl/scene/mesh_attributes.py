@@ -120,7 +120,7 @@ def _pymeshlab(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray
     alone.add_mesh(mesh)       # only a set of meshes tells what attributes there are
     custom, unread = read_custom(alone)
     if unread:
-        log.warning("lost: custom attributes %s: pymeshlab lists their names in small letters alone",
+        log.warning("not kept: custom attributes %s: pymeshlab lists their names in small letters alone",
                     ", ".join(map(repr, unread)))
     for name, read, carried in (  # of the new mesh's argument, of the old one's method, and how it comes along
             ("v_color_matrix", "vertex_color_matrix", lambda colors: eight_bits(carry.vertices(colors))),

@@ -57,7 +57,7 @@ def _add_columns(meshes: Any, path: Path) -> list[str]:
         added += custom
     lost = [what for what in content.lost if what.split("'")[1:2] not in [[name] for name in {*added, *_KNOWN["face"]}]]
     if lost:
-        log.warning("lost: of %s, pymeshlab does not read: %s", path, ", ".join(lost))
+        log.warning("not kept: of %s, pymeshlab does not read: %s", path, ", ".join(lost))
     return added
 
 

@@ -55,7 +55,7 @@ def test_one_pixel(relief, off_by_one):
     assert 0.5 < np.median(found.moved) < 2
     assert all(after < 0.3 * before for *_, before, after in found.pairs) and len(found.pairs) == 3
     assert found.report["cost_after"] < 0.1 * found.report["cost_before"]
-    assert "moved by" in str(found) and found.as_dict()["accepted"]
+    assert "are corrected: by" in str(found) and found.as_dict()["accepted"]
     # the surface stays as large as it was given
     scale = np.mean([np.linalg.norm(a.center - b.center) / np.linalg.norm(c.center - d.center) for a, c in
                      zip(found.cameras, relief.cameras) for b, d in zip(found.cameras, relief.cameras) if a is not b])

@@ -44,7 +44,7 @@ def test_what_is_too_far():
     assert beyond(np.full(4, 1e-4), np.full(4, 1e-4), 0.0, 3.0, 100) == ""         # blank photos
     assert beyond(right, other, 0.1, 0.0, 100) == "" != beyond(right, other, 0.1, 40.0, 100)
     told = beyond(np.array([0.01, 0.14, 0.14, 0.03]), other, 0.0, 23.1, 160)
-    assert "by about 23 pixels" in told and "at best 20 pixels" in told and "50%" in told
+    assert "about 23 pixels off" in told and "at best 20 pixels" in told and "50%" in told
     assert "more than can be measured" in beyond(right, other, 0.5, np.nan, 160)
 
 

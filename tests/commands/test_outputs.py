@@ -219,7 +219,7 @@ def test_no_model_is_mixed_with_another_one(scene, tmp_path):
     assert content(tmp_path) == before
     done = run(*words, "--overwrite")
     assert done.returncode == 0 and {path.name for path in (out / "sparse/0").iterdir()} == names
-    assert "Next: pagas-cl refine" in done.stdout and "stay as given" in done.stdout
+    assert "Next: pagas-cl refine" in done.stdout and "has the cameras as SCENE has them" in done.stdout
 
 
 # -- what cannot end well is refused before anything is written --------------------------------------------------------

@@ -65,8 +65,8 @@ COMMANDS = {
     "a fault": Row("check {out}/nothing --debug", "pipe", status=1, says="Traceback"),
     "devices": Row("devices", says="chosen: "),
     "a device": Row("devices --device {device} --again --quiet", "pipe", says="chosen: "),
-    "bench": Row("bench --quiet --width 64 --context 2 --repeat 1 --preset fast balanced --set pyramid.steps=2 --device "
-                 "{device} --json {out}/bench.json", says="a step"),
+    "bench": Row("bench --quiet --width 64 --context 2 --repeat 1 --preset fast balanced --set pyramid.steps=2 "
+                 "--device {device} --json {out}/bench.json", says="a step"),
     "check a mesh": Row("check {scene} --mesh {mesh} --verbose", says="the cameras are right as they are"),
     "check depth maps": Row("check {scene} --depth-dir {maps} --depth-scale 1 --format cameras --outside --json",
                             says='"ok": true'),
@@ -87,8 +87,8 @@ COMMANDS = {
     "a format": Row("demo --output {out}/demo --width 64 --context 2 --format da3 --quiet", says="try: "),
     "evaluate a mesh": Row("evaluate {mesh} {true_mesh} --spacing 8 --threshold 4 --threshold 8 --max-distance 50 "
                            "--visible {visible} --ground {ground} --json {out}/figures.json", says="Chamfer distance"),
-    "evaluate depth maps": Row("evaluate {maps} {true_maps} --quiet --scene {scene} --held-out held_out_0 --before {maps} "
-                               "--depth-scale 1", says="correlation of held-out photos"),
+    "evaluate depth maps": Row("evaluate {maps} {true_maps} --quiet --scene {scene} --held-out held_out_0 --before "
+                               "{maps} --depth-scale 1", says="correlation of held-out photos"),
     "script on a mesh": Row("script {script} {scene} --mesh {mesh} --output {out}/made.ply --save-script "
                             "{out}/history.mlx --device {device} --format cameras"),
     "script on a project": Row("script {script} --project {project} --layer coarse --mlp-flavour meshlab --outside "

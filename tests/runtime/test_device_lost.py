@@ -125,16 +125,17 @@ def test_reset_once(scene, tmp_path, failing, device, code):
 
 def test_workers_that_all_lost_their_device_end_the_run(scene, tmp_path, monkeypatch, device):
     """Some views are done, then every worker says that it has no device: the run ends instead of asking for ever."""
-    plain, asked = worker._worker_context, [0]
+    whole, calls = worker.Worker.records, [0]
 
-    def context(name):
-        asked[0] += 1
-        if asked[0] > 10:
+    def records(*given):
+        calls[0] += 1
+        if calls[0] > 3:
             raise DeviceError("no device left")
-        return plain(name)
+        return whole(*given)
 
-    monkeypatch.setattr(worker, "_worker_context", context)
-    monkeypatch.setattr(run, "STALLED", 0.0)
+    monkeypatch.setattr(worker.Worker, "records", records)
+    monkeypatch.setattr(run, "_STALLED", 0.0)
+    monkeypatch.setattr(run, "_PAUSE", 0.0)
     with ThreadPoolExecutor(1) as pool, pytest.raises(DeviceError, match="no device left"):
         refine_views(scene.views, scene.depths, config=QUICK, folder=tmp_path, executor=pool)
     assert 0 < check_whole(tmp_path) < 5

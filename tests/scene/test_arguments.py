@@ -22,7 +22,7 @@ GOOD = {
 }
 OPTIONS = {
     "refine_mesh": ["masks", "preset", "config", "device", "output", "subdivide", "flat", "executor", "folder"],
-    "refine_views": ["names", "config", "preset", "device", "on_view", "executor", "folder", "photos"],
+    "refine_views": ["names", "config", "preset", "device", "on_view", "executor", "folder", "progress"],
     "refine_depth": ["preset", "config", "device", "held_out", "photos"],
 }
 WRONG = {"number": 3, "object": object(), "numbers": [3, 4, 5], "dict": {"a": 1}, "cameras": CAMERAS, "photos": PHOTOS,

@@ -97,7 +97,7 @@ def test_bad_input(scene):
         check_cameras(mesh, cameras, images[:1])
     with pytest.raises(InputError, match="no cameras were given"):
         check_cameras(mesh, [], [])
-    with pytest.raises(InputError, match="no area"):
+    with pytest.raises(InputError, match="has an area"):
         check_cameras((np.zeros((3, 3)), np.array([[0, 1, 2]])), cameras, images)
 
 

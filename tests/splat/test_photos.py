@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.scenes import relief_scene
 
-from pagas_cl import InputError, preset, refine_mesh, refine_views
+from pagas_cl import InputError, preset, refine_mesh
 from pagas_cl.runtime.memory import download
 from pagas_cl.scene.view import View
 from pagas_cl.splat.buffers import Size
@@ -70,10 +70,3 @@ def test_a_photo_is_read_once_from_mesh_to_mesh(made, device, reads):
     refine_mesh(made.initial_mesh(), made.cameras, [view.image for view in made.views], config=config, device=device,
                 output="mesh")
     assert set(reads.values()) == {1}
-
-
-def test_photos_on_one_device_are_of_no_use_elsewhere(made, device, tmp_path):
-    depths = [made.initial_depth(view.camera) for view in made.views]
-    for place in (dict(folder=tmp_path), dict(device="all")):
-        with pytest.raises(InputError, match="leave out photos, or folder"):
-            refine_views(made.views, depths, photos=PhotoStore(device), **place)

@@ -98,6 +98,7 @@ def test_rounds_of_agreement_relight_by_what_they_start_from(device, made, shade
                if effect["effect"] == "shading"]
     first, later = asked[:len(views)], asked[len(views):]
     assert shading == [True] * len(views)
-    assert all(depth is given for (_, depth), given in zip(first, depths))
-    assert [name for name, _ in later] == [view.name for view in views]
-    assert not any(np.array_equal(depth, given) for (_, depth), given in zip(later, depths))
+    given = {view.name: depth for view, depth in zip(views, depths)}
+    assert all(depth is given[name] for name, depth in first) and sorted(dict(first)) == sorted(given)
+    assert sorted(name for name, _ in later) == sorted(given)
+    assert not any(np.array_equal(depth, given[name]) for name, depth in later)

@@ -10,7 +10,7 @@ from conftest import plane_depth
 from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_small_scene
 from twins import agreement as twin
 
-from pagas_cl import rounds, splat
+from pagas_cl import splat
 from pagas_cl.effects import decide_agreement, filter_between
 from pagas_cl.presets import preset
 from pagas_cl.refine import refine_views
@@ -18,7 +18,6 @@ from pagas_cl.result import DepthResult
 from pagas_cl.rounds import average_and_step, average_depths, later_rounds
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.scene.depthmap import KEPT, REFINED, REJECTED
-from pagas_cl.splat import PhotoStore
 from pagas_cl.surface.agreement import Agreement, send
 
 pytestmark = pytest.mark.kernels
@@ -215,18 +214,6 @@ def test_the_order_of_views_and_where_they_are_worked_on_do_not_matter(scene, wa
                            on_view=lambda view, depth, result: told.append((view.name, result)))
     assert [name for name, _ in told] == [views[k].name for k in order] and [r for _, r in told] == results
     assert same(results, [wanted[k] for k in order])
-
-
-@pytest.mark.parametrize(("views", "written_over", "taken_back"), [(20, 16, False), (7, 1, True), (2, 0, False)])
-def test_a_round_writes_over_the_one_before_where_the_device_has_that(scene, wanted, device, monkeypatch, views,
-                                                                     written_over, taken_back):
-    photos, take_back = PhotoStore(device, views * 21 * scene[1][0].size), rounds._take_back   # photos, what is told
-    photos.on_host, on_leaving, over, back = False, photos.on_leaving, [], []       # as on a GPU
-    monkeypatch.setattr(photos, "trim", lambda nbytes: None)
-    monkeypatch.setattr(photos, "on_leaving", lambda *given: (over.append(on_leaving(*given)), over[-1])[1])
-    monkeypatch.setattr(rounds, "_take_back", lambda *given: (back.append(given), take_back(*given)))
-    assert same(refine_views(*scene, config=ROUNDS, photos=photos), wanted)
-    assert sum(over) >= written_over and bool(back) == taken_back
 
 
 def test_a_killed_run_goes_on_from_its_rounds(scene, wanted, tmp_path):

@@ -11,6 +11,7 @@ o3d = pytest.importorskip("open3d")
 
 from pagas_cl.config import Fusion  # noqa: E402
 from pagas_cl.errors import InputError, PagasError  # noqa: E402
+from pagas_cl.progress import progress_of  # noqa: E402
 from pagas_cl.scene.camera import Camera  # noqa: E402
 from pagas_cl.scene.depthmap import save_depth  # noqa: E402
 from pagas_cl.scene.view import View  # noqa: E402
@@ -219,14 +220,14 @@ def test_unsure_depths_count_less_where_that_is_asked_for(scene):
 def test_progress_and_interruption(scene):
     views, depths = scene
     calls = []
-    fuse(views, depths, progress=lambda *a: calls.append(a))
+    fuse(views, depths, progress=progress_of(lambda *a: calls.append(a)))
     assert calls == [*(("fuse", k, 3) for k in range(4)), *(("extract the mesh", k, 2) for k in range(3))]
 
     def stop(*_):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fuse(views, depths, progress=stop)
+        fuse(views, depths, progress=progress_of(stop))
 
 
 @pytest.mark.parametrize("bad, words", [

@@ -137,5 +137,5 @@ def test_five_steps_on_the_real_castle(data_dir, tmp_path):
     assert [layer.label for layer in layers] == ["castle", "castle refined"]
     meshes = pymeshlab.MeshSet()
     meshes.load_new_mesh(str(layers[1].path))
-    assert meshes.current_mesh().face_number() > 3000 and meshes.current_mesh().has_vertex_color()
+    assert meshes.current_mesh().face_number() > 3000
     assert len(check_script(tmp_path / "saved.mlx")) == 5  # saved by pymeshlab, and it loads again
