@@ -277,7 +277,7 @@ def initial_depths(surface: Surface, views: Sequence[View], progress: Progress =
 
 
 def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: Config,
-                 progress: Progress = NONE, memory_mb: float | None = None,
+                 progress: Reporter = None, memory_mb: float | None = None,
                  note: Callable[[str], Any] | None = None, *, executor: Executor | str | None = None,
                  folder: str | Path | None = None, device: Devices | None = None) -> Surface:
     """Keep what other views confirm, then TSDF: a Surface. In `memory_mb` of host memory, or what is free.
@@ -302,6 +302,6 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     agreed = confirmed(cameras, depths, config.fusion, device=device)
     files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
     elsewhere = executor if files and hasattr(executor, "map") else None      # not where it is an address
-    fused = blocks.fuse_within(used, agreed, config.fusion, memory_mb, progress=progress, executor=elsewhere,
-                               folder=folder, weights=weights_of(results, config.fusion.least_weight))
+    fused = blocks.fuse_within(used, agreed, config.fusion, memory_mb, progress=progress_of(progress),
+                               executor=elsewhere, folder=folder, weights=weights_of(results, config.fusion.least_weight))
     return polished(fused, results, config, device) if config.fusion.polish and device is not None else fused

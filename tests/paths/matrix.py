@@ -8,9 +8,9 @@ from paths.truth import Scenes
 
 from pagas_cl import bring_together, find_depth, preset, read_scene, refine_mesh, refine_views, save_depth
 from pagas_cl.config import Config
-from pagas_cl.keep_mesh import write_whole
 from pagas_cl.refine import fuse_results
 from pagas_cl.scene.depthmap import load_depth
+from pagas_cl.scene.mesh_file import write_mesh
 
 SETTINGS = {"pyramid.steps": "16"}
 FROM_A_MESH = {"mesh": "mesh", "keep": "displace", "fuse": "tsdf"}      # what refine_mesh calls the same
@@ -69,9 +69,9 @@ def called(column, scene: Path, out: Path) -> list:
     progress = Heard() if column["call"] == "bar" else None
     made, views, results = out / f"made{column['kind']}", read_scene(scene).views, []
     if column["path"] in FROM_A_MESH:
-        write_whole(made, refine_mesh(scene / "mesh_coarse.ply", [view.camera for view in views],
-                                      [view.image for view in views], config=config, progress=progress,
-                                      output=FROM_A_MESH[column["path"]]))
+        write_mesh(made, refine_mesh(scene / "mesh_coarse.ply", [view.camera for view in views],
+                                     [view.image for view in views], config=config, progress=progress,
+                                     output=FROM_A_MESH[column["path"]]))
     else:
         depths = [load_depth(find_depth(scene / "depth_initial", view.name)) for view in views]
         if column["--no-align"] == "no":
@@ -80,7 +80,7 @@ def called(column, scene: Path, out: Path) -> list:
         for view, result in zip(views, results):
             save_depth(out / "maps" / f"{view.stem}.npz", result.depth)
         if column["path"] == "new":
-            write_whole(made, fuse_results(views, results, config, progress))
+            write_mesh(made, fuse_results(views, results, config, progress))
     assert progress is None or "refine" in progress.stages
     return [result.camera for result in results]
 

@@ -73,15 +73,15 @@ COMMANDS = {
     "check photos": Row("check {network} --photos {network}/photos --quiet", "pipe"),
     "analyze from a mesh": Row("analyze {small} --mesh {small}/mesh_coarse.ply --views target --table --costs --device "
                                "{device} --outside --preset fast --effect exposure=auto --report {out}/page",
-                               says="alled for:"),
+                               says="eeded:"),
     "analyze from depth maps": Row("analyze {scene} --depth-dir {maps} --depth-scale 1 --no-costs --quiet --format "
-                                   "cameras --set pyramid.steps=4 --json {out}/found.json", says="Not called for:"),
+                                   "cameras --set pyramid.steps=4 --json {out}/found.json", says="Not needed:"),
     "cameras over a mesh": Row("cameras {off_by_1} --mesh {mesh} --output {out}/cameras --device {device} --outside "
-                               "--format cameras", says="cameras moved by"),
+                               "--format cameras", says="cameras were off"),
     "cameras over depth maps": Row("cameras {off_by_1} --depth-dir {maps} --depth-scale 1 --unknowns pose focal "
-                                   "--output {out}/cameras --devices all --quiet", says="cameras moved by"),
+                                   "--output {out}/cameras --devices all --quiet", says="cameras were off"),
     "cameras by a cluster": Row("cameras {off_by_1} --mesh {mesh} --output {out}/cameras --scheduler {scheduler}",
-                                "terminal", says="cameras moved by"),
+                                "terminal", says="cameras were off"),
     "demo": Row("demo --output {out}/demo --width 96 --context 2 --preset fast --bar 3 --device {device}",
                 says="mean depth error"),
     "a format": Row("demo --output {out}/demo --width 64 --context 2 --format da3 --quiet", says="try: "),

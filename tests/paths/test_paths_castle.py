@@ -50,6 +50,6 @@ def test_a_held_out_photo_agrees_better(castle, tmp_path):
     judged = in_pipe(["evaluate", str(tmp_path / "maps"), "--scene", str(folder), "--held-out", HELD_OUT, "--before",
                       str(folder / "maps"), "--json", str(tmp_path / "figures.json")])
     judged.must_end_well(0)
-    rows = json.loads((tmp_path / "figures.json").read_text())["correlation of held-out photos"].values()
+    rows = json.loads((tmp_path / "figures.json").read_text())["figures"]["correlation of held-out photos"].values()
     after, before = (np.array([row[name] for row in rows]) for name in ("median", "median_before"))
     assert len(after) >= 4 and after.mean() > before.mean() + 0.003, (before, after)
