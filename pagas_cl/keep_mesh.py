@@ -59,7 +59,8 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
 
     "mesh": with as many triangles as the depth maps show detail (surface.mesh_levels): edges longer than `subdivide`
     (1.5) pixel footprints are split where depth maps lie off them; afterwards splits are undone where the surface is
-    flat within `flat` footprints, and the rest is solved once more. In `memory_mb` of host memory, or mesh_mb.
+    flat within `flat` footprints, and the rest is solved once more; where no vertex moved, none is left. In `memory_mb`
+    of host memory, or mesh_mb.
     "displace": with the same triangles (surface.mesh_solve), or all edges split that are longer than `subdivide`.
     `tell(text)` is told what is wrong with triangles, before and after.
     """
@@ -94,7 +95,9 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
     if not moved.any():
         log.warning("no vertex moved: no two refined views agree on any of them (%d views were refined)",
                     sum(not result.reason for result in used))
-    quality = np.where(moved, vertex_confidence(vertices, used), 0)
+        if output == "mesh":      # what was split in between showed no detail
+            division, vertices, solved = None, given.vertices, solved.at(np.arange(len(given.vertices)))
+    quality = np.where(moved, vertex_confidence(vertices, used), 0) if moved.any() else None
     solving.at(1)
     return with_vertices(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
 

@@ -70,8 +70,8 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         First split edges longer than this many pixel footprints; with "mesh" (1.5 where it is left out) only those that
         depth maps lie off.
     flat : float
-        With "mesh": edges are split that depth maps lie off by more than twice this many pixel footprints; splits are
-        undone where the surface stays true to within it.
+        With "mesh": edges are split that depth maps lie off by more than half of this many pixel footprints; splits
+        are undone where the surface stays true to within it.
     executor, folder
         As in refine_views.
 
