@@ -102,8 +102,10 @@ __kernel void find_boxes(__global const float *positions, __global const int *fa
 
 __kernel void find_crossing(__global const float *positions, __global const int *faces, int count, int mask,
                             __global const int *levels,
-                            __global const int *first,             // where the triangles of each place begin in
+                            __global const int *first,             // where those of each place that are watched begin,
+                                                                   // and the others, in
                             __global const int *order,             // [F], by place
+                            __global const uchar *watched,         // [F] two that are not are known not to cross
                             __global const float *boxes,           // [F, 2, 3], in this order
                             __global const int *part,              // [V] connected part of the mesh
                             __global int *crossing)                // [F] CROSSING and FOLDED, or 0
@@ -122,7 +124,7 @@ __kernel void find_crossing(__global const float *positions, __global const int 
             for (int y = low.y; y <= high.y; ++y)
                 for (int x = low.x; x <= high.x; ++x) {
                     const uint place = place_of((int3)(x, y, z), level) & (uint)mask;
-                    for (int k = first[place]; k < first[place + 1]; ++k) {
+                    for (int k = first[2 * place]; k < first[2 * place + 1 + watched[i]]; ++k) {
                         const int j = order[k];
                         if (j == i || (level == own.level && j < i))
                             continue;

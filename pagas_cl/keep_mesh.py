@@ -60,7 +60,8 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
 
     "mesh": with as many triangles as the depth maps show detail (surface.mesh_levels): edges longer than `subdivide`
     (1.5) pixel footprints are split where depth maps lie off them; afterwards splits are undone where the surface is
-    flat within `flat` footprints, and the rest is solved once more. In `memory_mb` of host memory, or mesh_mb.
+    flat within `flat` footprints, and the rest is solved once more; where no vertex moved, none is left. In `memory_mb`
+    of host memory, or mesh_mb.
     "displace": with the same triangles (surface.mesh_solve), or all edges split that are longer than `subdivide`.
     `note(text)` is called with what is wrong with triangles, before and after. `make` makes the mesh, of what
     with_vertices takes.
@@ -102,7 +103,9 @@ def _kept(mesh, views, results, config: Config, output: str, subdivide: float | 
         log.warning("the mesh is unchanged: nowhere do two refined views agree on where it should be (%d views were "
                     "refined); check its cameras and photos with 'pagas-cl check'",
                     sum(not result.reason for result in used))
-    quality = np.where(moved, vertex_confidence(vertices, used), 0)
+        if output == "mesh":      # what was split in between showed no detail
+            division, vertices, solved = None, given.vertices, solved.at(np.arange(len(given.vertices)))
+    quality = np.where(moved, vertex_confidence(vertices, used), 0) if moved.any() else None
     solving.advance(_PERCENT)
     return make(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
 

@@ -126,8 +126,8 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         First split edges longer than this many pixel footprints; with "mesh" (1.5 where it is left out) only those that
         depth maps lie off.
     flat : float
-        With "mesh": edges are split that depth maps lie off by more than twice this many pixel footprints; splits are
-        undone where the surface stays true to within it.
+        With "mesh": edges are split that depth maps lie off by more than half of this many pixel footprints; splits
+        are undone where the surface stays true to within it.
     executor, folder
         As in refine_views.
 
@@ -303,5 +303,6 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
     elsewhere = executor if files and hasattr(executor, "map") else None      # not where it is an address
     fused = blocks.fuse_within(used, agreed, config.fusion, memory_mb, progress=progress_of(progress),
-                               executor=elsewhere, folder=folder, weights=weights_of(results, config.fusion.least_weight))
+                               executor=elsewhere, folder=folder,
+                               weights=weights_of(results, config.fusion.least_weight))
     return polished(fused, results, config, device) if config.fusion.polish and device is not None else fused

@@ -42,7 +42,7 @@ def without_new(device: Device, given: Surface, division: Subdivision | None,
     stands_in = np.zeros(len(points), bool)
     stands_in[own[given.faces[old & CROSSING > 0, 0]]] = True
     let = np.where(near, ~CROSSING, 0) | np.where(stands_in[part[faces[:, 0]]], CROSSING, 0)
-    now, found = end.copy(), faults(device, start, end, faces, part)
+    now, found = end, faults(device, start, end, faces, part)
     for back in (False, True, True, True):
         if not (found & ~let).any():
             break
@@ -50,8 +50,9 @@ def without_new(device: Device, given: Surface, division: Subdivision | None,
         here, corners = np.unique(faces[some], return_inverse=True)
         corners = corners.reshape(-1, 3)
         let[some] |= faults(device, start[here], start[here], corners, part[here])
+        last, now = (now, found), now.copy()
         now[here] = _mended(device, start[here], now[here], corners, part[here], found[some], let[some], back)
-        found = faults(device, start, now, faces, part)
+        found = faults(device, start, now, faces, part, last)
     mended, both, new = unlike(now, end), CROSSING | FOLDED, found & ~let
     told = (f"{_count(found, both)} of {len(faces)} triangles cross others ({_count(old, both)} of {len(old)} given "
             f"ones did), {_count(new, both)} of them where none did before; {_count(found, TURNED)} are turned "
@@ -73,13 +74,15 @@ def _mended(device: Device, start: np.ndarray, now: np.ndarray, faces: np.ndarra
             found: np.ndarray, let: np.ndarray, back: bool) -> np.ndarray:
     """Places of vertices at `now`, moved until no face has a fault beyond those it may be `let`: around `found` ones,
     farther and farther, ways from `start` become the means of their neighbours' or, with `back`, are halved."""
+    last = None         # what was found so far was found among more faces
     for turn in range(_TURNS):
         marked = _marked(faces, faces[found & ~let > 0], turn // 3)
         near = faces[marked[faces].any(axis=1)]
         for _ in range(1 if back else turn // 3 + 1):
             ways = (now - start) / 2 if back else _neighbours_mean(now - start, near)
             now = np.where(marked[:, None], start + ways, now)
-        found = faults(device, start, now, faces, part)
+        found = faults(device, start, now, faces, part, last)
+        last = now, found
         if not (found & ~let).any():
             break
     return now
@@ -98,10 +101,12 @@ def _count(found: np.ndarray, fault: int) -> int:
     return int(np.count_nonzero(found & fault))
 
 
-def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndarray, part: np.ndarray) -> np.ndarray:
+def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndarray, part: np.ndarray,
+           last: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
     """What is wrong with each of the `faces` (F, 3) of a mesh whose vertices (V, 3), one at a place, went from `before`
     to `after`: int32 (F,), the sum of TURNED, FLAT, CROSSING and FOLDED. `part` (V,) int32: which connected part of the
-    mesh they belong to."""
+    mesh they belong to. `last`: places of the vertices and what was found, the last time that these faces were looked
+    at: pairs that did not move since and were without fault are not tested again."""
     from pagas_cl.runtime.device import translate_cl_errors
     from pagas_cl.runtime.memory import download, upload
     from pagas_cl.runtime.program import bind, build, run_once
@@ -110,6 +115,7 @@ def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndar
     if not count:
         return np.zeros(0, np.int32)
     middle, unit = frame_of(Surface(after, faces))
+    watched = _watched(after, faces, last)
     with translate_cl_errors(device, "looking for triangles that cross"):
         program = build(device, "mesh_faults.cl")
         known = {"positions": upload(device, ((after - middle) / unit).astype(np.float32)),
@@ -119,9 +125,10 @@ def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndar
                  "wrong": device.memory.buffer(device.context, count, "wrong"),
                  "levels": upload(device, np.zeros(1, np.int32))}
         run_once(device.queue, [bind(program, "find_cells", (count,), None, known, count=count, mask=mask)])
-        first, order = grouped(download(device, known["cell"], count, np.int32), mask + 1)
+        first, order = grouped(2 * download(device, known["cell"], count, np.int32) + 1 - watched, 2 * (mask + 1))
         known |= {"first": upload(device, first), "order": upload(device, order),
                   "boxes": device.memory.buffer(device.context, 24 * count, "boxes"),
+                  "watched": upload(device, watched.astype(np.uint8)),
                   "part": upload(device, part), "crossing": upload(device, np.zeros(count, np.int32))}
         run_once(device.queue, [bind(program, "find_boxes", (count,), None, known, count=count),
                                 bind(program, "find_crossing", (count,), None, known, count=count, mask=mask)])
@@ -129,3 +136,15 @@ def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndar
         for buffer in known.values():
             buffer.release()
     return wrong
+
+
+def _watched(places: np.ndarray, faces: np.ndarray, last: tuple[np.ndarray, np.ndarray] | None) -> np.ndarray:
+    """Which faces (F,) may cross others, their vertices at `places`: all where nothing is known of the `last` time, or
+    places were rounded otherwise then, in another frame."""
+    if last is None:
+        return np.ones(len(faces), bool)
+    before, found = last
+    (middle, unit), (other, other_unit) = (frame_of(Surface(points, faces)) for points in (before, places))
+    if unit != other_unit or (middle != other).any():
+        return np.ones(len(faces), bool)
+    return unlike(before, places)[faces].any(axis=1) | (found & (CROSSING | FOLDED) > 0)

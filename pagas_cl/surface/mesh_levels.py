@@ -31,7 +31,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
              detail: float = DETAIL, least_views: int = 2, most: int,
              at: Callable[[float], object] = lambda share: None) -> tuple[Subdivision, Solved, np.ndarray]:
     """Move the vertices of `surface` as solve_mesh does, its edges split where the depth maps lie off their middles by
-    more than twice `flat` footprints, at most to `most` triangles: the largest deviations first.
+    more than half of `flat` footprints, at most to `most` triangles: the largest deviations first.
 
     `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` hears how much of
     all that makes the mesh is done: where the last level begins, by the triangles of all. Gives how the mesh was split,

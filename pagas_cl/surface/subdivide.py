@@ -47,9 +47,12 @@ class Subdivision:
 
 def with_middles(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     """Values (V, ...) of vertices, and after them those in the middles of `pairs` (E, 2); of whole numbers, the
-    first's."""
+    first's. The middle of what is infinite, as a deviation where nothing is known, is infinite, and no warning."""
     a, b = values[pairs[:, 0]], values[pairs[:, 1]]
-    middle = a + (b - a) / 2 if values.dtype.kind == "f" else a
+    middle = a
+    if values.dtype.kind == "f":
+        with np.errstate(invalid="ignore"):
+            middle = np.where(np.isinf(a), a, a + (b - a) / 2)
     return np.concatenate([values, middle.astype(values.dtype)])
 
 

@@ -16,7 +16,7 @@ from pagas_cl.surface.mesh_evidence import Observed
 from pagas_cl.surface.mesh_levels import fit_mesh
 from pagas_cl.surface.mesh_solve import solve_mesh
 from pagas_cl.surface.on_vertices import footprints
-from pagas_cl.surface.subdivide import subdivide, undivided
+from pagas_cl.surface.subdivide import subdivide, undivided, with_middles
 
 pytestmark = [pytest.mark.slow, pytest.mark.kernels]
 
@@ -230,6 +230,22 @@ def test_subdivision_is_bounded():
     assert len(same.faces) == 1 and not same.rounds
 
 
+@pytest.mark.filterwarnings("error")
+def test_the_middle_of_what_is_infinite_or_unknown():
+    """Deviations are infinite where nothing is known: whoever refines such a mesh again hears no warning of NumPy."""
+    inf, nan = np.inf, np.nan
+    ends = np.array([[1, 3], [inf, inf], [inf, 1], [1, inf], [-inf, -inf], [nan, 1], [inf, nan], [inf, -inf]])
+    between = np.arange(len(ends))
+    pairs = np.stack([between, len(ends) + between], axis=1)
+    for dtype in (np.float64, np.float32):
+        middles = with_middles(ends.T.reshape(-1).astype(dtype), pairs)[2 * len(ends):]
+        assert np.array_equal(middles[:6], np.array([2, inf, inf, inf, -inf, nan], dtype), equal_nan=True)
+    fine = subdivide(VERTICES, FACES, np.full(4, 0.4))
+    known = Surface(VERTICES, FACES, attributes={"deviation": np.array([inf, inf, 1, nan])})
+    carried = with_vertices(known, fine.vertices(VERTICES), fine).attributes["deviation"]
+    assert len(carried) == len(fine.vertices(VERTICES)) and np.isinf(carried).sum() > 2
+
+
 # -- what sits on the mesh --------------------------------------------------------------------------------------------
 
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
@@ -335,6 +351,43 @@ def test_refine_mesh_keeps_the_mesh(made, subdivide):
     before = height_error(made, vertices[faces].mean(axis=1)).mean()
     after = height_error(made, new[split].mean(axis=1)).mean()
     assert after < (0.8 if subdivide is None else 0.6) * before
+
+
+@pytest.mark.filterwarnings("ignore:nothing was refined")
+@pytest.mark.parametrize("edge", [2.0, 8.0, 30.0])
+@pytest.mark.parametrize("number", [1, 3])
+def test_where_nothing_moved_the_mesh_comes_back_as_it_was(edge, number, device):
+    """One view, or photos of one colour: no triangle is split, and quality stays what it was."""
+    import pagas_cl
+
+    scene = relief_scene(96, 72, contexts=3, held_out=0)
+    vertices, faces = scene.initial_mesh(edge)
+    colors, quality = (np.random.default_rng(2).uniform(size=(len(vertices), *size)) for size in ((3,), ()))
+    photos = [view.load_image() if number == 1 else np.full_like(view.load_image(), 90) for view in scene.views]
+    config = pagas_cl.preset("fast").with_settings(pyramid__steps=(5,), effects__cameras="off")
+    for output in ("mesh", "displace"):
+        same = pagas_cl.refine_mesh(Surface(vertices, faces, None, colors, quality), scene.cameras[:number],
+                                    photos[:number], config=config, device=device, output=output)
+        assert np.array_equal(same.vertices, vertices) and np.array_equal(same.faces, faces)
+        assert np.array_equal(same.colors, colors) and np.array_equal(same.quality, quality)
+        assert np.isinf(same.attributes["deviation"]).all() and same.attributes["views"].max() < 2
+
+
+def test_a_mesh_that_was_refined_is_refined_again(device, tmp_path, recwarn):
+    """From the file that was written: whatever sits on it is carried along, without a warning."""
+    import pagas_cl
+
+    scene = relief_scene(96, 72, contexts=3, held_out=0)
+    photos = [view.load_image() for view in scene.views]
+    config = pagas_cl.preset("fast").with_settings(pyramid__steps=(5,), effects__cameras="off")
+    mesh = Surface(*scene.initial_mesh(8.0))
+    for output, longest in (("mesh", None), ("displace", 2.0), ("mesh", None)):
+        mesh = pagas_cl.refine_mesh(mesh, scene.cameras, photos, config=config, device=device, output=output,
+                                    subdivide=longest)
+        write_mesh(tmp_path / "refined.ply", mesh)
+        mesh = tmp_path / "refined.ply"
+    assert np.isinf(read_mesh(mesh).attributes["deviation"]).any()
+    assert not [warning for warning in recwarn if issubclass(warning.category, RuntimeWarning)]
 
 
 def test_wrong_settings():
