@@ -13,16 +13,16 @@ from dataclasses import replace
 import numpy as np
 
 from pagas_cl.config import Config, Fusion
+from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters.open3d_frames import Frame, above_zero, give_back, read_frames
-from pagas_cl.presets import settings_of
+from pagas_cl.method.surface.agree import disagreement
+from pagas_cl.method.surface.fuse import fusion_plan
+from pagas_cl.method.surface.grid import grid_shift
+from pagas_cl.method.surface.on_vertices import vertex_confidence
 from pagas_cl.progress import progress_of
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.mesh import from_surface
-from pagas_cl.surface.agree import disagreement
-from pagas_cl.surface.fuse import fusion_plan
-from pagas_cl.surface.grid import grid_shift
-from pagas_cl.surface.on_vertices import vertex_confidence
 
 
 def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | None = None,

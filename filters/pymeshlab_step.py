@@ -16,7 +16,9 @@ from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters.filter_script import attribute_names, restore_history, saved_history
 from pagas_cl.filters.names import CALL, HINT, METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
-from pagas_cl.keep_mesh import Observations, kept_mesh, solve_device
+from pagas_cl.method.keep_mesh import Observations, kept_mesh, solve_device
+from pagas_cl.method.surface.mesh_solve import solve_mesh
+from pagas_cl.method.surface.on_vertices import footprints, vertex_confidence
 from pagas_cl.progress import progress_of
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import from_surface, to_surface, triangle_normals
@@ -31,8 +33,6 @@ from pagas_cl.scene.meshlab_layer import (
 )
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene, View
-from pagas_cl.surface.mesh_solve import solve_mesh
-from pagas_cl.surface.on_vertices import footprints, vertex_confidence
 
 _MOST_FACES = 40_000_000
 
@@ -132,7 +132,7 @@ def scene_views(scene) -> list[View]:
 def refine_layer(meshes, views: list[View], asked: Request, *, device=None, progress=None, spellings=()) -> dict:
     """Refine the current layer of a MeshSet; what the method and the script share. `spellings`: names that custom
     attributes may have."""
-    from pagas_cl.cameras.effect import resolve_cameras
+    from pagas_cl.method.cameras.effect import resolve_cameras
     from pagas_cl.refine import fuse_results, initial_depths, refine_views
 
     layer = meshes.current_mesh()

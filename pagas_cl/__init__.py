@@ -9,11 +9,13 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pagas_cl.cameras.refine import CameraRefinement
+    from pagas_cl.app.tradeoffs import tradeoff
     from pagas_cl.config import Config
+    from pagas_cl.config.presets import preset
     from pagas_cl.errors import DeviceError, InputError, KernelBuildError, MissingExtraError, PagasError
-    from pagas_cl.one_view import refine_depth
-    from pagas_cl.presets import preset
+    from pagas_cl.method.cameras.refine import CameraRefinement
+    from pagas_cl.method.one_view import refine_depth
+    from pagas_cl.method.surface.bring_together import Together, bring_together
     from pagas_cl.refine import refine_cameras, refine_mesh, refine_views
     from pagas_cl.result import DepthResult
     from pagas_cl.scene.camera import Camera
@@ -22,8 +24,6 @@ if TYPE_CHECKING:
     from pagas_cl.scene.mesh import Surface
     from pagas_cl.scene.readers import read_scene
     from pagas_cl.scene.view import Scene, View
-    from pagas_cl.surface.bring_together import Together, bring_together
-    from pagas_cl.tradeoffs import tradeoff
 
 __all__ = [
     "Camera", "CameraRefinement", "Config", "DepthResult", "DeviceError", "InputError", "KernelBuildError",
@@ -33,11 +33,11 @@ __all__ = [
 ]
 
 _HOME = {  # as the imports above
-    "cameras.refine": ["CameraRefinement"],
+    "method.cameras.refine": ["CameraRefinement"],
     "config": ["Config"],
     "errors": ["DeviceError", "InputError", "KernelBuildError", "MissingExtraError", "PagasError"],
-    "presets": ["preset"],
-    "one_view": ["refine_depth"],
+    "config.presets": ["preset"],
+    "method.one_view": ["refine_depth"],
     "refine": ["refine_cameras", "refine_mesh", "refine_views"],
     "result": ["DepthResult"],
     "scene.camera": ["Camera"],
@@ -46,8 +46,8 @@ _HOME = {  # as the imports above
     "scene.mesh": ["Surface"],
     "scene.readers": ["read_scene"],
     "scene.view": ["Scene", "View"],
-    "surface.bring_together": ["Together", "bring_together"],
-    "tradeoffs": ["tradeoff"],
+    "method.surface.bring_together": ["Together", "bring_together"],
+    "app.tradeoffs": ["tradeoff"],
 }
 
 try:

@@ -16,8 +16,9 @@ from typing import Any, get_origin
 import typer
 from typer.models import OptionInfo
 
-from pagas_cl import __version__, commands
-from pagas_cl.commands._console import log_to_stderr, make_streams_safe
+from pagas_cl import __version__
+from pagas_cl.app import commands
+from pagas_cl.app.commands._console import log_to_stderr, make_streams_safe
 from pagas_cl.errors import (
     InputError,
     InterruptedRunError,
@@ -76,7 +77,7 @@ def build_app(names) -> typer.Typer:
 
 
 def _module(name: str):
-    return import_module(f"pagas_cl.commands.{name.replace('-', '_')}")
+    return import_module(f"pagas_cl.app.commands.{name.replace('-', '_')}")
 
 
 def main(arguments: list[str] | None = None) -> None:

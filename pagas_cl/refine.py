@@ -11,33 +11,33 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.cameras import refine as camera_refinement
-from pagas_cl.cameras.blocks import MakeBlocks
-from pagas_cl.cameras.effect import resolve_cameras
-from pagas_cl.cameras.refine import CameraRefinement
+from pagas_cl.app.jobs import refine_all
+from pagas_cl.app.jobs.camera_blocks import blocks_by
+from pagas_cl.app.jobs.finished import one_run, work_folder
+from pagas_cl.app.jobs.store import Store
 from pagas_cl.config import Config
-from pagas_cl.effects import decide_consistency
+from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import InputError, check_kind, kind_of, log, short
-from pagas_cl.jobs import refine_all
-from pagas_cl.jobs.camera_blocks import blocks_by
-from pagas_cl.jobs.finished import one_run, work_folder
-from pagas_cl.jobs.store import Store
-from pagas_cl.keep_mesh import FLAT, check_flat, check_subdivide, kept_mesh, polished
-from pagas_cl.one_view import refine_one
-from pagas_cl.presets import settings_of
+from pagas_cl.method.cameras import refine as camera_refinement
+from pagas_cl.method.cameras.blocks import MakeBlocks
+from pagas_cl.method.cameras.effect import resolve_cameras
+from pagas_cl.method.cameras.refine import CameraRefinement
+from pagas_cl.method.effects import decide_consistency
+from pagas_cl.method.keep_mesh import FLAT, check_flat, check_subdivide, kept_mesh, polished
+from pagas_cl.method.one_view import refine_one
+from pagas_cl.method.rounds import later_rounds
+from pagas_cl.method.splat import PhotoStore
+from pagas_cl.method.surface import blocks
+from pagas_cl.method.surface.agree import comparison_device, confirmed
+from pagas_cl.method.surface.fuse import weights_of
+from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult, OnDisk, joined
-from pagas_cl.rounds import later_rounds
 from pagas_cl.runtime.device import Device, Devices, is_elsewhere, one_of, open_device
 from pagas_cl.scene.check import check_seen
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_views, depth_maps
 from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
 from pagas_cl.scene.view import View
-from pagas_cl.splat import PhotoStore
-from pagas_cl.surface import blocks
-from pagas_cl.surface.agree import comparison_device, confirmed
-from pagas_cl.surface.fuse import weights_of
-from pagas_cl.surface.raster import each_depth
 
 OUTPUTS = ("mesh", "tsdf", "displace")
 
@@ -211,7 +211,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     on_view : callable of (view, initial depth, DepthResult), optional
         Called when a view is finished, in the last round; what it returns is dropped.
     executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
-        Where the views are refined instead of in this process; see pagas_cl.jobs.
+        Where the views are refined instead of in this process; see pagas_cl.app.jobs.
     folder : path, optional
         Keeps each finished view; a run with the same inputs, settings and code goes on from them. Results then read
         their arrays from there when they are asked for.

@@ -80,7 +80,7 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture(autouse=True, scope="session")
 def brief_probes():
     """What settings take is probed by short runs: no test asks more of the time, and a probe takes ten seconds."""
-    from pagas_cl import costs
+    from pagas_cl.app.tradeoffs import costs
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(costs, "_LEAST", 0.03)

@@ -10,13 +10,13 @@ import pytest
 from support.scenes import relief_scene
 
 from pagas_cl.__main__ import run
-from pagas_cl.commands._settings import build_config, effect_settings
+from pagas_cl.app.commands._settings import build_config, effect_settings
+from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.config import Effects
-from pagas_cl.effects import CONTRADICTED, EFFECTS, decide_consistency
+from pagas_cl.config.presets import BALANCED
 from pagas_cl.errors import InputError
-from pagas_cl.presets import BALANCED
-from pagas_cl.surface.agree import contradicted
-from pagas_cl.synthetic.scene import write_scene
+from pagas_cl.method.effects import CONTRADICTED, EFFECTS, decide_consistency
+from pagas_cl.method.surface.agree import contradicted
 
 pytestmark = pytest.mark.slow
 
@@ -56,8 +56,8 @@ def test_the_command_follows_what_is_asked_for(scene, capsys):
 def test_cameras_that_are_off_are_told_with_their_cost(made, device):
     from support.camera_noise import noisy
 
-    from pagas_cl.analysis import analyze
-    from pagas_cl.commands.analyze import summary
+    from pagas_cl.app.analysis import analyze
+    from pagas_cl.app.commands.analyze import summary
 
     views = [replace(view, camera=camera) for view, camera in
              zip(made.views, noisy([view.camera for view in made.views], 1.0, 0))]
@@ -168,8 +168,8 @@ def test_fusion_drops_what_others_contradict(maps, made):
 
 def test_timed_steps_have_room_for_their_losses(made, device, monkeypatch):
     """Five steps are timed whatever the settings ask for: two of them would leave room for three losses."""
-    from pagas_cl.bench import time_step
-    from pagas_cl.splat.level import Level
+    from pagas_cl.app.tradeoffs.bench import time_step
+    from pagas_cl.method.splat.level import Level
 
     plain, rooms = Level.run, []
 

@@ -6,15 +6,15 @@ from dataclasses import replace
 import pytest
 from support.scenes import relief_scene
 
-from pagas_cl import costs
 from pagas_cl.__main__ import run as run_command
-from pagas_cl.cameras.effect import camera_seconds
+from pagas_cl.app.synthetic.scene import write_scene
+from pagas_cl.app.tradeoffs import costs
+from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError
-from pagas_cl.presets import preset
+from pagas_cl.method.cameras.effect import camera_seconds
+from pagas_cl.method.splat.exposure import fitted_before
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device
-from pagas_cl.splat.exposure import fitted_before
-from pagas_cl.synthetic.scene import write_scene
 
 pytestmark = pytest.mark.slow
 

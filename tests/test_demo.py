@@ -9,9 +9,9 @@ import pytest
 from support.scenes import tiny
 
 from pagas_cl.__main__ import run
+from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.synthetic.scene import write_scene
 
 pytestmark = pytest.mark.slow
 
@@ -51,7 +51,7 @@ def test_evaluate_command_on_the_folder(folder, capsys):
 
 
 def test_demo_with_a_faked_refinement(tmp_path, capsys, monkeypatch):
-    fake = ModuleType("pagas_cl.one_view")
+    fake = ModuleType("pagas_cl.method.one_view")
     truth = {}
 
     def refine_depth(target, contexts, depth, **_):
@@ -60,7 +60,7 @@ def test_demo_with_a_faked_refinement(tmp_path, capsys, monkeypatch):
         return SimpleNamespace(depth=half, confidence=np.ones_like(half), counts={"refined": int((half > 0).sum())})
 
     fake.refine_depth = refine_depth
-    monkeypatch.setitem(sys.modules, "pagas_cl.one_view", fake)
+    monkeypatch.setitem(sys.modules, "pagas_cl.method.one_view", fake)
     monkeypatch.setitem(sys.modules, "open3d", None)
     made = tiny(contexts=2, height=72)
     truth.update({view.name: made.true_depth(view.camera) for view in made.views})
@@ -84,7 +84,7 @@ def test_demo_replaces_nothing_of_others(tmp_path, capsys):
 
 
 def test_demo_on_a_device(tmp_path):
-    from pagas_cl.demo import run_demo
+    from pagas_cl.app.demo import run_demo
 
     result = run_demo(tmp_path, width=140, height=105, contexts=4)
     old, new = result.before["target"].smooth, result.after["target"].smooth

@@ -11,10 +11,10 @@ from support.effects import EFFECTS as CASES
 from twins import exposure
 
 from pagas_cl.config import Effects
-from pagas_cl.effects import EFFECTS, LOW_PASS, WIDEST, decide, filter_between, left_to_smooth
+from pagas_cl.config.presets import BALANCED, PAPER
 from pagas_cl.errors import InputError
-from pagas_cl.measurements import Measurements, measure
-from pagas_cl.presets import BALANCED, PAPER
+from pagas_cl.method.effects import EFFECTS, LOW_PASS, WIDEST, decide, filter_between, left_to_smooth
+from pagas_cl.method.measurements import Measurements, measure
 
 CALM = Measurements(**dict(overlap=1.0, misaligned=0.0, masked=False, gains=(((1.0, 0.0),) * 3,)) | {
     name: value for effect in CASES.values() for name, value in effect.below.items()})
@@ -194,7 +194,7 @@ def test_an_effect_that_is_off_is_in_no_program():
     pytest.importorskip("pyopencl")
     from types import SimpleNamespace
 
-    from pagas_cl.splat.options import defines
+    from pagas_cl.method.splat.options import defines
 
     config = decide(ALPHA.with_settings(**{f"effects__{name}": "off" for name in EFFECTS}), CALM)[0]
     words = set(defines(config, SimpleNamespace(has=lambda extension: True), 200))

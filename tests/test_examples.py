@@ -6,11 +6,11 @@ import pytest
 from PIL import Image
 from support.scenes import relief_scene
 
+from pagas_cl.app.synthetic.examples import write_example
+from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_file import write_mesh
 from pagas_cl.scene.view import View
-from pagas_cl.synthetic.examples import write_example
-from pagas_cl.synthetic.scene import write_scene
 
 pytestmark = pytest.mark.slow
 

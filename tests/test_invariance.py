@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from support.scenes import relief_scene
 
-from pagas_cl.one_view import refine_depth
+from pagas_cl.app.synthetic.layout import half_sizes
+from pagas_cl.app.synthetic.mesh import solid_mesh
+from pagas_cl.method.one_view import refine_depth
 from pagas_cl.refine import initial_depths
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
-from pagas_cl.synthetic.layout import half_sizes
-from pagas_cl.synthetic.mesh import solid_mesh
 
 pytestmark = [pytest.mark.kernels, pytest.mark.slow]
 

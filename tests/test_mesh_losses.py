@@ -94,7 +94,7 @@ def test_it_is_told_before_the_work(scene, tmp_path, capsys, monkeypatch):
     mesh = textured(scene, tmp_path / "m.obj", 2)
     assert lost(mesh, "out.obj") == ["2 groups"]
     with monkeypatch.context() as patch:
-        patch.setattr("pagas_cl.commands.refine.refine_scene", lambda *_, **__: pytest.fail("refined"))
+        patch.setattr("pagas_cl.app.commands.refine.refine_scene", lambda *_, **__: pytest.fail("refined"))
         assert refine(scene, mesh, tmp_path / "out.ply") == 2
     told = capsys.readouterr().err
     assert "would lose of mesh" in told and "2 groups, 2 materials, texture coordinates; pass --allow-loss" in told
@@ -188,7 +188,7 @@ def test_materials_and_their_colours_come_along(scene, tmp_path):
 def test_digits_that_would_be_lost_are_told_before_the_work(scene, tmp_path, capsys, monkeypatch, suffix):
     surface = read_mesh(scene / "mesh_coarse.ply")
     write_mesh(tmp_path / "far.ply", Surface(surface.vertices + [500000, 5400000, 0], surface.faces))
-    monkeypatch.setattr("pagas_cl.commands.refine.refine_scene", lambda *_, **__: pytest.fail("refined"))
+    monkeypatch.setattr("pagas_cl.app.commands.refine.refine_scene", lambda *_, **__: pytest.fail("refined"))
     assert command_line.run(["refine", str(scene), "--mesh", str(tmp_path / "far.ply"), "--output",
                              str(tmp_path / f"out{suffix}"), "--quiet"]) == 2
     assert "keep 7 digits of a coordinate" in capsys.readouterr().err and not list(tmp_path.glob("out*"))

@@ -9,10 +9,10 @@ from support.job_scenes import QUICK, load_small_scene, write_small_scene
 
 pytest.importorskip("pyopencl")
 from pagas_cl.errors import InputError
-from pagas_cl.one_view import refine_depth, refine_one
+from pagas_cl.method.one_view import refine_depth, refine_one
+from pagas_cl.method.splat.step import AHEAD, StepProgress
 from pagas_cl.progress import LineProgress, Progress, progress_of, reported, shown_on, stage, within_view
 from pagas_cl.refine import refine_views
-from pagas_cl.splat.step import AHEAD, StepProgress
 
 pytestmark = pytest.mark.slow
 
@@ -130,7 +130,7 @@ def made():
 def test_progress_within_views(tmp_path, device, kept, monkeypatch):
     views, depths = load_small_scene(write_small_scene(tmp_path / "scene"))
     told = []
-    monkeypatch.setattr("pagas_cl.jobs.whole.groups",
+    monkeypatch.setattr("pagas_cl.app.jobs.whole.groups",
                         lambda asked, *_: [asked[k:k + (kept or 2)] for k in range(0, len(asked), kept or 2)])
     refine_views(views, depths, config=QUICK, device=device, folder=tmp_path / "out" if kept else None,
                  progress=lambda *given: told.append(given))
@@ -161,7 +161,7 @@ def test_work_that_tells_nothing(tmp_path, device):
     """Workers of their own process are not asked to."""
     from concurrent.futures import ThreadPoolExecutor
 
-    from pagas_cl.jobs import refine_all
+    from pagas_cl.app.jobs import refine_all
 
     views, depths = load_small_scene(write_small_scene(tmp_path / "scene"))
     told = []

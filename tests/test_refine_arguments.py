@@ -45,7 +45,7 @@ def test_a_config_beside_a_preset_is_refused(name):
 
 
 def test_neither_means_balanced():
-    from pagas_cl.presets import settings_of
+    from pagas_cl.config.presets import settings_of
 
     assert settings_of(None, None) == pagas_cl.preset("balanced")
     assert settings_of("fast", None) == pagas_cl.preset("fast")
@@ -99,8 +99,8 @@ def test_fused_meshes_of_pickled_results_are_the_same():
 
 
 def test_what_has_a_file_or_loads_is_asked_by_protocol(tmp_path):
-    from pagas_cl.jobs.finished import StoredResult
-    from pagas_cl.jobs.store import StoredArray
+    from pagas_cl.app.jobs.finished import StoredResult
+    from pagas_cl.app.jobs.store import StoredArray
     from pagas_cl.scene.depth_source import DepthSource
 
     record = type("Record", (), {"stem": "a", "name": "a.png"})()

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from support.scenes import relief_scene
 
-from pagas_cl.one_view import refine_one
-from pagas_cl.presets import BALANCED
+from pagas_cl.config.presets import BALANCED
+from pagas_cl.method.one_view import refine_one
+from pagas_cl.method.resemblance import adding, views_to_ask
+from pagas_cl.method.splat import NormalizedDepth, PhotoStore
 from pagas_cl.refine import refine_views
-from pagas_cl.resemblance import adding, views_to_ask
 from pagas_cl.scene.choice import PartnerChooser
-from pagas_cl.splat import NormalizedDepth, PhotoStore
 
 QUICK = BALANCED.with_settings(pyramid__steps=(6,), context__number=4, effects__cameras="off")
 
@@ -94,7 +94,7 @@ def test_a_view_is_refined_by_those_that_are_left(made, device):
 
 @pytest.mark.kernels
 def test_what_was_left_out_stays_so_in_rounds_also_without_names(made, device, monkeypatch):
-    from pagas_cl import splat
+    from pagas_cl.method import splat
 
     scene, depths = made
     chosen, asked_in_rounds, plain = asked(scene.all_views, depths, device)[0], [], splat.refine_levels

@@ -17,11 +17,11 @@ from statistics import median
 import numpy as np
 from PIL import Image
 
-from pagas_cl.presets import BALANCED
+from pagas_cl.app.synthetic import relief_scene
+from pagas_cl.config.presets import BALANCED
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.view import View
-from pagas_cl.synthetic import relief_scene
 
 CONFIG = BALANCED.with_settings(effects__cameras="off")
 KINDS = {choice: CONFIG.with_settings(effects__agreement=choice) for choice in ("off", "on")}

@@ -50,10 +50,10 @@ def rows_of(view, given, candidates, judges, depths, device, least) -> tuple[lis
     """For each tolerance: number of judges, median of the pixels that they see, means of their medians for each
     candidate, gain of the last over the first, its error; `judges` are views, `depths` theirs; None where no judge sees
     `least` pixels. And the judges' poses (candidates, 4, 4), fitted to each candidate, by name."""
-    from pagas_cl.cameras.judge import fitted_pose
-    from pagas_cl.evaluate import compare_predictions, predict_photo
+    from pagas_cl.app.evaluate import compare_predictions, predict_photo
+    from pagas_cl.method.cameras.judge import fitted_pose
+    from pagas_cl.method.splat import PhotoStore
     from pagas_cl.runtime.device import open_device
-    from pagas_cl.splat import PhotoStore
 
     device = open_device(device)
     photos, poses = PhotoStore(device), {}
@@ -133,7 +133,7 @@ def main() -> int:
     from cameras import refined
     from real import nearest_held, with_cameras
 
-    from pagas_cl.commands._settings import build_config
+    from pagas_cl.app.commands._settings import build_config
     from pagas_cl.runtime.device import open_device
 
     config, device = build_config(ask.preset, ask.set), open_device(ask.device)

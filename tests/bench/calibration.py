@@ -14,11 +14,11 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from pagas_cl.one_view import refine_depth
+from pagas_cl.app.synthetic import relief_scene
+from pagas_cl.method.one_view import refine_depth
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.synthetic import relief_scene
 
 MADE = {"made, clean": {}, "made, exposure jitter": dict(steps=0, exposure=0.3),
         "made, noise": dict(steps=0, contrast=0.25, noise=6.0), "made, occluder": dict(bar=8.0),

@@ -20,7 +20,7 @@ from real import load
 from scipy import ndimage
 from twins.agreement import difference
 
-from pagas_cl.presets import BALANCED
+from pagas_cl.config.presets import BALANCED
 from pagas_cl.runtime.device import open_device
 
 FAR = 4.0        # pixels of parallax: other surfaces

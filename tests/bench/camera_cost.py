@@ -32,7 +32,7 @@ def photographed(k: int):
 
 def made(width: int, views: int):
     """Cameras, photos and initial depth maps."""
-    from pagas_cl.synthetic import relief_scene
+    from pagas_cl.app.synthetic import relief_scene
 
     _SCENES.append(relief_scene(width, round(width * 1162 / 1554), views - 1, held_out=0))
     with multiprocessing.get_context("fork").Pool() as pool:
@@ -73,8 +73,8 @@ def main() -> int:
     start = time.perf_counter()
     scene = made(ask.width, ask.views)
     print(f"photographed in {time.perf_counter() - start:.0f} s", flush=True)
-    from pagas_cl.cameras.refine import refine_cameras
-    from pagas_cl.presets import preset
+    from pagas_cl.config.presets import preset
+    from pagas_cl.method.cameras.refine import refine_cameras
     from pagas_cl.refine import refine_views
     from pagas_cl.runtime.device import open_device
 

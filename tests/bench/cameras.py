@@ -39,9 +39,9 @@ class Closed:
     def __init__(self, width: int):
         from mesh_scenes import closed
 
+        from pagas_cl.method.surface.raster import each_depth
         from pagas_cl.scene.mesh import to_surface
         from pagas_cl.scene.view import View
-        from pagas_cl.surface.raster import each_depth
 
         made = closed(width)
         self.cameras = made.cameras
@@ -95,7 +95,7 @@ def detrended(error, truth, valid) -> float:
 
 def errors(scene, parallax, cameras, results, depths=None) -> dict:
     """Means over the refined views."""
-    from pagas_cl.evaluate.predict import box_sum
+    from pagas_cl.method.prediction import box_sum
     from pagas_cl.result import normals_of
 
     rows = []
@@ -114,9 +114,9 @@ def errors(scene, parallax, cameras, results, depths=None) -> dict:
 def made(name: str, width: int, height: int, contexts: int, config, device, tell, levels=LEVELS,
          closed: Path | None = None, draws: int = 1) -> list[dict]:
     """A row a level of noise and draw of it."""
-    from pagas_cl.cameras.refine import refine_cameras
+    from pagas_cl.app.synthetic import relief_scene
+    from pagas_cl.method.cameras.refine import refine_cameras
     from pagas_cl.scene.view import View
-    from pagas_cl.synthetic import relief_scene
 
     own = SCENES[name]
     scene = Closed.kept(width, closed) if own is None else relief_scene(width, height, contexts, held_out=0, **own)
@@ -200,11 +200,11 @@ def draw_meshes(file: Path, config, *runs) -> None:
     middle."""
     from PIL import Image
 
-    from pagas_cl.report.pictures import normal_colors
+    from pagas_cl.app.report.pictures import normal_colors
+    from pagas_cl.method.surface.agree import confirmed
+    from pagas_cl.method.surface.fuse import fuse
+    from pagas_cl.method.surface.raster import each_depth
     from pagas_cl.result import normals_of
-    from pagas_cl.surface.agree import confirmed
-    from pagas_cl.surface.fuse import fuse
-    from pagas_cl.surface.raster import each_depth
 
     pictures = []
     for views, depths in runs:
@@ -220,8 +220,8 @@ def real(scene: Path, mesh, depth_dir, share: float, number: int, judges: int, c
     """A row for each of `number` views and its `judges` nearest held-out photos."""
     from real import nearest_held, with_cameras
 
-    from pagas_cl.cameras.judge import fitted_pose
-    from pagas_cl.evaluate import compare_predictions
+    from pagas_cl.app.evaluate import compare_predictions
+    from pagas_cl.method.cameras.judge import fitted_pose
 
     views, depths, held, (own, maps), found, (moved, drawn) = with_cameras(scene, mesh, depth_dir, share, config,
                                                                            device)
@@ -284,7 +284,7 @@ def main() -> int:
     parse.add_argument("--set", nargs="*", default=[], metavar="STAGE.FIELD=VALUE")
     parse.add_argument("--device")
     ask = parse.parse_args()
-    from pagas_cl.commands._settings import build_config
+    from pagas_cl.app.commands._settings import build_config
     from pagas_cl.runtime.device import open_device
 
     config, device = build_config(ask.preset, ask.set), open_device(ask.device)

@@ -28,13 +28,13 @@ AMOUNTS = (0.5, 1.0, 3.0, 6.0, 8.0, 10.0, 14.0, 20.0, 30.0)
 
 def far(kind: str, pixels: float, seed: int, width: int = 160, contexts: int = 6, **settings) -> dict:
     """One refinement: what it was given, what it did, what is left."""
-    from pagas_cl.cameras.pairs import choose_pairs
-    from pagas_cl.cameras.refine import refine_cameras
+    from pagas_cl.app.synthetic import relief_scene
+    from pagas_cl.app.synthetic.examples import METRES, as_network, frames_of
     from pagas_cl.config import Context
+    from pagas_cl.method.cameras.pairs import choose_pairs
+    from pagas_cl.method.cameras.refine import refine_cameras
+    from pagas_cl.method.surface.bring_together import bring_together
     from pagas_cl.scene.view import View
-    from pagas_cl.surface.bring_together import bring_together
-    from pagas_cl.synthetic import relief_scene
-    from pagas_cl.synthetic.examples import METRES, as_network, frames_of
 
     made = relief_scene(width, round(0.75 * width), contexts, held_out=0, seed=seed, **settings)
     frames, truth = frames_of(made), [made.true_depth(view.camera) * np.float32(METRES) for view in made.views]

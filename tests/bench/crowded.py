@@ -14,11 +14,11 @@ import time
 
 import numpy as np
 
+from pagas_cl.app.selftest import BLENDS
+from pagas_cl.app.selftest import scenes as make
+from pagas_cl.method.splat.view import full_level
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.view import View
-from pagas_cl.selftest import BLENDS
-from pagas_cl.selftest import scenes as make
-from pagas_cl.splat.view import full_level
 
 ROUNDS, LONGEST = 2, 15.0      # seconds that one run may be expected to take
 

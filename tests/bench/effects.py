@@ -15,14 +15,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from pagas_cl.app.evaluate import compare_depth
+from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.config import Effects
-from pagas_cl.effects import EFFECTS, decide
-from pagas_cl.evaluate import compare_depth
-from pagas_cl.measurements import measure
-from pagas_cl.presets import BALANCED
+from pagas_cl.config.presets import BALANCED
+from pagas_cl.method.effects import EFFECTS, decide
+from pagas_cl.method.measurements import measure
+from pagas_cl.method.splat import PhotoStore, refine_levels
 from pagas_cl.runtime.device import open_device
-from pagas_cl.splat import PhotoStore, refine_levels
-from pagas_cl.synthetic import relief_scene
 
 # scene: its settings, the effect that it calls for, and effects that it may have beside it
 SCENES = {

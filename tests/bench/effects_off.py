@@ -19,15 +19,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from support.effects import COMPILED
 from support.stripped import never_had
 
+from pagas_cl.app.synthetic.layout import Relief, make_cameras
 from pagas_cl.config import Effects
-from pagas_cl.presets import BALANCED
+from pagas_cl.config.presets import BALANCED
+from pagas_cl.method.splat import options
+from pagas_cl.method.splat import view as refinement
 from pagas_cl.runtime import program
 from pagas_cl.runtime.device import open_device
 from pagas_cl.runtime.program import stage_times
 from pagas_cl.scene.view import View
-from pagas_cl.splat import options
-from pagas_cl.splat import view as refinement
-from pagas_cl.synthetic.layout import Relief, make_cameras
 
 ROUNDS, REPEATS = 7, 20
 

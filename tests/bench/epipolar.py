@@ -31,7 +31,7 @@ def features(photo):
 
 def distances(one, other, here, there) -> np.ndarray:
     """Of matches (n, 2) from the epipolar lines of the other photo, mean of both photos, pixels."""
-    from pagas_cl.cameras.motion import cross_matrix
+    from pagas_cl.method.cameras.motion import cross_matrix
     from pagas_cl.scene.camera import intrinsics
 
     rotation, tau = other.relative_to(one)
@@ -69,7 +69,7 @@ def main() -> int:
     ask = parse.parse_args()
     from real import load
 
-    from pagas_cl.cameras.refine import refine_cameras
+    from pagas_cl.method.cameras.refine import refine_cameras
 
     views, depths = load(ask.scene, ask.mesh, ask.depth_dir, ask.share)
     found = refine_cameras(views, depths, device=ask.device)

@@ -24,11 +24,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from bench.cameras import detrended
 from support.camera_noise import noisy
 
+from pagas_cl.app.synthetic import relief_scene
+from pagas_cl.app.synthetic.examples import METRES, as_network, frames_of
+from pagas_cl.app.synthetic.exports_depth import EXPORTS
+from pagas_cl.method.surface.bring_together import bring_together
 from pagas_cl.refine import refine_views
-from pagas_cl.surface.bring_together import bring_together
-from pagas_cl.synthetic import relief_scene
-from pagas_cl.synthetic.examples import METRES, as_network, frames_of
-from pagas_cl.synthetic.exports_depth import EXPORTS
 
 # size of the depth maps: forms of one kind share their perfect input
 KIND = {"scannet": "half", "vggt": "square", "vggt-colmap": "middle", "bundler": "one focal length", **dict.fromkeys(
@@ -40,7 +40,7 @@ HEAD = ("| form | as read | brought together | refined | of what was read (bar 0
 
 def read(folder: Path, name: str):
     """Views and depths as the command line finds them."""
-    from pagas_cl.commands._given import look
+    from pagas_cl.app.commands._given import look
 
     if name == "mapanything-colmap":
         given = look(folder, photos=folder / "photos")

@@ -18,11 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.evaluate import compare_depth, compare_predictions
+from pagas_cl.app.evaluate import compare_depth, compare_predictions
+from pagas_cl.app.synthetic.examples import as_network
+from pagas_cl.app.synthetic.frames import Frame
+from pagas_cl.method.surface.bring_together import bring_together
 from pagas_cl.refine import refine_views
-from pagas_cl.surface.bring_together import bring_together
-from pagas_cl.synthetic.examples import as_network
-from pagas_cl.synthetic.frames import Frame
 
 
 def degraded(views, depths, seed: int) -> list:

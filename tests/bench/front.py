@@ -15,13 +15,13 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
+from pagas_cl.app.tradeoffs.case import BenchmarkCase, loaded, make_cases
+from pagas_cl.app.tradeoffs.page import ablation_table, markdown, notes
+from pagas_cl.app.tradeoffs.plan import ablation_plan, front_plan
+from pagas_cl.app.tradeoffs.study import collect, measure
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depthmap import find_depth, load_depth
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.tradeoffs.case import BenchmarkCase, loaded, make_cases
-from pagas_cl.tradeoffs.page import ablation_table, markdown, notes
-from pagas_cl.tradeoffs.plan import ablation_plan, front_plan
-from pagas_cl.tradeoffs.study import collect, measure
 
 PARTS = ("front", "ablation")
 

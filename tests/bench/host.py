@@ -54,9 +54,9 @@ def watched() -> Counter:
 def scene():
     from dataclasses import replace
 
+    from pagas_cl.app.synthetic import relief_scene
+    from pagas_cl.app.synthetic.layout import camera_at
     from pagas_cl.scene.view import View
-    from pagas_cl.synthetic import relief_scene
-    from pagas_cl.synthetic.layout import camera_at
 
     made = relief_scene(200, 150, contexts=1, held_out=0)
     made = replace(made, cameras=[camera_at(made.relief, f"{k:03d}", 0.6 * (k % 5 - 2), 0.6 * (k // 5 - 2))
@@ -73,10 +73,10 @@ def main() -> int:
     sys.path.insert(0, str(ask.code))
     import pagas_cl
     from pagas_cl import refine
-    from pagas_cl.presets import BALANCED
+    from pagas_cl.config.presets import BALANCED
+    from pagas_cl.method.splat import PhotoStore
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.choice import PartnerChooser
-    from pagas_cl.splat import PhotoStore
 
     print(f"{Path(pagas_cl.__file__).parent}")
     (views, depths), device = scene(), open_device(None)

@@ -18,11 +18,11 @@ import time
 
 import numpy as np
 
-from pagas_cl.one_view import refine_depth
-from pagas_cl.presets import preset
+from pagas_cl.app.selftest import scenes as make
+from pagas_cl.config.presets import preset
+from pagas_cl.method.one_view import refine_depth
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.view import View
-from pagas_cl.selftest import scenes as make
 
 PARALLAX = 24      # pixels of parallax between target and contexts
 

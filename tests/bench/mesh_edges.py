@@ -10,11 +10,11 @@ import mesh_scenes
 import numpy as np
 from PIL import Image
 
-from pagas_cl.keep_mesh import solve_device
+from pagas_cl.method.keep_mesh import solve_device
+from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.result import normals_of
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.surface.raster import each_depth
 
 SPOTS = {"relief": (0, 60, 50), "wires": (0, 130, 80), "sheet": (0, 30, 60), "box": (5, 120, 70)}   # view, column, row
 WIDE, HIGH, ZOOM, GAP = 50, 38, 5, 4

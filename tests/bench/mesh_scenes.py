@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from pagas_cl import synthetic
+from pagas_cl.app import synthetic
 from pagas_cl.scene.camera import Camera
 
 FOCAL = 1.8        # over the image's width
@@ -100,7 +100,7 @@ def box(width: int = 256) -> Scene:
 
 
 def solid_mesh(solid, spacing, half):
-    from pagas_cl.synthetic.mesh import solid_mesh
+    from pagas_cl.app.synthetic.mesh import solid_mesh
 
     return solid_mesh(solid, spacing, half)
 

@@ -23,8 +23,8 @@ import numpy as np
 
 def make(folder: Path, views: int, size: tuple[int, int], spacing: float, photos: bool):
     """The scene's folder: photos, the initial and the true mesh. Gives its cameras."""
-    from pagas_cl.synthetic import relief_scene
-    from pagas_cl.synthetic.layout import camera_at
+    from pagas_cl.app.synthetic import relief_scene
+    from pagas_cl.app.synthetic.layout import camera_at
 
     made, side = relief_scene(size[0] // 2, size[1] // 2, contexts=1, held_out=0), int(np.ceil(np.sqrt(views)))
     made = replace(made, cameras=[camera_at(made.relief, f"{k:03d}", 0.6 * (k % side - (side - 1) / 2),
@@ -43,8 +43,8 @@ def _make_photo(made, k: int, size: tuple[int, int], folder: Path, real: bool) -
 
 
 def _make_meshes(made, spacing: float, folder: Path) -> None:
-    from pagas_cl.synthetic.layout import half_sizes
-    from pagas_cl.synthetic.mesh import solid_mesh
+    from pagas_cl.app.synthetic.layout import half_sizes
+    from pagas_cl.app.synthetic.mesh import solid_mesh
 
     true = solid_mesh(made.true_solid, made.relief.footprint, half_sizes(made.relief))
     for name, (vertices, faces) in (("initial", made.initial_mesh(spacing)), ("true", true)):
@@ -102,12 +102,13 @@ def main() -> None:
 
 
 def run(cameras, folder: Path, ask, watch: Watch) -> None:
-    from pagas_cl import keep_mesh, refine
+    from pagas_cl import refine
+    from pagas_cl.config.presets import settings_of
     from pagas_cl.errors import log
-    from pagas_cl.presets import settings_of
+    from pagas_cl.method import keep_mesh
+    from pagas_cl.method.splat import PhotoStore
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.inputs import as_views
-    from pagas_cl.splat import PhotoStore
 
     log.setLevel("INFO")
     device, config = open_device(ask.device), settings_of(ask.preset, None)

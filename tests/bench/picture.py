@@ -12,9 +12,9 @@ import numpy as np
 from PIL import Image
 
 from pagas_cl import refine_depth
-from pagas_cl.report.pictures import normal_colors
+from pagas_cl.app.report.pictures import normal_colors
+from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.result import normals_of
-from pagas_cl.synthetic import relief_scene
 
 WIDTH, HEIGHT, BORDER = 480, 360, 6
 

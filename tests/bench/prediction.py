@@ -1,4 +1,4 @@
-"""Expected time per view (pagas_cl.costs) beside the time that refine_views takes, photos read from files.
+"""Expected time per view (pagas_cl.app.tradeoffs.costs), and the time that refine_views takes with photos from files.
 
     python tests/bench/scenes.py SCENES --data DATA
     python tests/bench/prediction.py SCENES OUT.md [--names relief bar motorcycle] [--device gpu]
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from front import depth_of
 
-from pagas_cl.costs import Costs, rungs
+from pagas_cl.app.tradeoffs.costs import Costs, rungs
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.readers import read_scene

@@ -112,7 +112,7 @@ def hold_out(target: int, cameras, depths, context):
 
 def refine_without(target: int, held, views, depths, config, device, photos):
     """The view refined as one of all views but those in `held`."""
-    from pagas_cl.one_view import refine_one
+    from pagas_cl.method.one_view import refine_one
     from pagas_cl.scene.choice import PartnerChooser
 
     left = [k for k in range(len(views)) if k not in held]
@@ -124,7 +124,7 @@ def refine_without(target: int, held, views, depths, config, device, photos):
 def judge(target: int, held, views, depths, result, fitted) -> Row:
     """Correlations of the held-out photos through the initial depth and the refined one; `fitted[k]`: the view k with
     its pose fitted to each of both."""
-    from pagas_cl.evaluate import compare_predictions
+    from pagas_cl.app.evaluate import compare_predictions
 
     both = [compare_predictions(views[target], [depths[target], result.depth], fitted[k], depths[k]) for k in held]
     pooled = [np.concatenate([pair[which].correlation[np.isfinite(pair[which].correlation)] for pair in both])
@@ -139,8 +139,8 @@ def judge(target: int, held, views, depths, result, fitted) -> Row:
 
 def study(views, depths, config, device, names=(), keep=None) -> list[Row]:
     """A row a view; `keep(view, initial depth, result)` gets each result."""
-    from pagas_cl.cameras.judge import fitted_pose
-    from pagas_cl.splat import PhotoStore
+    from pagas_cl.method.cameras.judge import fitted_pose
+    from pagas_cl.method.splat import PhotoStore
 
     photos, rows = PhotoStore(device), []
     cameras = [view.camera for view in views]
@@ -184,7 +184,7 @@ def with_cameras(scene: Path, mesh, depth_dir, share: float, config, device):
     """Views and depth maps of a real scene, places of every fourth, which is held out from everything; of the others
     views and depth maps as given, what refine_cameras found, and views and depth maps with that: with a mesh drawn anew
     through the refined cameras, as refine_mesh does it."""
-    from pagas_cl.cameras.refine import refine_cameras
+    from pagas_cl.method.cameras.refine import refine_cameras
     from pagas_cl.refine import initial_depths
     from pagas_cl.scene.mesh import to_surface
 
@@ -220,7 +220,7 @@ def main() -> int:
     parse.add_argument("--views", nargs="*", default=[], help="stems; all by default")
     parse.add_argument("--save-depth", type=Path)
     ask = parse.parse_args()
-    from pagas_cl.commands._settings import build_config
+    from pagas_cl.app.commands._settings import build_config
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.depthmap import save_depth
 

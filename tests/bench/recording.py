@@ -21,11 +21,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 from PIL import Image
 from scipy.ndimage import map_coordinates
 
-from pagas_cl.cameras.motion import moved
+from pagas_cl.app.synthetic import relief_scene
+from pagas_cl.app.synthetic.examples import METRES
+from pagas_cl.method.cameras.motion import moved
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import depth_up
-from pagas_cl.synthetic import relief_scene
-from pagas_cl.synthetic.examples import METRES
 
 DISTANCE = 650.0          # of the camera from the relief, in the scene's units
 

@@ -17,13 +17,13 @@ import numpy as np
 from agreement import eight_bit, gain
 from PIL import Image, ImageFilter
 
-from pagas_cl.evaluate import compare_depth
-from pagas_cl.one_view import refine_one
-from pagas_cl.presets import BALANCED
+from pagas_cl.app.evaluate import compare_depth
+from pagas_cl.app.synthetic import relief_scene
+from pagas_cl.config.presets import BALANCED
+from pagas_cl.method.one_view import refine_one
+from pagas_cl.method.splat import PhotoStore
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.choice import PartnerChooser
-from pagas_cl.splat import PhotoStore
-from pagas_cl.synthetic import relief_scene
 
 SPOILED, ASIDE = (2, 5, 7), 9       # of the views; the one in `wide` that is refined
 

@@ -19,12 +19,12 @@ import numpy as np
 from front import case_of
 from PIL import Image
 
+from pagas_cl.app.tradeoffs.case import loaded
+from pagas_cl.app.tradeoffs.plan import fixed
+from pagas_cl.method.splat import PhotoStore, refine_levels
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depthmap import resize_depth
 from pagas_cl.scene.view import View
-from pagas_cl.splat import PhotoStore, refine_levels
-from pagas_cl.tradeoffs.case import loaded
-from pagas_cl.tradeoffs.plan import fixed
 
 BASE = fixed("balanced")
 REPEATS = 4

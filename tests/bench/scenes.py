@@ -17,12 +17,12 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
+from pagas_cl.app.synthetic import relief_scene
+from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import resize_depth, save_depth
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import View
-from pagas_cl.synthetic import relief_scene
-from pagas_cl.synthetic.scene import write_scene
 
 FOCAL, CENTER_X, CENTER_Y, OFFSET, BASELINE = 994.978, 311.193, 254.877, 31.086, 193.001  # px, px, px, px, mm
 

@@ -23,12 +23,12 @@ def resident_mb() -> float:
 
 def soak(views: int = 200) -> list[tuple[float, float, int, float]]:
     """Seconds, resident MB, open files and MB held on the device after each tenth of the views."""
-    from pagas_cl.one_view import refine_depth
-    from pagas_cl.presets import BALANCED
+    from pagas_cl.app.selftest import scenes as make
+    from pagas_cl.config.presets import BALANCED
+    from pagas_cl.method.one_view import refine_depth
+    from pagas_cl.method.splat import PhotoStore
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.view import View
-    from pagas_cl.selftest import scenes as make
-    from pagas_cl.splat import PhotoStore
 
     device = open_device()
     photos, config = PhotoStore(device, limit_bytes=256 << 10), BALANCED.with_settings(pyramid__steps=(5,))

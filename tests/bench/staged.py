@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from front import case_of
 
+from pagas_cl.app.tradeoffs.case import loaded, score
+from pagas_cl.app.tradeoffs.plan import fixed
+from pagas_cl.method.splat import PhotoStore, refine_levels
 from pagas_cl.runtime.device import open_device
-from pagas_cl.splat import PhotoStore, refine_levels
-from pagas_cl.tradeoffs.case import loaded, score
-from pagas_cl.tradeoffs.plan import fixed
 
 TILE = 32
 

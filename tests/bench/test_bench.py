@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from pagas_cl.__main__ import run
-from pagas_cl.bench import stage_bytes
+from pagas_cl.app.tradeoffs.bench import stage_bytes
+from pagas_cl.config.presets import PRESETS
 from pagas_cl.errors import DeviceError
-from pagas_cl.presets import PRESETS
 from pagas_cl.runtime.device import open_device
 
 pytestmark = pytest.mark.slow

@@ -28,10 +28,10 @@ def make(folder: Path, views: int, width: int, height: int) -> None:
 
     Photos are rendered at half size and enlarged: for times alone.
     """
+    from pagas_cl.app.synthetic import relief_scene
+    from pagas_cl.app.synthetic.layout import camera_at
     from pagas_cl.scene.readers import camera_file
     from pagas_cl.scene.view import View
-    from pagas_cl.synthetic import relief_scene
-    from pagas_cl.synthetic.layout import camera_at
 
     for name in ("images", "depth_initial"):
         (folder / name).mkdir(parents=True, exist_ok=True)

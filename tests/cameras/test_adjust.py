@@ -8,10 +8,10 @@ from conftest import look_at, plane_depth
 from twins import adjust as twin
 from twins.normalize import normalized
 
-from pagas_cl.cameras.adjust import Adjuster, Frame
-from pagas_cl.cameras.motion import adjoint, moved
+from pagas_cl.method.cameras.adjust import Adjuster, Frame
+from pagas_cl.method.cameras.motion import adjoint, moved
+from pagas_cl.method.splat.buffers import Size
 from pagas_cl.runtime.memory import download, upload
-from pagas_cl.splat.buffers import Size
 
 pytestmark = pytest.mark.kernels
 
@@ -49,8 +49,8 @@ def frames(device, rig):
 
 
 def test_normalised_photos_are_the_twin(device, rig):
-    from pagas_cl.cameras.normalize import Normalizer
-    from pagas_cl.splat.photos import rgba
+    from pagas_cl.method.cameras.normalize import Normalizer
+    from pagas_cl.method.splat.photos import rgba
 
     _, _, photos, masks, normals = rig
     for photo, mask, want in list(zip(photos, masks, normals))[1:3]:

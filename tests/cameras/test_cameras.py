@@ -7,15 +7,15 @@ import pytest
 from support.camera_noise import after_similarity, noisy, rms_motion
 
 import pagas_cl
-from pagas_cl.cameras.effect import resolve_cameras
-from pagas_cl.cameras.motion import exponential, moved, pixel_motion, placed, twist_between
-from pagas_cl.cameras.onto import onto_mesh
-from pagas_cl.cameras.pairs import choose_pairs
-from pagas_cl.cameras.refine import refine_cameras
+from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError
+from pagas_cl.method.cameras.effect import resolve_cameras
+from pagas_cl.method.cameras.motion import exponential, moved, pixel_motion, placed, twist_between
+from pagas_cl.method.cameras.onto import onto_mesh
+from pagas_cl.method.cameras.pairs import choose_pairs
+from pagas_cl.method.cameras.refine import refine_cameras
 from pagas_cl.scene.view import View
-from pagas_cl.synthetic import relief_scene
 
 pytestmark = pytest.mark.slow
 
@@ -223,7 +223,7 @@ def test_a_colmap_model_keeps_all_but_poses(relief, off_by_one, tmp_path, capsys
     from PIL import Image
 
     from pagas_cl.__main__ import run
-    from pagas_cl.cameras.model import write_model
+    from pagas_cl.method.cameras.model import write_model
     from pagas_cl.scene.depthmap import save_depth
 
     cameras, found = off_by_one
@@ -262,7 +262,7 @@ def test_pairs_that_judge_take_no_part(relief):
 
 def test_wide_pairs_judge_too(relief, device):
     """Of views with few context views the farthest that see the same; a made scene gains there, a bent one does not."""
-    from pagas_cl.cameras.accept import bent
+    from pagas_cl.method.cameras.accept import bent
 
     context = Context(number=3)
     pairs = choose_pairs(relief.cameras, relief.depths, context)
@@ -281,7 +281,7 @@ def test_wide_pairs_judge_too(relief, device):
 
 def test_the_pose_of_a_photo_that_judges_is_fitted(relief, device):
     """To the surface that it judges, also where coarse photos are too small to tell anything of it."""
-    from pagas_cl.cameras.judge import fitted_pose
+    from pagas_cl.method.cameras.judge import fitted_pose
 
     target, truth = relief.views[0], [relief.scene.true_depth(camera) for camera in relief.cameras]
     for k, pixels in ((1, 0.0), (2, 0.5), (5, 2.0)):

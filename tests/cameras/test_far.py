@@ -5,9 +5,9 @@ import pytest
 from bench.cameras_far import far, table
 from support.scenes import relief_scene
 
-from pagas_cl.cameras.accept import beyond
-from pagas_cl.cameras.motion import exponential
-from pagas_cl.cameras.turns import first_turns, turned
+from pagas_cl.method.cameras.accept import beyond
+from pagas_cl.method.cameras.motion import exponential
+from pagas_cl.method.cameras.turns import first_turns, turned
 from pagas_cl.scene.view import View
 
 pytestmark = pytest.mark.slow
@@ -27,7 +27,7 @@ def test_what_is_accepted_is_right(device, depth, pixels, seed):
 
 def test_photos_of_other_things_are_never_accepted(device):
     """No two photos show the same: nothing can be right, and the sentence says what to do."""
-    from pagas_cl.cameras.refine import refine_cameras
+    from pagas_cl.method.cameras.refine import refine_cameras
 
     made, rng = relief_scene(96, 72, 5, held_out=0), np.random.default_rng(0)
     views = [View(camera, rng.integers(0, 255, (24, 32, 3), np.uint8).repeat(3, 0).repeat(3, 1), None, str(k))

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from pagas_cl.cameras.solve import DENSE, Term, Unknowns, assemble, pixel_scales, solve
+from pagas_cl.method.cameras.solve import DENSE, Term, Unknowns, assemble, pixel_scales, solve
 
 pytestmark = pytest.mark.slow
 
 
 def chain(cameras: int, rng):
     """Terms of made blocks, each view with its neighbours."""
-    from pagas_cl.cameras.adjust import Block
+    from pagas_cl.method.cameras.adjust import Block
 
     terms = []
     for t in range(cameras):
@@ -25,7 +25,7 @@ def test_a_thousand_cameras_sparse_as_dense(monkeypatch):
     pytest.importorskip("scipy")
     from conftest import look_at
 
-    from pagas_cl.cameras import solve as module
+    from pagas_cl.method.cameras import solve as module
 
     rng = np.random.default_rng(0)
     cameras = [look_at((0.1 * k, 0, -4), (0.1 * k, 0, 0)) for k in range(1000)]

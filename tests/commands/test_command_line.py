@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.commands._settings import build_config
+from pagas_cl.app.commands._settings import build_config
 from pagas_cl.errors import DeviceError, InputError, MissingExtraError, NoDeviceError
 from pagas_cl.scene.depthmap import load_depth, save_depth
 
@@ -20,7 +20,7 @@ QUICK = ["--quiet", "--no-align", "--set", "pyramid.steps=3"]
 def made_scene(tmp_path_factory):
     from support.scenes import relief_scene
 
-    from pagas_cl.synthetic.scene import write_scene
+    from pagas_cl.app.synthetic.scene import write_scene
 
     return write_scene(relief_scene(64, 48, 2, held_out=0), tmp_path_factory.mktemp("synthetic") / "scene")
 
@@ -114,7 +114,7 @@ def test_depth_maps_of_another_size_and_missing_ones(scene, tmp_path, capsys, fa
 
 
 def test_an_interrupted_run_keeps_what_is_done(scene, tmp_path, monkeypatch, fails):
-    import pagas_cl.one_view as refining
+    import pagas_cl.method.one_view as refining
 
     whole, done = refining.refine_levels, []
 
@@ -153,7 +153,7 @@ def test_every_command_has_help(capsys):
 
 def test_one_command_does_not_import_the_others():
     program = "import sys; from pagas_cl.__main__ import run; run(['devices', '--help']); " \
-              "assert 'pagas_cl.commands.refine' not in sys.modules and 'pyopencl' not in sys.modules"
+              "assert 'pagas_cl.app.commands.refine' not in sys.modules and 'pyopencl' not in sys.modules"
     assert subprocess.run([sys.executable, "-c", program], capture_output=True).returncode == 0
 
 

@@ -6,11 +6,11 @@ from PIL import Image
 from support.scenes import relief_scene
 
 from pagas_cl.__main__ import run
-from pagas_cl.commands._given import look, together
+from pagas_cl.app.commands._given import look, together
+from pagas_cl.app.synthetic.examples import write_example
+from pagas_cl.app.synthetic.exports_depth import EXPORTS
 from pagas_cl.errors import InputError
 from pagas_cl.scene.depthmap import load_depth
-from pagas_cl.synthetic.examples import write_example
-from pagas_cl.synthetic.exports_depth import EXPORTS
 
 pytestmark = pytest.mark.slow
 

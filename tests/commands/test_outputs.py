@@ -16,7 +16,7 @@ import pytest
 from support.job_scenes import NOT_MEASURED, write_small_scene
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.commands._outputs import check_outputs
+from pagas_cl.app.commands._outputs import check_outputs
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.own_files import TEXT_MARK, json_text
 
@@ -28,8 +28,8 @@ SHORT = ("--set", "pyramid.steps=2", "--context", "2", "--views", "target", *NOT
 FOREIGN = b"somebody's"
 SHORT_PLAN = """
 from pagas_cl.__main__ import main
-from pagas_cl.presets import preset
-from pagas_cl.tradeoffs import plan, study
+from pagas_cl.config.presets import preset
+from pagas_cl.app.tradeoffs import plan, study
 study.front_plan = lambda: [plan.changed("short", "", preset("balanced"), pyramid__steps=(2,))]
 main()
 """

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from support.scenes import relief_scene, tiny
 
-from pagas_cl.errors import InputError
-from pagas_cl.evaluate import (
+from pagas_cl.app.evaluate import (
     chamfer,
     compare_depth,
     compare_predictions,
@@ -19,8 +18,9 @@ from pagas_cl.evaluate import (
     predict_photo,
     sample_surface,
 )
-from pagas_cl.evaluate.clouds import VisibleSpace, load_points, thin
-from pagas_cl.evaluate.predict import correlate
+from pagas_cl.app.evaluate.clouds import VisibleSpace, load_points, thin
+from pagas_cl.errors import InputError
+from pagas_cl.method.prediction import correlate
 from pagas_cl.scene.camera import Camera
 
 
@@ -215,7 +215,7 @@ def test_dtu_files(tmp_path):
     pytest.importorskip("scipy")
     from scipy.io import savemat
 
-    from pagas_cl.evaluate.clouds import load_ground, load_visible
+    from pagas_cl.app.evaluate.clouds import load_ground, load_visible
 
     savemat(tmp_path / "mask.mat", {"ObsMask": np.ones((2, 3, 4), np.uint8), "BB": np.array([[0, 0, 0], [1, 2, 3.0]]),
                                     "Res": 0.5})

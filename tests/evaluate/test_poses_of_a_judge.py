@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from support.scenes import relief_scene
 
-from pagas_cl.evaluate import compare_predictions
+from pagas_cl.app.evaluate import compare_predictions
 
 
 def test_a_pose_that_ended_beside_its_best_judges_nobody():

@@ -1,6 +1,6 @@
 import open3d as o3d
 import pagas_cl
-from pagas_cl.report import write_mesh_page
+from pagas_cl.app.report import write_mesh_page
 
 scene = pagas_cl.read_scene("SCENE")
 coarse = o3d.io.read_triangle_mesh("SCENE/mesh_coarse.ply")

@@ -9,9 +9,9 @@ o3d = pytest.importorskip("open3d")
 
 from support.scenes import relief_scene  # noqa: E402
 
+from pagas_cl.config.presets import BALANCED  # noqa: E402
 from pagas_cl.errors import InputError  # noqa: E402
 from pagas_cl.filters.open3d_pipeline import grid_intrinsic, refine_and_integrate, refine_rgbd  # noqa: E402
-from pagas_cl.presets import BALANCED  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
@@ -242,7 +242,7 @@ def test_tutorial_loop_with_and_without_the_step(data_dir):
 
 def test_disagreement_of_depth_maps(ring):
     """0 for exact depths of a plane; the error where one map is off; NaN where no other view looks."""
-    from pagas_cl.surface.agree import disagreement
+    from pagas_cl.method.surface.agree import disagreement
 
     depths = [plane_depth(camera, NORMAL, 0.0) for camera in ring[:3]]
     exact = disagreement(ring[0], depths[0], ring[1:3], depths[1:])

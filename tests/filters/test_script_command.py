@@ -14,11 +14,11 @@ pymeshlab = pytest.importorskip("pymeshlab")
 
 from support.scenes import relief_scene  # noqa: E402
 
+from pagas_cl.app.synthetic.scene import write_scene  # noqa: E402
 from pagas_cl.scene.mesh import Surface  # noqa: E402
 from pagas_cl.scene.mesh_file import write_mesh  # noqa: E402
 from pagas_cl.scene.meshlab_layer import CONFIDENCE, read_columns  # noqa: E402
 from pagas_cl.scene.readers.meshlab import MeshLayer, write_project  # noqa: E402
-from pagas_cl.synthetic.scene import write_scene  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

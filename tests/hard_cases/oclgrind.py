@@ -40,18 +40,18 @@ def inside() -> None:
 
     import numpy as np
 
-    from pagas_cl.one_view import refine_depth
+    from pagas_cl.app.selftest import BLENDS
+    from pagas_cl.app.selftest import scenes as make
+    from pagas_cl.method.one_view import refine_depth
+    from pagas_cl.method.splat import PhotoStore, composite, options, refine_levels, relit_views
+    from pagas_cl.method.splat.units import Start, room_for
+    from pagas_cl.method.surface import mesh_solve
+    from pagas_cl.method.surface.agree import counts
     from pagas_cl.runtime import claim, program
     from pagas_cl.runtime import device as devices
     from pagas_cl.runtime.device import open_device
     from pagas_cl.runtime.memory import upload
     from pagas_cl.runtime.trial import Trial
-    from pagas_cl.selftest import BLENDS
-    from pagas_cl.selftest import scenes as make
-    from pagas_cl.splat import PhotoStore, composite, options, refine_levels, relit_views
-    from pagas_cl.splat.units import Start, room_for
-    from pagas_cl.surface import mesh_solve
-    from pagas_cl.surface.agree import counts
 
     devices.try_device = claim.try_device = lambda *_: Trial(lanes=1)     # it would take minutes here
     device, launched, enqueue = open_device("oclgrind"), set(), program.Launch.enqueue
@@ -94,11 +94,11 @@ def inside() -> None:
 
 def adjust_cameras(scene, device) -> None:
     """Every kernel of the refinement of cameras."""
-    from pagas_cl.cameras.adjust import Adjuster, Frame
-    from pagas_cl.cameras.normalize import Normalizer
+    from pagas_cl.method.cameras.adjust import Adjuster, Frame
+    from pagas_cl.method.cameras.normalize import Normalizer
+    from pagas_cl.method.splat.buffers import Size
+    from pagas_cl.method.splat.photos import rgba
     from pagas_cl.runtime.memory import upload
-    from pagas_cl.splat.buffers import Size
-    from pagas_cl.splat.photos import rgba
 
     frames = []
     for view in (scene.target, *scene.contexts):
@@ -118,9 +118,9 @@ def agree(scene, device) -> None:
     """Every kernel of the rounds of agreement."""
     import numpy as np
 
+    from pagas_cl.method.surface.agreement import Agreement
     from pagas_cl.result import DepthResult
     from pagas_cl.scene.depthmap import REFINED
-    from pagas_cl.surface.agreement import Agreement
 
     parallax = np.full(scene.depth.shape, 0.05, np.float32)
     said = [DepthResult(view.camera, scene.depth, np.full(scene.depth.shape, REFINED, np.uint8), 0.1 * parallax,
@@ -135,11 +135,11 @@ def solve_a_mesh(scene, device) -> None:
     triangle larger than the picture."""
     import numpy as np
 
+    from pagas_cl.method.surface import mesh_levels
+    from pagas_cl.method.surface.mesh_evidence import Observed
+    from pagas_cl.method.surface.mesh_faults import faults
+    from pagas_cl.method.surface.mesh_solve import OnDevice, solve_mesh
     from pagas_cl.scene.mesh import Surface
-    from pagas_cl.surface import mesh_levels
-    from pagas_cl.surface.mesh_evidence import Observed
-    from pagas_cl.surface.mesh_faults import faults
-    from pagas_cl.surface.mesh_solve import OnDevice, solve_mesh
 
     camera, depth = scene.target.camera, scene.depth
     points = (camera.rays() * depth[..., None]) @ camera.world_to_camera[:3, :3] + camera.center

@@ -22,10 +22,10 @@ NOT_RUN = "not run"
 
 def measure(path: Path, large: bool) -> int:
     """Run every case on this machine's device; figures to `path`. The number of failures."""
+    from pagas_cl.app.selftest.cameras import run_cameras
+    from pagas_cl.app.selftest.check import run_all
+    from pagas_cl.app.selftest.large import run_large
     from pagas_cl.runtime.device import open_device
-    from pagas_cl.selftest.cameras import run_cameras
-    from pagas_cl.selftest.check import run_all
-    from pagas_cl.selftest.large import run_large
 
     device, rows, start = open_device(), [], time.perf_counter()
 

@@ -14,9 +14,9 @@ import pytest
 from support.scenes import relief_scene
 from twins.level import refine
 
-from pagas_cl.presets import BALANCED, PAPER
-from pagas_cl.reference.level import Photo
-from pagas_cl.splat.view import full_level
+from pagas_cl.config.presets import BALANCED, PAPER
+from pagas_cl.method.reference.level import Photo
+from pagas_cl.method.splat.view import full_level
 
 pytestmark = pytest.mark.slow
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from support.scenes import relief_scene
 
+from pagas_cl.config.presets import BALANCED
 from pagas_cl.errors import InputError
-from pagas_cl.presets import BALANCED
 from pagas_cl.refine import refine_views
 from pagas_cl.scene.choice import ContextChooser
 
@@ -88,11 +88,11 @@ def test_context_at_its_limit(device, made, name):
 @pytest.mark.parametrize("name", FUSION)
 def test_fusion_at_its_limit(device, made, name):
     pytest.importorskip("open3d", reason="fusion takes Open3D")
-    from pagas_cl.keep_mesh import polished
+    from pagas_cl.method.keep_mesh import polished
+    from pagas_cl.method.surface.agree import confirmed
+    from pagas_cl.method.surface.blocks import fuse_within
+    from pagas_cl.method.surface.fuse import weights_of
     from pagas_cl.result import DepthResult
-    from pagas_cl.surface.agree import confirmed
-    from pagas_cl.surface.blocks import fuse_within
-    from pagas_cl.surface.fuse import weights_of
 
     views, depths = made
     settings = with_values("fusion", FUSION[name]).fusion
@@ -125,8 +125,8 @@ def test_agreement_at_its_limit(device, made, name):
 
 def test_every_setting_is_at_a_limit_somewhere():
     """A setting that is added gets a case: here, in selftest/table.py, or among those that the other cases vary."""
+    from pagas_cl.app.selftest.table import CAMERAS, SETTINGS
     from pagas_cl.config import setting_names
-    from pagas_cl.selftest.table import CAMERAS, SETTINGS
 
     elsewhere = {"splatting.blend"} | {name for name in setting_names() if name.startswith("effects.")}   # every case
     stages = {"context": CONTEXT, "fusion": FUSION, "agreement": AGREEMENT}

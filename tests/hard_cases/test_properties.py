@@ -16,10 +16,10 @@ pytest.importorskip("hypothesis", reason="hypothesis is not installed: pip insta
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from pagas_cl.app.selftest import BLENDS, device_gradient, difference, given_surface, normalized, twin_gradient
+from pagas_cl.app.selftest import scenes as make
+from pagas_cl.method.splat import refine_levels
 from pagas_cl.scene.view import View
-from pagas_cl.selftest import BLENDS, device_gradient, difference, given_surface, normalized, twin_gradient
-from pagas_cl.selftest import scenes as make
-from pagas_cl.splat import refine_levels
 
 pytestmark = pytest.mark.slow
 

@@ -15,12 +15,12 @@ import pyopencl as cl
 import pytest
 from oclgrind import command
 
-from pagas_cl.cameras import adjust, normalize
+from pagas_cl.app.selftest import BLENDS, device_gradient, normalized
+from pagas_cl.app.selftest import scenes as make
+from pagas_cl.method.cameras import adjust, normalize
+from pagas_cl.method.splat import measure, options, tile
+from pagas_cl.method.surface import agreement, mesh_evidence, mesh_solve
 from pagas_cl.runtime import arena, program
-from pagas_cl.selftest import BLENDS, device_gradient, normalized
-from pagas_cl.selftest import scenes as make
-from pagas_cl.splat import measure, options, tile
-from pagas_cl.surface import agreement, mesh_evidence, mesh_solve
 
 KERNELS = Path(program.files("pagas_cl.cl_kernels").joinpath("loss.cl")).parent
 FILES = sorted(path.name for path in KERNELS.glob("*.cl"))

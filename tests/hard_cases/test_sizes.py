@@ -20,11 +20,11 @@ SIZES = [(288, 216), (287, 215), (161, 23), (31, 97)]
 RUN = """
 import sys
 import numpy as np
-from pagas_cl.presets import BALANCED
+from pagas_cl.config.presets import BALANCED
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.view import View
 from pagas_cl.runtime.device import open_device
-from pagas_cl.splat import refine_levels
+from pagas_cl.method.splat import refine_levels
 
 def end_well(w, h):
     row, column = np.mgrid[:h, :w]

@@ -7,12 +7,12 @@ import os
 import numpy as np
 import pytest
 
-from pagas_cl.one_view import refine_depth
-from pagas_cl.selftest import BLENDS, cameras, run_case
-from pagas_cl.selftest import scenes as make
-from pagas_cl.selftest.large import SIZES, run_one
-from pagas_cl.selftest.table import CAMERAS, DEPTHS, IMAGES, SETTINGS
-from pagas_cl.splat import refine_levels
+from pagas_cl.app.selftest import BLENDS, cameras, run_case
+from pagas_cl.app.selftest import scenes as make
+from pagas_cl.app.selftest.large import SIZES, run_one
+from pagas_cl.app.selftest.table import CAMERAS, DEPTHS, IMAGES, SETTINGS
+from pagas_cl.method.one_view import refine_depth
+from pagas_cl.method.splat import refine_levels
 
 pytestmark = pytest.mark.slow
 

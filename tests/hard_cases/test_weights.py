@@ -12,12 +12,12 @@ pytest.importorskip("hypothesis", reason="hypothesis is not installed: pip insta
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pagas_cl.reference.pairs import candidates
-from pagas_cl.reference.project import project
+from pagas_cl.app.selftest import BLENDS, device_gradient, difference, normalized, twin_gradient
+from pagas_cl.app.selftest import scenes as make
+from pagas_cl.method.reference.pairs import candidates
+from pagas_cl.method.reference.project import project
+from pagas_cl.method.splat.options import fixed_bits, heaviest_pixel
 from pagas_cl.scene.view import View
-from pagas_cl.selftest import BLENDS, device_gradient, difference, normalized, twin_gradient
-from pagas_cl.selftest import scenes as make
-from pagas_cl.splat.options import fixed_bits, heaviest_pixel
 
 pytestmark = pytest.mark.kernels
 

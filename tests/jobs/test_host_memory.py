@@ -6,11 +6,11 @@ import pytest
 from support.job_scenes import QUICK, load_small_scene, write_small_scene
 
 pytest.importorskip("pyopencl")
-from pagas_cl import rounds
-from pagas_cl.jobs import worker
+from pagas_cl.app.jobs import worker
+from pagas_cl.method import rounds
+from pagas_cl.method.splat import PhotoStore
 from pagas_cl.refine import refine_views
 from pagas_cl.result import DepthResult
-from pagas_cl.splat import PhotoStore
 
 pytestmark = pytest.mark.slow
 
@@ -76,7 +76,7 @@ def test_a_device_with_memory_of_its_own_has_the_results_of_the_round_before(sce
 
 
 def test_what_a_run_will_take_is_told(scene, device, caplog):
-    from pagas_cl.commands._memory import tell_memory
+    from pagas_cl.app.commands._memory import tell_memory
     from pagas_cl.runtime.host import resident_mb
 
     with caplog.at_level("DEBUG", "pagas_cl"):

@@ -16,16 +16,16 @@ from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_sm
 from test_package import SOURCES
 
 import pagas_cl.__main__ as command_line
+from pagas_cl.app.jobs import refine_all, run, task, worker
+from pagas_cl.app.jobs.executors import SerialExecutor
+from pagas_cl.app.jobs.keeping import KeptInFolder
+from pagas_cl.app.jobs.plan import Planner, along_curve, groups
+from pagas_cl.app.jobs.results import FolderResults
+from pagas_cl.app.jobs.run import HOPELESS
+from pagas_cl.app.jobs.store import Store
+from pagas_cl.app.jobs.task import Batch
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError
-from pagas_cl.jobs import refine_all, run, task, worker
-from pagas_cl.jobs.executors import SerialExecutor
-from pagas_cl.jobs.keeping import KeptInFolder
-from pagas_cl.jobs.plan import Planner, along_curve, groups
-from pagas_cl.jobs.results import FolderResults
-from pagas_cl.jobs.run import HOPELESS
-from pagas_cl.jobs.store import Store
-from pagas_cl.jobs.task import Batch
-from pagas_cl.one_view import refine_one
+from pagas_cl.method.one_view import refine_one
 from pagas_cl.refine import refine_views
 from pagas_cl.scene import npy_files
 from pagas_cl.scene.choice import PartnerChooser
@@ -144,7 +144,7 @@ def test_a_device_that_is_too_small_is_told_once_before_any_work(scene, tmp_path
 
 def test_a_result_that_cannot_be_kept_ends_the_run(scene, tmp_path, monkeypatch):
     views, depths = load_small_scene(scene)
-    monkeypatch.setattr("pagas_cl.jobs.finished.write_finished", lambda *_: 1 / 0)
+    monkeypatch.setattr("pagas_cl.app.jobs.finished.write_finished", lambda *_: 1 / 0)
     with pytest.raises(PagasError, match="ZeroDivisionError"):
         refine_all(work.copy_depth, views, depths, range(8), QUICK, folder=tmp_path)
 
@@ -207,7 +207,7 @@ def test_a_worker_without_a_device_is_asked_again_but_not_for_ever(scene, tmp_pa
 
 def test_another_version_of_the_code_is_refused(scene, tmp_path, monkeypatch):
     views, depths = load_small_scene(scene)
-    monkeypatch.setattr("pagas_cl.jobs.worker.code_version", lambda: "other")
+    monkeypatch.setattr("pagas_cl.app.jobs.worker.code_version", lambda: "other")
     with ThreadPoolExecutor(1) as pool, pytest.raises(DeviceError, match="another version"):
         refine_all(work.copy_depth, views, depths, range(8), QUICK, executor=pool, folder=tmp_path)
 
@@ -257,7 +257,7 @@ def test_the_key_knows_the_whole_package(monkeypatch):
     there = {f"{prefix}/{path.relative_to(folder).as_posix()}" for prefix, folder in SOURCES.items()
              for path in folder.rglob("*") if path.suffix in (".py", ".cl", ".clh")}
     found = task.sources()
-    assert set(found) == there and "pagas_cl/splat/level.py" in there and "pagas_cl/cl_kernels/loss.cl" in there
+    assert set(found) == there and "pagas_cl/method/splat/level.py" in there and "pagas_cl/cl_kernels/loss.cl" in there
     first = task.code_version.__wrapped__()
     assert first == task.code_version.__wrapped__()
     for change in ({"pagas_cl/scene/choice.py": b""}, {"pagas_cl/new.py": b""}):

@@ -13,7 +13,7 @@ from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, 
 
 from pagas_cl import child
 from pagas_cl.errors import DeviceError
-from pagas_cl.one_view import refine_depth
+from pagas_cl.method.one_view import refine_depth
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime import claim
 from pagas_cl.scene import locks

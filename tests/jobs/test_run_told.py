@@ -9,9 +9,9 @@ from support.job_scenes import NOT_MEASURED
 from support.scenes import relief_scene
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.jobs.finished import records_in
+from pagas_cl.app.jobs.finished import records_in
+from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.scene.depthmap import load_depth
-from pagas_cl.synthetic.scene import write_scene
 
 pytestmark = pytest.mark.slow
 
@@ -32,7 +32,7 @@ def refine(scene, out, *more):
 def test_ctrl_c_says_what_is_kept_and_the_next_run_begins_with_it(scene, tmp_path, monkeypatch, capsys, at, agreement,
                                                                   how):
     """Views are begun until the last round of agreement."""
-    import pagas_cl.one_view as refining
+    import pagas_cl.method.one_view as refining
 
     whole, done = refining.refine_levels, []
 

@@ -14,10 +14,10 @@ import pytest
 from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, said, write_small_scene
 
 import pagas_cl.__main__ as command_line
+from pagas_cl.app.report import picture_files, pictures_in
+from pagas_cl.app.report.page import html_page
 from pagas_cl.errors import InputError, OutputError
 from pagas_cl.refine import refine_views
-from pagas_cl.report import picture_files, pictures_in
-from pagas_cl.report.page import html_page
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.depthmap import load_depth, save_depth
 from pagas_cl.scene.files import replaced
@@ -152,7 +152,7 @@ def test_a_picture_of_somebody_else_is_not_replaced(scene, tmp_path, capsys, mon
     for killed in (True, False, False):
         with monkeypatch.context() as patched:
             if killed:
-                patched.setattr("pagas_cl.report.Report.write", lambda report: None)
+                patched.setattr("pagas_cl.app.report.Report.write", lambda report: None)
             assert command_line.run(list(refine)) == 0
     pictures = {path.name for path in tmp_path.iterdir() if path.suffix in (".png", ".jpg")} - {"target_other.png"}
     cameras_stayed = {"target_camera.png"}

@@ -9,13 +9,13 @@ import pytest
 from paths.truth import Scenes
 from support.job_scenes import write_small_scene
 
+from pagas_cl.app.synthetic.examples import write_example
+from pagas_cl.app.synthetic.mesh import solid_mesh
 from pagas_cl.runtime.device import Device
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_file import read_mesh, write_mesh
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.readers.meshlab import MeshLayer, write_project
-from pagas_cl.synthetic.examples import write_example
-from pagas_cl.synthetic.mesh import solid_mesh
 
 
 class Places:

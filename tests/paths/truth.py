@@ -9,12 +9,12 @@ import numpy as np
 from support.camera_noise import noisy
 from support.scenes import relief_scene
 
+from pagas_cl.app.synthetic.scene import write_scene
+from pagas_cl.method.surface.agree import comparison_device
+from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.mesh_file import read_mesh
 from pagas_cl.scene.readers import camera_file
-from pagas_cl.surface.agree import comparison_device
-from pagas_cl.surface.raster import each_depth
-from pagas_cl.synthetic.scene import write_scene
 
 
 class Scenes:

@@ -13,12 +13,12 @@ from support.random_scenes import random_image
 from support.reference_cases import BASE, CASES, central, measured_gradient, prepared
 
 from pagas_cl.config import Smoothness, Splatting
-from pagas_cl.presets import PAPER
-from pagas_cl.reference import loss as losses
-from pagas_cl.reference import smooth
-from pagas_cl.reference.level import render
-from pagas_cl.reference.pairs import ALPHA_MAX, candidates
-from pagas_cl.reference.project import project
+from pagas_cl.config.presets import PAPER
+from pagas_cl.method.reference import loss as losses
+from pagas_cl.method.reference import smooth
+from pagas_cl.method.reference.level import render
+from pagas_cl.method.reference.pairs import ALPHA_MAX, candidates
+from pagas_cl.method.reference.project import project
 
 
 def test_random_scenes_meet_every_branch():

@@ -8,11 +8,11 @@ from support.random_scenes import pose, random_image
 from support.reference_cases import BASE, CASES, central, prepared
 
 from pagas_cl.config import Splatting
-from pagas_cl.reference import loss as losses
-from pagas_cl.reference.composite import Rendered, _alpha_blend, composite, composite_vjp
-from pagas_cl.reference.level import Photo, render
-from pagas_cl.reference.pairs import Pairs
-from pagas_cl.reference.project import Projected, project
+from pagas_cl.method.reference import loss as losses
+from pagas_cl.method.reference.composite import Rendered, _alpha_blend, composite, composite_vjp
+from pagas_cl.method.reference.level import Photo, render
+from pagas_cl.method.reference.pairs import Pairs
+from pagas_cl.method.reference.project import Projected, project
 from pagas_cl.scene.camera import Camera
 
 

@@ -11,8 +11,8 @@ from twins.level import views_of_step
 from twins.units import depth_threshold, median_depth
 
 from pagas_cl.config import Config
-from pagas_cl.reference.level import Photo, loss_and_gradient, prepare, render, view_loss
-from pagas_cl.reference.project import project
+from pagas_cl.method.reference.level import Photo, loss_and_gradient, prepare, render, view_loss
+from pagas_cl.method.reference.project import project
 from pagas_cl.scene.camera import Camera
 
 

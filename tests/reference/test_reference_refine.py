@@ -14,10 +14,10 @@ from twins.step import Adam, Plateau
 from twins.units import median_depth
 
 from pagas_cl.config import Config, Loss
-from pagas_cl.reference import loss as losses
-from pagas_cl.reference import smooth
-from pagas_cl.reference.level import Photo, loss_and_gradient, prepare
-from pagas_cl.reference.project import NEAR, project
+from pagas_cl.method.reference import loss as losses
+from pagas_cl.method.reference import smooth
+from pagas_cl.method.reference.level import Photo, loss_and_gradient, prepare
+from pagas_cl.method.reference.project import NEAR, project
 from pagas_cl.scene.camera import Camera, viewing_distance
 
 

@@ -6,8 +6,8 @@ from support import chromium
 from test_mesh_view import grid
 
 from pagas_cl import Camera, View
-from pagas_cl.report import Report, write_mesh_page
-from pagas_cl.report.page import html_page
+from pagas_cl.app.report import Report, write_mesh_page
+from pagas_cl.app.report.page import html_page
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(
     chromium.found() is None, reason="no Chromium here: looked for " + ", ".join(chromium.NAMES))]

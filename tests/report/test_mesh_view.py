@@ -8,11 +8,11 @@ import zlib
 import numpy as np
 import pytest
 
+from pagas_cl.app.report import VertexValues, mesh_viewer, write_mesh_page
+from pagas_cl.app.report.mesh_view import _packed
+from pagas_cl.app.report.moved import moved_by
+from pagas_cl.app.report.simplify import simplify
 from pagas_cl.errors import InputError
-from pagas_cl.report import VertexValues, mesh_viewer, write_mesh_page
-from pagas_cl.report.mesh_view import _packed
-from pagas_cl.report.moved import moved_by
-from pagas_cl.report.simplify import simplify
 
 
 def grid(height, side=60, size=3.0):

@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 
 from pagas_cl import Camera, View
-from pagas_cl.report import Report, picture_files
-from pagas_cl.report.headline import sentence
-from pagas_cl.report.pictures import (
+from pagas_cl.app.report import Report, picture_files
+from pagas_cl.app.report.headline import sentence
+from pagas_cl.app.report.pictures import (
     NOTHING,
     colored,
     depth_range,

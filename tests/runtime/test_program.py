@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from pagas_cl.errors import DeviceError
+from pagas_cl.method.splat.constants import SHARED
 from pagas_cl.runtime.program import bind, build, run_once, signatures
-from pagas_cl.splat.constants import SHARED
 
 pytestmark = pytest.mark.kernels
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from support.scenes import relief_scene
 
-from pagas_cl.commands.check import table
+from pagas_cl.app.commands.check import table
+from pagas_cl.app.synthetic.photo import photograph
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera, inverse_pose
 from pagas_cl.scene.check import check_cameras
-from pagas_cl.synthetic.photo import photograph
 
 pytestmark = pytest.mark.slow
 

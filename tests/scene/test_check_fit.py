@@ -5,11 +5,11 @@ import pytest
 from support.scenes import relief_scene
 
 import pagas_cl.__main__ as command_line
+from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.errors import InputError
 from pagas_cl.scene.check import check_cameras, check_seen
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_file import write_mesh
-from pagas_cl.synthetic.scene import write_scene
 
 pytestmark = pytest.mark.slow
 

@@ -13,14 +13,14 @@ from PIL import Image
 from support.fuzzing import bounded
 
 import pagas_cl
+from pagas_cl.app.synthetic.examples import frames_of
+from pagas_cl.app.synthetic.exports_depth import EXPORTS
 from pagas_cl.errors import InputError, MissingExtraError
 from pagas_cl.scene.depth_formats import FORMATS, read_values, stored_shape
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.depthmap import load_depth, resize_depth
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import View
-from pagas_cl.synthetic.examples import frames_of
-from pagas_cl.synthetic.exports_depth import EXPORTS
 
 PHOTO = (40, 30)
 HUGE = (5000, 6000)
@@ -165,7 +165,7 @@ def test_the_command_line_refuses_it(tmp_path):
     """A scene whose depth maps of 100 KB would be 120 MB each: status 2, one sentence, nothing written."""
     from support.scenes import relief_scene
 
-    from pagas_cl.synthetic.scene import write_scene
+    from pagas_cl.app.synthetic.scene import write_scene
 
     folder = write_scene(relief_scene(64, 48, 2, held_out=0), tmp_path / "scene")
     for path in (folder / "depth_initial").iterdir():

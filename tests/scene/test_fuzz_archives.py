@@ -8,9 +8,9 @@ import pytest
 from support import mutations, rigs, scene_writers
 from support.fuzzing import COUNT, bounded
 
+from pagas_cl.app.synthetic.exports_rgbd import write_exr
 from pagas_cl.errors import InputError
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.synthetic.exports_rgbd import write_exr
 
 
 def oracle_neus(data):

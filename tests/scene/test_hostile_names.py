@@ -10,13 +10,13 @@ import pytest
 from PIL import Image
 from support.scenes import relief_scene
 
+from pagas_cl.app.synthetic import exports
+from pagas_cl.app.synthetic.examples import frames_of
+from pagas_cl.app.synthetic.exports_depth import EXPORTS
+from pagas_cl.app.synthetic.frames import photos
 from pagas_cl.errors import InputError, short
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene
-from pagas_cl.synthetic import exports
-from pagas_cl.synthetic.examples import frames_of
-from pagas_cl.synthetic.exports_depth import EXPORTS
-from pagas_cl.synthetic.frames import photos
 
 TEXTS = {".txt", ".json", ".out", ".mlp", ".log", ""}
 LONG = {"one part": "x" * 5000, "many parts": "a/" * 2500 + "x", "spaces": "a b " * 1250, "controls": "\x1b]0;" * 1250}

@@ -14,8 +14,8 @@ from support import mutations
 from support.fuzzing import COUNT, bounded
 
 import pagas_cl.__main__ as command_line
+from pagas_cl.app.evaluate.clouds import load_points
 from pagas_cl.errors import InputError
-from pagas_cl.evaluate.clouds import load_points
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_file import READERS, check_mesh_file, read_content, read_mesh, write_mesh
 

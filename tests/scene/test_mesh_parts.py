@@ -11,8 +11,8 @@ from support.job_scenes import write_small_scene
 from test_pipes import LINKS
 
 import pagas_cl.__main__ as command_line
+from pagas_cl.app.evaluate.clouds import load_points
 from pagas_cl.errors import InputError
-from pagas_cl.evaluate.clouds import load_points
 from pagas_cl.scene.mesh_file import check_mesh_file, read_content, read_mesh
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")]

@@ -16,16 +16,16 @@ from support import job_scenes as work
 from support.job_scenes import NOT_MEASURED, QUICK, load_small_scene, write_small_scene
 
 import pagas_cl.__main__ as command_line
+from pagas_cl.app.jobs import refine_all
+from pagas_cl.app.report import Report
+from pagas_cl.app.tradeoffs import plan
+from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError
-from pagas_cl.jobs import refine_all
-from pagas_cl.presets import preset
 from pagas_cl.refine import refine_views
-from pagas_cl.report import Report
 from pagas_cl.scene.depthmap import SUFFIXES, find_depths, load_depth, save_depth
 from pagas_cl.scene.names import OWN, file_stems, flat_stem, place_of
 from pagas_cl.scene.readers import camera_file, read_scene
 from pagas_cl.scene.view import View
-from pagas_cl.tradeoffs import plan
 
 AWKWARD = ["a.png", "a.tif", "A.png", "left/0001.png", "right/0001.png", "cam/a.png", "cam_a.png", "a.png.jpg",
            "frame.0001", "frame.0002", "inputs/b.png", "journal/b.png", "views/b.png", "parts/b.png", "lock.png",
@@ -193,8 +193,8 @@ def test_awkward_names_through_every_command_that_writes(tmp_path, capsys, monke
     short = plan.changed("short", "", preset("balanced"), pyramid__steps=(2,))
     for stream in (sys.stdout, sys.stderr):        # as in a process of our own
         stream.reconfigure(errors="backslashreplace")
-    monkeypatch.setattr("pagas_cl.tradeoffs.study.front_plan", lambda: [short])
-    monkeypatch.setattr("pagas_cl.tradeoffs.study.Guess", lambda *_: Mock(seconds=lambda *_: 0.0))
+    monkeypatch.setattr("pagas_cl.app.tradeoffs.study.front_plan", lambda: [short])
+    monkeypatch.setattr("pagas_cl.app.tradeoffs.study.Guess", lambda *_: Mock(seconds=lambda *_: 0.0))
     scene, out = rig(tmp_path / "scene", names, []), tmp_path / "out"
     for stem, depth in zip(file_stems(names), load_small_scene(write_small_scene(tmp_path / "plain", 6))[1]):
         save_depth(tmp_path / f"depth/{stem}.npz", depth)

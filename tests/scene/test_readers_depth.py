@@ -11,12 +11,12 @@ from PIL import Image
 from support import rigs
 from support.scenes import relief_scene
 
+from pagas_cl.app.synthetic import exports, exports_depth
+from pagas_cl.app.synthetic.examples import METRES, as_network, frames_of, write_example
+from pagas_cl.app.synthetic.exports_depth import EXPORTS, seen
 from pagas_cl.errors import InputError
 from pagas_cl.scene.placement import ways
 from pagas_cl.scene.readers import FORMATS, read_scene
-from pagas_cl.synthetic import exports, exports_depth
-from pagas_cl.synthetic.examples import METRES, as_network, frames_of, write_example
-from pagas_cl.synthetic.exports_depth import EXPORTS, seen
 
 CENTRED = ("bundler", "vggt-colmap")      # hold no principal point
 OPTIONS = {"meshlab": {"format": "meshlab", "flavour": "meshlab"}}

@@ -16,17 +16,17 @@ import pytest
 from support import rigs, scene_writers
 from support.fuzzing import bounded
 
-from pagas_cl.commands._settings import build_config
+from pagas_cl.app.commands._settings import build_config
+from pagas_cl.app.selftest import config_of
+from pagas_cl.app.selftest.table import SETTINGS
 from pagas_cl.config import setting_names
+from pagas_cl.config.presets import PRESETS
 from pagas_cl.errors import InputError
 from pagas_cl.filters.filter_script import check_script
-from pagas_cl.presets import PRESETS
 from pagas_cl.scene import depthmap, npy_files
 from pagas_cl.scene.images import read_photo
 from pagas_cl.scene.mesh import to_surface
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.selftest import config_of
-from pagas_cl.selftest.table import SETTINGS
 
 HOSTILE = ("1 -D__global=", "1f -I/etc", "0x10", "1e999", "nan", "inf", "__import__('os')", "${HOME}",
            '1"', "1\n-DX", "1;X")
@@ -42,7 +42,7 @@ def test_no_setting_takes_more_than_its_value(name):
 
 
 def test_every_define_is_a_word_or_a_number():
-    from pagas_cl.splat.options import defines
+    from pagas_cl.method.splat.options import defines
 
     class Device:
         has = staticmethod(lambda extension: True)

@@ -12,15 +12,15 @@ import pytest
 from support.effects import ALL_ON, COMPILED, all_but
 from support.stripped import STEP, never_had, parameters_in, parameters_of, without_blocks
 
-from pagas_cl.presets import BALANCED
+from pagas_cl.config.presets import BALANCED
 
 pytest.importorskip("pyopencl")
 
 
 def tokens(source: str, config) -> list[str]:
     """What the compiler sees of `source`, by the system's C preprocessor."""
-    from pagas_cl.splat.options import defines
-    from pagas_cl.splat.tile import SCALAR
+    from pagas_cl.method.splat.options import defines
+    from pagas_cl.method.splat.tile import SCALAR
 
     device = SimpleNamespace(has=lambda extension: True)
     options = [f"-D{define}" for define in (*defines(config, device, 300), *SCALAR[0].defines)]
@@ -62,7 +62,7 @@ def test_switched_on_it_is_another_program(effect):
 
 
 def names_of_buffers(config) -> set[str]:
-    from pagas_cl.splat.buffers import LevelBuffers, Size, dimensions
+    from pagas_cl.method.splat.buffers import LevelBuffers, Size, dimensions
 
     sizes = [Size(80, 60)] * 3
     return {spec.name for spec in LevelBuffers.plan(dimensions(config, sizes[0], sizes[1:], 2))}

@@ -8,15 +8,15 @@ import pytest
 from support.kernel_cases import Scene, start_level
 from twins import evidence as twin
 
-from pagas_cl.presets import BALANCED
-from pagas_cl.reference.pairs import candidates, nearest_surface
-from pagas_cl.reference.project import project
+from pagas_cl.config.presets import BALANCED
+from pagas_cl.method.reference.pairs import candidates, nearest_surface
+from pagas_cl.method.reference.project import project
+from pagas_cl.method.splat.constants import COST_GROUP
+from pagas_cl.method.splat.evidence import _SUM_GROUPS, Evidence, EvidencePrior, _median
+from pagas_cl.method.splat.options import defines
 from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.camera import footprint
-from pagas_cl.splat.constants import COST_GROUP
-from pagas_cl.splat.evidence import _SUM_GROUPS, Evidence, EvidencePrior, _median
-from pagas_cl.splat.options import defines
 
 pytestmark = pytest.mark.kernels
 
@@ -287,7 +287,7 @@ def _near(band):
 def test_a_worse_depth_is_sent_back_bit_for_bit(device):
     from support.scenes import relief_scene
 
-    from pagas_cl.splat import refine_levels
+    from pagas_cl.method.splat import refine_levels
 
     made = relief_scene(96, 72, 2)
     view, *others = made.views

@@ -5,8 +5,8 @@ import pytest
 from support.kernel_cases import Scene, start_level
 from twins.gradient_filter import filter_gradient
 
-from pagas_cl.presets import preset
-from pagas_cl.reference.level import parts_of_loss, prepare
+from pagas_cl.config.presets import preset
+from pagas_cl.method.reference.level import parts_of_loss, prepare
 from pagas_cl.runtime.device import open_device
 
 pytestmark = pytest.mark.kernels

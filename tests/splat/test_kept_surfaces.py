@@ -7,9 +7,9 @@ import pyopencl as cl
 import pytest
 from support.kernel_cases import Scene, start_level
 
-from pagas_cl.presets import BALANCED
-from pagas_cl.splat.constants import MOST_MOVED
-from pagas_cl.splat.tile import SCALAR
+from pagas_cl.config.presets import BALANCED
+from pagas_cl.method.splat.constants import MOST_MOVED
+from pagas_cl.method.splat.tile import SCALAR
 
 pytestmark = pytest.mark.kernels
 
@@ -65,8 +65,8 @@ def test_another_radius_makes_them_anew(device, scene):
 def test_a_view_finds_nothing_of_the_one_before(device, monkeypatch, scene, pixels):
     """The same view again gives the same gradient: what is splatted is added to an empty image."""
     if pixels != "vectors":
-        monkeypatch.setattr("pagas_cl.splat.options.columns_of", lambda device, width: 1)
-        monkeypatch.setattr("pagas_cl.splat.options.choose_tiles", lambda device, sizes: SCALAR)
+        monkeypatch.setattr("pagas_cl.method.splat.options.columns_of", lambda device, width: 1)
+        monkeypatch.setattr("pagas_cl.method.splat.options.choose_tiles", lambda device, sizes: SCALAR)
     level, found = start_level(device, BALANCED, scene), []
     for number in (0, 1, 3):
         cl.enqueue_fill_buffer(device.queue, level.buffers.gradient, np.uint32(0), 0, level.buffers.gradient.size)

@@ -12,18 +12,18 @@ from support.effects import GRADIENT_CASES
 from support.kernel_cases import SEES_LOSS, Scene, device_gradient, start_level, twin_gradient, view_of
 from twins.level import run_level
 
-from pagas_cl.presets import BALANCED, PAPER
-from pagas_cl.reference.level import prepare
-from pagas_cl.reference.pairs import candidates, nearest_surface
-from pagas_cl.reference.project import project as twin_project
+from pagas_cl.config.presets import BALANCED, PAPER
+from pagas_cl.method.reference.level import prepare
+from pagas_cl.method.reference.pairs import candidates, nearest_surface
+from pagas_cl.method.reference.project import project as twin_project
+from pagas_cl.method.splat import project
+from pagas_cl.method.splat.buffers import LevelBuffers
+from pagas_cl.method.splat.inputs import LevelInput
+from pagas_cl.method.splat.options import Programs
+from pagas_cl.method.splat.photos import PhotoStore
+from pagas_cl.method.splat.tile import SCALAR, Tile
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import run_once
-from pagas_cl.splat import project
-from pagas_cl.splat.buffers import LevelBuffers
-from pagas_cl.splat.inputs import LevelInput
-from pagas_cl.splat.options import Programs
-from pagas_cl.splat.photos import PhotoStore
-from pagas_cl.splat.tile import SCALAR, Tile
 
 pytestmark = pytest.mark.kernels
 
@@ -143,7 +143,7 @@ def test_tiles_make_no_difference(device, monkeypatch, base, tiles):
     """Whatever the tile and the number of work-items that share it; this is what runs on a GPU."""
     scene = Scene.make(6, width=97, height=51, contexts=2)
     want, value = device_gradient(device, base, scene)
-    monkeypatch.setattr("pagas_cl.splat.options.choose_tiles", lambda device, sizes: tiles)
+    monkeypatch.setattr("pagas_cl.method.splat.options.choose_tiles", lambda device, sizes: tiles)
     got, loss = device_gradient(device, base, scene)
     assert_kernel_close(got, want)
     assert np.abs(got - want).max() <= 2e-5 * np.abs(want).max()
@@ -154,7 +154,7 @@ def test_strips_make_no_difference(device, monkeypatch, scene):
     """However many threads share an image by its rows (strip.clh): the same bytes."""
     want, value = device_gradient(device, PLAIN, scene)
     for number in (1, 7, scene.contexts[0].camera.height):
-        monkeypatch.setattr("pagas_cl.splat.options.strips", lambda device, size, number=number: (number, 1))
+        monkeypatch.setattr("pagas_cl.method.splat.options.strips", lambda device, size, number=number: (number, 1))
         got, loss = device_gradient(device, PLAIN, scene)
         assert got.tobytes() == want.tobytes()
         assert loss == value
@@ -163,7 +163,7 @@ def test_strips_make_no_difference(device, monkeypatch, scene):
 @pytest.mark.parametrize("base", [PLAIN, PAPER], ids=["order-free", "alpha"])
 def test_a_gpu_can_hold_it(device, monkeypatch, scene, base):
     """At most 32 kB of local memory and 256 work-items: PoCL would allow far more."""
-    monkeypatch.setattr("pagas_cl.splat.options.choose_tiles", lambda device, sizes: SCALAR)
+    monkeypatch.setattr("pagas_cl.method.splat.options.choose_tiles", lambda device, sizes: SCALAR)
     info = cl.kernel_work_group_info
     for launch in level_launches(device, base, scene):
         kernel = launch.bound.cl_kernel

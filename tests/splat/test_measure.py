@@ -12,14 +12,14 @@ from support.scenes import relief_scene
 from twins import exposure as exposure_twin
 from twins import measure as twin
 
-from pagas_cl.presets import BALANCED
-from pagas_cl.reference.level import Photo, prepare
+from pagas_cl.config.presets import BALANCED
+from pagas_cl.method.reference.level import Photo, prepare
+from pagas_cl.method.splat import exposure, project
+from pagas_cl.method.splat.buffers import MOST_SAMPLES, SampleGrid, Size
+from pagas_cl.method.splat.inputs import LevelInput
+from pagas_cl.method.splat.measure import _ROWS, ImageNoise, Probe, Rows
+from pagas_cl.method.splat.photos import PhotoStore
 from pagas_cl.runtime.program import run_once
-from pagas_cl.splat import exposure, project
-from pagas_cl.splat.buffers import MOST_SAMPLES, SampleGrid, Size
-from pagas_cl.splat.inputs import LevelInput
-from pagas_cl.splat.measure import _ROWS, ImageNoise, Probe, Rows
-from pagas_cl.splat.photos import PhotoStore
 
 pytestmark = pytest.mark.kernels
 

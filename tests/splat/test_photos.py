@@ -9,10 +9,10 @@ import pytest
 from support.scenes import relief_scene
 
 from pagas_cl import InputError, preset, refine_mesh
+from pagas_cl.method.splat.buffers import Size
+from pagas_cl.method.splat.photos import PhotoStore, photo_bytes, rgba
 from pagas_cl.runtime.memory import download
 from pagas_cl.scene.view import View
-from pagas_cl.splat.buffers import Size
-from pagas_cl.splat.photos import PhotoStore, photo_bytes, rgba
 
 pytestmark = pytest.mark.kernels
 
@@ -45,7 +45,7 @@ def test_several_photos_are_read_at_a_time(made, device, reads):
 
 def test_photos_are_read_ahead_while_there_is_room(made, device, reads, monkeypatch):
     views, store = made.views, PhotoStore(device)
-    monkeypatch.setattr("pagas_cl.splat.photos._AHEAD", photo_bytes(64 * 48))
+    monkeypatch.setattr("pagas_cl.method.splat.photos._AHEAD", photo_bytes(64 * 48))
     with ThreadPoolExecutor(2) as readers:
         for view in [*views, *views]:       # the second one is the first beyond it
             store.read_ahead(view, readers)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from support.scenes import relief_scene
 
+from pagas_cl.config.presets import BALANCED
 from pagas_cl.errors import InputError
-from pagas_cl.presets import BALANCED
-from pagas_cl.splat import refine_levels
+from pagas_cl.method.splat import refine_levels
 
 pytestmark = pytest.mark.kernels
 

@@ -10,15 +10,15 @@ from support.scenes import relief_scene
 from twins import exposure as exposure_twin
 from twins import shading as twin
 
-from pagas_cl import effects
-from pagas_cl.one_view import refine_depth
-from pagas_cl.presets import BALANCED
-from pagas_cl.reference.level import Photo
-from pagas_cl.reference.project import project
+from pagas_cl.config.presets import BALANCED
+from pagas_cl.method import effects
+from pagas_cl.method.one_view import refine_depth
+from pagas_cl.method.reference.level import Photo
+from pagas_cl.method.reference.project import project
+from pagas_cl.method.splat import PhotoStore, relit_views
+from pagas_cl.method.splat.buffers import SampleGrid, Size
+from pagas_cl.method.splat.photos import StreamedPhotos
 from pagas_cl.refine import refine_views
-from pagas_cl.splat import PhotoStore, relit_views
-from pagas_cl.splat.buffers import SampleGrid, Size
-from pagas_cl.splat.photos import StreamedPhotos
 
 pytestmark = pytest.mark.kernels
 

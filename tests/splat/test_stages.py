@@ -11,16 +11,16 @@ from twins import resample
 from twins.gradient_filter import filter_gradient
 from twins.step import Adam
 
-from pagas_cl.reference import loss as losses
-from pagas_cl.reference.composite import composite_vjp
-from pagas_cl.reference.level import render
-from pagas_cl.reference.smooth import smoothness
+from pagas_cl.method.reference import loss as losses
+from pagas_cl.method.reference.composite import composite_vjp
+from pagas_cl.method.reference.level import render
+from pagas_cl.method.reference.smooth import smoothness
+from pagas_cl.method.splat import composite, gradient_filter, project, smooth
+from pagas_cl.method.splat.buffers import Size
+from pagas_cl.method.splat.resample import Resampler
+from pagas_cl.method.splat.step import Solver
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import run_once
-from pagas_cl.splat import composite, gradient_filter, project, smooth
-from pagas_cl.splat.buffers import Size
-from pagas_cl.splat.resample import Resampler
-from pagas_cl.splat.step import Solver
 
 pytestmark = pytest.mark.kernels
 

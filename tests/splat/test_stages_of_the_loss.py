@@ -10,18 +10,18 @@ from support.stage import ALPHA, ORDER_FREE, Stage
 from twins import exposure as exposure_twin
 from twins.step import Plateau
 
-from pagas_cl.reference import loss as losses
-from pagas_cl.reference.composite import _order_free_vjp
-from pagas_cl.reference.level import render
-from pagas_cl.reference.smooth import smoothness
+from pagas_cl.method.reference import loss as losses
+from pagas_cl.method.reference.composite import _order_free_vjp
+from pagas_cl.method.reference.level import render
+from pagas_cl.method.reference.smooth import smoothness
+from pagas_cl.method.splat import composite, exposure, loss, project, smooth
+from pagas_cl.method.splat.buffers import Size
+from pagas_cl.method.splat.constants import DONE, LOSS, LOSS_ONE, MARGIN, RATE
+from pagas_cl.method.splat.options import fixed_bits, heaviest_pixel
+from pagas_cl.method.splat.step import Solver
+from pagas_cl.method.splat.tile import pitch
 from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import run_once
-from pagas_cl.splat import composite, exposure, loss, project, smooth
-from pagas_cl.splat.buffers import Size
-from pagas_cl.splat.constants import DONE, LOSS, LOSS_ONE, MARGIN, RATE
-from pagas_cl.splat.options import fixed_bits, heaviest_pixel
-from pagas_cl.splat.step import Solver
-from pagas_cl.splat.tile import pitch
 
 pytestmark = pytest.mark.kernels
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl.cameras.motion import moved, pixel_motion, placed
+from pagas_cl.method.cameras.motion import moved, pixel_motion, placed
 
 
 def noisy(cameras, pixels: float, seed: int, distance: float = 650.0) -> list:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pagas_cl.config import Config
-from pagas_cl.presets import BALANCED
+from pagas_cl.config.presets import BALANCED
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.config import Fusion
-from pagas_cl.surface.blocks import fuse_within
-from pagas_cl.surface.fuse import fuse, fusion_plan
-from pagas_cl.surface.grid import grid_shift
+from pagas_cl.method.surface.blocks import fuse_within
+from pagas_cl.method.surface.fuse import fuse, fusion_plan
+from pagas_cl.method.surface.grid import grid_shift
 
 
 def kib(name: str) -> int:

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 from support.scenes import relief_scene
 
-from pagas_cl.effects import EFFECTS
+from pagas_cl.app.synthetic.scene import write_scene
+from pagas_cl.config.presets import preset
 from pagas_cl.errors import DeviceLostError
-from pagas_cl.one_view import refine_one
-from pagas_cl.presets import preset
+from pagas_cl.method.effects import EFFECTS
+from pagas_cl.method.one_view import refine_one
 from pagas_cl.refine import refine_views
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.depthmap import find_depth, load_depth
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.synthetic.scene import write_scene
 
 TESTS = Path(__file__).resolve().parents[1]
 # cameras off: whether a scene calls for them is measured before any job; agreement off: one round, whose files are

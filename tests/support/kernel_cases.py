@@ -9,13 +9,13 @@ import pyopencl as cl
 from support.random_scenes import exposed, gains, random_scene
 from twins.units import depth_threshold, median_depth
 
-from pagas_cl.reference.level import Photo, loss_and_gradient, prepare
+from pagas_cl.method.reference.level import Photo, loss_and_gradient, prepare
+from pagas_cl.method.splat import exposure
+from pagas_cl.method.splat.inputs import LevelInput
+from pagas_cl.method.splat.level import Level, Phase
+from pagas_cl.method.splat.photos import PhotoStore
+from pagas_cl.method.splat.step import loss_of
 from pagas_cl.scene.view import View
-from pagas_cl.splat import exposure
-from pagas_cl.splat.inputs import LevelInput
-from pagas_cl.splat.level import Level, Phase
-from pagas_cl.splat.photos import PhotoStore
-from pagas_cl.splat.step import loss_of
 
 SEES_LOSS = dict(solver__patience=5)          # the loss is summed only where the schedule follows it
 

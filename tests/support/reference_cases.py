@@ -12,11 +12,11 @@ from support.random_scenes import exposed, random_scene
 from twins.units import depth_threshold, median_depth
 
 from pagas_cl.config import Config, Loss, Pyramid, Smoothness, Solver, Splatting
-from pagas_cl.reference import composite, level, smooth
-from pagas_cl.reference import loss as losses
-from pagas_cl.reference.level import loss_and_gradient, prepare
-from pagas_cl.reference.pairs import ALPHA_MAX
-from pagas_cl.reference.project import is_valid, project
+from pagas_cl.method.reference import composite, level, smooth
+from pagas_cl.method.reference import loss as losses
+from pagas_cl.method.reference.level import loss_and_gradient, prepare
+from pagas_cl.method.reference.pairs import ALPHA_MAX
+from pagas_cl.method.reference.project import is_valid, project
 
 # Every case says what it changes from settings that no tuning of a preset moves.
 BASE = Config(splatting=Splatting(radius=1.0, depth_slices=20.0, depth_footprints=0.0),

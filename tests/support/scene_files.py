@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support import oracles, scene_writers
 
+from pagas_cl.app.synthetic import exports_depth, exports_rgbd
 from pagas_cl.scene.readers import camera_file, meshlab
-from pagas_cl.synthetic import exports_depth, exports_rgbd
 
 
 def make_open3d(folder, views):

@@ -3,10 +3,10 @@ tests want."""
 
 import json
 
+from pagas_cl.app.synthetic.exports import bundler, mvsnet, nerfstudio, neus, open3d_json
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import inverse_pose
 from pagas_cl.scene.readers.meshlab import row
-from pagas_cl.synthetic.exports import bundler, mvsnet, nerfstudio, neus, open3d_json
 
 __all__ = ["bundler", "mvsnet", "nerfstudio", "neus", "open3d_json", "open3d_log"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from pagas_cl import synthetic
+from pagas_cl.app import synthetic
 
 
 def relief_scene(width: int = 388, height: int = 290, contexts: int = 10, **settings):

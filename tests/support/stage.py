@@ -9,14 +9,14 @@ import pyopencl as cl
 import pytest
 from support.kernel_cases import Scene, view_of
 
-from pagas_cl.presets import BALANCED, PAPER
-from pagas_cl.reference.level import State, prepare
+from pagas_cl.config.presets import BALANCED, PAPER
+from pagas_cl.method.reference.level import State, prepare
+from pagas_cl.method.splat.buffers import LevelBuffers
+from pagas_cl.method.splat.inputs import LevelInput
+from pagas_cl.method.splat.options import Programs
+from pagas_cl.method.splat.photos import PhotoStore
 from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import run_once
-from pagas_cl.splat.buffers import LevelBuffers
-from pagas_cl.splat.inputs import LevelInput
-from pagas_cl.splat.options import Programs
-from pagas_cl.splat.photos import PhotoStore
 
 ORDER_FREE = BALANCED.with_settings(splatting__low_pass=0.0, solver__patience=0)
 ALPHA = PAPER.with_settings(solver__patience=0)

@@ -10,15 +10,15 @@ from conftest import plane_depth
 from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_small_scene
 from twins import agreement as twin
 
-from pagas_cl import splat
-from pagas_cl.effects import decide_agreement, filter_between
-from pagas_cl.presets import preset
+from pagas_cl.config.presets import preset
+from pagas_cl.method import splat
+from pagas_cl.method.effects import decide_agreement, filter_between
+from pagas_cl.method.rounds import average_and_step, average_depths, later_rounds
+from pagas_cl.method.surface.agreement import Agreement, send
 from pagas_cl.refine import refine_views
 from pagas_cl.result import DepthResult
-from pagas_cl.rounds import average_and_step, average_depths, later_rounds
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.scene.depthmap import KEPT, REFINED, REJECTED
-from pagas_cl.surface.agreement import Agreement, send
 
 pytestmark = pytest.mark.kernels
 

@@ -16,12 +16,12 @@ o3d = pytest.importorskip("open3d")
 
 from pagas_cl.config import Fusion  # noqa: E402
 from pagas_cl.errors import InputError  # noqa: E402
+from pagas_cl.method.surface import blocks  # noqa: E402
+from pagas_cl.method.surface.blocks import BlockFiles, cut, fuse_within, within  # noqa: E402
+from pagas_cl.method.surface.fuse import fuse, fusion_plan, grid_mb, plan_with_blocks  # noqa: E402
 from pagas_cl.progress import progress_of  # noqa: E402
 from pagas_cl.scene.depthmap import save_depth  # noqa: E402
 from pagas_cl.scene.view import View  # noqa: E402
-from pagas_cl.surface import blocks  # noqa: E402
-from pagas_cl.surface.blocks import BlockFiles, cut, fuse_within, within  # noqa: E402
-from pagas_cl.surface.fuse import fuse, fusion_plan, grid_mb, plan_with_blocks  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
@@ -190,9 +190,9 @@ def test_a_mesh_run_hands_its_executor_on_to_the_boxes(photos, wanted, tmp_path,
 
     from pagas_cl import refine
     from pagas_cl.config import Config
+    from pagas_cl.method.surface import blocks
     from pagas_cl.scene.depthmap import save_depth
     from pagas_cl.scene.view import View
-    from pagas_cl.surface import blocks
 
     camera = look_at((0, 0, -5), (0, 0, 0), 16, 12, 14.0)
     Image.fromarray(np.zeros((12, 16, 3), np.uint8)).save(tmp_path / "a.png")

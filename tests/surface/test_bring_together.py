@@ -8,15 +8,15 @@ import pytest
 from support.camera_noise import noisy
 from support.scenes import relief_scene
 
+from pagas_cl.app.synthetic.examples import as_network, frames_of
+from pagas_cl.method.surface import common_scale, depth_alignment
+from pagas_cl.method.surface.bring_together import bring_together
+from pagas_cl.method.surface.common_scale import find_common_scale
+from pagas_cl.method.surface.depth_alignment import Overlaps
 from pagas_cl.scene.depth_source import Adjusted
 from pagas_cl.scene.depthmap import stretched_depth
 from pagas_cl.scene.images import bilinear
 from pagas_cl.scene.sheets import mesh_of_depths
-from pagas_cl.surface import common_scale, depth_alignment
-from pagas_cl.surface.bring_together import bring_together
-from pagas_cl.surface.common_scale import find_common_scale
-from pagas_cl.surface.depth_alignment import Overlaps
-from pagas_cl.synthetic.examples import as_network, frames_of
 
 pytestmark = pytest.mark.slow
 

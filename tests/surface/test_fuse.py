@@ -11,14 +11,14 @@ o3d = pytest.importorskip("open3d")
 
 from pagas_cl.config import Fusion  # noqa: E402
 from pagas_cl.errors import InputError, PagasError  # noqa: E402
+from pagas_cl.method.surface import grid as convention  # noqa: E402
+from pagas_cl.method.surface.fuse import fuse, fusion_plan  # noqa: E402
+from pagas_cl.method.surface.grid import Grid, block_resolution  # noqa: E402
+from pagas_cl.method.surface.pieces import pieces, without_small_pieces  # noqa: E402
 from pagas_cl.progress import progress_of  # noqa: E402
 from pagas_cl.scene.camera import Camera  # noqa: E402
 from pagas_cl.scene.depthmap import save_depth  # noqa: E402
 from pagas_cl.scene.view import View  # noqa: E402
-from pagas_cl.surface import grid as convention  # noqa: E402
-from pagas_cl.surface.fuse import fuse, fusion_plan  # noqa: E402
-from pagas_cl.surface.grid import Grid, block_resolution  # noqa: E402
-from pagas_cl.surface.pieces import pieces, without_small_pieces  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
@@ -201,7 +201,7 @@ def test_weights(scene):
 
 def test_unsure_depths_count_less_where_that_is_asked_for(scene):
     """`fusion.least_weight`: a map that is off, and known to be unsure, has less to say, or nothing."""
-    from pagas_cl.presets import preset
+    from pagas_cl.config.presets import preset
     from pagas_cl.refine import fuse_results
     from pagas_cl.result import REFINED, DepthResult
 
@@ -280,9 +280,9 @@ def test_same_result_twice(scene):
 
 
 def test_real_scene_comes_back_as_it_went_in(data_dir):
+    from pagas_cl.method.surface.raster import each_depth
     from pagas_cl.scene.mesh import to_surface
     from pagas_cl.scene.readers import read_scene
-    from pagas_cl.surface.raster import each_depth
 
     folder = data_dir / "dtu_scan24"
     views = []

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from twins import mesh_faults as twin
 
+from pagas_cl.method.surface.mesh_faults import CROSSING, FLAT, FOLDED, TURNED, faults, without_new
+from pagas_cl.method.surface.subdivide import subdivide
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.surface.mesh_faults import CROSSING, FLAT, FOLDED, TURNED, faults, without_new
-from pagas_cl.surface.subdivide import subdivide
 
 pytestmark = pytest.mark.kernels
 
@@ -107,7 +107,7 @@ def test_vertices_at_one_place_stay_together(device):
 
 def test_what_did_not_move_since_is_not_tested_again(device):
     """The same faults are found when the last time is known, however few triangles moved since."""
-    from pagas_cl.surface.mesh_faults import _watched
+    from pagas_cl.method.surface.mesh_faults import _watched
 
     points, faces = soup(600, 1.5)
     part = np.arange(len(points), dtype=np.int32) // 900

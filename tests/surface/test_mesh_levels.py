@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from support.scenes import relief_scene
 
+from pagas_cl.method.surface import mesh_levels
+from pagas_cl.method.surface.mesh_evidence import Observed
+from pagas_cl.method.surface.mesh_levels import TRIANGLE_BYTES, fit_mesh
+from pagas_cl.method.surface.on_vertices import footprints
 from pagas_cl.scene.mesh import Surface, grid_faces
-from pagas_cl.surface import mesh_levels
-from pagas_cl.surface.mesh_evidence import Observed
-from pagas_cl.surface.mesh_levels import TRIANGLE_BYTES, fit_mesh
-from pagas_cl.surface.on_vertices import footprints
 
 
 def fan(count, radius=40.0, growth=0.0):

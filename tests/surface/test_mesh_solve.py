@@ -9,14 +9,14 @@ from twins import mesh_evidence as evidence_twin
 from twins import mesh_solve as solve_twin
 
 from pagas_cl.errors import InputError
+from pagas_cl.method.surface.mesh_evidence import Observed
+from pagas_cl.method.surface.mesh_levels import fit_mesh
+from pagas_cl.method.surface.mesh_solve import solve_mesh
+from pagas_cl.method.surface.on_vertices import footprints
+from pagas_cl.method.surface.subdivide import subdivide, undivided, with_middles
 from pagas_cl.scene.mesh import Material, Surface, Texture
 from pagas_cl.scene.mesh_attributes import with_vertices
 from pagas_cl.scene.mesh_file import read_mesh, write_mesh
-from pagas_cl.surface.mesh_evidence import Observed
-from pagas_cl.surface.mesh_levels import fit_mesh
-from pagas_cl.surface.mesh_solve import solve_mesh
-from pagas_cl.surface.on_vertices import footprints
-from pagas_cl.surface.subdivide import subdivide, undivided, with_middles
 
 pytestmark = [pytest.mark.slow, pytest.mark.kernels]
 
@@ -47,7 +47,7 @@ def height_error(made, vertices):
 
 def roof(made, device):
     """Two slopes that meet at right angles, and what views say of them moved by a way across the ridge."""
-    from pagas_cl.surface.raster import each_depth
+    from pagas_cl.method.surface.raster import each_depth
 
     pixel, side = made.relief.footprint, 6 * made.relief.footprint * np.arange(-6, 7)
     x, y = (part.ravel() for part in np.meshgrid(side, side))
@@ -179,7 +179,7 @@ def test_what_no_view_sees_stays_and_joins(made, coarse, device):
 @pytest.mark.parametrize("crease", [False, True])
 def test_a_round_is_that_of_the_twin(made, device, crease):
     pytest.importorskip("scipy")
-    from pagas_cl.surface.raster import each_depth
+    from pagas_cl.method.surface.raster import each_depth
 
     mesh, _, views = roof(made, device) if crease else (Surface(*made.initial_mesh(8.0)), None, observed(made))
     normals, flatness = evidence_twin.vertex_normals(mesh.vertices, mesh.faces)

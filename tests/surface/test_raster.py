@@ -8,9 +8,9 @@ from conftest import look_at, plane_depth
 from support.scenes import relief_scene
 from twins import raster as raster_twin
 
+from pagas_cl.method.surface import raster
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.mesh import Surface, to_surface
-from pagas_cl.surface import raster
 
 pytestmark = pytest.mark.kernels
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pagas_cl.method.surface.bring_together import bring_together
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import bilinear
 from pagas_cl.scene.view import View
-from pagas_cl.surface.bring_together import bring_together
 
 _CAMERA = Camera(200, 150, 180, 180, 100, 75, np.eye(4))
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from support.scenes import plane, small, tiny
 
+from pagas_cl.app.evaluate import compare_depth, depth_normals, depth_per_parallax, dilate
+from pagas_cl.app.evaluate.depth import find_discontinuities
+from pagas_cl.app.synthetic import relief_scene
+from pagas_cl.app.synthetic.photo import depth_and_part
+from pagas_cl.app.synthetic.solid import BAR, BLOCK, MISS, RELIEF, Bar, Block, Solid
+from pagas_cl.app.synthetic.texture import Texture, noise
+from pagas_cl.app.synthetic.waves import Waves
 from pagas_cl.errors import InputError
-from pagas_cl.evaluate import compare_depth, depth_normals, depth_per_parallax, dilate
-from pagas_cl.evaluate.depth import find_discontinuities
-from pagas_cl.synthetic import relief_scene
-from pagas_cl.synthetic.photo import depth_and_part
-from pagas_cl.synthetic.solid import BAR, BLOCK, MISS, RELIEF, Bar, Block, Solid
-from pagas_cl.synthetic.texture import Texture, noise
-from pagas_cl.synthetic.waves import Waves
 
 pytestmark = pytest.mark.slow
 
@@ -95,7 +95,7 @@ def test_normals_agree_with_the_depth_map():
 
 def test_photos_agree_through_the_true_depth():
     """Warping through the true depth predicts the other photos better than through the initial one."""
-    from pagas_cl.evaluate import compare_predictions
+    from pagas_cl.app.evaluate import compare_predictions
 
     made = small(contexts=1)      # photos are made of all views
     camera = made.cameras[0]
@@ -122,7 +122,7 @@ def test_equal_descriptions_give_equal_bytes_whatever_the_blocks(monkeypatch):
     first = relief_scene(64, 48, contexts=1, held_out=0, noise=3.0, exposure=0.2, foreground=True, bar=4.0)
     second = relief_scene(64, 48, contexts=1, held_out=0, noise=3.0, exposure=0.2, foreground=True, bar=4.0)
     photos = [view.load_image() for view in first.views]
-    monkeypatch.setattr("pagas_cl.synthetic.photo._ROWS", 64 * 7)
+    monkeypatch.setattr("pagas_cl.app.synthetic.photo._ROWS", 64 * 7)
     for photo, again in zip(photos, second.views):
         assert np.array_equal(photo, again.load_image())
     assert (relief_scene(64, 48, contexts=1, held_out=0, seed=1).image(0) != photos[0]).any()
@@ -132,7 +132,7 @@ def test_photos_are_pixel_integrals():
     """Photos of a plane at a third of the resolution are the averages of 3 x 3 pixels of the full one."""
     fine, coarse = plane(texture="noise"), None
     camera = fine.cameras[0]
-    from pagas_cl.synthetic.photo import photograph
+    from pagas_cl.app.synthetic.photo import photograph
 
     coarse = photograph(fine.true_solid, fine.skin, camera.resized(32, 24))
     full = photograph(fine.true_solid, fine.skin, camera, samples=1).astype(float)
@@ -187,7 +187,7 @@ def test_textures():
 
 
 def test_without_scikit_image_noise_takes_over(monkeypatch, caplog):
-    monkeypatch.setattr("pagas_cl.synthetic.texture.find_spec", lambda name: None)
+    monkeypatch.setattr("pagas_cl.app.synthetic.texture.find_spec", lambda name: None)
     made = relief_scene(48, 36, contexts=1, held_out=0)
     assert "scikit-image" in caplog.text
     assert made.image(0).std() > 10

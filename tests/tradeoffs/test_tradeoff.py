@@ -10,19 +10,19 @@ from support.scenes import relief_scene
 
 import pagas_cl
 from pagas_cl.__main__ import run as run_command
-from pagas_cl.costs import view_steps
+from pagas_cl.app.synthetic.scene import write_scene
+from pagas_cl.app.tradeoffs import plan
+from pagas_cl.app.tradeoffs.case import make_cases, score
+from pagas_cl.app.tradeoffs.costs import view_steps
+from pagas_cl.app.tradeoffs.front import _MARKERS, Point, _ticks, pareto, rank_correlation
+from pagas_cl.app.tradeoffs.page import ablation_table, closing, headline, write_report
+from pagas_cl.app.tradeoffs.plan import ablation_plan
+from pagas_cl.app.tradeoffs.run import initial_depth, run
+from pagas_cl.app.tradeoffs.study import Book, Study, measure
+from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError, OutputError
-from pagas_cl.presets import preset
+from pagas_cl.method.splat import PhotoStore
 from pagas_cl.runtime.device import open_device
-from pagas_cl.splat import PhotoStore
-from pagas_cl.synthetic.scene import write_scene
-from pagas_cl.tradeoffs import plan
-from pagas_cl.tradeoffs.case import make_cases, score
-from pagas_cl.tradeoffs.front import _MARKERS, Point, _ticks, pareto, rank_correlation
-from pagas_cl.tradeoffs.page import ablation_table, closing, headline, write_report
-from pagas_cl.tradeoffs.plan import ablation_plan
-from pagas_cl.tradeoffs.run import initial_depth, run
-from pagas_cl.tradeoffs.study import Book, Study, measure
 
 pytestmark = pytest.mark.slow
 
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(autouse=True, scope="module")
 def one_probe():
     """The device is probed once: every study would, and takes seconds for it."""
-    import pagas_cl.tradeoffs.run as running
+    import pagas_cl.app.tradeoffs.run as running
 
     whole, found = running.probe, []
 
@@ -230,7 +230,7 @@ def test_axes_have_a_few_round_numbers(low, high):
 def test_command_without_truth_judges_by_held_out_photos(tmp_path, capsys, monkeypatch):
     made = relief_scene(80, 60, 6, held_out=1)
     folder = write_scene(made, tmp_path / "scene")
-    monkeypatch.setattr("pagas_cl.tradeoffs.study.front_plan", lambda: [short("8 steps", 8), short("20 steps", 20)])
+    monkeypatch.setattr("pagas_cl.app.tradeoffs.study.front_plan", lambda: [short("8 steps", 8), short("20 steps", 20)])
     status = run_command(["tradeoff", str(folder), "--depth-dir", str(folder / "depth_initial"), "--views",
                           made.views[0].name, "--report", str(tmp_path / "out"), "--quiet"])
     assert status == 0

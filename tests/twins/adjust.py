@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl.cameras.adjust import BORDER, CUT, HUBER
+from pagas_cl.method.cameras.adjust import BORDER, CUT, HUBER
 
 
 def cubic(t):

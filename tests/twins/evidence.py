@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl.reference.loss import luma
-from pagas_cl.reference.project import project
+from pagas_cl.method.reference.loss import luma
+from pagas_cl.method.reference.project import project
 from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED
 from twins.measure import corners, patch
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl.reference.project import project
+from pagas_cl.method.reference.project import project
 from twins.measure import look_up
 
 DARKEST, BRIGHTEST = 4 / 255, 251 / 255     # beyond these a channel may be clipped and tells nothing of the gain

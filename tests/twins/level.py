@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.reference.level import Photo, State, parts_of_loss, prepare
-from pagas_cl.reference.pairs import candidates, nearest_surface
-from pagas_cl.reference.project import is_valid, project
+from pagas_cl.method.reference.level import Photo, State, parts_of_loss, prepare
+from pagas_cl.method.reference.pairs import candidates, nearest_surface
+from pagas_cl.method.reference.project import is_valid, project
 from twins import resample
 from twins.gradient_filter import filter_gradient
 from twins.step import Adam, Plateau, late_share

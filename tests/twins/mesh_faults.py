@@ -8,7 +8,7 @@ NO_AREA, TOUCH = 1e-4, 1e-3
 
 
 def faults(before, after, faces) -> np.ndarray:
-    """As pagas_cl.surface.mesh_faults.faults."""
+    """As pagas_cl.method.surface.mesh_faults.faults."""
     then, now = (np.cross(p[faces[:, 1]] - p[faces[:, 0]], p[faces[:, 2]] - p[faces[:, 0]]) for p in (before, after))
     sides = np.linalg.norm(after[faces] - after[faces[:, [1, 2, 0]]], axis=2)
     flat = ~(np.linalg.norm(now, axis=1) > NO_AREA * sides.max(axis=1) ** 2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl.cameras.normalize import SOFTENING, WINDOW, gaussian
+from pagas_cl.method.cameras.normalize import SOFTENING, WINDOW, gaussian
 
 
 def smooth(pair, sigma: float) -> np.ndarray:

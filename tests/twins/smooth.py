@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pagas_cl.reference.smooth import _central_cross
+from pagas_cl.method.reference.smooth import _central_cross
 
 
 def normals(depth, valid, rays):

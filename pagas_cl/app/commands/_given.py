@@ -1,0 +1,151 @@
+"""What a command was given: the scene's format, photos and cameras, and where its surface is; found by looking, told in
+three lines."""
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pagas_cl.app.commands._start import depth_files
+from pagas_cl.errors import InputError, log
+from pagas_cl.method.surface.bring_together import bring_together
+from pagas_cl.scene.depthmap import find_depth
+from pagas_cl.scene.files import opened
+from pagas_cl.scene.mesh_file import SUFFIXES, read_content
+from pagas_cl.scene.ply_header import HEADER, header_of
+from pagas_cl.scene.readers import read_scene
+
+DEPTH_FOLDERS = ("mvsa_predictions", "depth", "depths", "depth_maps", "stereo/depth_maps", "depth_initial")
+_UNIT_OF_FLOATS = "as the cameras' positions"
+
+
+@dataclass(frozen=True)
+class Given:
+    """The scene, and its surface: `mesh`, or `depths` (one a view, what loads them or None) of a unit told in words."""
+
+    scene: Any
+    mesh: Path | None
+    depths: list | None
+    unit: str = ""
+    unit_is_known: bool = False
+    where: str = ""       # the depth maps are
+
+    def lines(self) -> list[str]:
+        """Format and photos; cameras; depth or mesh, and units."""
+        views = self.scene.views
+        sizes = sorted({(view.camera.width, view.camera.height) for view in views})
+        size = " to ".join("{} x {}".format(*s) for s in dict.fromkeys((sizes[0], sizes[-1])))
+        focal = sorted(view.camera.fx for view in views)
+        centers = np.array([view.camera.center for view in views])
+        some = centers[:: max(1, len(views) // 200)]
+        apart = np.linalg.norm(some[:, None] - centers[None], axis=-1)
+        apart = np.where(apart > 0, apart, np.inf).min(axis=1)
+        near = f", {np.median(apart):.3g} units from each to the next one" if np.isfinite(apart).all() else ""
+        surface = f"mesh: {self.mesh}, in the cameras' world" if self.mesh is not None else self._depth_line()
+        return [f"photos: {len(views)} of {size}, from {self.scene.source}",
+                f"cameras: {len(views)}, focal length {focal[0]:.0f}"
+                + (f" to {focal[-1]:.0f}" if focal[-1] - focal[0] > 1 else "") + f" pixels{near}", surface]
+
+    def without(self, hold_out: list[str], asked: list[str]) -> "Given":
+        """The same without the views `hold_out`, none of which is `asked` for."""
+        found, views = self.scene, self.scene.views
+        out = {found.index(name) for name in hold_out}
+        both = sorted(views[place].name for place in out & {found.index(name) for name in asked})
+        if both:
+            raise InputError(f"view {both[0]!r} is in --views and in --hold-out, expected one of them")
+        if out:
+            log.info("held out, and seen by nothing: %s", ", ".join(views[place].name for place in sorted(out)))
+        if len(out) == len(views):
+            raise InputError(f"--hold-out names all {len(out)} views, so that none is left to refine")
+        kept = [place for place in range(len(views)) if place not in out]
+        return replace(self, scene=replace(found, views=[views[place] for place in kept]),
+                       depths=self.depths and [self.depths[place] for place in kept])
+
+    def _depth_line(self) -> str:
+        if self.depths is None:
+            return "no depth and no mesh"
+        count = sum(depth is not None for depth in self.depths)
+        every = "of every view" if count == len(self.depths) else f"of {count} of {len(self.depths)} views"
+        return f"depth: maps {every}, from {self.where}; unit: {self.unit}"
+
+
+def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None, depth_scale: float | None = None,
+         format: str | None = None, outside: bool = False, photos: Path | None = None, names=None) -> Given:
+    """Read the scene, and find its surface where neither a mesh nor a folder of depth maps is named.
+
+    Looked for: depth maps that the format itself has, depth maps in the usual folders, one mesh in the folder.
+    """
+    options = {**({"outside": True} if outside else {}), **({} if photos is None else {"photos": photos})}
+    try:
+        found = read_scene(scene, format, **options)
+    except TypeError as error:
+        option = next((name for name in options if f"'{name}'" in str(error)), None)
+        if option is None:
+            raise
+        raise InputError(f"--{option} does not go with the format of {str(scene)!r}") from error
+    if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
+        raise InputError(f"--depth-scale is {depth_scale}, expected a number above 0")
+    names = [found.views[found.index(name)].name for name in names or ()] or None
+    if mesh is not None:
+        read_content(mesh, outside=outside)
+        return Given(found, mesh, None)
+    if depth_dir is not None:
+        return _from_folder(found, depth_dir, depth_scale, names)
+    if found.depths is not None:
+        depths = [depth if depth is None or depth_scale is None else replace(depth, scale=depth_scale)
+                  for depth in found.depths]
+        unit = found.depth_unit if depth_scale is None else f"{depth_scale:g} for one scene unit, as you say"
+        return Given(found, None, depths, unit, depth_scale is not None, found.source)
+    for name in DEPTH_FOLDERS:
+        if any(find_depth(Path(scene) / name, view.name) for view in found.views):
+            return _from_folder(found, Path(scene) / name, depth_scale, names)
+    meshes = _meshes(Path(scene))
+    if len(meshes) > 1:
+        raise InputError(f"{str(scene)!r} holds several meshes ({', '.join(path.name for path in meshes[:5])}): name "
+                         "one with --mesh")
+    for path in meshes:
+        read_content(path, outside=outside)
+    return Given(found, meshes[0] if meshes else None, None)
+
+
+def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given:
+    """Depth maps called as the photos are."""
+    sources, unit_known = depth_files(found, folder, depth_scale, names)
+    unit = _UNIT_OF_FLOATS if depth_scale is None else f"{depth_scale:g} for one scene unit, as you say"
+    if depth_scale is None and not unit_known:
+        unit = "not said by PNG files"
+    return Given(found, None, sources, unit, depth_scale is not None, str(folder))
+
+
+def _meshes(folder: Path) -> list[Path]:
+    """Meshes beside the photos; a .ply without faces is none."""
+    if not folder.is_dir():
+        return []
+    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
+    return [path for path in found if path.suffix.lower() != ".ply" or _has_faces(path)]
+
+
+def _has_faces(path: Path) -> bool:
+    with opened(path, 1 << 40) as file:
+        return any(name == "face" and count for name, count, _ in header_of(file.read(HEADER), path).elements)
+
+
+def together(given: Given, align: bool, meanwhile: Iterable[Callable[[], Any]] = ()) -> list:
+    """The depth maps, brought together where they are not and `align` allows it; told. `meanwhile` some threads do what
+    will be asked for next; who asks is told of faults."""
+    depths, unknown = given.depths or [], given.unit == "not said by PNG files"
+    if not align and not unknown:
+        return depths
+    with ThreadPoolExecutor(2) as others:
+        for work in meanwhile:
+            others.submit(work)
+        result = bring_together(given.scene.views, depths, given.unit_is_known)
+    for sentence in result.said:
+        log.warning("%s", sentence)
+    if unknown and result.unit == 1 and not result.agreement >= 0.5:
+        raise InputError(f"depth maps in {given.where!r} are PNG files, which do not say their unit, and photos do not "
+                         "show it; give --depth-scale (1000 for millimetres in a scene of metres)")
+    return result.apply(depths)

@@ -1,0 +1,162 @@
+"""What commands do before the work: try the places they write to, read the scene and the initial depth of its views."""
+
+import tempfile
+from collections.abc import Collection
+from contextlib import contextmanager
+from pathlib import Path
+
+from pagas_cl.app.commands._outputs import PAGE_FILES
+from pagas_cl.app.jobs.executors import check_address
+from pagas_cl.app.jobs.finished import begun_in, forget_inputs, records_in, work_folder
+from pagas_cl.app.jobs.store import Store
+from pagas_cl.app.report import pictures_in
+from pagas_cl.errors import InputError, InterruptedRunError, log
+from pagas_cl.runtime.device import open_device
+from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.depthmap import find_depths
+from pagas_cl.scene.files import read_bytes
+from pagas_cl.scene.mesh import to_surface
+from pagas_cl.scene.mesh_file import read_content
+from pagas_cl.scene.readers import read_scene
+
+
+def check_source(mesh, other, what: str, outside: bool, option: str = "--depth-dir") -> None:
+    """Raise InputError unless exactly one of both is given, `what` says in the message what they are for, and the mesh
+    can be read, files that it names among it; a mesh beside a project is for pymeshlab, which has its own check."""
+    if (mesh is None) == (other is None):
+        raise InputError(f"expected either --mesh or {option} ({what}), got {'neither' if mesh is None else 'both'}")
+    if mesh is not None and option != "--project":
+        read_content(mesh, outside=outside)
+
+
+def place_of(device, devices, scheduler) -> dict:
+    """Where the work is done, as refine_views takes it."""
+    if device is not None and devices is not None:
+        raise InputError("got both --device and --devices, expected one of them")
+    several = "all" if devices == "all" else devices.split(",") if devices else None
+    if scheduler is not None:
+        check_address(scheduler)
+        return {"executor": scheduler, "device": several or device}
+    return {"device": several or open_device(device)}
+
+
+def check_writable(option: str, folder: Path | None) -> None:
+    """Raise InputError where no file can be made in `folder`, which need not exist: it is not made by this."""
+    if folder is None:
+        return
+    folder = folder.absolute()
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        file = next((path for path in (folder, *folder.parents) if path.is_file()), None)
+        why = f"{str(file)!r} is a file" if file else error.strerror or str(error)
+        raise InputError(f"{option}: cannot write in the folder {str(folder)!r} ({why}): choose another one"
+                         + ("" if file else ", or see to its permissions")) from error
+    finally:
+        for path in new:
+            if path.is_dir():
+                path.rmdir()
+
+
+def check_report(folder: Path | None, beside: str, pictures: Collection[str] = (), overwrite: bool = False) -> None:
+    """The same of the folder of a page, which has the file `beside` and `pictures`: without `overwrite` none is
+    replaced that pagas_cl has not written."""
+    check_writable("--report", folder)
+    if folder is None or overwrite:
+        return
+    page, there = folder / "index.html", {name for name in PAGE_FILES[1:] if (folder / name).exists()}
+    own = pictures_in(folder).union(["tradeoff.png", "tradeoff.json"] if "tradeoff.json" in there else [])
+    own.update([beside] if page.exists() or own else [])
+    others = [file for file in (beside, *pictures) if file not in own and (folder / file).exists()]
+    if page.exists() and b"pagas" not in read_bytes(page):
+        taken = f"{str(page)!r} is a page that another program wrote"
+    elif page.exists() and there != {beside}:
+        taken = f"{str(page)!r} is the page of another command"
+    elif others:
+        taken = f"{str(folder / others[0])!r} was not written by pagas_cl"
+    else:
+        return
+    raise InputError(f"--report: {taken}: choose another folder, or replace it with --overwrite")
+
+
+def load_scene(scene, format, outside: bool):
+    """The scene in a folder; `outside` is only passed to readers that know it, which is their error to tell."""
+    return read_scene(scene, format, **({"outside": True} if outside else {}))
+
+
+@contextmanager
+def resumable(folder: Path | None, total: int):
+    """Context, inside one_run, of a run of `total` views that keeps finished ones in `folder`: says first what an
+    earlier run has left there, and where it is interrupted (InterruptedRunError) what is kept now, and how to go on.
+    Where no view was finished nothing stays of what was drawn."""
+    def found() -> tuple[int, str]:
+        """How many views are kept, and as what: those of the last round, or else of earlier ones."""
+        done = len(records_in(folder)) if folder is not None else 0
+        return (done, "finished") if done or folder is None else (begun_in(folder), "begun")
+
+    left, how = found()
+    if left:
+        log.info("an earlier run has left %d %s view%s in %s: what would come out the same is not done again",
+                 left, how, "" if left == 1 else "s", folder)
+    try:
+        yield
+    except InputError:
+        if not found()[0]:
+            forget_inputs(folder)
+        raise
+    except KeyboardInterrupt as error:
+        done, how = found()
+        if not done:
+            forget_inputs(folder)
+        what = (f"{done} of {total} views are {how} and kept in {str(folder)!r}: the same command goes on from them"
+                if done else "nothing is kept, no view was finished" if folder is not None
+                else "nothing is kept but pictures; with --save-depth finished views are")
+        raise InterruptedRunError(f"interrupted; {what}") from error
+
+
+def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None, device=None) -> list:
+    """Initial depth of every view, from the mesh (drawn on `device`) or from files; None for a view without a file,
+    which `names` must have. With a folder for the run they stay on disk, and what stands for them is given instead."""
+    if mesh is not None:
+        from pagas_cl import refine
+
+        keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
+        return refine.initial_depths(to_surface(mesh), found.views, progress, keep, device)
+    sources = depth_files(found, depth_dir, depth_scale, names, as_numbers=False)[0]
+    return sources if folder is not None else loaded(sources)
+
+
+def loaded(depths) -> list:
+    """The depth maps themselves, for what loads them."""
+    return [depth.load() if hasattr(depth, "load") else depth for depth in depths]
+
+
+def depth_files(found, depth_dir, depth_scale, names=None, as_numbers: bool = True) -> tuple[list, bool]:
+    """What loads the depth map of every view from `depth_dir`, None for a view without a file, and whether all files
+    say their unit. A PNG does not: without a scale its numbers are taken as they are, or refused where `as_numbers` is
+    false."""
+    files = find_depths(depth_dir, [view.name for view in found.views])
+    if not any(files):
+        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
+                         f"expected for instance {found.views[0].stem}.npz")
+    without = [view for view, file in zip(found.views, files) if file is None]
+    asked = [view for view in without if names and view.name in names]
+    if asked:
+        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the view {asked[0].name!r}, which is "
+                         f"to be refined, expected for instance {asked[0].stem}.npz")
+    if without and not names:
+        log.warning("%d views have no depth map in %s: they help to refine others, but are not refined: %s",
+                    len(without), depth_dir,
+                    ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
+    silent = next((file for file in files if file and file.suffix.lower() == ".png"), None)
+    said = depth_scale is not None or silent is None
+    if not (said or as_numbers):
+        raise InputError(f"depth map {str(silent)!r}: a PNG does not say its unit; give --depth-scale (1000 for "
+                         "millimetres in a scene of metres)")
+    scale = 1.0 if depth_scale is None else depth_scale
+    sources = [file and DepthSource(file.resolve(), (view.camera.width, view.camera.height), scale)
+               for view, file in zip(found.views, files)]
+    return sources, said

@@ -1,0 +1,172 @@
+"""`pagas-cl analyze`: which effects a scene calls for, on what evidence, and what each costs on this device."""
+
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+from textwrap import wrap
+
+import typer
+
+from pagas_cl import __version__
+from pagas_cl.app.analysis import analyze
+from pagas_cl.app.commands._console import shown_progress
+from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET
+from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
+from pagas_cl.app.commands._settings import build_config, effect_settings
+from pagas_cl.app.commands._start import check_report, check_source, check_writable, initial_depths, load_scene
+from pagas_cl.app.jobs.finished import one_run
+from pagas_cl.app.report.page import html_page
+from pagas_cl.errors import plain
+from pagas_cl.method.effects import EFFECTS
+from pagas_cl.runtime.device import open_device
+from pagas_cl.scene.files import write_text
+from pagas_cl.scene.own_files import write_json
+
+COLUMNS = ["view", "effect", "evidence", "threshold", "decision", "what is measured"]
+WIDTH = 80
+_MEASURABLE = 0.03     # share of a view's time, below which a difference is none
+
+
+def command(
+    scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
+    mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where a refinement would start."),
+    depth_dir: Path = typer.Option(None, "--depth-dir", help="Initial depth maps, <image stem>.npz, not --mesh."),
+    views: list[str] = typer.Option([], "--views", help="Analyze these views only (several names may follow)."),
+    table: bool = typer.Option(False, "--table", help="Also one line a view and effect, and the cost of each."),
+    output: Path = typer.Option(None, "--json", help="Write everything to this file."),
+    report: Path = typer.Option(None, "--report", help="Folder for a page to open."),
+    preset: str = typer.Option("balanced", "--preset", help="Settings to start from: balanced, accurate, ..."),
+    settings: list[str] = typer.Option([], "--set", metavar="STAGE.FIELD=VALUE", help="Change one setting."),
+    effects: list[str] = typer.Option([], "--effect", metavar="NAME=auto|on|off|set", help="As in refine."),
+    costs: bool = typer.Option(True, "--costs/--no-costs", help="Time some steps with each effect on and off."),
+    device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
+    format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
+    depth_scale: float = DEPTH_SCALE,
+    outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
+    overwrite: bool = OVERWRITE,
+    quiet: bool = QUIET,
+):
+    """Measure which effects SCENE needs; refines nothing. The decisions are those that refine takes."""
+    check_source(mesh, depth_dir, "where a refinement would start", outside)
+    config = build_config(preset, [*settings, *effect_settings(effects)])
+    found = load_scene(scene, format, outside)
+    names = [found.views[found.index(name)].name for name in views] or None
+    check_outputs({"--json": output, "--report": report},
+                  {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, **scene_inputs(found)}, overwrite)
+    check_writable("--json", output and output.parent)
+    check_report(report, "analysis.json", overwrite=overwrite)
+    with shown_progress(quiet) as progress, one_run(report) if report else nullcontext():
+        device = open_device(device)
+        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, names=names)
+        analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
+                           progress=progress)
+        show(analysis, table)
+        for path in (output, report and report / "analysis.json"):
+            if path is not None:
+                write_json(path, "analyze", analysis.as_dict())
+        if report is not None:
+            write_text(report / "index.html", page(analysis, found.source))
+
+
+def rows(analysis) -> list[list[str]]:
+    """One row a view and effect, as COLUMNS says; a view that has no context view has one row with the reason."""
+    def row(view, decision, more=""):
+        return [view, decision.effect, f"{decision.evidence:.4g}", f"{decision.threshold:g}",
+                "on" if decision.on else "off", decision.reason + more]
+
+    cells = []
+    for view in analysis.views:
+        if view.reason and not view.decisions:
+            cells.append([view.view, "", "", "", "", view.reason])
+        cells += [row(view.view, decision) for decision in view.decisions]
+    if analysis.cameras is not None:
+        cells.append(row("all", analysis.cameras, "; refined before the views where pairs that take no part agree"))
+    if analysis.consistency is not None:
+        cells.append(row("all", analysis.consistency, "; of the initial depth, decided anew on the refined one"))
+    return cells
+
+
+def summary(analysis) -> list[str]:
+    """Lines of at most WIDTH columns: which effects are on, in how many views, on what evidence, at what cost."""
+    return [line for head, text in _told(analysis) for line in wrap(
+        text, WIDTH, initial_indent=head, subsequent_indent=" " * len(head)) or [""]]
+
+
+def _told(analysis) -> list[tuple[str, str]]:
+    """What stands at the head of each paragraph of the summary, and its text."""
+    decided = [decision for view in analysis.views for decision in view.decisions]
+    decided += [decision for decision in (analysis.cameras, analysis.consistency) if decision is not None]
+    without = sum(not view.decisions for view in analysis.views)
+    lines = [("", f"{len(analysis.views)} views" + (f", {without} of them not to be refined (--table says why)"
+                                                    if without else ""))]
+    for on, what in ((True, "Needed:"), (False, "Not needed:")):
+        of = {}
+        for decision in decided:
+            if decision.on == on:
+                of.setdefault(decision.effect, []).append(decision)
+        lines += [("", ""), ("", what)] if of else []
+        for name, found in of.items():
+            total = sum(d.effect == name for d in decided)
+            where = f"{len(found)} of {total} view{'s' if total > 1 else ''}" if name in EFFECTS else "scene"
+            lines.append((f"  {name:<16}{where:<15}", f"{_why(found)}{_cost_of(analysis, name)}"))
+    return lines + ([("", ""), ("", f"Costs: of {analysis.timed}, on {analysis.device}.")] if analysis.costs else [])
+
+
+def _cost_of(analysis, name: str) -> str:
+    cost = analysis.costs.get(name)
+    if cost is None:
+        return ""
+    more = cost.on - cost.off
+    time = f"{seconds(more)} a view" if more > _MEASURABLE * cost.off else "no time to speak of"
+    return f"; costs {time}" + (f", {size(cost.device_bytes)}" if cost.device_bytes else "")
+
+
+def _why(decisions) -> str:
+    """Reason, evidence and threshold of decisions on one effect."""
+    first, values = decisions[0], sorted(number(d.evidence) for d in decisions if d.evidence == d.evidence)
+    effect = EFFECTS.get(first.effect)
+    limit = f"on {'below' if effect and not effect.above else 'above'} {first.threshold:g}"
+    seen = " to ".join(dict.fromkeys((values[0], values[-1]))) if values else "not measured"
+    return f"{first.reason}: {seen} ({limit})"
+
+
+def number(value: float) -> str:
+    """Three digits, no exponent."""
+    return f"{value:.3f}" if abs(value) < 1 else f"{value:.3g}"
+
+
+def seconds(value: float) -> str:
+    """A time as people say it."""
+    return f"{value:.2g} s" if value >= 0.995 else f"{1e3 * value:.0f} ms"
+
+
+def size(nbytes: float) -> str:
+    """A number of bytes as people say it."""
+    return f"{nbytes / 1e6:.1f} MB" if abs(nbytes) >= 1e5 else f"{nbytes / 1e3:.0f} kB"
+
+
+def show(analysis, table: bool = False) -> None:
+    """The summary on standard output, and with `table` one line a view and effect, one an effect."""
+    lines = summary(analysis)
+    if table:
+        lines += ["", f"{'view':<29} {'effect':<16}{'evidence':>10}{'threshold':>11}  decision"]
+        for view, effect, evidence, threshold, decision, reason in rows(analysis):
+            line = f"{view[-29:]:<29} {effect:<16}{evidence:>10}{threshold:>11}  {decision}"
+            lines.append(line.rstrip() if effect else f"{view[-29:]:<29} {reason}"[:WIDTH])
+        if analysis.costs:
+            lines += ["", f"{'effect':<16}{'without it':>12}{'with it':>12}{'memory':>12}  a view"]
+        lines += [f"{name:<16}{seconds(cost.off):>12}{seconds(cost.on):>12}{size(cost.device_bytes):>12}"
+                  for name, cost in analysis.costs.items()]
+    sys.stdout.write("\n".join(map(plain, [*lines, ""])))
+
+
+def page(analysis, source: str) -> str:
+    """The same as a page."""
+    on = dict.fromkeys(row[1] for row in rows(analysis) if row[4] == "on")
+    notes = [f"{', '.join(head.strip().split(maxsplit=1))}{': ' if head else ''}{text}"
+             for head, text in _told(analysis) if text]
+    sections = [(v.view, [], [v.reason] if v.reason else ["context views: " + ", ".join(v.contexts)], [])
+                for v in analysis.views]
+    return html_page("pagas-cl analyze", notes[1:], COLUMNS, rows(analysis), sections,
+                     headline=f"The scene needs {', '.join(on) or 'no effect'} ({notes[0]}).",
+                     facts=[("scene", source), ("version", f"pagas_cl {__version__}"), ("device", analysis.device)])

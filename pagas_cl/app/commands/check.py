@@ -1,0 +1,66 @@
+"""`pagas-cl check`: are these the right cameras for this mesh and these photos?"""
+
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import typer
+
+from pagas_cl.app.commands._given import look, together
+from pagas_cl.app.commands._options import DEPTH_SCALE, QUIET
+from pagas_cl.errors import InputError, log, plain
+from pagas_cl.scene.check import CameraReport, check_views
+from pagas_cl.scene.own_files import json_text
+from pagas_cl.scene.sheets import mesh_of_depths
+
+
+def command(
+    scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with photos and cameras, in any supported format."),
+    mesh: Path = typer.Option(None, "--mesh", help="The mesh that the cameras should see. Without it: SCENE's depth."),
+    depth_dir: Path = typer.Option(None, "--depth-dir", help="Depth maps, <image stem>.npz, not --mesh."),
+    depth_scale: float = DEPTH_SCALE,
+    format: str = typer.Option(None, "--format", help="Format of the scene, where looking at it is not enough."),
+    outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
+    photos: Path = typer.Option(None, "--photos", help="As in refine."),
+    as_json: bool = typer.Option(False, "--json", help="Print everything as JSON."),
+    quiet: bool = QUIET,
+):
+    """Check the cameras of SCENE against a mesh, or its depth maps, and the photos.
+
+    Estimates the offset and scale of the mesh that would make the photos agree, too. Status 2 when another reading of
+    the cameras fits better, when none sees the mesh, or when mesh and cameras are pixels of parallax apart.
+    """
+    given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
+                 photos=photos)
+    for line in given.lines():
+        log.info("%s", line)
+    if given.mesh is None and given.depths is None:
+        raise InputError(f"{str(scene)!r} holds neither depth maps nor a mesh to compare the photos over: give --mesh")
+    surface = mesh_of_depths(given.scene.cameras, together(given, True)) if given.mesh is None else given.mesh
+    report = check_views(surface, given.scene.cameras, given.scene.views)
+    report = of_depth_maps(report) if given.mesh is None else report
+    sys.stdout.write(json_text("check", report.as_dict()) if as_json else table(report))
+    if not report.ok:
+        raise InputError(report.at_command_line[1])
+
+
+def of_depth_maps(report: CameraReport) -> CameraReport:
+    """The report in words of what was given: no mesh."""
+    half_pixel, sentence, *at_command_line = (
+        re.sub(r"\bmesh\b", "depth maps", words.replace("the mesh", "the surface of the depth maps"))
+        for words in (report.half_pixel, report.sentence, *report.at_command_line))
+    return replace(report, half_pixel=half_pixel, sentence=sentence, at_command_line=tuple(at_command_line))
+
+
+def table(report) -> str:
+    """The report as lines of text."""
+    lines = [f"{'view':<32}{'in front':>10}{'inside':>10}"]
+    lines += [f"{view.name[-31:]:<32}{view.front:>10.1%}{view.inside:>10.1%}" for view in report.views]
+    lines += ["", f"{'reading':<34}{'see it':>8}{'inside':>10}{'agreement':>11}{'patches':>9}"]
+    for r in report.readings:
+        agreement = "-" if r.agreement is None else f"{r.agreement:.3f}"
+        lines.append(f"{r.name:<34}{r.seeing:>8}{r.inside:>10.1%}{agreement:>11}{r.patches:>9}")
+    half_pixel, sentence = report.at_command_line
+    ending = [sentence] if report.ok else []  # else it is the error's sentence, on standard error
+    return "\n".join(map(plain, [*lines, "", half_pixel, *ending, ""]))

@@ -1,0 +1,47 @@
+"""`pagas-cl demo`: a small scene with known geometry, refined on whatever device there is."""
+
+import sys
+from pathlib import Path
+
+import typer
+
+from pagas_cl.app.commands._console import shown_progress
+from pagas_cl.app.commands._options import OVERWRITE, QUIET, zero_or_more
+from pagas_cl.app.commands._start import check_writable
+from pagas_cl.app.demo import make_example, run_demo
+from pagas_cl.app.jobs.finished import one_run
+from pagas_cl.errors import InputError
+from pagas_cl.runtime.device import open_device
+
+
+def command(
+    output: Path = typer.Option(Path("demo_out"), "--output", help="Folder for the scene, the pictures and the mesh."),
+    width: int = typer.Option(288, "--width", help="Width of the photos; the height is three quarters of it."),
+    contexts: int = typer.Option(4, "--context", help="Context views."),
+    preset: str = typer.Option("balanced", "--preset", help="Settings to refine with."),
+    device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name."),
+    bar: float = typer.Option(0.0, "--bar", parser=zero_or_more, metavar="PIXELS",
+                              help="Width in pixels of a thin bar in front."),
+    format: str = typer.Option(None, "--format", metavar="NAME", help="Refine nothing: only make a small scene as this "
+                               "program leaves it (da3, vggt, tum, ...; a wrong name lists them)."),
+    overwrite: bool = OVERWRITE,
+    quiet: bool = QUIET,
+):
+    """Make a scene, refine it, show the errors before and after, pictures and the mesh."""
+    check_writable("--output", output)
+    taken = [output / name for name in ("scene", "report", "mesh_refined.ply") if (output / name).exists()]
+    by_a_demo = (output / "scene" / "depth_true").is_dir()
+    if taken and not by_a_demo and not overwrite and format is None:
+        raise InputError(f"--output: {str(taken[0])!r} was not written by pagas_cl: choose another folder, or replace "
+                         "it with --overwrite")
+    if format is not None:
+        sys.stdout.write(make_example(output, format, width, round(width * 0.75), contexts))
+        return
+    opened = open_device(device)  # before the scene is made: no seconds of work where there is none
+    with one_run(output), shown_progress(quiet) as progress:
+        result = run_demo(output, width=width, height=round(width * 0.75), contexts=contexts, preset=preset,
+                          device=opened, progress=progress, bar=bar)
+    sys.stdout.write(result.table())
+    sys.stdout.write(f"refined in {result.seconds:.1f} s\npictures: {result.page}\n")
+    if result.mesh is not None:
+        sys.stdout.write(f"mesh: {result.mesh}\n")

@@ -1,0 +1,154 @@
+"""`pagas-cl script`: a MeshLab filter script (.mlx) with our step in it, without MeshLab's window or OpenGL."""
+
+import glob
+import os
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+import typer
+
+from pagas_cl.app.commands._console import nothing_refined, shown_progress
+from pagas_cl.app.commands._options import OVERWRITE, QUIET
+from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
+from pagas_cl.app.commands._start import check_source, check_writable, load_scene
+from pagas_cl.errors import InputError, OutputError, PagasError, log, need
+from pagas_cl.filters import file_kinds, filter_script
+from pagas_cl.scene.files import replaced_with_others, write_text
+from pagas_cl.scene.meshlab_file import load_file, write_file
+from pagas_cl.scene.readers.meshlab import MeshLayer, check_names, read_project, settle_flavour, write_project
+
+
+@nothing_refined()
+def command(
+    script: Path = typer.Argument(..., metavar="SCRIPT", help="The filter script (.mlx)."),
+    scene: Path = typer.Argument(None, metavar="[SCENE]", help="Folder with photos and cameras, for our step."),
+    mesh: Path = typer.Option(None, "--mesh", help="The mesh that the script starts from."),
+    project: Path = typer.Option(None, "--project", help="A MeshLab project (.mlp): layers, and photos as scene."),
+    output: Path = typer.Option(..., "--output", help="Where the current layer goes in the end (.ply, .obj ...), "
+                                                      "or a .mlp for all layers."),
+    layer: str = typer.Option(None, "--layer", help="With --project: the layer to start from (default: the last one)."),
+    save_script: Path = typer.Option(None, "--save-script", help="Write the history, our step included, as .mlx."),
+    flavour: str = typer.Option(None, "--mlp-flavour", help="How the project counts CenterPx.y: meshlab or openmvs."),
+    format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
+    device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
+    outside: bool = typer.Option(False, "--outside", help="Allow files outside the folders (files that you trust)."),
+    overwrite: bool = OVERWRITE,
+    quiet: bool = QUIET,
+):
+    """Run SCRIPT on a mesh, or on a MeshLab project; the whole script is checked before anything runs."""
+    os.environ.setdefault("QT_LOGGING_RULES", "*.debug=false")      # else MeshLab names every filter that it reads
+    pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
+    check_source(mesh, project, "what the script starts from", outside, "--project")
+    if mesh is None and scene is not None:
+        raise InputError("got SCENE and --project: a project brings its own photos; give one of them")
+    layers, found = _sources(mesh, project, scene, format, flavour, outside)
+    named = {"the script": script, "--mesh": mesh, "--project": project, "SCENE": scene}
+    _check_places(output, save_script, named, layers, found, overwrite)
+    steps = filter_script.check_script(script, outside=outside)
+    with _meshlab_chatter(quiet):
+        kind = None if output.suffix.lower() == ".mlp" else file_kinds.file_kind(output)
+        meshes = pymeshlab.MeshSet()
+        names = {name for entry in layers for name in load_file(meshes, entry.path, outside, entry.label, entry.matrix)}
+        _choose_layer(meshes, project, layer, layers)
+        if kind is not None:
+            file_kinds.check_output(meshes, output, kind, names, any(step.request is not None for step in steps))
+        with shown_progress(quiet) as progress:
+            filter_script.run_script(meshes, script, found, outside=outside, device=device, progress=progress,
+                                     names=names)
+        _save(meshes, output, found)
+        if save_script is not None:
+            write_text(save_script, filter_script.history_text(meshes))
+    log.info("current layer: %s, %d vertices, %d faces", meshes.current_mesh().label(),
+             meshes.current_mesh().vertex_number(), meshes.current_mesh().face_number())
+
+
+def _sources(mesh, project, scene, format, flavour, outside) -> tuple[list[MeshLayer], object]:
+    """The layers to load, and the scene or None."""
+    if mesh is not None:
+        return [MeshLayer("", mesh, np.eye(4))], None if scene is None else load_scene(scene, format, outside)
+    read = read_project(project, outside=outside)
+    layers = [entry for entry in read.meshes if entry.path is not None]
+    if not layers:
+        raise InputError(f"{project} has no mesh layer with a file")
+    if not read.rasters:
+        return layers, None
+    if flavour is None:
+        flavour, reason = settle_flavour(read)
+        log.info("%s", reason)
+    return layers, read.scene(flavour)
+
+
+def _check_places(output: Path, save_script: Path | None, named: dict, layers: Sequence[MeshLayer], found,
+                  overwrite: bool) -> None:
+    """Refuse to write where something is read, where nothing can be written, and over what pagas_cl has not written."""
+    inputs = dict(named)
+    if named["--mesh"] is None:
+        inputs.update({f"the file of layer {entry.label!r}": entry.path for entry in layers})
+    outputs = {"--output": output, "--save-script": save_script}
+    if output.suffix.lower() == ".mlp":
+        there = sorted(output.parent.glob(f"{glob.escape(output.stem)}_[0-9]*.ply"))
+        outputs.update({f"--output {str(output)!r} may replace a layer of an earlier one:": file for file in there})
+        if found is not None:
+            check_names(found.views)
+    check_outputs(outputs, {**inputs, **(scene_inputs(found) if found else {})}, overwrite)
+    for option, path in (("--output", output), ("--save-script", save_script)):
+        check_writable(option, path and path.parent)
+
+
+def _choose_layer(meshes, project, layer: str | None, layers: Sequence[MeshLayer]) -> None:
+    if layer is None:
+        return
+    labels = [entry.label for entry in layers]
+    if labels.count(layer) != 1:
+        raise InputError(f"{project} has {labels.count(layer)} layers called {layer!r}, expected one of {labels}")
+    meshes.set_current_mesh(labels.index(layer))
+
+
+def _save(meshes, output: Path, scene) -> None:
+    """The current layer, or all layers as a project, under the final names when all of them are written."""
+    if output.suffix.lower() != ".mlp":
+        with _written_layers([output]) as (place,):
+            write_file(meshes, place)
+        return
+    paths = [output.with_name(f"{output.stem}_{number}.ply") for number in range(meshes.mesh_number())]
+    layers, current = [], meshes.current_mesh_id()
+    with _written_layers(paths) as places:
+        for number, (path, place) in enumerate(zip(paths, places)):
+            mesh = meshes.mesh(number)
+            meshes.set_current_mesh(mesh.id())
+            write_file(meshes, place)
+            layers.append(MeshLayer(mesh.label(), path, mesh.transform_matrix(), mesh.is_visible()))
+    meshes.set_current_mesh(current)
+    write_project(output, [] if scene is None else scene.views, layers)
+
+
+@contextmanager
+def _written_layers(paths: Sequence[Path]):
+    """Context of the places to write to; when all is written, each gets its name of `paths`. OutputError where the disk
+    does not take it."""
+    try:
+        with ExitStack() as stack:
+            yield [stack.enter_context(replaced_with_others(path.absolute())) for path in paths]
+    except PagasError:
+        raise
+    except OSError as error:
+        raise OutputError(f"cannot write {str(paths[0])!r}: {error.strerror or error}; make room, or choose another "
+                          "place") from error
+
+
+@contextmanager
+def _meshlab_chatter(quiet: bool):
+    """Send what pymeshlab's C++ part prints on standard output to standard error, or, where `quiet`, nowhere."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    try:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno() if quiet else 2, 1)
+        yield
+    finally:
+        sys.stdout.flush()
+        os.dup2(kept, 1)
+        os.close(kept)

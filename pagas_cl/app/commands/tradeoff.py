@@ -1,0 +1,67 @@
+"""`pagas-cl tradeoff`: what accuracy costs in time on this device, for this scene."""
+
+import sys
+from pathlib import Path
+
+import typer
+
+from pagas_cl.app.commands._console import shown_progress
+from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET, above_zero
+from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
+from pagas_cl.app.commands._start import check_report, check_source, initial_depths, load_scene
+from pagas_cl.app.tradeoffs import tradeoff
+from pagas_cl.app.tradeoffs.page import ablation_table, closing, headline, markdown, notes
+from pagas_cl.app.tradeoffs.plan import ablation_plan
+from pagas_cl.errors import InputError, plain
+from pagas_cl.runtime.device import open_device
+
+
+def command(
+    scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
+    mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where the refinement starts."),
+    depth_dir: Path = typer.Option(None, "--depth-dir", help="Initial depth maps, <image stem>.npz, not --mesh."),
+    truth: Path = typer.Option(None, "--truth", help="True depth maps, <image stem>.npz, or a true mesh; else photos "
+                                                     "that are held out of the refinement are the judge."),
+    views: list[str] = typer.Option([], "--views", help="Measure on these views (several names may follow)."),
+    held_out: list[str] = typer.Option([], "--held-out", help="Views kept out of everything, to be predicted."),
+    sample: int = typer.Option(2, "--sample", help="Without --views: how many views to measure on."),
+    budget: float = typer.Option(None, "--budget", metavar="MINUTES", parser=above_zero,
+                                 help="Leave out what does not fit any more."),
+    report: Path = typer.Option(None, "--report", help="Folder for tradeoff.json, the plot and a page to open; a "
+                                                       "second run goes on where the first one ended."),
+    ablation: str = typer.Option(None, "--ablation", metavar="PRESET", help="Instead of the front, the paper's "
+                                                                            "ablation, of this preset."),
+    repeats: int = typer.Option(1, "--repeats", help="Timed runs of each setting; the median counts."),
+    device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
+    format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
+    depth_scale: float = DEPTH_SCALE,
+    outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
+    overwrite: bool = OVERWRITE,
+    quiet: bool = QUIET,
+):
+    """Run a plan of settings on a sample of views: error, time and memory of each, and the front of the best."""
+    check_source(mesh, depth_dir, "where the refinement starts", outside)
+    found = load_scene(scene, format, outside)
+    for view in found.views:
+        view.check_files()
+    check_outputs({"--report": report}, {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, "--truth": truth,
+                                         **scene_inputs(found)}, overwrite)
+    check_report(report, "tradeoff.json", ["tradeoff.png"], overwrite)
+    if truth is not None and not truth.exists():
+        raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
+    opened = open_device(device)
+    with shown_progress(quiet) as progress:
+        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress)
+        true_mesh, true_dir = (None, truth) if truth is None or truth.is_dir() else (truth, None)
+        true = truth and initial_depths(found, true_mesh, true_dir, depth_scale, progress)
+        study = tradeoff(found.views, depths, truth=true, names=views or None, held_out=held_out or None, sample=sample,
+                         budget=budget, settings=ablation_plan(ablation) if ablation else None, device=opened,
+                         report=report, repeats=repeats, progress=progress)
+    if not study.points:
+        raise InputError(f"--budget {budget:g} minutes are too few for a single setting on this device: raise it, or "
+                         "measure smaller photos")
+    sys.stdout.write("\n".join(map(plain, [headline(study), *notes(study), "", ""])))
+    sys.stdout.write(ablation_table(study.points) if ablation else markdown(study.points))
+    sys.stdout.write("".join(f"\n{line}\n" for line in closing(study)))
+    if report is not None:
+        sys.stdout.write(f"\nplot and page: {report / 'index.html'}\n")

@@ -1,0 +1,12 @@
+"""Many views on many devices, or in a run that can be killed and started again.
+
+A view's refinement is a pure function, so the engine is any `concurrent.futures.Executor`: a pool of processes, MPI's
+pool, or Dask's `Client.get_executor()`. What is here: the description of a view's task (`task`), what a worker does
+with it (`worker`), which views go together (`plan`), what is on disk (`store`, `finished`), who is asked again, for
+parts of other work too (`run`).
+"""
+
+from pagas_cl.app.jobs.whole import refine_all
+from pagas_cl.app.jobs.worker import follow_parent
+
+__all__ = ["follow_parent", "refine_all"]

@@ -1,0 +1,104 @@
+"""Other processes that tasks run in: one a device of this machine, an executor of the caller's, or a Dask cluster."""
+
+import multiprocessing
+import re
+import signal
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+
+from pagas_cl.app.jobs.task import code_version
+from pagas_cl.app.jobs.worker import close_workers, follow_parent
+from pagas_cl.errors import DeviceError, InputError, need
+from pagas_cl.runtime.claim import known_devices
+from pagas_cl.runtime.device import shares
+
+PATIENCE = 20  # seconds to wait for a scheduler's answer
+
+
+class Workers:
+    """Workers in other processes, and the device that their tasks are to take; arguments as in whole.refine_all.
+
+    `is_own`: the executor is ours to close.
+    """
+
+    def __init__(self, executor, device):
+        self._is_pool = executor is None
+        self.is_own = self._is_pool or isinstance(executor, str)
+        self.device = tuple(device) if isinstance(device, list) else device
+        self._sent = 0
+        if self._is_pool:
+            self.executor = local_pool(device)
+        else:
+            self.executor = dask_executor(executor) if isinstance(executor, str) else executor
+
+    def submit(self, task: Callable, *arguments) -> Future:
+        """Have task(*arguments, code, attempt) run by a worker (see worker.run_batch)."""
+        self._sent += 1
+        return self.executor.submit(task, *arguments, code_version(), self._sent)
+
+    def count(self) -> int:
+        """How many tasks run at a time; 4 where the executor does not say."""
+        client = getattr(self.executor, "_client", None)  # Dask
+        if client is not None and hasattr(client, "ncores"):
+            return max(1, sum(client.ncores().values()))
+        return max(1, int(getattr(self.executor, "_max_workers", 0) or 4))
+
+    def renew(self, error: Exception) -> None:
+        """A new pool for one that has lost a process, which ends all of it; DeviceError where it was not ours."""
+        if not self._is_pool:
+            raise DeviceError(f"a worker of the executor has ended and it takes no more tasks ({error}); finished "
+                              "views are kept: start the same command again") from error
+        self.executor.shutdown(wait=True)
+        self.executor = local_pool(self.device)
+
+    def close(self) -> None:
+        """End the executor, where it is ours, and let go of what threads of this process keep."""
+        if self.is_own:
+            self.executor.shutdown(wait=True)
+        close_workers()
+
+
+class SerialExecutor(Executor):
+    """Runs each task at once, in this process."""
+
+    def submit(self, task: Callable, /, *arguments, **keywords) -> Future:
+        """Run it; the Future holds what came of it."""
+        future: Future = Future()
+        try:
+            future.set_result(task(*arguments, **keywords))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def local_pool(devices) -> ProcessPoolExecutor:
+    """One spawned process for each device that `devices` means: an OpenCL context does not survive a fork."""
+    from pagas_cl.runtime.memory import limit_of
+
+    limit_of(1)      # what the environment says of memory is refused here, once, and not by each worker
+    number = len(known_devices(devices)) * shares()
+    return ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=_begin)
+
+
+def _begin() -> None:
+    """Ctrl-C reaches every process of a terminal: the first one asks the workers to end after their present view."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    follow_parent()
+
+
+def check_address(address: str) -> None:
+    """InputError for what can be no address of a Dask scheduler."""
+    if not re.fullmatch(r".+:\d+", address):
+        raise InputError(f"{address!r} is no address of a Dask scheduler, expected for instance 'tcp://HOST:8786'")
+
+
+def dask_executor(address: str) -> Executor:
+    """The executor of a running Dask cluster, such as "tcp://host:8786"."""
+    distributed = need("distributed", "cluster", "running on a Dask cluster")
+    check_address(address)
+    try:
+        client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise DeviceError(f"no Dask scheduler answers at {address!r} ({str(error).splitlines()[0]}): start one with "
+                          "'dask scheduler' and workers with 'dask worker --nthreads 1 ADDRESS'") from error
+    return client.get_executor(pure=False)

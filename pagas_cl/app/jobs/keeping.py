@@ -1,0 +1,141 @@
+"""What a run keeps, and where: in a folder that a later run goes on from, or in memory until it has ended."""
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from pagas_cl.app.jobs import finished
+from pagas_cl.app.jobs.results import FolderResults, GivenArray, MemoryResults, Results
+from pagas_cl.app.jobs.store import Store, translate_os_errors
+from pagas_cl.errors import InputError
+from pagas_cl.runtime.host import side_by_side
+from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.view import View
+
+
+class Keeping(Protocol):
+    """What a run keeps of its inputs and of each round's results."""
+
+    has_digests: bool
+    """Whether inputs are hashed, so that results of an earlier run can be found."""
+
+    def opened(self) -> AbstractContextManager[None]:
+        """Context of the run."""
+
+    def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
+        """Views and depth maps as tasks have them: a depth map has load() and digest."""
+
+    def begin(self, stems: list[str]) -> None:
+        """The run will write results of these stems."""
+
+    def results(self, number: int, last: int) -> Results:
+        """Of the round `number`, the first one being 0, of `last` + 1 rounds."""
+
+    def earlier(self, number: int, last: int) -> int:
+        """How many results of that round an earlier run has left."""
+
+    def end(self, complete: bool) -> None:
+        """All rounds are done; `complete`: no view has failed."""
+
+
+class KeptInMemory:
+    """Nothing is kept beyond the run."""
+
+    has_digests = False
+
+    def __init__(self) -> None:
+        self._rounds: dict[int, MemoryResults] = {}
+
+    def opened(self) -> AbstractContextManager[None]:
+        """As of Keeping."""
+        return nullcontext()
+
+    def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
+        """As of Keeping: as they are."""
+        return list(views), [GivenArray(depth) if isinstance(depth, np.ndarray) else depth for depth in depths]
+
+    def begin(self, stems: list[str]) -> None:
+        """As of Keeping."""
+
+    def results(self, number: int, last: int) -> MemoryResults:
+        """As of Keeping; results of rounds that no later one needs are let go of."""
+        self._rounds.pop(number - 2, None)
+        return self._rounds.setdefault(number, MemoryResults())
+
+    def earlier(self, number: int, last: int) -> int:
+        """As of Keeping."""
+        return 0
+
+    def end(self, complete: bool) -> None:
+        """As of Keeping."""
+
+
+class KeptInFolder:
+    """Everything is kept in `folder`, with `extras` status, deviation and parallax too."""
+
+    has_digests = True
+
+    def __init__(self, folder: str | Path, extras: bool = True):
+        self.folder, self.extras = Path(folder).resolve(), extras
+        self._store = Store(finished.work_folder(self.folder) / "inputs")
+
+    @contextmanager
+    def opened(self) -> Iterator[None]:
+        """As of Keeping; OutputError where another run is at work there."""
+        with finished.one_run(self.folder):
+            yield
+
+    def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
+        """As of Keeping: on disk, where every worker finds them. InputError where results would replace them."""
+        for depth in depths:
+            file = depth.file if isinstance(depth, DepthSource) else None
+            if isinstance(file, Path) and file.resolve().parent == self.folder:
+                raise InputError(f"the depth maps to start from are in {str(self.folder)!r}, where the refined ones "
+                                 "would go; the next run would refine those: choose another folder")
+        put = self._store.put_arrays
+        return [_on_disk(view, put) for view in views], put(depths)
+
+    def begin(self, stems: list[str]) -> None:
+        """As of Keeping; what killed runs have left is removed."""
+        finished.claim_names(self.folder, stems)
+        self._make_ready(self.folder)
+
+    def results(self, number: int, last: int) -> FolderResults:
+        """As of Keeping."""
+        if number == last:
+            return FolderResults(self.folder, self.extras)
+        folder = finished.round_folder(self.folder, number)
+        self._make_ready(folder)
+        return FolderResults(folder)
+
+    def earlier(self, number: int, last: int) -> int:
+        """As of Keeping."""
+        folder = self.folder if number == last else finished.round_folder(self.folder, number)
+        return len(finished.records_in(folder))
+
+    def end(self, complete: bool) -> None:
+        """As of Keeping."""
+        if complete:
+            side_by_side(partial(shutil.rmtree, ignore_errors=True),
+                         finished.work_folder(self.folder).glob("round_*"))      # of killed runs, too
+        shutil.rmtree(self._store.folder, ignore_errors=True)
+
+    @staticmethod
+    def _make_ready(folder: Path) -> None:
+        work = finished.work_folder(folder)
+        for left in ("parts", "journal"):
+            shutil.rmtree(work / left, ignore_errors=True)
+        with translate_os_errors(folder):
+            (work / "stop").unlink(missing_ok=True)
+
+
+def _on_disk(view: View, put: Callable[..., list[Any]]) -> View:
+    """The view with photo and mask on disk: itself where they are, so that its photo is found again on the device."""
+    if not isinstance(view.image, np.ndarray) and not isinstance(view.mask, np.ndarray):
+        return view
+    return View(view.camera, *put((view.image, view.mask)), view.name)

@@ -1,0 +1,226 @@
+"""What a worker does: a batch in, records out; its device, kernels and photos stay for the next batch."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import socket
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
+from multiprocessing.connection import wait
+from threading import Lock, Thread
+from typing import TYPE_CHECKING, Any
+
+from pagas_cl.app.jobs.task import Batch, Fault, Record, ViewTask, code_version, worker_name
+from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, InputError, OutputError, PagasError
+from pagas_cl.runtime.claim import claim_device, give_back
+from pagas_cl.runtime.device import translate_cl_errors
+from pagas_cl.runtime.host import trim
+
+if TYPE_CHECKING:
+    from pagas_cl.method.splat import PhotoStore
+    from pagas_cl.progress import OnStep
+    from pagas_cl.runtime.device import Device
+
+_READERS = min(6, os.cpu_count() or 6)      # photos that are decoded at a time
+_WRITERS = 4               # results that are written, and views that are read, at a time, for a device with memory
+
+
+class Worker:
+    """A device with its compiled kernels and photos, for one batch of views after another.
+
+    `names`: what the device is chosen from (runtime.claim.claim_device), or an open Device; `photos`: a PhotoStore of
+    that Device, with photos that are there already.
+    """
+
+    def __init__(self, names: Any, photos: PhotoStore | None = None):
+        self._names, self._photos = names, photos
+        self._views: dict[str, Any] = {}
+        self._was_lost = False      # the device failed at the last view
+
+    @property
+    def device(self) -> Device:
+        """The device; opened anew where it has failed."""
+        return self.photos.device
+
+    @property
+    def photos(self) -> PhotoStore:
+        """Photos on the device."""
+        if self._photos is None:
+            from pagas_cl.method.splat import PhotoStore
+
+            self._photos = PhotoStore(claim_device(self._names))
+        return self._photos
+
+    def records(self, batch: Batch, on_step: Callable[[int], OnStep | None] = lambda number: None) -> Iterator[Record]:
+        """Refine the views of `batch` that are not finished; one record each, which also has the view's error.
+
+        The device refines one view while files of the next are read and those of the one before are written.
+        `on_step(number)` is the on_step (one_view.refine_one) of the view after the first `number`. OutputError
+        (nothing can be written) and DeviceError (no device to work with) are raised: they are not the view's fault.
+        """
+        waiting = 1 if self.photos.on_host else _WRITERS
+        views = self._same_objects(batch)
+        ahead: dict[str, Future[Any]] = {}
+        ended: deque[Record | Future[Record]] = deque()
+        with ThreadPoolExecutor(_READERS) as readers, ThreadPoolExecutor(_WRITERS) as writers:
+            for number, task in enumerate(batch.tasks):
+                if batch.results.is_stopping():
+                    break
+                record = batch.results.find(task)
+                if record is None:
+                    for one in batch.tasks[number:number + 1 + waiting]:
+                        if one.stem not in ahead:
+                            ahead[one.stem] = self._read_ahead(batch, one, views, readers)
+                    ended.append(self._attempt(batch, task, views, ahead.pop(task.stem), writers, on_step(number)))
+                else:
+                    ended.append(record)
+                while len(ended) > waiting or (ended and not _is_waiting(ended[0])):
+                    yield _done(ended.popleft())
+            while ended:
+                yield _done(ended.popleft())
+
+    def part(self, work: Callable[[Any, Worker], Any], part: Any) -> Any:
+        """`work(part, worker)`; the device is opened anew where that has failed."""
+        try:
+            with translate_cl_errors(self.device, "a part of the work"):
+                return work(part, self)
+        except Exception:
+            self._photos = None
+            raise
+
+    def forget(self, owners: list[Any]) -> None:
+        """Let go of what is on the device for `owners`."""
+        self.photos.forget(owners)
+
+    def close(self) -> None:
+        """Let go of everything."""
+        if self._photos is not None:
+            self._photos.clear()
+        self._views.clear()
+
+    def _same_objects(self, batch: Batch) -> dict[int, Any]:
+        """The batch's views, those of earlier batches as the same objects, so that their photos are found again."""
+        return {k: self._views.setdefault(batch.digests[k], view) for k, view in batch.views.items()}
+
+    def _read_ahead(self, batch: Batch, task: ViewTask, views: dict[int, Any], readers: ThreadPoolExecutor) -> Future:
+        """Have the photos of `task` read, where the work looks at them, and its depth map, which is what comes."""
+        depth = readers.submit(task.depth.load)
+        for k in task.partners.all if batch.photos else ():
+            self.photos.read_ahead(views[k], readers)
+        return depth
+
+    def _attempt(self, batch: Batch, task: ViewTask, views: dict[int, Any], depth: Future, writers: ThreadPoolExecutor,
+                 on_step: OnStep | None) -> Record | Future[Record]:
+        """The record of `task` if it fails, else what will be it: `writers` are to write the result."""
+        start = time.perf_counter()
+        batch.results.note("began", task.name)
+        try:
+            result = batch.work(views, task.partners, depth.result(), batch.config, self.device, self.photos, on_step)
+        except OutputError:
+            raise
+        except Exception as error:  # whatever it is, the other views must not suffer
+            return self._failed(batch, task, error)
+        self._was_lost = False
+        if batch.keep:
+            batch.keep(batch.results.identity(task, result), result, self.device, self.photos)
+        about = {"device": self.device.info.title, "worker": worker_name(), "task_seconds": time.perf_counter() - start}
+        return writers.submit(_write, batch, task, result, about)
+
+    def _failed(self, batch: Batch, task: ViewTask, error: Exception) -> Record:
+        record = _record_of(batch, task, error)
+        if record.fault is not Fault.INPUT:
+            self._photos = None         # the device may be in any state: opened anew for the next view
+        if record.fault is Fault.LOST:
+            if self._was_lost:      # twice in a row: this worker has no device
+                self._was_lost = False
+                raise error
+            self._was_lost = True
+        return record
+
+
+def _is_waiting(record: Record | Future[Record]) -> bool:
+    return isinstance(record, Future) and not record.done()
+
+
+def _done(record: Record | Future[Record]) -> Record:
+    return record.result() if isinstance(record, Future) else record
+
+
+def _write(batch: Batch, task: ViewTask, result: Any, about: dict[str, Any]) -> Record:
+    try:
+        record = batch.results.write(task, result, about)
+    except OutputError:
+        raise
+    except Exception as error:
+        return _record_of(batch, task, error)
+    batch.results.note("ended", task.name)
+    return record
+
+
+def _record_of(batch: Batch, task: ViewTask, error: Exception) -> Record:
+    """The record of a view that has failed."""
+    batch.results.note("failed", task.name)
+    message = str(error) if isinstance(error, PagasError) else f"{type(error).__name__}: {error}"
+    kinds = {InputError: Fault.INPUT, DeviceMemoryError: Fault.MEMORY, DeviceLostError: Fault.LOST}
+    fault = next((fault for kind, fault in kinds.items() if isinstance(error, kind)), Fault.OTHER)
+    return task.failed(message, fault)
+
+
+# What processes of pools and clusters keep between tasks, which they are given as functions of a module: a worker each.
+_workers: dict[Any, Worker] = {}
+_one_at_a_time = Lock()    # tasks of one process share a device's queue
+
+
+def run_batch(batch: Batch, code: str, attempt: int) -> list[Record]:
+    """Worker.records, in a process of a pool or cluster that runs the same `code` (task.code_version). `attempt`: how
+    many batches were sent before this one, since some executors keep what equal arguments gave."""
+    _check_code(code)
+    with _one_at_a_time:
+        records = list(_worker(batch.device).records(batch))
+    trim()
+    return records
+
+
+def run_part(work: Callable[[Any, Worker], Any], part: Any, names: Any, code: str, attempt: int) -> Any:
+    """Worker.part, likewise."""
+    _check_code(code)
+    with _one_at_a_time:
+        return _worker(names).part(work, part)
+
+
+def close_workers() -> None:
+    """Let go of everything that this process keeps between tasks, its devices too."""
+    with _one_at_a_time:
+        for worker in _workers.values():
+            worker.close()
+        _workers.clear()
+        give_back()
+    trim()
+
+
+def _worker(names: Any) -> Worker:
+    return _workers.setdefault(names, Worker(names))
+
+
+def _check_code(code: str) -> None:
+    follow_parent()
+    if code != code_version():
+        raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "
+                          "planned the run: install the same version everywhere")
+
+
+def follow_parent() -> None:
+    """In a process of a pool: end when the one that started it has, however that came about. Its queue would wait for
+    ever, and it would keep the device from the run that goes on."""
+    _follow_parent(os.getpid())
+
+
+@cache
+def _follow_parent(_: int) -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        Thread(target=lambda: (wait([parent.sentinel]), os._exit(1)), daemon=True).start()

@@ -1,0 +1,194 @@
+"""Collects the views of a run as they are done, and writes the pictures and the page."""
+
+import json
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.app.report.headline import STATUS, bar, sentence, shares, summed
+from pagas_cl.app.report.mesh_view import SCRIPTS, mesh_viewer
+from pagas_cl.app.report.page import compared, figure, folded, html_page, pairs, paragraphs
+from pagas_cl.app.report.pictures import change_in_units, parallax_change, shaded_pictures, view_pictures
+from pagas_cl.scene.files import DAMAGE, read_bytes, write_text
+from pagas_cl.scene.images import write_image
+from pagas_cl.scene.names import OWN, flat_stem
+from pagas_cl.scene.own_files import write_json
+
+LEGEND = ["Of the surface to start from: refined = moved by the photos; kept = unchanged, since no other photo sees "
+          "it, it is masked out, the photos show nothing there, or the whole view is unchanged; rejected = unchanged, "
+          "since the photos contradict the new depth. No surface: share of the whole photo. report.json counts the "
+          "pixels.",
+          "Change: how far the surface moved as the other photos see it, in their pixels (px): half of it by more than "
+          "the median. Confidence: 1 = the photos fix the depth, 0.5 = to one pixel, 0 = they say nothing.",
+          "Pictures: click for full size; dark grey = no value; the strip below a picture is its scale, from left to "
+          "right."]
+_NO_MESH_BEFORE = ("There is no mesh before: the run began with depth maps. They are shown before and after, view by "
+                   "view, below.")
+_MESH, _BEGUN = "mesh", f"{OWN}/pictures.json"
+_OF_A_VIEW = ("photo.jpg", "depth_before.png", "depth_after.png", "normals_before.png", "normals_after.png",
+              "change.png", "confidence.png", "camera.png")
+_OF_MESHES = ("photo.jpg", "shaded_before.png", "shaded_after.png")
+
+
+def picture_files(names, meshes: bool = False) -> list[str]:
+    """Names of the pictures that a Report of these views has, and of two meshes."""
+    stems = [_MESH]
+    for name in dict.fromkeys(names):
+        stems.append(flat_stem(name, stems))
+    return [f"{stem}_{key}" for stem in stems[not meshes:] for key in (_OF_MESHES if stem == _MESH else _OF_A_VIEW)]
+
+
+def pictures_in(folder: Path) -> set[str]:
+    """Names of the pictures that runs have written in `folder`, as report.json tells, or were about to when killed."""
+    found = set()
+    for file in (folder / "report.json", folder / _BEGUN):
+        with suppress(*DAMAGE, TypeError, AttributeError):
+            told = json.loads(read_bytes(file))
+            found.update(told.get("pictures") or picture_files([row["view"] for row in told["views"]], meshes=True))
+    return found
+
+
+class Report:
+    """A folder with `index.html`, `report.json` and, for every view, `<view>_<picture>.png` (the photo as .jpg).
+
+    Used as a context manager, so that an interrupted run has a page of what was done. The folder is made, files of the
+    same names are replaced; `notes` are lines below the title, `facts` pairs of a word and a text (scene),
+    `particulars` more of them that are folded away (command, device); `began`: time.monotonic() at the start of the
+    run, so that the page says how long it took. `pictures`: names (`picture_files`) that are
+    noted down as ours before the first is written, for the next run.
+    """
+
+    def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=(), pictures=(), *, particulars=(),
+                 began: float | None = None):
+        self.folder = Path(folder)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.title, self.notes, self.facts = title, list(notes), list(facts)
+        self.particulars, self.details = list(particulars), list[str]()
+        self._views: list[dict] = []
+        self._reasons: list[str] = []
+        self._sections: list[tuple] = []
+        self._stems = [_MESH]
+        self._pictures = pictures_in(self.folder).union(pictures)
+        if pictures:
+            write_text(self.folder / _BEGUN, json.dumps({"pictures": sorted(self._pictures)}))
+        self._mesh, self._stopped, self._began = "", "", began
+
+    def __enter__(self) -> "Report":
+        return self
+
+    def __exit__(self, kind, error, _):
+        if kind is not None:
+            self._stopped = "interrupted" if kind is KeyboardInterrupt else str(error) or kind.__name__
+        self.write()
+
+    def add(self, view, before, after, *, contexts=(), parallax=None, confidence=None, counts=None, remarks=(),
+            details=(), reason: str = "", given=None) -> None:
+        """Write the pictures of one View (maps as in `view_pictures`) and remember its row of the table.
+
+        The change is measured by the Cameras `contexts` (`parallax_change`), or by `parallax` (H, W), the change of
+        depth that is one pixel of parallax, 0 = unknown; without either of them there is no picture of it. `counts` are
+        columns of the table, `remarks` lines above the pictures, `details` more of them that are folded; `reason`:
+        why the view is unchanged; `given`: its Camera before cameras were refined.
+        """
+        photo, camera = view.load_image(), view.camera
+        change = parallax_change(camera, list(contexts), before, after) if contexts else None
+        if parallax is not None:
+            change = change_in_units(before, after, parallax)
+        stem = flat_stem(view.name, self._stems)
+        self._stems.append(stem)
+        pictures = view_pictures(photo, camera, before, after, change=change, confidence=confidence,
+                                 given=None if given is camera else given)
+        figures = self._figures(stem, pictures)
+        self._views.append({"view": view.name, **(counts or {}), **_change_figures(change, confidence, after)})
+        self._reasons.append(reason)
+        lines = [f"unchanged: {reason}"] if reason else []
+        self._sections.append((view.name, figures, [*lines, *remarks], details))
+
+    def add_mesh(self, before, after, *, view=None, depths=None) -> None:
+        """Show two meshes (see `mesh_viewer`) at the head of the page.
+
+        `view`: the View from where they are seen at first. `depths`: of both meshes, (H, W) z-depth in that view, drawn
+        as shaded pictures with a slider beside its photo.
+        """
+        html = mesh_viewer(before, after, camera=view and view.camera)
+        figures = self._figures(_MESH, shaded_pictures(view, *depths)) if depths is not None else []
+        absent = paragraphs([] if before is not None else [_NO_MESH_BEFORE])
+        self._mesh = f'<h2>mesh</h2>{html}{absent}<div class="pictures">{"".join(figures)}</div>'
+
+    def note(self, text: str) -> None:
+        """A line below the title, for whoever looks at the page."""
+        self.notes.append(text)
+
+    def detail(self, text: str) -> None:
+        """A line of what was measured, folded away."""
+        self.details.append(text)
+
+    def write(self) -> Path:
+        """Write the page and the numbers; returns the page's path."""
+        columns = list(dict.fromkeys(key for row in self._views for key in row)) or ["view"]
+        total = {"view": f"all {len(self._views)} views", **summed(self._views)} if len(self._views) > 1 else {}
+        rows = [_cells(row, columns) for row in (*self._views, *([total] if len(total) > 1 else []))]
+        headline = sentence(self._views, self._reasons, self._stopped)
+        facts = list(self.facts)
+        if self._began is not None:
+            facts.append(("time of the whole run", _duration(time.monotonic() - self._began)))
+        content = {"headline": headline, "facts": {**dict(facts), **dict(self.particulars)}, "notes": self.notes,
+                   "details": self.details, "views": self._views,
+                   "pictures": sorted(name for name in self._pictures if (self.folder / name).exists())}
+        write_json(self.folder / "report.json", self.title.removeprefix("pagas-cl "), content)
+        (self.folder / _BEGUN).unlink(missing_ok=True)
+        header = ["seconds for this view" if key == "seconds" else key for key in columns]
+        page = html_page(self.title, self.notes, header, rows, self._sections, LEGEND if self._views else [],
+                         headline=headline, facts=facts, lead=bar(self._views), body=self._mesh,
+                         details=folded("Command, settings and measurements",
+                                        pairs(self.particulars) + paragraphs(self.details)),
+                         scripts=["page.js", *(SCRIPTS if self._mesh else [])])
+        return write_text(self.folder / "index.html", page)
+
+    def _figures(self, stem: str, pictures) -> list[str]:
+        """Write the pictures; HTML of those before and after each other's, then of the single ones."""
+        links = {}
+        for picture in pictures:
+            links[picture.key] = f"{stem}_{picture.key}.{'jpg' if picture.key == 'photo' else 'png'}"
+            write_image(self.folder / links[picture.key], picture.pixels)
+            self._pictures.add(links[picture.key])
+        found = {picture.key: picture for picture in pictures}
+        pairs = [(key, key.replace("_before", "_after")) for key in found if key.endswith("_before")]
+        single = [picture for key, picture in found.items() if not any(key in pair for pair in pairs)]
+        return ([compared(found[a], found[b], (links[a], links[b])) for a, b in pairs]
+                + [figure(picture, links[picture.key], len(single) == 1) for picture in single])
+
+
+def _change_figures(change, confidence, after) -> dict:
+    figures = {}
+    if change is not None and np.isfinite(change).any():
+        moved = np.abs(change[np.isfinite(change)])
+        figures["median change (px)"] = round(float(np.median(moved)), 4)
+        figures["95% change (px)"] = round(float(np.percentile(moved, 95)), 4)
+    if confidence is not None and (np.asarray(after) > 0).any():
+        figures["mean confidence"] = round(float(np.asarray(confidence)[np.asarray(after) > 0].mean()), 4)
+    return figures
+
+
+def _cells(row: dict, columns) -> list[str]:
+    """The row of the table: pixels as shares, other figures as they are."""
+    share = shares(row)
+    pixels = sum(row.get(name, 0) for name in (*STATUS, "no surface"))
+    if pixels and "no surface" in row:
+        share["no surface"] = row["no surface"] / pixels
+    return [f"{share[key]:.1%}" if key in share else _cell(row.get(key)) for key in columns]
+
+
+def _cell(value) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def _duration(seconds: float) -> str:
+    minutes = round(seconds / 60)
+    return f"{seconds:.1f} s" if seconds < 100 else f"{minutes} min" if minutes < 100 else f"{minutes / 60:.1f} h"

@@ -1,0 +1,61 @@
+"""What a child process does to try a device: a step of each blend against its float64 twin, then a whole view.
+
+    python -m pagas_cl.app.selftest.trial '{"identity": [...], "lanes": 16}'
+
+answers with one line of JSON: {"fault": "", "lasting": true}. `lasting` is false for what another try may mend.
+"""
+
+import json
+import sys
+
+import numpy as np
+
+from pagas_cl.app.selftest.check import STEPS, run_case
+from pagas_cl.app.selftest.scenes import base
+from pagas_cl.app.selftest.table import Case, config_of
+from pagas_cl.child import end_with_parent
+from pagas_cl.errors import DeviceError, KernelBuildError
+from pagas_cl.method.one_view import refine_depth
+from pagas_cl.runtime import device as devices
+from pagas_cl.runtime.trial import identity
+from pagas_cl.runtime.vendors import import_pyopencl
+
+SIZE = (96, 64)           # every vectorised path is taken from 74 x 26 pixels on (splat/tile.py)
+COLOUR = Case("colour, exposure", lambda: base(size=SIZE), 1e-3, dict(loss__exposure=True))
+GREY = Case("grey", lambda: base(size=SIZE), 1e-3, dict(loss__grey=True), blends=("order-free",))
+
+
+def try_out(wanted: list, lanes: int) -> dict:
+    """What is wrong with the device of that identity, with so many lanes."""
+    cl = import_pyopencl()
+    found = [pair for pair in devices.find_devices(cl) if identity(pair[0]) == wanted]
+    if not found:
+        return {"fault": "it is no longer there", "lasting": False}
+    try:
+        device = devices.opened(*found[0], lanes)
+        for case in (COLOUR, GREY):
+            for blend in case.blends:
+                outcome = run_case(case, blend, device)
+                if not outcome.ok:
+                    return {"fault": f"it computes wrongly ({blend} blend: {'; '.join(outcome.faults)})",
+                            "lasting": True}
+        return {"fault": _whole_view(device), "lasting": True}
+    except KernelBuildError as error:
+        return {"fault": f"its compiler fails ({error})", "lasting": True}
+    except (cl.Error, DeviceError) as error:
+        return {"fault": f"it fails ({devices.cause(error)})", "lasting": False}
+
+
+def _whole_view(device) -> str:
+    """What is wrong with a view refined as users do, its effects measured."""
+    scene = COLOUR.scene()
+    # the settings of the gradient above as far as they shape programs: these are compiled already
+    config = config_of(COLOUR, "order-free").with_settings(**STEPS, effects__exposure="on")
+    result = refine_depth(scene.target, scene.contexts, scene.depth, config=config, device=device)
+    return "" if np.isfinite(result.depth).all() else "it computes wrongly (a refined depth is not finite)"
+
+
+if __name__ == "__main__":
+    end_with_parent()
+    question = json.loads(sys.argv[1])
+    sys.stdout.write("\n" + json.dumps(try_out(question["identity"], question["lanes"])) + "\n")

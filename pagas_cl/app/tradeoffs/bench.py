@@ -1,0 +1,166 @@
+"""What a step costs, stage by stage, against what the device's memory allows (`pagas-cl bench`); and how long one takes
+on the whole: what an effect costs is the difference of two of these."""
+
+import time
+from dataclasses import asdict, dataclass
+from statistics import median
+
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.config import Config
+from pagas_cl.method.splat import PhotoStore, refine_levels
+from pagas_cl.method.splat.level import Schedule
+from pagas_cl.method.splat.options import reach
+from pagas_cl.method.splat.view import full_level
+from pagas_cl.runtime.device import open_device
+from pagas_cl.runtime.program import stage_times
+
+_ROUNDS, _STEPS = 3, 5
+_COPY_BYTES = 128 * 2**20      # of a copy that measures bandwidth; less where the device allows no such buffer
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One kernel over one step, all its launches together.
+
+    `megabytes` is what it must move, every input read once, every output written once (0 where that is not counted);
+    `share`: of the copy bandwidth, that moving this in this time amounts to.
+    """
+
+    name: str
+    launches: int
+    ms: float
+    megabytes: float
+    share: float
+
+
+@dataclass(frozen=True)
+class BenchResult:
+    """One preset on one device. Times of a frame are of all of it: upload of the depth, steps, judging, download."""
+
+    preset: str
+    device: str
+    driver: str
+    width: int
+    height: int
+    contexts: int
+    views_per_step: int
+    channels: int
+    copy_gb_per_s: float
+    stages: list[Stage]
+    step_ms: float
+    floor_ms: float
+    first_frame_s: float
+    frame_s: float
+    steps: tuple[int, ...]
+    device_mb: float
+
+    def as_dict(self) -> dict:
+        return asdict(self)
+
+    def table(self) -> str:
+        stages = "".join(
+            f"{s.name:<22}{s.launches:>9}{s.ms:>11.3f}"
+            + (f"{s.megabytes:>9.1f}{100 * s.share:>18.0f}%" if s.megabytes else "") + "\n" for s in self.stages)
+        return (f"{self.preset}: {self.width} x {self.height}, {self.contexts} context views, {self.views_per_step} a "
+                f"step, {'colour' if self.channels == 3 else 'grey'}\n{self.device}, driver {self.driver}, "
+                f"copies {self.copy_gb_per_s:.0f} GB/s\n"
+                f"{'stage':<22}{'launches':>9}{'ms a step':>11}{'MB':>9}{'of copy bandwidth':>19}\n{stages}"
+                f"{'a step':<22}{'':>9}{self.step_ms:>11.3f}; moving its data alone {self.floor_ms:.3f} ms\n"
+                f"a frame {self.frame_s:.3f} s, the first one {self.first_frame_s:.3f} s; "
+                f"{' + '.join(map(str, self.steps))} steps; {self.device_mb:.0f} MB on the device\n")
+
+
+def bench(views, depth, preset: str, config: Config, device=None, repeats: int = 3) -> BenchResult:
+    """Measure one preset on one view: `views` are the target, then its context views; `depth` (H, W) is its initial
+    z-depth, scene units, 0 = no surface."""
+    opened, profiled = open_device(device), open_device(device, profiling=True)
+    target, contexts = views[0], views[1:]
+    copy = copy_bandwidth(profiled)
+    stages, views_per_step = _step(profiled, target, contexts, depth, config, repeats, copy)
+    photos, times = PhotoStore(opened), []
+    for _ in range(1 + repeats):
+        start = time.perf_counter()
+        refined = refine_levels(target, contexts, depth, config, opened, photos)
+        times.append(time.perf_counter() - start)
+    info, camera = opened.info, target.camera
+    return BenchResult(preset, info.title, info.driver, camera.width, camera.height, len(contexts), views_per_step,
+                       1 if config.loss.grey else 3, copy / 1e9, stages, sum(s.ms for s in stages),
+                       sum(s.megabytes for s in stages) * 1e9 / copy, times[0], min(times[1:]), refined.steps,
+                       refined.device_bytes / 1e6)
+
+
+def copy_bandwidth(device) -> float:
+    """Bytes per second of a large copy on a profiling `device`, reads and writes counted."""
+    nbytes = min(_COPY_BYTES, device.info.max_alloc // 4, device.info.memory // 16)
+    source, target = (cl.Buffer(device.context, cl.mem_flags.READ_WRITE, nbytes) for _ in range(2))
+    cl.enqueue_fill_buffer(device.queue, source, np.uint32(0x3F9D70A4), 0, nbytes // 4 * 4)
+    times = []
+    for _ in range(7):
+        event = cl.enqueue_copy(device.queue, target, source, byte_count=nbytes)
+        event.wait()
+        times.append((event.profile.end - event.profile.start) * 1e-9)
+    return 2 * nbytes / median(times[2:])
+
+
+def _step(device, target, contexts, depth, config, repeats, copy):
+    """The Stages of one step, slowest first, and the context views in it."""
+    level = full_level(target, contexts, depth, config, device)
+    launches = [*level.step_launches(0), *level.solver().launches]
+    moved = stage_bytes(config, level.target.size.pixels, max(view.size.pixels for view in level.views))
+    stages = []
+    for name, (ms, count) in stage_times(device.queue, launches, repeats).items():
+        fills = [launch.size for launch in launches if launch.stage == name and hasattr(launch, "size")]
+        megabytes = (sum(fills) + moved.get(name, 0) * (count - len(fills))) / 1e6
+        stages.append(Stage(name, count, ms, megabytes, megabytes * 1e6 / copy / (ms * 1e-3) if ms else 0.0))
+    per_step = level.views_per_step
+    level.release()
+    return sorted(stages, key=lambda stage: -stage.ms), per_step
+
+
+def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:
+    """Bytes that one launch of each stage must move, for a target of `n` and a context view of `m` pixels."""
+    channels = 1 if config.loss.grey else 3
+    image = 4 * (channels + 1)  # with coverage; the same of what is passed back to it
+    partials = 8 * channels if config.loss.ssim else 0
+    first = 4 if config.splatting.occlusion else 0
+    places = 4 * (2 * reach(config.splatting.radius) + 1) ** 2  # weights around a bin
+    return {
+        "find_landing": 4 * n, "nearest": 4 * n + 8 * m,
+        "splat_order_free": 8 * n + (first + 2 * image) * m,
+        "gather_gradient": 16 * n + (first + image) * m,
+        "link_bins": (12 + places) * n + 8 * m, "composite_alpha": (12 + places) * n + (4 + image) * m,
+        "composite_alpha_vjp": (12 + 2 * places) * n + (4 + image) * m, "gather_alpha": (12 + places) * n + 4 * m,
+        "ssim_forward": (image + 4 + partials) * m, "loss_backward": (3 * image + 4 + partials) * m,
+        "filter_gradient": 24 * n, "adam": 36 * n,
+    }
+
+
+@dataclass(frozen=True)
+class StepTime:
+    """`seconds` of one step at full size, the best of some rounds; `device_bytes` of the level, photos not counted."""
+
+    seconds: float
+    device_bytes: int
+
+    def view_seconds(self, config: Config) -> float:
+        """Of all steps of a view: work is proportional to the pixels of a level."""
+        return self.seconds * sum(scale**2 * steps for scale, steps in zip(config.pyramid.scales, config.pyramid.steps))
+
+
+def time_step(target, contexts, depth: np.ndarray, config: Config, device, photos=None) -> StepTime:
+    """Time _STEPS steps of the full-size level; parameters as in refine_levels, every effect settled."""
+    # a level has room for the losses of as many steps as it is made for
+    config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(_STEPS,))
+    level = full_level(target, contexts, depth, config, device, photos)
+    best, settled = np.inf, Schedule.of(config, _STEPS).settled        # fits are a few of all steps, not of these
+    for _ in range(1 + _ROUNDS):          # the first one compiles
+        device.queue.finish()
+        start = time.perf_counter()
+        level.run(_STEPS, schedule=settled)
+        device.queue.finish()
+        best = min(best, time.perf_counter() - start)
+    needed = sum(buffer.size for buffer in level.buffers.held())
+    level.release()
+    return StepTime(best / _STEPS, needed)

@@ -1,0 +1,158 @@
+"""A case: one view to measure settings on, with its context views, photos kept out of it, the truth if known; and how
+good a depth map of it is."""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from pagas_cl.app.evaluate.depth import compare_depth, depth_per_parallax, find_discontinuities
+from pagas_cl.config import Context
+from pagas_cl.errors import InputError, log
+from pagas_cl.method.cameras.judge import fitted_poses
+from pagas_cl.method.prediction import compare_predictions
+from pagas_cl.scene.choice import ContextChooser
+from pagas_cl.scene.depthmap import central_normals
+from pagas_cl.scene.files import digest_array, digest_of
+from pagas_cl.scene.names import file_stems, place_of
+from pagas_cl.scene.view import View
+
+_HELD_OUT_PLACES = (1, 4)  # of the choice of contexts: well-placed photos, but not the best one
+
+
+@dataclass(frozen=True, eq=False)
+class BenchmarkCase:
+    """One view to measure on. Depth maps are (H, W) float32 z-depth, 0 = no surface."""
+
+    name: str
+    target: View
+    contexts: list[View] = field(repr=False)            # most useful first; a setting with n of them takes the first n
+    held_out: list[View] = field(repr=False)            # photos that no setting sees
+    initial: np.ndarray = field(repr=False)
+    truth: np.ndarray | None = field(default=None, repr=False)
+    context_depths: list = field(default_factory=list, repr=False)  # initial ones, or None, to compare refined views
+
+    @property
+    def pixels(self) -> int:
+        return self.target.camera.width * self.target.camera.height
+
+    @cached_property
+    def digest(self) -> str:
+        """By which a view of the same name is told apart: what is measured on, and what judges."""
+        views = self.target, *self.held_out
+        arrays = [array for view in views for array in (view.camera.world_to_camera, view.camera.K, view.load_image(),
+                                                        view.load_mask())]
+        return digest_of(digest_array(array).encode() for array in (*arrays, self.initial, self.truth)
+                         if array is not None)
+
+    # of the truth and the initial depth, as in evaluate, and held-out photos with the pose that fits it: found once for
+    # all settings
+
+    @cached_property
+    def discontinuities(self) -> np.ndarray:
+        return find_discontinuities(self.truth, self.target.camera)
+
+    @cached_property
+    def true_normals(self) -> np.ndarray:
+        return central_normals(self.truth, self.target.camera)
+
+    @cached_property
+    def fitted_to_initial(self) -> list[View]:
+        return [fitted_poses(other, self.target, [self.initial])[0] for other in self.held_out]
+
+    @cached_property
+    def parallax(self) -> np.ndarray:
+        """Depth of one pixel of parallax, float64 (H, W), 0 = unknown."""
+        cameras = [view.camera for view in self.contexts]
+        return depth_per_parallax(self.initial, self.target.camera, cameras)
+
+
+def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int = 1, held_out=None,
+               most_contexts: int = 10, scene_name: str = "") -> list[BenchmarkCase]:
+    """Cases from the views of a scene; `depths` and `truth` as in `tradeoff`.
+
+    `names`: views to measure on, by default `sample` of those with a depth (and truth), evenly spread, that can be
+    judged; `held_out`: names of views that no setting may see, by default two well-placed ones of each target with six
+    context views or more, one where there are fewer and no truth.
+    """
+    if sample < 1:
+        raise InputError(f"the number of views to measure on (sample) is {sample}, expected 1 or more")
+    truth = truth or [None] * len(views)
+    known = [view.name for view in views]
+    banned = {place_of(name, known) for name in held_out or ()}
+    # a held-out view is no context view of any target; the chooser may not see it
+    usable = [depth if k not in banned else None for k, depth in enumerate(depths)]
+    targets = _targets(usable, truth, sample) if names is None else [place_of(name, known) for name in names]
+    most = sample if names is None else len(targets)
+    chooser = ContextChooser([view.camera for view in views], depths, Context(number=most_contexts + 2 + len(banned)))
+    cases, stems = [], file_stems(known)
+    for k in targets:
+        if len(cases) == most:
+            break
+        if depths[k] is None:
+            raise InputError(f"view {views[k].name!r} has no initial depth map to measure on")
+        chosen = [j for j in chooser.choose(k).indices if j not in banned]
+        spared = [chosen[place] for place in _HELD_OUT_PLACES] if len(chosen) >= 6 else []
+        if not spared and truth[k] is None and len(chosen) > 1:
+            spared = [chosen[1]]
+        kept_out = spared if held_out is None else sorted(banned)
+        contexts = [j for j in chosen if j not in kept_out][:most_contexts]
+        if not contexts:
+            log.warning("view %s has no usable context view and is left out", views[k].name)
+            continue
+        if truth[k] is None and not kept_out:
+            log.warning("view %s cannot be judged and is left out: no truth, no photo to spare", views[k].name)
+            continue
+        name = f"{scene_name}/{stems[k]}" if scene_name else stems[k]
+        cases.append(BenchmarkCase(name, views[k], [views[j] for j in contexts], [views[j] for j in kept_out],
+                                   depths[k], truth[k], [depths[j] for j in contexts]))
+    if not cases:
+        raise InputError("no view can be measured on: none has an initial depth map, a usable context view, and a "
+                         "judge (its truth, or another usable view to hold out)")
+    return cases
+
+
+def _targets(depths, truth, sample: int) -> list[int]:
+    """Views with a depth, and with truth where any has it: `sample` of them, evenly spread, and then the others."""
+    have = [k for k, depth in enumerate(depths) if depth is not None and np.any(depth > 0)]
+    have = [k for k in have if truth[k] is not None] or have
+    places = np.unique(np.linspace(0, len(have) - 1, min(sample, len(have))).round().astype(int)) if have else []
+    first = [have[k] for k in places]
+    return first + [k for k in have if k not in first]
+
+
+def loaded(case: BenchmarkCase) -> BenchmarkCase:
+    """The case with its photos in memory, so that no file is read while something is timed."""
+    target, *others = (replace(view, image=view.load_image(), mask=view.load_mask())
+                       for view in (case.target, *case.contexts, *case.held_out))
+    number = len(case.contexts)
+    return replace(case, target=target, contexts=others[:number], held_out=others[number:])
+
+
+def score(case: BenchmarkCase, depth: np.ndarray) -> dict[str, float]:
+    """Errors of `depth` against the truth where there is one, and how well it predicts the held-out photos.
+
+    With truth: "depth", "depth_median" (scene units), "parallax" (pixels), "normal" (degrees), away from
+    discontinuities; "edges": mean depth error within 3 pixels of them; "missing": share of the true pixels. With
+    held-out photos: "unpredicted" and "unpredicted_mean": 1 - median and 1 - mean correlation of 7x7 patches, mean over
+    the photos, and "..._before": the same of the initial depth over the same pixels; each photo with the pose that fits
+    it to the depth.
+    """
+    scores = {}
+    if case.truth is not None:
+        found = compare_depth(depth, case.truth, case.target.camera, parallax=case.parallax,
+                              mask=case.target.load_mask(), true_normals=case.true_normals,
+                              discontinuities=case.discontinuities)
+        smooth, whole = found.smooth, found.all
+        scores = {"depth": smooth.mean, "depth_median": smooth.median, "parallax": smooth.mean_parallax,
+                  "normal": smooth.normal_mean, "edges": found.edges.mean,
+                  "missing": whole.missing / max(1, whole.pixels + whole.missing)}
+    pairs = [compare_predictions(case.target, [case.initial, depth],
+                                 [start, fitted_poses(other, case.target, [depth])[0]])
+             for other, start in zip(case.held_out, case.fitted_to_initial)]
+    rows = [(1 - after.median, 1 - after.mean, 1 - before.median, 1 - before.mean) for before, after in pairs
+            if after.pixels]
+    if rows:
+        names = "unpredicted", "unpredicted_mean", "unpredicted_before", "unpredicted_mean_before"
+        scores |= zip(names, np.mean(rows, axis=0).tolist())
+    return scores

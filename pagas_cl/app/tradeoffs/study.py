@@ -1,0 +1,213 @@
+"""Settings on cases, one record after the other in tradeoff.json: resumable, within a budget."""
+
+import json
+import time
+from concurrent.futures import Executor
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from pagas_cl.app.jobs.executors import SerialExecutor
+from pagas_cl.app.jobs.finished import one_run
+from pagas_cl.app.tradeoffs.case import BenchmarkCase, loaded, make_cases, score
+from pagas_cl.app.tradeoffs.front import Point, pareto, rank_correlation, summarise
+from pagas_cl.app.tradeoffs.page import FILE, write_report
+from pagas_cl.app.tradeoffs.plan import Setting, distinct, front_plan
+from pagas_cl.app.tradeoffs.run import Guess, run
+from pagas_cl.errors import DeviceError, InputError, log
+from pagas_cl.method.splat import PhotoStore
+from pagas_cl.progress import Reporter, progress_of, reported
+from pagas_cl.runtime.device import open_device
+from pagas_cl.scene.files import DAMAGE, read_bytes
+from pagas_cl.scene.own_files import write_json
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What was measured.
+
+    `figure` is the error that the front is of: "depth" where there is truth, else "unpredicted"; `proxy` the rank
+    correlation of "unpredicted" (held-out photos) with "depth" over the settings, nan without both.
+    """
+
+    points: list[Point]         # cheapest first; those of the front are marked
+    figure: str
+    initial: dict               # errors of each case's initial depth
+    proxy: float
+    device: str
+    left_out: list[str] = field(default_factory=list)               # names: the budget did not suffice
+    records: list[dict] = field(default_factory=list, repr=False)   # every run
+
+
+def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: int = 1, budget=None, settings=None,
+             device=None, report=None, repeats: int = 1, executor: Executor | None = None,
+             progress: Reporter = None) -> Study:
+    """Measure error against time of many settings on a sample of a scene's views.
+
+    Parameters
+    ----------
+    depths, truth : list of (ndarray of shape (H, W) or None)
+        Initial and true depth of each view, z-depth in scene units, 0 = no surface; without truth held-out photos are
+        the judge.
+    names, held_out, sample
+        Views to measure on, views kept out of everything, or how many views to take: see `make_cases`.
+    budget : float, optional
+        Minutes; settings (by default `front_plan()`) that do not fit any more are left out.
+    report : path, optional
+        Folder for tradeoff.json, the plot and the page. A study that finds its own earlier records there goes on
+        where that one ended.
+    repeats : int
+        Timed runs of each setting; the median counts.
+    executor : concurrent.futures.Executor, optional
+        Judges results while the device goes on (processes are spawned: an OpenCL context does not survive a fork); by
+        default this process does, between the runs, which leaves the processor to the device.
+    """
+    most = max(setting.contexts for setting in settings or front_plan())
+    cases = make_cases(views, depths, truth=truth, names=names, held_out=held_out, sample=sample, most_contexts=most)
+    return measure(cases, settings, budget=budget, device=device, report=report, repeats=repeats, executor=executor,
+                   progress=progress)
+
+
+def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *, budget=None, device=None, report=None,
+            repeats: int = 1, executor: Executor | None = None,
+             progress: Reporter = None) -> Study:
+    """As `tradeoff`, on cases that are made already."""
+    most = max(len(case.contexts) for case in cases)
+    settings, device = distinct(settings or front_plan(), most), open_device(device)
+    if budget is not None and not budget > 0:
+        raise InputError(f"the budget is {budget!r} minutes, expected more than 0")
+    if repeats < 1:
+        raise InputError(f"the number of timed runs of a setting (repeats) is {repeats}, expected 1 or more")
+    cases = [loaded(case) for case in cases]
+    cases, initial = _judged(cases)
+    with nullcontext() if report is None else one_run(Path(report)):
+        book = Book(None if report is None else Path(report), device.info.title, cases)
+        left_out = _fill(book, cases, settings, device, budget, repeats, executor or SerialExecutor(),
+                         progress_of(progress))
+        study = collect(book.records, settings, initial, str(device.info), left_out)
+        if report is not None and study.points:
+            write_report(Path(report), study, book.device)
+    return study
+
+
+def _judged(cases: list[BenchmarkCase]) -> tuple[list[BenchmarkCase], dict]:
+    """The cases whose initial depth can be judged, and its errors: one without a judge gives no figure."""
+    scores = {case.name: score(case, case.initial) for case in cases}
+    judged = [case for case in cases if {"depth", "unpredicted"} & scores[case.name].keys()]
+    for case in cases:
+        if case not in judged:
+            log.warning("%s cannot be judged and is left out: it has no truth, no held-out photo sees it", case.name)
+    if not judged:
+        raise InputError("no view can be judged: give its truth, hold out photos that see what is measured, or give "
+                         "more views")
+    return judged, {case.name: scores[case.name] for case in judged}
+
+
+def collect(records, settings, initial: dict, device: str, left_out=()) -> Study:
+    """The study that `records` make of `settings` on the cases that `initial` names (a part of them, say)."""
+    points = sorted(summarise(settings, records, initial), key=lambda p: p.seconds)
+    figure = "depth" if all("depth" in scores for scores in initial.values()) else "unpredicted"
+    marks = pareto([p.seconds for p in points], [p.error(figure) for p in points])
+    proxy = rank_correlation(*([p.error(which) for p in points] for which in ("depth", "unpredicted")))
+    return Study([replace(p, on_front=bool(mark)) for p, mark in zip(points, marks)], figure, initial, proxy,
+                 device, list(left_out), list(records))
+
+
+def _checked(record: dict) -> dict:
+    """A record of tradeoff.json with all that is asked of it; one of DAMAGE or TypeError where it has not."""
+    if not ({"key", "setting", "case"} <= record.keys() and all(isinstance(record[k], str) for k in ("key", "case"))):
+        raise ValueError("a run has no key or case")
+    if "error" not in record:
+        figures = [record[name] for name in ("seconds", "view_steps", "device_bytes")]
+        if not all(isinstance(figure, (int, float)) for figure in (*figures, *record["scores"].values())):
+            raise ValueError(f"the figures of {record['case']} are no numbers")
+    return record
+
+
+class Book:
+    """Records of runs on `device`, in `folder`'s tradeoff.json (None: in memory), which is whole at any time.
+
+    An interrupted study goes on where it ended; one of another device, or of none of the `cases`, is not added to.
+    """
+
+    def __init__(self, folder: Path | None, device: str, cases: list[BenchmarkCase]):
+        self.path, self.device, self.records = folder and folder / FILE, device, []
+        if self.path is not None and self.path.is_file():
+            try:
+                kept = json.loads(read_bytes(self.path))
+                self.records = [_checked(record) for record in kept["records"]]
+                other = self._other(kept["device"], {case.name: case.digest for case in cases})
+            except (*DAMAGE, TypeError, AttributeError) as error:
+                raise InputError(f"{str(self.path)!r} is no record of a study ({error}); move it away") from error
+            if self.records and other:
+                raise InputError(f"{str(self.path)!r} is a study {other}, which this one would be mixed with: choose "
+                                 "another folder, or move it away")
+            log.info("%s: %d runs are there already", self.path, len(self.records))
+
+    def _other(self, device: str, digests: dict[str, str]) -> str:
+        """In words, what the records are of where they are not of this study."""
+        names = {record["case"]: record.get("digest") for record in self.records}     # none before 0.2
+        if device != self.device:
+            return f"on {device}, not on {self.device}"
+        if not names.keys() & digests.keys():
+            return f"of other views ({', '.join(names)})"
+        changed = [name for name, digest in names.items() if digest not in (None, digests.get(name, digest))]
+        return f"with another photo, camera, depth or truth of {changed[0]}" if changed else ""
+
+    def has(self, setting: Setting, case: BenchmarkCase) -> bool:
+        return any(r["key"] == setting.key and r["case"] == case.name
+                   and r.get("pixels", case.pixels) == case.pixels for r in self.records)
+
+    def add(self, record: dict) -> None:
+        self.records.append(record)
+        if self.path is not None:
+            write_json(self.path, "tradeoff", {"device": self.device, "records": self.records})
+
+
+def _fill(book, cases, settings, device, budget, repeats, executor, progress) -> list[str]:
+    """Run what the book does not have; returns the names of what did not fit into the budget."""
+    left_out, waiting = [], []
+    todo = [(setting, k) for setting in settings for k, case in enumerate(cases) if not book.has(setting, case)]
+    guess = Guess(cases[0], device, repeats) if todo else None
+    if todo:
+        log.info("%d settings on %d views, %d runs still to do: about %.1f minutes%s", len(settings), len(cases),
+                 len(todo), sum(guess.seconds(setting, cases[k]) for setting, k in todo) / 60,
+                 f", at most {budget:g}" if budget else "")
+    began = time.monotonic()        # what the guess has built and timed is of use to all settings
+    for setting, k in reported(progress, "measure", todo):
+        started = time.monotonic()
+        if budget and started - began + guess.seconds(setting, cases[k]) > 60 * budget:
+            left_out.append(setting.name)
+            continue
+        record, depth = _record(setting, cases[k], device, repeats)
+        if depth is None:
+            book.add(record)
+            continue
+        waiting.append((record, executor.submit(score, cases[k], depth)))
+        _write_judged(book, waiting)
+        guess.learn(setting, cases[k], time.monotonic() - started)
+    _write_judged(book, waiting, wait=True)
+    if left_out:
+        left_out = list(dict.fromkeys(left_out))
+        log.warning("left out, since the budget of %g minutes would not do: %s", budget, "; ".join(left_out))
+    return left_out
+
+
+def _record(setting, case, device, repeats):
+    """What is written down of one run but for its scores, and its depth; None where the device could not do it."""
+    record = {"key": setting.key, "setting": setting.name, "case": case.name, "digest": case.digest}
+    try:  # photos of its own: the memory counted is of this view alone
+        outcome = run(setting, case, device, PhotoStore(device), repeats)
+    except DeviceError as error:  # too much memory for this device: the others still go
+        log.warning("%s on %s: %s", setting.name, case.name, error)
+        return {**record, "error": str(error)}, None
+    return {**record, "seconds": outcome.seconds, "view_steps": outcome.view_steps,
+            "device_bytes": outcome.device_bytes, "pixels": case.pixels}, outcome.depth
+
+
+def _write_judged(book, waiting: list, wait: bool = False) -> None:
+    """Move the records whose scores are there (with `wait` all of them) from `waiting` into the book."""
+    for entry in [entry for entry in waiting if wait or entry[1].done()]:
+        waiting.remove(entry)
+        record, scores = entry
+        book.add({**record, "scores": scores.result()})

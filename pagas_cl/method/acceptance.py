@@ -1,0 +1,97 @@
+"""Whether a refined view is to be trusted as a whole, or returned as it came."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from pagas_cl.method.cameras.judge import fitted_pose
+from pagas_cl.method.prediction import compare_predictions
+from pagas_cl.result import REFINED, REJECTED
+from pagas_cl.runtime.host import side_by_side
+
+MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not to be trusted as a whole
+LEAST_GAIN = 0.01        # of 1 - correlation in photos that took no part: less may be chance
+MISALIGNED = 0.2         # pixels; only photos that are off by more raise the question whether the cameras are right
+ENOUGH = 3               # photos that took no part: cameras that are off agree by chance, n of them one time in 2^n
+SEEN = 1000              # pixels of a view that a photo sees, of which a median says something
+LARGEST = 500_000        # pixels of a view whose own photo is doubted: more take more time and memory than it is worth
+_ASKED, _TOGETHER = 8, 4   # photos that are asked then, and compared at a time
+
+
+def nothing_reason(refined) -> str:
+    """Why no depth of a view was refined (splat.Refinement); empty where one was."""
+    if (refined.status == REFINED).any():
+        return ""
+    if (refined.status == REJECTED).any():
+        return "the photos confirm no refined depth"
+    if refined.silent:
+        return "nothing in the photos moved a depth (are they black, or of one colour?)"
+    return "no other photo sees a depth of it that its mask leaves"
+
+
+def rejection_reason(refined, depth, contexts: int, held_out, measured) -> str:
+    """Why a refinement (splat.Refinement) is not to be trusted as a whole; empty where it is.
+
+    It started from `depth` (H, W) with `contexts` context views; the views `held_out` took no part. Enough of these are
+    a measurement; with fewer, what is likely to make it worse counts too (`measured`: Measurements or None).
+    """
+    seen = [(view.name, cost) for view, cost in zip(held_out, refined.held_out) if np.isfinite(cost).all()]
+    if len(seen) < ENOUGH and (reason := _likely_reason(refined, depth, contexts, measured)):
+        return reason
+    before, after = np.mean([cost for _, cost in seen], axis=0) if seen else refined.cost
+    judges = f"the photos that took no part ({', '.join(name for name, _ in seen)})" if seen else "the context photos"
+    through = f"over the refined depth (mismatch {before:.4f} before, {after:.4f} after)"
+    if after > before:       # not where nothing was seen: NaN
+        return f"{judges} match worse {through}"
+    if seen and before - after < LEAST_GAIN * before:
+        return f"{judges} do not match clearly better {through}"
+    return ""
+
+
+def own_reason(target, depth, refined, photos, measured, device, store) -> str:
+    """Why the target's own photo is not to be trusted: what is wrong with it, motion blur or rows read one after the
+    other, is in every pair that it is part of, so that photos that took no part gain by it as the others do.
+
+    Asked where photos are off by more than depths moved, which may be all that moved them. Each of the `photos` is then
+    given the pose that fits it best to either depth, and their patches must match better through the refined one. Some
+    photos will do, the first.
+    """
+    doubted = measured and measured.misaligned > MISALIGNED and depth.size <= LARGEST
+    if not doubted or measured.misaligned < (moved := _moved(refined, depth)):
+        return ""
+    both, fitted = (depth, refined.depth), []
+    for view in photos[:_ASKED]:
+        poses = [fitted_pose(view, target, one, device=device, photos=store) for one in both]
+        fitted.append([replace(pose, image=image) for image in [view.load_image()] for pose in poses])      # read once
+    target = replace(target, image=target.load_image())
+    told = side_by_side(lambda views: compare_predictions(target, both, views), fitted, _TOGETHER)
+    costs = [[1 - one.median for one in pair] for pair in told if pair[0].pixels >= SEEN]
+    before, after = np.mean(costs, axis=0) if costs else (np.inf, 0)
+    if after < before:
+        return ""
+    return (f"its photo and the others are off by {measured.misaligned:.1f} pixels that no depth explains, more than "
+            f"depths moved ({moved:.1f}), and with a pose fitted to each, {len(costs)} photos match no better over the "
+            f"refined depth (mismatch {before:.4f} before, {after:.4f} after): is its own photo blurred, or was its "
+            "shutter rolling?")
+
+
+def _likely_reason(refined, depth, contexts: int, measured) -> str:
+    """What speaks against it without photos that took no part: cameras that are off, and depths that were rejected."""
+    off = measured.misaligned if measured else 0.0
+    added = off / np.sqrt(contexts)          # to a depth, by cameras that are off independently of one another
+    if off > MISALIGNED and (moved := _moved(refined, depth)) < 2 * added:
+        return (f"the photos are off by {off:.1f} pixels that no depth explains, so that {contexts} of them add "
+                f"errors of about {added:.1f} pixels of parallax to depths that moved by {moved:.1f}: "
+                "are the cameras right?")
+    refused, accepted = (int(np.count_nonzero(refined.status == status)) for status in (REJECTED, REFINED))
+    if refused > MOST_REFUSED * (together := refused + accepted + refined.silent):
+        return f"the photos do not confirm the refined depth of {refused / together:.0%} of the pixels"
+    return ""
+
+
+def _moved(refined, depth) -> float:
+    """By how many pixels of parallax the refined depths moved, root mean square over some rows and columns."""
+    some = np.s_[::4, ::4]
+    there = (refined.status[some] == REFINED) & (refined.parallax[some] > 0)
+    moved = (refined.depth[some][there] - depth[some][there]) / refined.parallax[some][there]
+    return float(np.sqrt(np.mean(moved.astype(np.float64)**2))) if moved.size else 0.0

@@ -1,0 +1,149 @@
+"""Launches of adjust.cl: what the pixels of a target say of cameras, without their depths (method section 9)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.method.cameras.normalize import Normalizer
+from pagas_cl.method.splat.buffers import Size
+from pagas_cl.method.splat.constants import define
+from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.scene.camera import Camera, camera_table
+from pagas_cl.scene.sampling import NEAR
+
+HUBER, CUT = 0.3, 2.5     # residuals beyond the first count linearly, beyond the second not at all
+BORDER = 5.0              # pixels along a photo's edges that are not used: its windows are cut there
+CHUNK, COST_CHUNK = 256, 64      # pixels that one work-item adds up
+DEFINES = define(NEAR=NEAR, HUBER=HUBER, CUT=CUT, BORDER=BORDER, CHUNK=CHUNK, COST_CHUNK=COST_CHUNK)
+SMOOTHED = 1.5            # pixels over which steps of depths are averaged
+PRIOR = 1e-3              # of the residual, a squared pixel of parallax: holds depths that no photo fixes
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A view on the device at one size: its camera there, the normalised photo and the depth, float32 (H, W)."""
+
+    camera: Camera
+    normal: cl.Buffer
+    depth: cl.Buffer
+
+    @property
+    def size(self) -> Size:
+        return Size(self.camera.width, self.camera.height)
+
+
+@dataclass(frozen=True)
+class Block:
+    """What the pixels of a target say of its context views' cameras, as seen from it: the depths are eliminated.
+
+    `matrix` (K, C, K, C) and `right` (K, C) float64: the normal equations matrix x = -right, by the C numbers of each
+    of K context views. `used`: pixels, (K,); `squares`: sum of their squared weighted residuals, (K,).
+    """
+
+    matrix: np.ndarray
+    right: np.ndarray
+    used: np.ndarray
+    squares: np.ndarray
+
+
+class Adjuster:
+    """The kernels on one device; lengths of depths and cameras in units of `scene_scale` scene units."""
+
+    def __init__(self, device, scene_scale: float, intrinsics: bool = False):
+        self.device, self.scene_scale, self.intrinsics = device, scene_scale, intrinsics
+        self.columns, self._row = (14, 16) if intrinsics else (6, 8)
+        self.normalizer = Normalizer(device)
+        self.program = build(device, "adjust.cl", (*DEFINES, *(["INTRINSICS"] if intrinsics else [])))
+
+    def block(self, target: Frame, others: Sequence[Frame], prior: float, tolerance: float, limit: float = 0.0,
+              sums: bool = True) -> Block | None:
+        """The Block of a target (None without `sums`). With `limit` its depths then make their own step, at most
+        `limit` (of a depth of 1).
+
+        `prior`: as eliminate has it; infinite leaves depths as they are. `tolerance`: share of the depth by which an
+        other view's own depth may differ where it sees the same point.
+        """
+        size, views = target.size, len(others)
+        rows = self.buffer(4 * self._row * views * size.pixels, "rows")
+        steps, cameras = self.buffer(8 * size.pixels, "steps"), self._table(target, others)
+        given = {"normal": target.normal, "depth": target.depth, "cameras": cameras, "rows": rows, **size.extent}
+        run_once(self.device.queue, [
+            *(bind(self.program, "linearize", size.grid, view=view, other_normal=other.normal,
+                   other_depth=other.depth, tolerance=tolerance, **given) for view, other in enumerate(others, 1)),
+            bind(self.program, "eliminate", size.grid, rows=rows, depth=target.depth, views=views, prior=prior,
+                 steps=steps, **size.extent)])
+        chunks, entries = -(-size.pixels // CHUNK), views * (views + 1) // 2 * self.columns if sums else 0
+        partial, total = (self.buffer(max(4, 4 * self._row * entries * n), "partial") for n in (chunks, 2))
+        if sums:
+            run_once(self.device.queue, [
+                bind(self.program, "sum_pairs", (entries, chunks), rows=rows, steps=steps, views=views,
+                     count=size.pixels, chunks=chunks, partial=partial),
+                bind(self.program, "sum_chunks", (entries * self._row,), partial=partial, entries=entries * self._row,
+                     chunks=chunks, sums=total)])
+        if limit > 0:
+            self.normalizer.smooth(steps, size, SMOOTHED)
+            run_once(self.device.queue, [bind(self.program, "move_depth", size.grid, steps=steps, limit=limit,
+                                              depth=target.depth, **size.extent)])
+        found = download(self.device, total, (entries, self._row, 2)).astype(np.float64).sum(axis=-1) if sums else None
+        for buffer in (rows, steps, cameras, partial, total):
+            buffer.release()
+        return None if found is None else self._block(found, views)
+
+    def costs(self, target: Frame, others: Sequence[Frame], tolerance: float) -> np.ndarray:
+        """Robust cost of the residuals and number of pixels seen, summed over the target, float64 (K, 2)."""
+        size, cameras = target.size, self._table(target, others)
+        chunks, out = -(-size.pixels // COST_CHUNK), []
+        for view, other in enumerate(others, 1):
+            costs = self.buffer(8 * chunks, "costs")
+            run_once(self.device.queue, [bind(
+                self.program, "pair_cost", (chunks,), normal=target.normal, depth=target.depth, cameras=cameras,
+                view=view, other_normal=other.normal, other_depth=other.depth, tolerance=tolerance, width=size.width,
+                count=size.pixels, chunks=chunks, costs=costs)])
+            out.append(download(self.device, costs, (chunks, 2)).astype(np.float64).sum(axis=0))
+            costs.release()
+        cameras.release()
+        return np.array(out).reshape(-1, 2)
+
+    def copied(self, frame: Frame) -> cl.Buffer:
+        """Its depths once more."""
+        out = self.buffer(4 * frame.size.pixels, "initial")
+        cl.enqueue_copy(self.device.queue, out, frame.depth)
+        return out
+
+    def read(self, frame: Frame, buffer: cl.Buffer) -> np.ndarray:
+        """A buffer of a frame, or like those that it has, (H, W)."""
+        return download(self.device, buffer, (frame.size.height, frame.size.width))
+
+    def carry(self, coarse: Frame, coarse_initial: cl.Buffer, fine: Frame) -> None:
+        """Multiply the depths of `fine` by what those of `coarse` were changed by."""
+        run_once(self.device.queue, [bind(
+            self.program, "carry_depth", fine.size.grid, coarse=coarse.depth, coarse_initial=coarse_initial,
+            source_width=coarse.size.width, source_height=coarse.size.height, depth=fine.depth, **fine.size.extent)])
+
+    def rescale(self, frame: Frame, scale: float, shift: float) -> None:
+        """Depths times `scale` plus `shift` (units)."""
+        run_once(self.device.queue, [bind(self.program, "rescale_depth", frame.size.grid, scale=scale, shift=shift,
+                                          depth=frame.depth, **frame.size.extent)])
+
+    def _table(self, target: Frame, others: Sequence[Frame]) -> cl.Buffer:
+        return upload(self.device, camera_table(target.camera, [other.camera for other in others], self.scene_scale))
+
+    def buffer(self, nbytes: int, role: str) -> cl.Buffer:
+        return self.device.memory.buffer(self.device.context, nbytes, role)
+
+    def _block(self, found: np.ndarray, views: int) -> Block:
+        """From the sums, (entries, ROW): pairs of views with the first not behind the second, by rows."""
+        lanes = [*range(6), *range(8, self._row)]
+        found = found.reshape(-1, self.columns, self._row)
+        matrix, right = np.zeros((views, self.columns, views, self.columns)), np.zeros((views, self.columns))
+        used, squares = np.zeros(views), np.zeros(views)
+        pairs = [(one, two) for one in range(views) for two in range(one, views)]
+        for (one, two), sums in zip(pairs, found):
+            matrix[one, :, two] = sums[:, lanes]
+            matrix[two, :, one] = sums[:, lanes].T
+            if one == two:
+                right[one], used[one], squares[one] = sums[:, 6], sums[0, 7], sums[1, 7]
+        return Block(matrix, right, used, squares)

@@ -1,0 +1,101 @@
+"""Photos and depth maps of all views on the device, at one size after another."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.config import Config
+from pagas_cl.method.cameras.adjust import Adjuster, Frame
+from pagas_cl.method.splat.buffers import Size, level_size
+from pagas_cl.method.splat.photos import PhotoStore
+from pagas_cl.method.splat.resample import Resampler
+from pagas_cl.method.surface.raster import each_depth
+from pagas_cl.runtime.host import side_by_side
+from pagas_cl.runtime.memory import upload
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.inputs import depth_array
+from pagas_cl.scene.mesh import Surface, to_surface
+from pagas_cl.scene.view import View
+
+Depths = Callable[[Sequence[Camera]], "list[np.ndarray]"]
+
+
+def depths_of(given, device=None) -> tuple[Depths, bool]:
+    """How to get depth maps for cameras, and whether they change with the cameras: those of a mesh, drawn on `device`,
+    do, others stay with their views."""
+    if not is_mesh(given):
+        def stay(cameras: Sequence[Camera]) -> list[np.ndarray]:
+            return side_by_side(lambda k: np.zeros((cameras[k].height, cameras[k].width), np.float32)
+                                if given[k] is None else depth_array(given[k]), range(len(given)))
+        return stay, False
+    surface: Surface = to_surface(given)
+
+    def render(cameras: Sequence[Camera]) -> list[np.ndarray]:
+        return list(each_depth(surface, cameras, device))
+    return render, True
+
+
+def is_mesh(given) -> bool:
+    """Whether it is a mesh of any kind, such as (vertices, faces), and no list of depth maps."""
+    if not isinstance(given, (list, tuple)):
+        return True
+    return (isinstance(given, tuple) and len(given) == 2
+            and all(np.ndim(part) == 2 and np.shape(part)[1] == 3 for part in given))
+
+
+class Frames:
+    """Makes the frames of `views` at a share of their size, and those at another one from them."""
+
+    def __init__(self, adjuster: Adjuster, views: Sequence[View], depths: Depths, moves: bool, photos: PhotoStore):
+        self.adjuster, self.views, self.moves, self.photos = adjuster, views, moves, photos
+        self.device, self.depths = adjuster.device, depths
+        self._resampler = Resampler(self.device, Config())
+        self._kept: list[np.ndarray] | None = None
+
+    def at(self, cameras: Sequence[Camera], share: float, sigma: float, maps: np.ndarray | None = None) -> list[Frame]:
+        """The views through `cameras` (of full size) at `share` of it, photos smoothed by `sigma` pixels. `maps`:
+        scale and shift (units) of each depth map, (N, 2)."""
+        sizes = [level_size(camera, share) for camera in cameras]
+        small = [camera.resized(size.width, size.height) for camera, size in zip(cameras, sizes)]
+        if self.moves:
+            depths = self.depths(small)
+        else:
+            depths = self._kept = self._kept or self.depths(cameras)
+        frames = []
+        for k, (view, camera, size, depth) in enumerate(zip(self.views, small, sizes, depths)):
+            full, photo = Size(view.camera.width, view.camera.height), self.photos.photo(view)
+            if full != size:
+                photo, source = self.adjuster.buffer(4 * size.pixels, "small"), photo
+                self._resampler.shrink_photo(source, full, photo, size)
+            normal, own = (self.adjuster.buffer(4 * size.pixels, role) for role in ("normal", "depth"))
+            self.adjuster.normalizer.photo(photo, size, sigma, normal)
+            scaled = np.ascontiguousarray(depth / np.float32(self.adjuster.scene_scale), np.float32)
+            scaled[~(np.isfinite(scaled) & (scaled > 0))] = 0
+            whole = upload(self.device, scaled)
+            self._resampler.shrink_depth(whole, Size(depth.shape[1], depth.shape[0]), own, size)
+            whole.release()
+            frames.append(Frame(camera, normal, own))
+            if maps is not None:
+                self.adjuster.rescale(frames[-1], *maps[k])
+        return frames
+
+    def carried(self, coarse: Sequence[Frame], coarse_initial: Sequence[cl.Buffer], fine: Sequence[Frame]) -> None:
+        """Change the depths of `fine` as those of `coarse` were changed; not where they come of a mesh."""
+        if not self.moves:
+            for frame, initial, to in zip(coarse, coarse_initial, fine):
+                self.adjuster.carry(frame, initial, to)
+
+
+def release(frames: Sequence[Frame]) -> None:
+    """Give back what they hold."""
+    for frame in frames:
+        frame.normal.release()
+        frame.depth.release()
+
+
+def through(frames: Sequence[Frame], cameras: Sequence[Camera]) -> list[Frame]:
+    """The frames with other cameras, given at full size."""
+    return [replace(frame, camera=camera.resized(frame.size.width, frame.size.height))
+            for frame, camera in zip(frames, cameras)]

@@ -1,0 +1,285 @@
+"""The rounds of a refinement of cameras: frames, blocks, solution, motion; coarse to fine (method section 9)."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pagas_cl.method.cameras.adjust import PRIOR, Block, Frame
+from pagas_cl.method.cameras.blocks import MakeBlocks, Wanted, blocks
+from pagas_cl.method.cameras.frames import Frames, release, through
+from pagas_cl.method.cameras.motion import moved, placed, twist_between
+from pagas_cl.method.cameras.onto import onto_mesh
+from pagas_cl.method.cameras.pairs import Pairs
+from pagas_cl.method.cameras.solve import Term, Unknowns, assemble, pixel_scales, solve
+from pagas_cl.method.cameras.turns import first_turns, turned
+from pagas_cl.progress import NONE, Progress
+from pagas_cl.progress import stage as reported
+from pagas_cl.scene.camera import Camera
+
+NEAR_ENOUGH, LOOSE, ANY = 0.01, 0.03, 0.5      # share of the depth by which views that see the same point may differ
+STEP, FARTHEST_STEP = 1.0, 3.0       # most that a round moves: a depth, pixels of parallax; a camera, pixels
+STILL = 0.01              # pixels of a size: a round that moves cameras by less is the last one there
+INFLATION = 40.0          # residuals that say the same, within a window
+LEAST_VARIANCE = 1e-6     # of a residual: photos of 8 bits leave more, what rounding alone leaves says nothing
+STRANGE = 0.01            # by so much more than cameras and maps are off the scale of maps is taken to be their own
+COMMON = 3.0              # maps may all be off alike by what one differs by within itself, over this
+ASIDE = 9.0               # so many pixels beside its place a photo says as much of another as any other photo does
+WAYS = ((0.0, 0.0), (ASIDE, 0.0), (-ASIDE, 0.0), (0.0, ASIDE), (0.0, -ASIDE))
+SETTLE = 3                # steps of the depths alone before pairs are judged
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One size: share of the finest one, smoothing in pixels, most rounds, and whether depths are free."""
+
+    share: float
+    sigma: float
+    rounds: int
+    free: bool = True
+
+
+FINE = (Stage(0.5, 0.7, 4), Stage(1.0, 0.7, 10))
+COARSE = (Stage(0.125, 0.7, 8), Stage(0.25, 0.7, 6), Stage(0.5, 0.7, 6), Stage(1.0, 0.7, 10))
+MAPS = (Stage(0.0625, 0.7, 8, False), Stage(0.125, 0.7, 8, False), Stage(0.25, 0.7, 6, False))
+
+
+@dataclass
+class State:
+    """Where a refinement stands: `given` cameras hold the gauge, `cameras` are now; `lenses` as in Unknowns; `maps`
+    (N, 2) scale and shift (units) of each depth map; `spread`: pixels that cameras are thought to be off by."""
+
+    given: list[Camera]
+    cameras: list[Camera]
+    maps: np.ndarray
+    spread: float
+    lenses: tuple[int, ...] = ()
+    lens_numbers: tuple[int, ...] = ()
+    map_numbers: int = 0
+    used: float = 0.0
+    residual: float = 0.0
+    log: list[dict] = field(default_factory=list)
+
+    def copy(self) -> "State":
+        """Another one that stands where this does."""
+        return replace(self, cameras=list(self.cameras), maps=self.maps.copy(), log=list(self.log))
+
+
+def aside(frame: Frame, x: float, y: float) -> Frame:
+    """The frame with its photo moved by some pixels."""
+    return replace(frame, camera=replace(frame.camera, cx=frame.camera.cx + x, cy=frame.camera.cy + y))
+
+
+class Rounds:
+    """Runs stages over `pairs`. `finest`: share of the photos' size at which the last one works; `typical`: depths of
+    the views, units; `make_blocks`: blocks.blocks, or what does the same elsewhere."""
+
+    def __init__(self, frames: Frames, pairs: Pairs, finest: float, typical: Sequence[float],
+                 progress: Progress = NONE, make_blocks: MakeBlocks = blocks):
+        self.frames, self.pairs, self.finest, self.typical, self.progress = frames, pairs, finest, typical, progress
+        self.make_blocks = make_blocks
+        self.adjuster = frames.adjuster
+        self.scene_scale = self.adjuster.scene_scale
+
+    def run(self, stages: Sequence[Stage], state: State) -> None:
+        """All stages; `state` is changed. The depths that come of it are used up: their scale is put into the cameras
+        (the surface stays as large as it was given)."""
+        with reported(self.progress, "refine the cameras", len(stages)) as shown:
+            before, initial = self._run_stages(stages, state, shown.advance)
+            if stages[-1].free and self.frames.moves:
+                self._onto_mesh(before, state)
+            elif stages[-1].free:
+                self._rescale(before, initial, state)
+            shown.advance(len(stages))
+        release(before)
+        for buffer in initial:
+            buffer.release()
+
+    def _run_stages(self, stages: Sequence[Stage], state: State,
+                    done: Callable[[float], None]) -> tuple[list[Frame], list]:
+        """The frames of the last stage, and the depths that it started from; `done(n)` is called before stage n."""
+        before: list[Frame] = []
+        initial: list = []
+        for number, stage in enumerate(stages):
+            done(number)
+            now = self.frames.at(state.cameras, self.finest * stage.share, stage.sigma, state.maps)
+            first = [self.adjuster.copied(frame) for frame in now]
+            if before and stage.free:
+                self.frames.carried(before, initial, now)
+            release(before)
+            for buffer in initial:
+                buffer.release()
+            before, initial = now, first
+            for _ in range(SETTLE if stage.free and stage.share >= FINE[0].share else 0):
+                self._blocks(now, NEAR_ENOUGH, sums=False)      # cameras are nearly right; else depths would hide it
+            for _ in range(stage.rounds):
+                before, step = self._round(before, state, stage)
+                if step < STILL:
+                    break
+        return before, initial
+
+    def _round(self, frames: list[Frame], state: State, stage: Stage) -> tuple[list[Frame], float]:
+        cameras = [frame.camera for frame in frames]
+        tolerance = NEAR_ENOUGH if stage.share >= 0.5 else LOOSE
+        if not stage.free:
+            tolerance = ANY
+        terms = [Term(t, others, block) for (t, others), block in
+                 zip(self._targets(), self._blocks(frames, tolerance, stage.free))]
+        used = sum(float(term.block.used.sum()) for term in terms)
+        squares = sum(float(term.block.squares.sum()) for term in terms)
+        if not used:
+            return frames, 0.0
+        unknowns = self._unknowns(frames, state, stage)
+        system, right = assemble(terms, cameras, self.scene_scale, unknowns)
+        there = self._moved(frames, state, unknowns)
+        share = frames[0].camera.width / state.cameras[0].width
+        variance = INFLATION * max(squares / used, LEAST_VARIANCE)
+        y, spread = solve(system, right, there, variance, max(state.spread * share, 1e-3))
+        state.spread, state.used, state.residual = spread / share, used, squares / used
+        steps = y - there
+        poses = steps[:6 * len(frames)].reshape(-1, 6)
+        largest = float(np.sqrt((poses**2).mean(axis=1)).max())
+        steps *= min(1.0, FARTHEST_STEP / max(largest, 1e-9))
+        state.log.append({"share": share, "residual": state.residual, "spread": state.spread, "step": largest / share})
+        self._apply(frames, state, unknowns, steps / unknowns.scales, share)
+        return through(frames, state.cameras), largest
+
+    def _targets(self) -> list[tuple[int, tuple[int, ...]]]:
+        """Places of views that have context views, and those of these."""
+        return [(target, others) for target, others in enumerate(self.pairs.used) if others]
+
+    def _blocks(self, frames: Sequence[Frame], tolerance: float, free: bool = True, sums: bool = True) -> list[Block]:
+        wanted = []
+        for target, others in self._targets():
+            slope = self._slope(frames, target, others)
+            wanted.append(Wanted(target, others, PRIOR * slope**2 if free else np.inf, tolerance,
+                                 STEP / slope if free else 0.0, sums))
+        return self.make_blocks(self.adjuster, frames, wanted)
+
+    def _slope(self, frames: Sequence[Frame], target: int, others: Sequence[int]) -> float:
+        """Pixels of parallax a unit of depth, at a depth of 1: root mean square over the context views."""
+        squares = []
+        for k in others:
+            camera = frames[k].camera
+            away = np.linalg.norm(camera.center - frames[target].camera.center) / self.scene_scale
+            squares.append(camera.fx * camera.fy * away**2)
+        return max(float(np.sqrt(np.mean(squares))), 1e-6)
+
+    def _unknowns(self, frames: Sequence[Frame], state: State, stage: Stage) -> Unknowns:
+        cameras = [frame.camera for frame in frames]
+        lenses = max(state.lenses, default=-1) + 1
+        aside = 0.3 * np.hypot(cameras[0].width, cameras[0].height)
+        depth = 0 if stage.free else state.map_numbers
+        shift = [self._slope(frames, t, others) if others else 1.0 for t, others in enumerate(self.pairs.used)]
+        maps = np.array([[s * z, s] for s, z in zip(shift, self.typical)])[:, :depth]
+        scales = np.concatenate([pixel_scales(cameras, self.typical), np.tile([aside, 1.0, 1.0], lenses), maps.ravel()])
+        return Unknowns(len(cameras), scales, state.lenses, state.lens_numbers, depth)
+
+    def _moved(self, frames: Sequence[Frame], state: State, unknowns: Unknowns) -> np.ndarray:
+        """How far all unknowns are from where they were given, pixels."""
+        there = np.zeros(len(unknowns.scales))
+        share = frames[0].camera.width / state.cameras[0].width
+        for k, (given, now) in enumerate(zip(state.given, state.cameras)):
+            there[unknowns.pose(k)] = twist_between(given, now, self.scene_scale)
+            if unknowns.lenses:
+                lens = [np.log(now.fx / given.fx), share * (now.cx - given.cx), share * (now.cy - given.cy)]
+                there[unknowns.lens(k)] = np.array(lens)[list(unknowns.lens_numbers)]
+            if unknowns.depth:
+                there[unknowns.map(k)] = [np.log(state.maps[k, 0]), state.maps[k, 1]][:unknowns.depth]
+        return there * unknowns.scales
+
+    def _apply(self, frames: Sequence[Frame], state: State, unknowns: Unknowns, steps: np.ndarray,
+               share: float) -> None:
+        for k, camera in enumerate(state.cameras):
+            camera = moved(camera, steps[unknowns.pose(k)], self.scene_scale)
+            if unknowns.lenses:
+                lens = np.zeros(3)
+                lens[list(unknowns.lens_numbers)] = steps[unknowns.lens(k)]
+                camera = replace(camera, fx=camera.fx * np.exp(lens[0]), fy=camera.fy * np.exp(lens[0]),
+                                 cx=camera.cx + lens[1] / share, cy=camera.cy + lens[2] / share)
+            state.cameras[k] = camera
+            if unknowns.depth:
+                scale, shift = np.r_[np.exp(steps[unknowns.map(k)][0]), [*steps[unknowns.map(k)][1:], 0.0][0]]
+                state.maps[k] = state.maps[k] * scale + [0.0, shift]
+                self.adjuster.rescale(frames[k], scale, shift)
+
+    def _onto_mesh(self, frames: Sequence[Frame], state: State) -> None:
+        """Let the surface that photos see lie where the mesh does."""
+        own = [frames[target] for target, _ in self._targets()]
+        cameras = [frame.camera for frame in own]
+        depths = [self.adjuster.read(frame, frame.depth) * self.scene_scale for frame in own]
+        spread = state.spread * frames[0].camera.width / state.cameras[0].width
+        state.cameras = list(map(onto_mesh(cameras, depths, self.frames.depths(cameras), spread), state.cameras))
+
+    def _rescale(self, frames: Sequence[Frame], initial, state: State) -> None:
+        """Let the surface be as large as it was given, as far as it tells that better than the cameras: these are off
+        by `spread`, each depth map by what it was changed by on the whole, all of them alike perhaps by a third of
+        what one differs within itself. The scale of depth maps that is not the cameras' at all is put into `state.maps`
+        instead."""
+        ratios, within, sizes = [], [], []
+        for frame, buffer in zip(frames, initial):
+            now, then = self.adjuster.read(frame, frame.depth), self.adjuster.read(frame, buffer)
+            valid = (now > 0) & (then > 0)
+            if valid.any():
+                ratio = np.log(then[valid].astype(np.float64) / now[valid])
+                ratios.append(float(np.median(ratio)))
+                within.append(float(np.median(abs(ratio - ratios[-1]))))
+                sizes.append(int(valid.sum()))
+        if not ratios:
+            return
+        wanted = float(np.average(ratios, weights=sizes))
+        by_surface = float(np.var(ratios)) / len(ratios) + (float(np.median(within)) / COMMON) ** 2 + 1e-12
+        centers, first = (np.array([camera.center for camera in those]) for those in (state.cameras, state.given))
+        middle = centers.mean(axis=0)
+        around, size = centers - middle, max(float(((centers - middle) ** 2).sum()), 1e-300)
+        own = float(np.log(max(((first - first.mean(axis=0)) * around).sum() / size, 0.5)))     # that of those given
+        focal = float(np.mean([camera.fx for camera in state.cameras]))
+        error = state.spread * float(np.median(self.typical)) * self.scene_scale / focal      # of a centre's coordinate
+        by_cameras = error**2 / size
+        if (wanted - own) ** 2 > by_surface + 9 * by_cameras + STRANGE**2:
+            state.maps *= np.exp(own - wanted)       # the maps have a scale of their own, not that of the cameras
+            wanted = own
+        scale = float(np.exp((wanted * by_cameras + own * by_surface) / (by_cameras + by_surface)))
+        state.cameras = [placed(camera, camera.world_to_camera[:3, :3], middle + scale * offset)
+                         for camera, offset in zip(state.cameras, around)]
+        state.log.append({"scale": scale, "surface": wanted, "given": own})
+
+    def judged(self, cameras: Sequence[Camera], maps: np.ndarray, pairs: Sequence[tuple[int, int]],
+               stage: Stage) -> np.ndarray:
+        """Mean robust cost of `pairs`, both ways, pixels seen, and the mean cost with one photo moved aside (pairs, 3);
+        NaN where nothing is seen. The depths first follow the pairs that are used."""
+        frames = self.frames.at(cameras, self.finest * stage.share, stage.sigma, maps)
+        for _ in range(SETTLE):
+            self._blocks(frames, NEAR_ENOUGH, sums=False)
+        out = []
+        for pair in pairs:
+            rows = sum(self.adjuster.costs(frames[one], [aside(frames[two], *way) for way in WAYS], LOOSE)
+                       for one, two in (pair, pair[::-1]))
+            (cost, seen), (beside, number) = rows[0], rows[1:].sum(axis=0)
+            out.append((cost / seen if seen else np.nan, seen, beside / number if number else np.nan))
+        release(frames)
+        return np.array(out).reshape(-1, 3)
+
+    def turned(self, cameras: Sequence[Camera], maps: np.ndarray, stage: Stage) -> tuple[list[Camera], float]:
+        """The cameras after first_turns, and by how many pixels (of full size) whole photos lie beside one another."""
+        frames = self.frames.at(cameras, self.finest * stage.share, stage.sigma, maps)
+        normals = [self.adjuster.read(frame, frame.normal) for frame in frames]
+        depths = [self.adjuster.read(frame, frame.depth) * self.scene_scale for frame in frames]
+        release(frames)
+        pairs = sorted({(min(one, k), max(one, k)) for one, others in enumerate(self.pairs.used) for k in others})
+        turns, way = first_turns([frame.camera for frame in frames], normals, depths, pairs)
+        return ([turned(camera, turn) for camera, turn in zip(cameras, turns)],
+                way * cameras[0].width / frames[0].camera.width)
+
+    def agreement(self, cameras: Sequence[Camera], maps: np.ndarray, stage: Stage) -> np.ndarray:
+        """Of each view: the median over its pairs of the mean robust cost, as they are; NaN without any. (N,)"""
+        frames = self.frames.at(cameras, self.finest * stage.share, stage.sigma, maps)
+        told: list[list[float]] = [[] for _ in frames]
+        for target, others in self._targets():
+            for other, (cost, seen) in zip(others, self.adjuster.costs(frames[target], [frames[k] for k in others],
+                                                                       4 * LOOSE)):
+                if seen:
+                    told[target].append(cost / seen)
+                    told[other].append(cost / seen)
+        release(frames)
+        return np.array([np.median(costs) if costs else np.nan for costs in told])

@@ -1,0 +1,279 @@
+"""Simulate only what the scene calls for (method section 8): from the measurements of a view, decide, and say why; and
+whether refined views that contradict each other are cleaned before they are fused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pagas_cl.config import MOST_RAISED, MOST_WEIGHT, Config
+from pagas_cl.errors import log
+from pagas_cl.method.measurements import FAR_OFF, Measurements, measure
+from pagas_cl.method.splat import relit_views
+from pagas_cl.method.splat.constants import NOISY_DETAIL, SPECULAR_VIEW
+from pagas_cl.method.surface.agreement import IN_COMMON
+
+if TYPE_CHECKING:
+    from pagas_cl.method.splat import NormalizedDepth, PhotoStore
+    from pagas_cl.runtime.device import Device
+    from pagas_cl.scene.view import View
+
+DIFFERENT = 0.02         # pixels of parallax by which refined depth maps differ, from which on they are averaged: less
+                         # no photo resolves
+AGREEMENT_ROUNDS = 2     # each averages; between them, and not after the last, the photos have some steps
+MATCHED = 0.03           # share of a patch's variance that photos may leave unexplained for the default smoothness
+WIDEST, WELL_RESOLVED = 8, 5.0      # pixels of the filter between rounds; `resolved` of which one is enough
+CONTRADICTED = 0.04      # share of depths that others contradict, above which those are left out of a fusion
+SHADED = 0.02            # mean residual: highlights leave 0.009 to 0.0195 on made scenes, shading, haze 0.028 or more
+_BEFORE_RELIT = ("shading", "view_dependence")       # effects that photos as they are decide
+SHINY_DISCONTINUITY = 0.6  # smoothness.discontinuity at least: what a highlight bends is no discontinuity
+FAR_EARLY = 0.33         # smoothness.early at most where the depth is far off: how far steps reach, smoothness decides
+LOW_PASS = 0.06          # px^2: about what a photo's own pixel blurs; more than that blurs what is to be compared
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One effect: its evidence, the threshold, and whether it is simulated, with the reason."""
+
+    effect: str
+    evidence: float
+    threshold: float
+    on: bool
+    reason: str
+
+    def as_dict(self) -> dict:
+        return dict(vars(self))
+
+    def __str__(self) -> str:
+        figures = f": {self.evidence:.3g}, threshold {self.threshold:g}" if self.evidence == self.evidence else ""
+        return f"{self.effect} {'on' if self.on else 'off'} ({self.reason}{figures})"
+
+
+_Settled = tuple[Config, list[Decision], Measurements | None, Sequence["View"]]   # what `settle` gives
+
+
+def _sets(key: str, on=True, off=False):
+    """What sets one setting to `on` or `off`."""
+    return lambda config, decision, _: config.with_settings(**{key: on if decision.on else off})
+
+
+def _view_dependence(config, decision, _):
+    if not decision.on:
+        return config.with_settings(loss__structure=False)
+    return config.with_settings(loss__structure=True, loss__ssim=1.0,
+                                smoothness__discontinuity=max(config.smoothness.discontinuity, SHINY_DISCONTINUITY))
+
+
+def _smoothness(config, decision, _):
+    kind = config.smoothness.kind if config.smoothness.kind != "none" else "planar"
+    return config.with_settings(smoothness__kind=kind if decision.on else "none")
+
+
+def _pyramid(config, decision, _):
+    if not decision.on:
+        return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps[-1:])
+    config = config.with_settings(smoothness__early=min(config.smoothness.early, FAR_EARLY))
+    if len(config.pyramid.scales) > 1:
+        return config
+    steps = config.pyramid.steps[0]
+    return config.with_settings(pyramid__scales=(0.25, 0.5, 1.0), pyramid__steps=(steps, steps, steps))
+
+
+def _noise(config, decision, measured):
+    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree, around what
+    specularity there is, or everywhere; and where the photos are noisy, a first level of half size, where noise
+    averages out."""
+    if not decision.on:
+        return config
+    if (measured is None or measured.relative_noise > decision.threshold) and len(config.pyramid.scales) == 1:
+        config = config.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=2 * config.pyramid.steps)
+    if config.smoothness.kind == "none":
+        return config
+    factor = float(np.clip(measured.unexplained_everywhere**2, 1.0, MOST_RAISED)) if measured else 4.0
+    specular = measured and measured.residual > SPECULAR_VIEW
+    return config.with_settings(smoothness__weight=min(config.smoothness.weight * factor, MOST_WEIGHT),
+                                smoothness__specularity=MOST_RAISED if specular else 0.0)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """When a view calls for an effect, and what follows: `evidence` is an attribute of Measurements, which `words` name
+    in the report; `above`: whether evidence above the threshold calls for the effect, or below it; `settle` gives the
+    settings with the effect on or off, as decided."""
+
+    evidence: str
+    threshold: float
+    above: bool
+    words: str
+    settle: Callable[[Config, Decision, Measurements | None], Config]
+
+
+EFFECTS = {
+    "occlusion": Effect("hidden", 0.002, True, "share of Gaussians hidden by a nearer surface",
+                        _sets("splatting__occlusion")),
+    "unseen_mask": Effect("unseen", 0.02, True, "share of a context photo that the target does not reach",
+                          _sets("loss__unseen_mask")),
+    "exposure": Effect("exposure_change", 0.012, True, "difference of colour between photos (0 to 1)",
+                       _sets("loss__exposure")),
+    "view_dependence": Effect("residual", 0.035, True, "residual left after exposure (0 to 1)", _view_dependence),
+    "shading": Effect("shading", SHADED, True, "mean residual left after exposure (0 to 1)", _sets("loss__shading")),
+    "antialiasing": Effect("smallest", 0.36, False, "smallest projected Gaussian, pixels",
+                           _sets("splatting__low_pass", LOW_PASS, 0.0)),
+    "smoothness": Effect("textureless", 0.01, True, "share of pixels with little texture", _smoothness),
+    "pyramid": Effect("depth_far_off", FAR_OFF, True, "share of samples that match two or more pixels away", _pyramid),
+    "noise": Effect("unexplained", 1.4, True,
+                    "noise, residual, cameras that are off; of what the default weight allows for", _noise),
+}
+
+
+def decide(config: Config, measured: Measurements | None) -> tuple[Config, list[Decision]]:
+    """Settle every effect that is not "set": the settings that follow, and the decisions.
+
+    Without measurements every effect must be "off" or "set".
+    """
+    decisions = [_decision(config, name, measured) for name in EFFECTS if getattr(config.effects, name) != "set"]
+    for decision in decisions:
+        config = EFFECTS[decision.effect].settle(config, decision, measured)
+    return replace(config, effects=replace(config.effects, **dict.fromkeys(EFFECTS, "set"))), decisions
+
+
+def _decision(config: Config, name: str, measured: Measurements) -> Decision:
+    effect, choice = EFFECTS[name], getattr(config.effects, name)
+    evidence, what = float("nan") if measured is None else float(getattr(measured, effect.evidence)), effect.words
+    called_for = evidence > effect.threshold if effect.above else evidence < effect.threshold
+    if name == "unseen_mask" and config.splatting.blend == "order_free":
+        called_for, what = False, "the order-free blend compares only what is covered"
+    on = choice == "on" or (choice == "auto" and called_for)
+    return Decision(name, evidence, effect.threshold, on, what if choice == "auto" else f"requested: {choice}")
+
+
+@contextmanager
+def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
+           photos: PhotoStore, *, normalized: NormalizedDepth | None = None,
+           known: Measurements | None = None) -> Iterator[_Settled]:
+    """Decide which effects this view calls for: context of the settings that follow, the decisions, what they rest on,
+    and the context views, relit where that is called for; `photos` let go of those at its end.
+
+    Parameters are those of refine_depth; `normalized`: the depth where it is on the device already; `known`: what was
+    measured beforehand.
+    """
+    found = _settled(target, contexts, depth, config, device, photos, normalized, known)
+    try:
+        yield found
+    finally:
+        photos.forget(set(found[3]) - set(contexts))
+
+
+def _settled(target, contexts, depth, config: Config, device, photos, normalized, known=None) -> _Settled:
+    asked = config.effects.shading
+    if relit_first(config):
+        contexts = relit_views(target, contexts, depth, config, device, photos, normalized=normalized)
+    if not config.effects.measured:
+        return *decide(config, None), None, contexts
+    measured = known or measure(target, contexts, depth, config, device, photos, normalized=normalized)
+    settled, decisions = decide(config, measured)
+    if asked == "auto" and settled.loss.shading:        # what else is called for, relit photos tell
+        again = _settled(target, contexts, depth, shaded(config), device, photos, normalized)
+        first = {decision.effect: decision for decision in decisions if decision.effect in _BEFORE_RELIT}
+        return again[0], [first.get(decision.effect, decision) for decision in again[1]], *again[2:]
+    for decision in decisions:
+        log.debug("view %s: %s %s (%.4g, threshold %.4g)", target.name, decision.effect, "on" if decision.on else "off",
+                  decision.evidence, decision.threshold)
+    return settled, decisions, measured, contexts
+
+
+def relit_first(config: Config) -> bool:
+    """Whether photos are relit before anything is measured of them."""
+    return config.effects.shading == "on" or (config.effects.shading == "set" and config.loss.shading)
+
+
+def shaded(config: Config) -> Config:
+    """What is asked of a view whose photos are relit: structure alone is compared, whatever they still differ by."""
+    settings = {"effects__view_dependence": "on"} if config.effects.view_dependence == "auto" else {}
+    return config.with_settings(effects__shading="on", **settings)
+
+
+def decide_mismatch(evidence: float, config: Config) -> Decision:
+    """What share of the refined detail is noise, and whether it was taken back (splat.mismatch)."""
+    choice = config.effects.mismatch
+    reason = "refined detail that is noise by how photos match" if choice == "auto" else f"requested: {choice}"
+    return Decision("mismatch", evidence, NOISY_DETAIL, choice == "on" or evidence > NOISY_DETAIL, reason)
+
+
+def agreement_rounds(config: Config, views: int) -> int:
+    """How many rounds of agreement so many refined views may have; each view's own decision is decide_agreement."""
+    choice = config.effects.agreement
+    if choice == "off" or views < 2:
+        return 0
+    return config.agreement.rounds if choice == "set" else config.agreement.rounds or AGREEMENT_ROUNDS
+
+
+@lru_cache(4)
+def between_rounds(config: Config) -> Config | None:
+    """The settings of the steps that photos have between two rounds, at full size; None where they have none."""
+    share = config.agreement.steps
+    return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(
+        max(1, round(share * config.pyramid.steps[-1])),)) if share else None
+
+
+def left_to_smooth(decisions: Sequence[Decision], others: int, measured: Measurements | None) -> float:
+    """What smoothness has left to do in a mean with so many others, unless noise has set it: the share of its variance
+    that such an average leaves, times what photos do not explain, where it was measured anew."""
+    if any(decision.effect == "noise" and decision.on for decision in decisions):
+        return 1.0
+    mismatched = 0.0 if measured is None or measured.local_specularity is None else measured.mismatched
+    return left_by_mean(others) * max(1.0, mismatched / MATCHED)
+
+
+def left_by_mean(others: int) -> float:
+    """Share of the variance of a depth that its mean with those of so many others leaves (agreement.cl)."""
+    return IN_COMMON + (1 - IN_COMMON) * min(1.0, 2 / (others + 1))
+
+
+def filter_between(resolved: float, others: int, config: Config) -> int:
+    """solver.gradient_filter of the steps after a mean with so many others: wider, the less the photos resolve what the
+    surface bends from pixel to pixel (`resolved`, EvidenceDecision), of what the mean leaves; as it is where that is
+    not known."""
+    if config.effects.agreement == "set" or resolved != resolved:
+        return config.solver.gradient_filter
+    pixels = (WELL_RESOLVED / max(resolved * left_by_mean(others), 0.1)) ** 2
+    return max(config.solver.gradient_filter, round(min(WIDEST, pixels)))
+
+
+def decide_agreement(spread: float, config: Config) -> Decision:
+    """Whether a view is averaged with others, whose depth maps differ by `spread` (surface.agreement); NaN: there are
+    none to speak of."""
+    choice = config.effects.agreement
+    if choice == "auto":
+        return Decision("agreement", spread, DIFFERENT, spread > DIFFERENT,
+                        "difference of refined depth maps, pixels of parallax")
+    return Decision("agreement", spread, DIFFERENT, spread == spread, f"requested: {choice}")
+
+
+def decide_consistency(cameras, depths, config: Config, device=None) -> tuple[Config, Decision | None]:
+    """Settle effects.consistency: fusion.agree_views as it follows, and the decision (None where it is "set").
+
+    `depths` are those to be fused, one a camera: an ndarray of shape (H, W), a DepthResult, something with load(), or
+    None. They are compared on `device`, in NumPy by default.
+    """
+    from pagas_cl.method.surface.agree import contradicted
+
+    choice, share = config.effects.consistency, float("nan")
+    if choice == "set" or (choice == "auto" and config.fusion.agree_views > 0):
+        return config, None
+    have = [k for k, depth in enumerate(depths) if depth is not None]
+    if choice != "auto":
+        on, why = choice == "on", f"requested: {choice}"
+    elif len(have) < 3:
+        on, why = False, "it takes three views to find which is wrong"
+    else:
+        share = contradicted([cameras[k] for k in have], [depths[k] for k in have], config.fusion.agree_pixels, device)
+        on, why = share > CONTRADICTED, "share of depths that other views contradict"
+    config = config.with_settings(fusion__agree_views=(config.fusion.agree_views or 1) if on else 0)
+    return (replace(config, effects=replace(config.effects, consistency="set")),
+            Decision("consistency", share, CONTRADICTED, on, why))

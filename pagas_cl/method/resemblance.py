@@ -1,0 +1,86 @@
+"""Which of the views that were chosen for a target are asked: those that add to what is known of its depth, by how much
+they resemble it, and how far its depth moves in them (method section 7)."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pagas_cl.config import Config
+from pagas_cl.method.effects import Decision
+from pagas_cl.method.splat import NormalizedDepth, PhotoStore, explained_by
+from pagas_cl.method.splat.budget import fit_memory
+from pagas_cl.method.splat.constants import MEAN, NUMBER
+from pagas_cl.runtime.device import Device
+from pagas_cl.scene.choice import Partners
+from pagas_cl.scene.view import View
+
+_COARSE = 64         # pixels of the longer side: at this size the depth is right, and what differs is the photos
+_TILES = 6           # along each side of the target
+_LEAST = 50          # samples that tell anything of a view
+_NOISE = 0.02        # share of a patch that no photo explains
+_PATCH = 8.0         # 1 / variance of the depth by one patch that is explained, 1 / squared coarse pixels of parallax
+_FEW = 2             # views that each tile is to have
+_SEEN = 0.25         # share of a tile that a view must see to be one of them
+_LITTLE = 1e-6       # that one of those adds at least
+
+
+def views_to_ask(views: Sequence[View] | Mapping[int, View], partners: Partners, depth: np.ndarray, config: Config,
+                 device: Device, photos: PhotoStore,
+                 on_device: Callable[[], NormalizedDepth]) -> tuple[Partners, Decision | None]:
+    """`partners` without the context and held-out views that would take more than they add, and why; all of them, and
+    None, where that is not asked for, or where fewer are usable than are wanted. `on_device()`: `depth` on the device;
+    else parameters as in refine_one."""
+    usable, choice = (*partners.contexts, *partners.held_out), config.effects.resemblance
+    if choice in ("off", "set") or len(usable) < config.context.number:
+        return partners, None
+    target, others = views[partners.target], [views[k] for k in usable]
+    scale = min(1.0, _COARSE / max(target.camera.width, target.camera.height))
+    parallax, explained = fit_memory(lambda photos: explained_by(
+        target, others, depth, config, device, photos, scale=scale, normalized=on_device()),
+        target, others, config, device, photos)
+    told = np.flatnonzero((parallax[:, NUMBER] >= _LEAST) & np.isfinite(explained).any(axis=(1, 2)))
+    if not len(told):
+        return partners, None
+    added = {usable[told[k]] for k in adding(explained[told], parallax[told, MEAN])}
+    unlike = {usable[k] for k in told} - added
+    contexts, held_out = (tuple(k for k in chosen if k not in unlike)
+                          for chosen in (partners.contexts, partners.held_out))
+    share = 1 - (len(contexts) + len(held_out)) / len(usable)
+    return (replace(partners, contexts=contexts, held_out=held_out) if contexts else partners,
+            Decision("resemblance", share, 0.0, share > 0, "share of usable views that resemble too little"
+                     if choice == "auto" else f"requested: {choice}"))
+
+
+def adding(explained: np.ndarray, parallax: np.ndarray) -> list[int]:
+    """The views that add to what all tell of the depth, one after the other, the one that adds most first.
+
+    explained: (views, down, across), share of a patch that each photo explains, NaN = unknown; parallax: (views,),
+    squared pixels by which a depth moves in each, in any unit.
+    """
+    known, share = np.isfinite(explained), np.nan_to_num(explained.astype(np.float64))
+    weight = (parallax / np.median(parallax))[:, None]
+    signal, noise = weight * _by_tile(share**2), weight * _by_tile(np.where(known, 1 + _NOISE - share, 0))
+    area, seen = _by_tile(known.any(axis=0)[None])[0], _by_tile(known)
+
+    def told(signal: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        return np.log1p(_PATCH * signal**2 / np.maximum(noise, 1e-30) / np.maximum(area, 1))
+
+    left, chosen, total = list(range(len(explained))), [], np.zeros((3, len(area)))
+    while left:
+        more = told(total[0] + signal[left], total[1] + noise[left]) - told(total[0], total[1])
+        sees = seen[left] > _SEEN * area
+        more = np.where((total[2] < _FEW) & sees, np.maximum(more, _LITTLE), more) @ area
+        best = int(np.argmax(more))      # the first of equals
+        if not more[best] > 0:
+            break
+        total += signal[left[best]], noise[left[best]], sees[best]
+        chosen.append(left.pop(best))
+    return chosen
+
+
+def _by_tile(values: np.ndarray) -> np.ndarray:
+    """Sums (views, tiles) of (views, down, across)."""
+    rows, columns = (np.arange(size) * _TILES // size for size in values.shape[1:])
+    tile = (np.arange(len(values))[:, None] * _TILES**2 + (rows[:, None] * _TILES + columns).ravel()).ravel()
+    return np.bincount(tile, values.ravel().astype(np.float64), len(values) * _TILES**2).reshape(-1, _TILES**2)

@@ -1,0 +1,188 @@
+"""Rounds after the first, in which refined depth maps are evidence for one another (method section 8.1).
+
+A round's result of a view is a pure function of its photos and of depth maps of the round before, its own and those of
+its context views: rounds may be worked on by anybody, in any order of the views.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from pagas_cl.config import MOST_WEIGHT, Config
+from pagas_cl.errors import DeviceMemoryError
+from pagas_cl.method.effects import (
+    agreement_rounds,
+    between_rounds,
+    decide_agreement,
+    filter_between,
+    left_to_smooth,
+    settle,
+    shaded,
+)
+from pagas_cl.method.measurements import Measurements
+from pagas_cl.method.surface.agreement import Agreement, Told, send
+from pagas_cl.progress import OnStep
+from pagas_cl.result import DepthResult, RoundInput
+from pagas_cl.scene.choice import Partners
+from pagas_cl.scene.view import View
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from pagas_cl.method.splat import PhotoStore
+    from pagas_cl.runtime.device import Device
+
+_BYTES = 64     # a pixel: more than a comparison takes beside the photos that wait on the device
+_ARRAYS = "depth", "parallax", "deviation", "status"
+_LONGER = 1.4   # steps of a few: as far as half as many again would
+
+
+def keep(owner: Any, result: DepthResult, device: Device, photos: PhotoStore) -> None:
+    """Have what views of the next round ask for stay on a device that has memory of its own."""
+    if result.reason or photos.on_host:
+        return
+    photos.replace([result], [owner])           # where its round has left it there
+    with suppress(DeviceMemoryError):           # it is read again, then
+        _told(owner, result, device, photos)
+
+
+def _told(owner: Any, result: DepthResult, device: Device, photos: PhotoStore, whole: bool = False) -> Told:
+    """`result` on the device, where it may be already; all of it where that has memory of its own."""
+    whole = whole or not photos.on_host
+    return photos.held(owner, Told.nbytes(_pixels(result), whole), lambda: send(result, device, whole))
+
+
+@dataclass(frozen=True)
+class Round:
+    """What is done with each view after all were refined: `work`, as average_depths; whether it looks at `photos`; and
+    `keep`, called with each result of the round before it."""
+
+    work: Callable
+    photos: bool
+    keep: Callable
+
+
+def later_rounds(config: Config, views: int) -> list[Round]:
+    """What is done with each of so many views after all of them were refined."""
+    rounds = agreement_rounds(config, views)
+    return [Round(average_and_step, True, keep)] * (rounds - 1) + [Round(average_depths, False, keep)] * (rounds > 0)
+
+
+def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partners, given: Sequence[RoundInput],
+                   config: Config, device: Device, photos: PhotoStore, on_step: OnStep | None = None,
+                   steps: Config | None = None) -> DepthResult:
+    """One view's depths averaged with those of other views, where they see the same surface. What photos refused stays
+    as it is: none is asked again. With `steps`, settings of some: see average_and_step.
+
+    `given`: of the round before, the view's own first, in memory, then those of others, which are read when the device
+    has to have them. The other parameters are as in one_view.refine_one.
+    """
+    from pagas_cl.method.splat.units import room_for
+
+    own, others = given[0].result, [one.result for one in given[1:] if not one.result.reason]
+    identity = {id(one.result): one.identity for one in given}
+    start, found = time.perf_counter(), {}
+    if own.reason or not others:
+        return own
+    room = room_for(own.depth.shape)
+    photos.trim(_BYTES * max(_pixels(one.result) for one in given))
+
+    def owner(result: Any) -> Any:
+        return identity[id(result)]
+
+    # once for all views of a round that are compared with it, whose arrays are not looked at again
+    comparison = Agreement(own, others, device,
+                           lambda result, whole: _told(owner(result), result, device, photos, whole))
+    spread = comparison.spread()
+    decision = decide_agreement(spread, config)
+    effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
+    report = {**own.report, "effects": [*effects, decision.as_dict()]}
+    spreads = [*own.report.get("differences", ()), spread]
+    averaged = comparison.average(spread, config.agreement.pixels, steps is not None,
+                                  spreads[0]) if decision.on else None
+    if photos.on_host:          # where they would take the memory of all else
+        photos.forget(map(owner, others))
+    if averaged is not None:
+        report["differences"] = spreads
+        if steps is not None:
+            few = _few(steps, len(report["contexts"]))
+            stepped, left = _steps(views, partners, comparison, averaged, few, device, photos, on_step, room.result)
+            found = {name: getattr(stepped, name) for name in _ARRAYS}
+        else:
+            found = comparison.read(averaged, dict(zip(_ARRAYS, room.result())))
+    comparison.release()
+    report["seconds"] = report.get("seconds", 0.0) + time.perf_counter() - start
+    result = replace(own, report=report, **found)
+    if photos.on_host:
+        photos.forget([owner(own)])
+    elif averaged is not None and steps is not None:        # for the next round
+        photos.held(result, Told.nbytes(_pixels(own), True), lambda: left)
+    return result
+
+
+def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partners, given: Sequence[RoundInput],
+                     config: Config, device: Device, photos: PhotoStore, on_step: OnStep | None = None) -> DepthResult:
+    """The same, also in place of depths that photos refused, and then some steps of the photos, from there, which
+    refuse what matches worse than it did."""
+    return average_depths(views, partners, given, config, device, photos, on_step, between_rounds(config))
+
+
+@lru_cache(16)
+def _few(config: Config, contexts: int) -> Config:
+    """Settings of so few steps, from a depth that is nearly right: smoothness raised at once. Photos that do not match
+    anywhere around (solver.mismatch) do not tell one depth from another."""
+    return config.with_settings(solver__early_damping=1.0, solver__rate=min(100.0, _LONGER * config.solver.rate),
+                                smoothness__weight=config.smoothness.weight_with(contexts),
+                                smoothness__full_views=1, smoothness__early=1.0, solver__mismatch=2.0,
+                                effects__pyramid="set", effects__mismatch="set")
+
+
+def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement,
+           averaged: Mapping[str, Any], config: Config, device: Device, photos: PhotoStore,
+           on_step: OnStep | None, into: Callable[[], list[np.ndarray]]) -> tuple[Any, Told]:
+    """From what was `averaged`, for what the view called for when it was refined, or calls for now; and the same on the
+    device."""
+    from pagas_cl.method.splat import NormalizedDepth, refine_levels
+    from pagas_cl.method.splat.budget import fit_memory
+    from pagas_cl.method.splat.units import Start
+
+    result, left = comparison.own, []
+    if any(effect["effect"] == "shading" and effect["on"] for effect in result.report["effects"]):
+        config = shaded(config)
+    elif config.effects.shading == "auto":
+        config = config.with_settings(effects__shading="off")
+    target, contexts, held_out = views[partners.target], *(
+        [views[k] for k in chosen if k not in result.report["left_out"]]         # those that resemble it
+        for chosen in (partners.contexts, partners.held_out))
+
+    def agreed(*found: Any) -> tuple[Any, ...]:
+        left[:] = [comparison.agreed(averaged["status"], *found)]
+        return left[0].depth, left[0].parallax, left[0].deviation, left[0].status
+
+    figures = result.report.get("measured")         # under an earlier depth
+    known = Measurements(**figures) if figures else None
+    start = Start(averaged["depth"], agreed, Told.nbytes(_pixels(result), True), into)
+
+    def attempt(photos: PhotoStore) -> Any:
+        normalized = NormalizedDepth(target, result.depth, device, comparison.told.depth, result.scene_scale)
+        with settle(target, contexts, result.depth, config, device, photos, normalized=normalized,
+                    known=known if known and known.lasting else None) as (own, decisions, measured, used):
+            share = left_to_smooth(decisions, len(comparison.others), measured)
+            own = own.with_settings(         # at full size, whatever noise asks for, or a depth that is far off
+                pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps,
+                solver__gradient_filter=filter_between(result.report.get("resolved", float("nan")),
+                                                       len(comparison.others), config),
+                smoothness__weight=min(MOST_WEIGHT, share * own.smoothness.weight))
+            return refine_levels(target, used, result.depth, own, device, photos, on_step=on_step, measured=measured,
+                                 normalized=normalized, start=start, held_out=held_out)
+
+    return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out), left[0]
+
+
+def _pixels(result: DepthResult) -> int:
+    return result.camera.width * result.camera.height

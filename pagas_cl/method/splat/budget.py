@@ -1,0 +1,153 @@
+"""How much device memory the refinement of a view will take, known before anything of it is allocated; and the same in
+what the device has: with all photos there, or with one at a time."""
+
+import gc
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+from pagas_cl.config import Config
+from pagas_cl.errors import DeviceMemoryError, log
+from pagas_cl.method.splat import mismatch
+from pagas_cl.method.splat.buffers import EvidenceBuffers, LevelBuffers, Size, dimensions, level_size
+from pagas_cl.method.splat.evidence import sums_bytes
+from pagas_cl.method.splat.measure import probe_bytes
+from pagas_cl.method.splat.photos import PhotoStore, StreamedPhotos, photo_bytes
+from pagas_cl.runtime.arena import total_bytes
+from pagas_cl.runtime.device import translate_cl_errors
+from pagas_cl.scene.camera import Camera
+
+_told: "set[Plan]" = set()
+
+# Settings that need less memory, tried in this order where a view does not fit; all of them change the result.
+LEANER = ({"loss__grey": True}, {"splatting__blend": "order_free"},
+          {"splatting__blend": "order_free", "loss__grey": True})
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Bytes at the peak: `photos` that the view needs, and `beside_photos` all else."""
+
+    photos: int
+    beside_photos: int
+
+    @property
+    def nbytes(self) -> int:
+        return self.photos + self.beside_photos
+
+    def tell(self, name: str) -> None:
+        """Log the plan; one that was told before, for a view of the same size, is not told again."""
+        if self not in _told:
+            _told.add(self)
+            log.debug("view %s: %s MB of device memory are planned, %s MB of it photos", name,
+                      f"{self.nbytes / 1e6:,.1f}", f"{self.photos / 1e6:,.1f}")
+
+    def check(self, name: str, device) -> None:
+        """Raise DeviceMemoryError where `device` may not hold it."""
+        limit = device.memory.limit
+        if self.nbytes > limit:
+            raise DeviceMemoryError(f"view {name!r} needs {self.nbytes / 1e6:,.0f} MB, {device.info.title} may hold "
+                                    f"{limit / 1e6:,.0f} MB")
+
+
+def plan_for(cameras: list[Camera], contexts: int, config: Config, streamed: bool = False) -> Plan:
+    """The plan of a refinement for the cameras of the target, of `contexts` context views, and of the held-out views;
+    `streamed`: photos wait on the host (StreamedPhotos)."""
+    return _plan_of(tuple(level_size(camera, 1.0) for camera in cameras), contexts, config, streamed)
+
+
+@lru_cache(16)
+def _plan_of(sizes: tuple[Size, ...], contexts: int, config: Config, streamed: bool) -> Plan:
+    """The same for photos of these sizes, which views of a scene have alike."""
+    plans = [_at(scale, sizes, contexts, config, streamed) for scale in config.pyramid.scales]
+    if config.effects.measured:         # beforehand, beside the initial depth
+        sizes = sizes[:1 + contexts]
+        plans.append(Plan(_photos(sizes, sizes, streamed), probe_bytes(config, sizes, contexts) + 8 * sizes[0].pixels))
+    return max(plans, key=lambda plan: plan.nbytes)
+
+
+def _at(scale: float, full: tuple[Size, ...], contexts: int, config: Config, streamed: bool) -> Plan:
+    """The plan of one level."""
+    full = full if scale == 1 else full[:1 + contexts]
+    sizes = tuple(level_size(size, scale) for size in full)
+    lengths = dimensions(config, sizes[0], sizes[1:], contexts)
+    depths = 8 * full[0].pixels          # the initial one, as it came and in units; that of the level before, enlarged
+    number = config.pyramid.scales.index(scale)
+    if number > 0:
+        depths += 4 * (sizes[0].pixels + level_size(full[0], config.pyramid.scales[number - 1]).pixels)
+    during = after = total_bytes(LevelBuffers.plan(lengths)) + depths
+    if scale == 1:           # evidence before and after: of the context views, and of one held-out view at a time
+        judges = 2 if len(full) > 1 + contexts else 1
+        after = total_bytes(EvidenceBuffers.plan(lengths)) + depths
+        beside = mismatch.nbytes(full[0].pixels, lengths["samples"]) if mismatch.is_asked(config) else 0
+        after += 29 * full[0].pixels + max(beside, 24 * (judges - 1) * full[0].pixels)
+        after += sums_bytes(len(full) - 1 - contexts)
+    return Plan(_photos(full, sizes, streamed), max(during, after))
+
+
+def _photos(full: Sequence[Size], sizes: Sequence[Size], streamed: bool) -> int:
+    """Photos at the level's size, beside them those of full size where it is another."""
+    if streamed:
+        place = max((photo_bytes(size.pixels) for size in sizes[1:]), default=0)
+        shrunk = max(photo_bytes(size.pixels) for size in full) if sizes != full else 0
+        return photo_bytes(sizes[0].pixels) + place + 2 * shrunk
+    return sum(photo_bytes(size.pixels) for size in full) + sum(
+        photo_bytes(small.pixels) for small, size in zip(sizes, full) if small != size)
+
+
+def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoStore, *, held_out=()):
+    """`attempt(photos)` with a PhotoStore, or, where the device cannot hold that, with photos that wait on the host:
+    the kernels read the same bytes and give the same. DeviceMemoryError where it does not fit even so; the message
+    names a setting, or a size of photos, that does. DeviceLostError where the device failed meanwhile."""
+    cameras = [view.camera for view in (target, *contexts, *held_out)]
+    doing, given = f"the refinement of view {target.name!r}", (cameras, len(contexts), config)
+    try:
+        plan_for(*given).check(target.name, device)
+        with translate_cl_errors(device, doing):
+            return attempt(photos)
+    except DeviceMemoryError as error:
+        log.warning("%s: its photos wait on the host and go to the device one at a time, which takes longer and gives "
+                    "the same", str(error))      # text: the error itself would hold its frames and their buffers
+    photos.clear()
+    gc.collect()             # what the attempt held goes before the next one begins
+    try:
+        with translate_cl_errors(device, doing):
+            return attempt(StreamedPhotos())
+    except DeviceMemoryError as error:
+        raise DeviceMemoryError(f"{error}, even with one photo at a time; {what_fits(*given, device)}") from error
+
+
+def check_device_memory(cameras: Sequence[Camera], config: Config, device) -> None:
+    """Before any work: DeviceMemoryError where `device` can hold the refinement of none of the views with these
+    `cameras`: not of the smallest one with one context view, with the leanest settings."""
+    smallest = sorted(cameras, key=lambda camera: camera.width * camera.height)[:2]
+    leanest = [config.with_settings(**change) for change in ({}, *LEANER)]
+    needed = min(plan_for(smallest, len(smallest) - 1, lean, streamed=True).nbytes for lean in leanest)
+    if needed > device.memory.limit:
+        raise DeviceMemoryError(f"a view of {smallest[0].width} x {smallest[0].height} needs {needed / 1e6:,.1f} MB at "
+                                f"least, {device.info.title} may hold {device.memory.limit / 1e6:,.1f} MB; "
+                                f"{what_fits(smallest, len(smallest) - 1, config, device)}")
+
+
+def what_fits(cameras: list[Camera], contexts: int, config: Config, device) -> str:
+    """What to change so that the view fits: a setting, or the size of the photos."""
+    def fits(changed: Config, share: float = 1.0) -> bool:
+        return plan_for([_shrunk(camera, share) for camera in cameras], contexts, changed,
+                        streamed=True).nbytes <= device.memory.limit
+
+    if fits(config):
+        return "close other programs that use the device"
+    for change in LEANER:
+        if fits(config.with_settings(**change)):
+            options = " ".join(f"--set {name.replace('__', '.')}={str(value).lower()}" for name,
+                               value in change.items())
+            return f"it fits with {options}"
+    share = 0.95
+    while share > 1e-4 and not fits(config, share):
+        share *= 0.95
+    size = _shrunk(cameras[0], share)
+    return f"it fits with photos of {size.width} x {size.height} (Camera.resized), or choose another device"
+
+
+def _shrunk(camera: Camera, share: float) -> Camera:
+    return camera.resized(max(1, int(camera.width * share)), max(1, int(camera.height * share)))

@@ -1,0 +1,39 @@
+"""Launches of exposure.cl: gains and offsets of the context photos, fitted to the depth as it is (method section 7)."""
+
+import numpy as np
+
+from pagas_cl.method.splat import project
+from pagas_cl.method.splat.buffers import SampleGrid
+from pagas_cl.method.splat.constants import FIT_GROUP
+
+
+def neutral(contexts: int) -> np.ndarray:
+    """The table before anything is fitted, (gain, offset) x channels as photo.clh reads them: gain 1, offset 0."""
+    table = np.zeros((1 + contexts, 2, 3), np.float32)
+    table[:, 0] = 1
+    return table
+
+
+def launches(programs, buffers, views) -> list:
+    """Fit all context `views` to buffers.depth, each after its nearest surfaces."""
+    return [launch for view in views for launch in (
+        *view.fetch(), *project.nearest(programs, buffers, view), match(programs, buffers, view))
+    ] + [fit(programs, buffers, views)]
+
+
+def match(programs, buffers, view):
+    """Colours of both photos at the samples, by the nearest surfaces that buffers.z_first holds for `view`, to
+    buffers.matches."""
+    grid = SampleGrid.over(view.target_size)
+    return programs.bind("exposure.cl", "match_colors", (grid.count,), buffers, view, **grid.arguments)
+
+
+def fit(programs, buffers, views):
+    """From buffers.matches to buffers.exposure."""
+    return programs.bind("exposure.cl", "fit_exposure", (3 * FIT_GROUP, len(views)), buffers, None, (FIT_GROUP, 1),
+                         all_matches=buffers.matches, count=SampleGrid.over(views[0].target_size).count)
+
+
+def fitted_before(steps: int) -> set[int]:
+    """Before which steps of a level the fit is made: the better the depth, the better the match of the colours."""
+    return {0, steps // 8, steps // 2} if steps else set()

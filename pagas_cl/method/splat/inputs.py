@@ -1,0 +1,95 @@
+"""What a level works on: photos and cameras at its size, and each of them as the launchers take it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
+
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.config import Config
+from pagas_cl.method.splat.buffers import Size, dimensions
+from pagas_cl.runtime.program import Fill, Launch, Upload
+from pagas_cl.scene.camera import Camera, camera_table, footprint
+
+
+@dataclass(frozen=True, eq=False)
+class LevelView:
+    """One photo beside the target's."""
+
+    number: int                     # of the view, from 1; 0 is the target itself
+    size: Size
+    photo: cl.Buffer                # uchar4 per pixel
+    threshold: float                # depth threshold delta, device units
+    target_size: Size
+    target_photo: cl.Buffer
+    pixels: np.ndarray | None = None    # uint8 (H, W, 4) to fill `photo` with first, where several photos share it
+    z_first: cl.Buffer | None = None    # a z-buffer of its own
+
+    @cached_property
+    def arguments(self) -> dict:
+        """As kernels name them."""
+        return {"view": self.number, "photo": self.photo, "target_photo": self.target_photo,
+                "threshold": self.threshold, **self.size.extent, **({"z_first": self.z_first} if self.z_first else {})}
+
+    def fetch(self) -> list:
+        """What brings the photo to its buffer; nothing where it is there."""
+        return [] if self.pixels is None else [Upload(self.photo, self.pixels)]
+
+
+def enqueue_each(queue: cl.CommandQueue, views: Sequence[LevelView],
+                 bind: Callable[[LevelView], list[Launch | Fill]], *given: dict) -> None:
+    """For each of `views` its launches, with each of the arguments `given`: bound for the first view of a size, and
+    changed for the others, which takes a fourth of the time."""
+    bound: dict[Size, list[Launch | Fill]] = {}
+    for view in views:
+        for fetched in view.fetch():
+            fetched.enqueue(queue)
+        if view.size not in bound:
+            bound[view.size] = bind(view)
+        for one in given or ({},):
+            for launch in bound[view.size]:
+                launch.change(**one, view=view.number, photo=view.photo, threshold=view.threshold)
+                launch.enqueue(queue)
+    for launch in chain(*bound.values()):
+        launch.release()
+
+
+@dataclass(frozen=True)
+class LevelInput:
+    """The target first, then `contexts` context views, then views that only judge."""
+
+    cameras: list[Camera]           # at the level's size
+    photos: list[cl.Buffer]         # uchar4 per pixel, at the level's size
+    scene_scale: float              # scene units per device unit
+    threshold: float                # depth threshold, device units
+    viewing_distance: float         # median distance of the cameras from the point they look at, device units
+    contexts: int
+    host: tuple = ()
+    """uint8 of shape (H, W, 4) of all views but the target's, where the device holds one photo at a time: every
+    photos[1:] is then the same buffer."""
+    specularity: np.ndarray | None = None       # Measurements.local_specularity
+
+    @cached_property
+    def sizes(self) -> list[Size]:
+        return [Size(camera.width, camera.height) for camera in self.cameras]
+
+    @property
+    def camera_table(self) -> np.ndarray:
+        """As the kernels read it: float32, 20 numbers a camera."""
+        return camera_table(self.cameras[0], self.cameras[1:], self.scene_scale)
+
+    def views(self, config: Config) -> list[LevelView]:
+        """All of them, the target's own first: `number` is the place in the list. The threshold of each is at least
+        some of its footprints, or a slope would hide itself."""
+        target, *_ = self.cameras
+        return [LevelView(k, self.sizes[k], photo,
+                          max(self.threshold, config.splatting.depth_footprints
+                              * footprint(target, camera, self.scene_scale)),
+                          self.sizes[0], self.photos[0], self.host[k - 1] if self.host and k else None)
+                for k, (camera, photo) in enumerate(zip(self.cameras, self.photos))]
+
+    def dimensions(self, config: Config) -> dict:
+        """Of the buffers of a level, as buffers.py has them."""
+        return dimensions(config, self.sizes[0], self.sizes[1:], self.contexts)

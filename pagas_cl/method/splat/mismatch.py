@@ -1,0 +1,58 @@
+"""Launches of mismatch.cl: detail that photos do not support is taken back (method section 5.2)."""
+
+from collections.abc import Callable
+
+import pyopencl as cl
+
+from pagas_cl.config import Config
+from pagas_cl.method.splat.buffers import SampleGrid
+from pagas_cl.method.splat.constants import NOISY_DETAIL, QUANTILE
+from pagas_cl.method.splat.measure import Rows
+from pagas_cl.runtime.program import run_once
+
+SPACINGS = (1, 2, 3, 4, 6)       # pixels between those that are averaged, one after the other: 5.7 pixels in all
+VIEWS = 3                        # context views that are asked
+MOST = 16.0                      # square of bends over variance: more tells no more
+ROUNDING = 0.054                 # share of a grey level's square: variance of two photos' luma, rounded to 8 bit
+
+
+def take_back(evidence, status: cl.Buffer, initial: cl.Buffer, always: bool) -> Callable[[], tuple[float, float]]:
+    """Smooth evidence.buffers.depth as far as its detail is noise, where most of it is or `always`.
+
+    Returns what waits for it and tells, of the refined pixels, NaN without any: the share of the detail that is noise,
+    median; and, before it is smoothed, the square of what the surface bends from pixel to pixel, over the variance that
+    the photos leave, of which three quarters have less: detail that a quarter of the surface has is worth keeping."""
+    device, size, (sums, rows) = evidence.device, evidence.size, evidence.scratch
+    asked, grid = evidence.views[:VIEWS], SampleGrid.over(size)
+    changes, smooth = (device.memory.buffer(device.context, 4 * size.pixels) for _ in range(2))
+    told, samples = evidence.of_accepted(asked, ROUNDING), Rows(device, [(0, 1, 0.5), (0, MOST, 0.75)], grid.count)
+
+    def bind(kernel, over=(size.pixels,), **arguments):
+        return evidence.bind(kernel, file="mismatch.cl", grid=over, status=status, initial=initial, **arguments)
+
+    asked_of = {"evidence": told, "every": len(evidence.views) / len(asked)}
+    launches = [bind("find_changes", count=size.pixels, changes=changes)]
+    for far in SPACINGS:
+        launches += [bind("smooth_changes", size.grid, changes=one, smooth=other, dx=dx, dy=dy, **size.extent)
+                     for one, other, dx, dy in ((changes, smooth, far, 0), (smooth, changes, 0, far))]
+    run_once(device.queue, [
+        *launches, bind("weigh_detail", smooth=changes, count=size.pixels, values=sums, **asked_of),
+        *evidence.sum_around(sums, 2, rows, sums),
+        bind("sample_detail", (grid.count,), sums=sums, smooth=changes, rows=samples.values,
+             of_all=evidence.after, **asked_of, **grid.arguments),
+        samples.summarize(),
+        bind("take_back", sums=sums, smooth=changes, count=size.pixels, told=samples.summary, always=int(always),
+             enough=NOISY_DETAIL)])
+    for buffer in (changes, smooth, told, samples.values):
+        buffer.release()
+    return lambda: tuple(samples.read()[:, QUANTILE].tolist())
+
+
+def is_asked(config: Config) -> bool:
+    """Whether it is measured, and taken back where that is called for."""
+    return config.effects.mismatch in ("auto", "on") and config.smoothness.kind == "planar"
+
+
+def nbytes(pixels: int, samples: int) -> int:
+    """Bytes of the device that it takes."""
+    return 20 * pixels + Rows.nbytes(2, samples)

@@ -1,0 +1,96 @@
+"""What refined depth maps say of a mesh's vertices, each along its normal, on a device (method section 10.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.depthmap import REFINED
+
+if TYPE_CHECKING:
+    from pagas_cl.method.surface.raster import Drawing
+    from pagas_cl.runtime.device import Device
+
+SLOTS = 12              # words of views that are kept for a vertex, the weightiest
+MOST_WEIGHT = 4.0       # of a vertex' evidence, where the views are as sure as can be
+WEIGHT_SHARE = 0.01     # (a tenth of a footprint)^2
+DEFINES = (f"SLOTS={SLOTS}", f"MOST_WEIGHT={MOST_WEIGHT!r}f", f"WEIGHT_SHARE={WEIGHT_SHARE!r}f")
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """A view's refined depth, 0 = no surface, and its standard deviation, infinite where no photo speaks for it:
+    float32 (H, W), scene units."""
+
+    camera: Camera
+    depth: np.ndarray = field(repr=False)
+    deviation: np.ndarray = field(repr=False)
+
+    @classmethod
+    def of(cls, result: Any) -> Observed:
+        """Of a DepthResult."""
+        return cls(result.camera, np.ascontiguousarray(result.depth, np.float32),
+                   np.where(result.status == REFINED, result.deviation, np.float32(np.inf)))
+
+
+def sent(views: Sequence[Observed], device: Device) -> Sequence[Observed]:
+    """The views with their maps on a GPU, once for all rounds, where they take less than a quarter of its memory."""
+    from pagas_cl.runtime.memory import upload
+
+    pixels = sum(view.camera.width * view.camera.height for view in views)
+    if device.info.kind != "GPU" or 8 * pixels > device.memory.limit // 4:
+        return views
+    return [Observed(view.camera, upload(device, view.depth), upload(device, view.deviation)) for view in views]
+
+
+class Words:
+    """What views say of the vertices of a mesh on the device; a view is asked after the other. At least so many views
+    (2 or more) must agree."""
+
+    def __init__(self, device: Device, count: int, known: dict[str, Any], least_views: int):
+        import pyopencl as cl
+
+        from pagas_cl.runtime.program import build
+
+        self.device, self.count, self.known, self.least_views = device, count, dict(known), least_views
+        self.program = build(device, "mesh_evidence.cl", DEFINES)
+        for name, size in (("words", 8 * SLOTS), ("unit", 4), ("target", 4), ("weight", 4), ("seen", 4), ("sigma", 4)):
+            self.known[name] = device.memory.buffer(device.context, size * count, name)
+        cl.enqueue_fill_buffer(device.queue, self.known["words"], np.float32(0), 0, 8 * SLOTS * count)
+        cl.enqueue_fill_buffer(device.queue, self.known["seen"], np.int32(0), 0, 4 * count)
+        cl.enqueue_fill_buffer(device.queue, self.known["unit"], np.float32(np.inf), 0, 4 * count)
+
+    def ask(self, drawing: Drawing, view: Observed, orientation: float) -> None:
+        """Add what a view says, by its depth map and that of the mesh as it is drawn."""
+        from pagas_cl.method.surface.raster import eye_of
+        from pagas_cl.runtime.memory import upload
+        from pagas_cl.runtime.program import bind, run_once
+
+        device, unit = self.device, 1 / drawing.unit
+        own = {"drawn": drawing.draw(view.camera, unit),
+               "camera": upload(device, eye_of(view.camera, drawing.middle, drawing.unit))}
+        maps: dict[str, Any] = {"depth": view.depth, "deviation": view.deviation}
+        for name, values in maps.items():
+            if isinstance(values, np.ndarray):
+                own[name] = upload(device, values)
+        run_once(device.queue, [bind(self.program, "gather", (self.count,), None, {**self.known, **maps, **own},
+                                     count=self.count, scale=unit, orientation=orientation,
+                                     least_views=self.least_views)])
+        device.queue.finish()
+        for buffer in own.values():
+            buffer.release()
+
+    def settle(self) -> None:
+        """Targets and weights of all vertices."""
+        from pagas_cl.runtime.program import bind, run_once
+
+        run_once(self.device.queue, [bind(self.program, "settle", (self.count,), None, self.known, count=self.count,
+                                          least_views=self.least_views)])
+
+    def release(self) -> None:
+        for name in ("words", "unit", "target", "weight", "seen", "sigma"):
+            self.known[name].release()

@@ -1,0 +1,150 @@
+"""Triangles that cross others, turned over or have no area, found on a device; where a mesh had none before it was
+moved, vertices go the way of their neighbours instead (method section 10.5)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pagas_cl.method.surface.mesh_solve import grouped, unlike, welded
+from pagas_cl.method.surface.pieces import pieces
+from pagas_cl.method.surface.raster import frame_of
+from pagas_cl.method.surface.subdivide import Subdivision
+from pagas_cl.scene.mesh import Surface
+
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
+
+_TURNS = 15                # times that vertices of new faults go the way of their neighbours; every third, a ring more
+_RINGS = 6                 # around them that are looked at meanwhile
+TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another part of the mesh, its own
+
+
+def without_new(device: Device, given: Surface, division: Subdivision | None,
+                vertices: np.ndarray) -> tuple[np.ndarray, str]:
+    """Where the vertices (V', 3) of a mesh, split as `division` says, are to be so that it has no fault that `given`
+    had not: those of such triangles go the way of their neighbours. Where the given mesh, split alike, has faults,
+    triangles around them are let alone, and so are parts that stood in others. And how many have faults, in words."""
+    before, faces, parents = given.vertices, given.faces, slice(None)
+    if division is not None:
+        before, faces, parents = division.vertices(before), division.faces, division.parents
+    points, place = welded(before)
+    one = np.empty(len(points), np.int64)                  # a vertex at each place: those at one place stay together
+    one[place] = np.arange(len(place))
+    own = pieces(place[given.faces], len(points))[place[:len(given.vertices)]].astype(np.int32)
+    start, end, faces = before[one], vertices[one], place[faces]
+    part = (own if division is None else division.vertices(own))[one]
+    old = faults(device, start, start, place[given.faces], part)
+    some = np.flatnonzero(_marked(given.faces, given.faces[old & ~CROSSING > 0], 0)[given.faces].any(axis=1)[parents])
+    folded = some[faults(device, start, start, faces[some], part) & ~CROSSING > 0]
+    near = _marked(faces, faces[folded], 1)[faces].any(axis=1)
+    stands_in = np.zeros(len(points), bool)
+    stands_in[own[given.faces[old & CROSSING > 0, 0]]] = True
+    let = np.where(near, ~CROSSING, 0) | np.where(stands_in[part[faces[:, 0]]], CROSSING, 0)
+    now, found = end, faults(device, start, end, faces, part)
+    for back in (False, True, True, True):
+        if not (found & ~let).any():
+            break
+        some = np.flatnonzero(_marked(faces, faces[found & ~let > 0], _RINGS)[faces[:, 0]])
+        here, corners = np.unique(faces[some], return_inverse=True)
+        corners = corners.reshape(-1, 3)
+        let[some] |= faults(device, start[here], start[here], corners, part[here])
+        last, now = (now, found), now.copy()
+        now[here] = _mended(device, start[here], now[here], corners, part[here], found[some], let[some], back)
+        found = faults(device, start, now, faces, part, last)
+    mended, both, new = unlike(now, end), CROSSING | FOLDED, found & ~let
+    told = (f"{_count(found, both)} of {len(faces)} triangles cross others ({_count(old, both)} of {len(old)} given "
+            f"ones did), {_count(new, both)} of them where none did before; {_count(found, TURNED)} are turned "
+            f"over, {_count(found, FLAT)} have no area ({_count(old, FLAT)} before); to avoid them {mended.sum()} "
+            "vertices moved as their neighbours did, or less far")
+    return np.where(mended[place][:, None], now[place], vertices), told
+
+
+def _marked(faces: np.ndarray, wrong: np.ndarray, rings: int) -> np.ndarray:
+    """Which vertices are corners of the `wrong` faces, or lie so many rings around them: bool, up to the last one."""
+    marked = np.zeros(int(faces.max()) + 1, bool)
+    for _ in range(rings + 1):
+        marked[wrong] = True
+        wrong = faces[marked[faces[:, 0]] | marked[faces[:, 1]] | marked[faces[:, 2]]]
+    return marked
+
+
+def _mended(device: Device, start: np.ndarray, now: np.ndarray, faces: np.ndarray, part: np.ndarray,
+            found: np.ndarray, let: np.ndarray, back: bool) -> np.ndarray:
+    """Places of vertices at `now`, moved until no face has a fault beyond those it may be `let`: around `found` ones,
+    farther and farther, ways from `start` become the means of their neighbours' or, with `back`, are halved."""
+    last = None         # what was found so far was found among more faces
+    for turn in range(_TURNS):
+        marked = _marked(faces, faces[found & ~let > 0], turn // 3)
+        near = faces[marked[faces].any(axis=1)]
+        for _ in range(1 if back else turn // 3 + 1):
+            ways = (now - start) / 2 if back else _neighbours_mean(now - start, near)
+            now = np.where(marked[:, None], start + ways, now)
+        found = faults(device, start, now, faces, part, last)
+        last = now, found
+        if not (found & ~let).any():
+            break
+    return now
+
+
+def _neighbours_mean(ways: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The mean over the other corners of a vertex's faces, of all vertices (V, 3); 0 where it has no face."""
+    total, number = np.zeros(ways.shape), np.zeros(len(ways))
+    for side in range(3):
+        np.add.at(total, faces[:, side], ways[faces[:, side - 1]] + ways[faces[:, side - 2]])
+        np.add.at(number, faces[:, side], 2)
+    return total / np.maximum(number, 1)[:, None]
+
+
+def _count(found: np.ndarray, fault: int) -> int:
+    return int(np.count_nonzero(found & fault))
+
+
+def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndarray, part: np.ndarray,
+           last: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
+    """What is wrong with each of the `faces` (F, 3) of a mesh whose vertices (V, 3), one at a place, went from `before`
+    to `after`: int32 (F,), the sum of TURNED, FLAT, CROSSING and FOLDED. `part` (V,) int32: which connected part of the
+    mesh they belong to. `last`: places of the vertices and what was found, the last time that these faces were looked
+    at: pairs that did not move since and were without fault are not tested again."""
+    from pagas_cl.runtime.device import translate_cl_errors
+    from pagas_cl.runtime.memory import download, upload
+    from pagas_cl.runtime.program import bind, build, run_once
+
+    count, mask = len(faces), (1 << max(10, len(faces).bit_length())) - 1
+    if not count:
+        return np.zeros(0, np.int32)
+    middle, unit = frame_of(Surface(after, faces))
+    watched = _watched(after, faces, last)
+    with translate_cl_errors(device, "looking for triangles that cross"):
+        program = build(device, "mesh_faults.cl")
+        known = {"positions": upload(device, ((after - middle) / unit).astype(np.float32)),
+                 "before": upload(device, ((before - middle) / unit).astype(np.float32)),
+                 "faces": upload(device, np.ascontiguousarray(faces, np.int32)),
+                 "cell": device.memory.buffer(device.context, 4 * count, "cell"),
+                 "wrong": device.memory.buffer(device.context, count, "wrong"),
+                 "levels": upload(device, np.zeros(1, np.int32))}
+        run_once(device.queue, [bind(program, "find_cells", (count,), None, known, count=count, mask=mask)])
+        first, order = grouped(2 * download(device, known["cell"], count, np.int32) + 1 - watched, 2 * (mask + 1))
+        known |= {"first": upload(device, first), "order": upload(device, order),
+                  "boxes": device.memory.buffer(device.context, 24 * count, "boxes"),
+                  "watched": upload(device, watched.astype(np.uint8)),
+                  "part": upload(device, part), "crossing": upload(device, np.zeros(count, np.int32))}
+        run_once(device.queue, [bind(program, "find_boxes", (count,), None, known, count=count),
+                                bind(program, "find_crossing", (count,), None, known, count=count, mask=mask)])
+        wrong = download(device, known["crossing"], count, np.int32) | download(device, known["wrong"], count, np.uint8)
+        for buffer in known.values():
+            buffer.release()
+    return wrong
+
+
+def _watched(places: np.ndarray, faces: np.ndarray, last: tuple[np.ndarray, np.ndarray] | None) -> np.ndarray:
+    """Which faces (F,) may cross others, their vertices at `places`: all where nothing is known of the `last` time, or
+    places were rounded otherwise then, in another frame."""
+    if last is None:
+        return np.ones(len(faces), bool)
+    before, found = last
+    (middle, unit), (other, other_unit) = (frame_of(Surface(points, faces)) for points in (before, places))
+    if unit != other_unit or (middle != other).any():
+        return np.ones(len(faces), bool)
+    return unlike(before, places)[faces].any(axis=1) | (found & (CROSSING | FOLDED) > 0)

@@ -1,0 +1,194 @@
+"""A mesh onto refined depth maps, coarse to fine, split where they show detail (method section 10.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pagas_cl.errors import log
+from pagas_cl.method.surface.edges import Edges
+from pagas_cl.method.surface.mesh_evidence import Observed, Words
+from pagas_cl.method.surface.mesh_solve import (
+    OnDevice,
+    Solved,
+    grouped,
+    orientation_of,
+    solve_welded,
+    welded,
+    with_area,
+)
+from pagas_cl.method.surface.raster import Drawing
+from pagas_cl.method.surface.subdivide import Subdivision, spread, with_middles
+from pagas_cl.scene.mesh import Surface
+
+if TYPE_CHECKING:
+    from pagas_cl.runtime.device import Device
+
+COARSE, DETAIL = 6.0, 1.5   # footprints: edges to begin with, and the longest that are never split
+_OFF = 0.5                  # times `flat` that the middle of an edge lies off, for which it is split
+_LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
+_DONE = (0.0, 0.07, 0.16)   # of all that makes the mesh when a level begins, but the last one (measured);
+_SPLIT, _AFTER = 1.6, 1     # rounds of the solve, by time: an earlier level; what comes after the last one
+TRIANGLE_BYTES = 450        # of host and device memory together, at the peak (measured)
+_FULL = 0.9                 # of the triangles that the memory is for, from which on nothing more is split
+
+
+def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, *, flat: float,
+             detail: float = DETAIL, least_views: int = 2, most: int,
+             at: Callable[[float], object] = lambda share: None) -> tuple[Subdivision, Solved, np.ndarray]:
+    """Move the vertices of `surface` as solve_mesh does, its edges split where the depth maps lie off their middles by
+    more than half of `flat` footprints, at most to `most` triangles: the largest deviations first.
+
+    `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` hears how much of
+    all that makes the mesh is done: where the last level begins, by the triangles of all. Gives how the mesh was split,
+    where its vertices are, and which of them are at one place (V',).
+    """
+    mesh = _Splitting(surface, unit)
+    mesh.split_longer(max(COARSE, detail), most // 2)
+    orientation = orientation_of(surface, Drawing(device, surface), views)
+    split = 0.0     # triangles times rounds of the levels so far
+    for level in range(_LEVELS + 1):
+        last = level == _LEVELS or len(mesh.edges) > _FULL * most
+        rounds = _ROUNDS + (level < _LEVELS) if last else 1
+        at(split / (split + (rounds + _AFTER) * len(mesh.edges)) if last else _DONE[level])
+        split += _SPLIT * len(mesh.edges)
+        now = OnDevice(device, Surface(mesh.points, with_area(mesh.edges.faces)))
+        solved = solve_welded(now, views, least_views=least_views, orientation=orientation, rounds=rounds)
+        mesh.points = solved.vertices
+        if last:
+            now.release()
+            break
+        lengths = mesh.edges.lengths(mesh.points)
+        long = np.flatnonzero(lengths > detail * np.maximum(*mesh.unit[mesh.edges.ends.T]))
+        off = off_middles(now, mesh.points, mesh.edges.ends[long], views, orientation, least_views)
+        now.release()
+        wanted, count = off > _OFF * flat, len(mesh.edges)
+        number, done = np.count_nonzero(wanted), mesh.split_longest_with(long, wanted, off, lengths, most)
+        if done < number:
+            log.warning("the mesh is coarser than the depth maps would allow, at %d edges: the memory planned for it "
+                        "holds %d triangles; start again with a larger --memory", number - done, most)
+        log.debug("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
+                  number, len(long), _OFF * flat, count, len(mesh.edges))
+    division = Subdivision(len(surface.vertices), surface.faces, mesh.own.faces, mesh.own.table[6], mesh.rounds)
+    return division, solved.at(mesh.place), mesh.place
+
+
+class _Splitting:
+    """A mesh while it is split: `points` (W, 3) are its places, `place` (V,) that of each vertex; `edges` are between
+    places, `own` between vertices, the same ones where no two vertices are at one place."""
+
+    def __init__(self, surface: Surface, unit: np.ndarray):
+        self.points, self.place = welded(surface.vertices)
+        self.unit = np.full(len(self.points), np.inf)
+        np.minimum.at(self.unit, self.place, unit)
+        faces = self.place[surface.faces]
+        self.unit = spread(self.unit, faces)
+        self.own = self.edges = Edges(surface.faces, len(surface.vertices))
+        if len(self.points) < len(self.place):
+            self.edges = Edges(faces, len(self.points))
+        self.rounds: list[np.ndarray] = []
+
+    def split_longer(self, longest: float, most: int) -> None:
+        """Split edges until none is longer than `longest` footprints, or there would be more than `most` faces."""
+        fresh: np.ndarray | slice = slice(None)
+        while len(chosen := self.edges.longer(self.points, longest * self.unit, fresh)):
+            if len(self.edges) + 2 * len(chosen) > most:
+                break
+            fresh = self._split(chosen)
+
+    def split_longest_with(self, long: np.ndarray, wanted: np.ndarray, off: np.ndarray, lengths: np.ndarray,
+                           most: int) -> int:
+        """Split those of the edges `long` that are `wanted`, and with them the longest of each of their faces: no
+        slivers. So many of those that lie `off` farthest as make at most `most` faces; how many."""
+        sides, count = self.edges.sides, len(self.edges.ends)
+        first = self.edges.in_order(long[wanted])
+        by_edge = np.zeros(count, np.float32)
+        by_edge[long] = off
+        first = first[np.argsort(-by_edge[first], kind="stable")]
+        size = np.full(count, -1, np.float32)
+        size[long] = lengths[long]
+        longest = np.where(size[sides[1]] > size[sides[0]], sides[1], sides[0])
+        longest = np.where(size[sides[2]] > size[longest], sides[2], longest)
+        begin, order = grouped(sides.reshape(-1), count)
+        longest_around = longest[order % len(self.edges)]       # edge after edge, of each face that it is a side of
+        done, room = len(first), max(0, most - len(self.edges))
+        while True:
+            split = _with_longest(first[:done], begin, longest_around)
+            added = sum(np.count_nonzero(split[side]) for side in sides)
+            if added <= room:
+                break
+            done = int(0.95 * done * room / added)
+        self._split(self.edges.in_order(np.flatnonzero(split)))
+        return done
+
+    def _split(self, chosen: np.ndarray) -> np.ndarray:
+        """Split the edges of these numbers, sorted by their ends; as Edges.split_at."""
+        pairs, own = self.edges.ends[chosen], chosen
+        place = np.full(len(self.edges.ends), -1, np.int32)
+        place[chosen] = len(self.points) + np.arange(len(chosen), dtype=np.int32)
+        if self.own is not self.edges:
+            place_of = np.empty(len(self.own.ends), np.int32)
+            place_of[self.own.sides] = place[self.edges.sides]
+            own = self.own.in_order(np.flatnonzero(place_of >= 0))
+            self.place = np.append(self.place, place_of[own])
+            self.rounds.append(self.own.ends[own])
+            self.own.split_at(own)
+        else:
+            self.place = np.append(self.place, place[chosen])
+            self.rounds.append(pairs)
+        self.points = with_middles(self.points, pairs)
+        self.unit = np.append(self.unit, np.minimum(*self.unit[pairs.T]))
+        return self.edges.split_at(chosen)
+
+
+def _with_longest(first: np.ndarray, begin: np.ndarray, longest_around: np.ndarray) -> np.ndarray:
+    """Which edges are split with those of the numbers `first`: bool (E,). The longest sides of the faces around edge e
+    are longest_around[begin[e]:begin[e + 1]]. Each edge is looked at once, however many faces it or a vertex has."""
+    split = np.zeros(len(begin) - 1, bool)
+    fresh = first
+    while len(fresh):
+        split[fresh] = True
+        counts = begin[fresh + 1] - begin[fresh]
+        skipped = np.repeat(begin[fresh] - np.cumsum(counts) + counts, counts)
+        longest = longest_around[skipped + np.arange(counts.sum())]
+        fresh = np.unique(longest[~split[longest]])
+    return split
+
+
+def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: Sequence[Observed], orientation: float,
+                least_views: int) -> np.ndarray:
+    """How far, in footprints, the depth maps lie off the middles of the edges `pairs` of the mesh, its vertices at
+    `vertices`; 0 where too few views agree."""
+    from pagas_cl.runtime.device import translate_cl_errors
+    from pagas_cl.runtime.memory import download, upload
+    from pagas_cl.runtime.program import bind, run_once
+
+    if not len(pairs):
+        return np.zeros(0, np.float32)
+    device, count = mesh.device, len(vertices)
+    with translate_cl_errors(device, "the deviations of the mesh"):
+        mesh.drawing.move(vertices)
+        whole = {"positions": upload(device, mesh.in_frame(vertices)), "edges": upload(device, pairs.astype(np.int32))}
+        own = {name: device.memory.buffer(device.context, 4 * size * len(pairs), name)
+               for name, size in (("positions", 3), ("normals", 3), ("reach", 1))}
+        words = Words(device, len(pairs), own, least_views)
+        for name, size in (("normals", 3), ("reach", 1), ("flatness", 1)):
+            whole[name] = device.memory.buffer(device.context, 4 * size * count, name)
+        run_once(device.queue, [
+            bind(words.program, "vertex_normals", (count,), None, {**mesh.rings, **whole}, count=count),
+            bind(words.program, "edge_middles", (len(pairs),), None, positions=whole["positions"],
+                 normals=whole["normals"], pairs=whole["edges"], count=len(pairs), middles=own["positions"],
+                 directions=own["normals"], reach=own["reach"])])
+        for buffer in whole.values():
+            buffer.release()
+        for view in views:
+            words.ask(mesh.drawing, view, orientation)
+        words.settle()
+        off, unit, seen = (download(device, words.known[name], len(pairs), kind) for name, kind in
+                           (("target", np.float32), ("unit", np.float32), ("seen", np.int32)))
+        words.release()
+        for buffer in own.values():
+            buffer.release()
+    return np.where(seen >= least_views, np.abs(off) / unit, 0)

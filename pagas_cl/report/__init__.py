@@ -1,6 +1,0 @@
-"""Pictures of what a run did, and one page to look at (Pillow and NumPy alone)."""
-
-from pagas_cl.report.mesh_view import VertexValues, mesh_viewer, write_mesh_page
-from pagas_cl.report.writer import Report, picture_files, pictures_in
-
-__all__ = ["Report", "VertexValues", "mesh_viewer", "picture_files", "pictures_in", "write_mesh_page"]
