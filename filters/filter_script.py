@@ -6,7 +6,6 @@ between them, and the history keeps every step, so that saving the script keeps 
 """
 
 import re
-import tempfile
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
@@ -14,11 +13,12 @@ from itertools import groupby
 from pathlib import Path
 from xml.etree import ElementTree
 
-from pagas_cl.errors import InputError, OutputError, log, need, short
+from pagas_cl.errors import InputError, log, need, short
 from pagas_cl.filters import native, parameters
-from pagas_cl.filters.names import HINT, NOTE
+from pagas_cl.filters.history import attribute_names, restore_history, saved_history
+from pagas_cl.filters.names import HINT
 from pagas_cl.filters.parameters import FILTER
-from pagas_cl.scene.own_files import TEXT_MARK
+from pagas_cl.filters.pymeshlab_step import refine_layer, scene_views
 from pagas_cl.scene.readers.untrusted import read_xml
 
 _FILES = ("RichOpenFile", "RichSaveFile")
@@ -127,8 +127,6 @@ def run_script(meshes, path, scene=None, *, outside: bool = False, device: str |
     lists none as it is spelled. A step that fails inside pymeshlab is named in the error, and leaves the meshes as
     those before it made them.
     """
-    from pagas_cl.filters.pymeshlab_step import refine_layer, scene_views
-
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
     steps = check_script(path, outside=outside)
     ours = [step for step in steps if step.request is not None]
@@ -158,46 +156,3 @@ def _run_native(pymeshlab, meshes, stretch: list[Step], path) -> None:
     except (pymeshlab.PyMeshLabException, RuntimeError) as error:
         names = ", ".join(f"{step.number} {step.name!r}" for step in stretch)
         raise InputError(f"{path}: pymeshlab stopped in step {names}: {' '.join(str(error).split())[:300]}") from error
-
-
-def attribute_names(elements: Collection[ElementTree.Element]) -> set[str]:
-    """Names that steps give to custom attributes."""
-    return {param.get("value", "") for element in elements if "Attribute" in element.get("name", "")
-            for param in element.iter("Param") if param.get("name") == "name"}
-
-
-def saved_history(meshes) -> list[ElementTree.Element]:
-    """The steps that a MeshSet has recorded."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "history.mlx"
-        meshes.save_filter_script(str(path))
-        try:
-            return list(ElementTree.parse(path).getroot()) if path.is_file() else []
-        except ElementTree.ParseError as error:      # pymeshlab says nothing of a full disk
-            raise OutputError(f"the history is cut off in the folder for temporary files ({folder!r}): make room, or "
-                              "set TMPDIR to another place") from error
-
-
-def restore_history(meshes, elements: Collection[ElementTree.Element]) -> None:
-    """Replace the steps that a MeshSet has recorded."""
-    meshes.clear_filter_script()
-    if not elements:
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "history.mlx"
-        path.write_text(_text(elements), encoding="utf-8")
-        meshes.load_filter_script(str(path))
-
-
-def history_text(meshes) -> str:
-    """The steps that a MeshSet has recorded, as a script."""
-    elements = saved_history(meshes)
-    note = f"{NOTE}\n" if any(element.get("name") == FILTER for element in elements) else ""
-    return _text(elements, f"<!-- {TEXT_MARK} -->\n{note}")
-
-
-def _text(elements: Collection[ElementTree.Element], comments: str = "") -> str:
-    root = ElementTree.Element("FilterScript")
-    root.extend(elements)
-    ElementTree.indent(root, " ")
-    return f"<!DOCTYPE FilterScript>\n{comments}{ElementTree.tostring(root, encoding='unicode')}\n"

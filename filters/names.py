@@ -10,12 +10,11 @@ import sys
 from pathlib import Path
 
 from pagas_cl.errors import InputError
+from pagas_cl.filters.history import CALL, NOTE, saved_history
 from pagas_cl.filters.parameters import FILTER, PARAMETERS
 
 METHOD = "apply_pagas_depth_refinement"
-CALL = "pagas_cl.filters.filter_script.run_script(meshes, script, scene), or on the command line: pagas-cl script"
 HINT = "run_with"     # a parameter that only says CALL: all that pymeshlab alone shows of a script are its parameters
-NOTE = f"<!-- {FILTER!r} is a step of pagas_cl, which MeshLab and pymeshlab alone do not run: {CALL} -->"
 
 
 def add_name(pymeshlab, kind, step) -> None:
@@ -77,8 +76,6 @@ def _defaults(known, step, meshes, filter_name):
 
 
 def _guided(known, step, meshes):
-    from pagas_cl.filters.filter_script import saved_history
-
     if any(element.get("name") == FILTER for element in saved_history(meshes)):
         raise InputError(f"the script has the step {FILTER!r}, which needs a scene: run it with {CALL}")
     return known(meshes)

@@ -18,9 +18,9 @@ from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
-from pagas_cl.child import end_with_parent
 from pagas_cl.errors import InputError, need
 from pagas_cl.filters.names import METHOD
+from pagas_cl.system.child import end_with_parent
 
 UNKNOWN = "Something really bad happened"  # pymeshlab's words for a filter name that it does not know
 _SECONDS = 60.0  # for one child process; a filter with default values on a small sphere takes milliseconds

@@ -6,8 +6,8 @@ A MeshLab script would store a length as an absolute number and apply it to the 
 import re
 from dataclasses import dataclass
 
-from pagas_cl.app.commands._settings import build_config, effect_settings
 from pagas_cl.config import Config
+from pagas_cl.config.assignments import build_config, effect_settings
 from pagas_cl.errors import InputError, nearest_of, short
 from pagas_cl.scene.readers.untrusted import whole, word
 

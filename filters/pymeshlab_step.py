@@ -13,15 +13,16 @@ from xml.etree import ElementTree
 import numpy as np
 
 from pagas_cl.errors import InputError, log, need
-from pagas_cl.filters.filter_script import attribute_names, restore_history, saved_history
-from pagas_cl.filters.names import CALL, HINT, METHOD, add_name
+from pagas_cl.filters.history import CALL, attribute_names, restore_history, saved_history
+from pagas_cl.filters.names import HINT, METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
-from pagas_cl.method.keep_mesh import Observations, kept_mesh, solve_device
+from pagas_cl.method.surface.keep_mesh import Observations, kept_mesh, solve_device
 from pagas_cl.method.surface.mesh_solve import solve_mesh
 from pagas_cl.method.surface.on_vertices import footprints, vertex_confidence
 from pagas_cl.progress import progress_of
 from pagas_cl.scene.inputs import as_views
-from pagas_cl.scene.mesh import from_surface, to_surface, triangle_normals
+from pagas_cl.scene.mesh import triangle_normals
+from pagas_cl.scene.mesh_kinds import from_surface, to_surface
 from pagas_cl.scene.meshlab_layer import (
     CONFIDENCE,
     SCRATCH,

@@ -5,8 +5,9 @@ pymeshlab and does no work. Editors and type checkers read them from the imports
 """
 
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
+
+from pagas_cl.config.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from pagas_cl.app.tradeoffs import tradeoff
@@ -14,8 +15,8 @@ if TYPE_CHECKING:
     from pagas_cl.config.presets import preset
     from pagas_cl.errors import DeviceError, InputError, KernelBuildError, MissingExtraError, PagasError
     from pagas_cl.method.cameras.refine import CameraRefinement
-    from pagas_cl.method.one_view import refine_depth
     from pagas_cl.method.surface.bring_together import Together, bring_together
+    from pagas_cl.method.view.one_view import refine_depth
     from pagas_cl.refine import refine_cameras, refine_mesh, refine_views
     from pagas_cl.result import DepthResult
     from pagas_cl.scene.camera import Camera
@@ -49,12 +50,6 @@ _HOME = {  # as the imports above
     "method.surface.bring_together": ["Together", "bring_together"],
     "app.tradeoffs": ["tradeoff"],
 }
-
-try:
-    __version__ = version("pagas-cl")
-except PackageNotFoundError:  # a source tree that was never installed
-    __version__ = "0+unknown"
-
 
 if not TYPE_CHECKING:  # a checker would take any misspelt name for one that is loaded lazily
 

@@ -16,9 +16,9 @@ from typing import Any, get_origin
 import typer
 from typer.models import OptionInfo
 
-from pagas_cl import __version__
 from pagas_cl.app import commands
 from pagas_cl.app.commands._console import log_to_stderr, make_streams_safe
+from pagas_cl.config.version import __version__
 from pagas_cl.errors import (
     InputError,
     InterruptedRunError,

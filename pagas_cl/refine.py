@@ -22,21 +22,23 @@ from pagas_cl.method.cameras import refine as camera_refinement
 from pagas_cl.method.cameras.blocks import MakeBlocks
 from pagas_cl.method.cameras.effect import resolve_cameras
 from pagas_cl.method.cameras.refine import CameraRefinement
-from pagas_cl.method.effects import decide_consistency
-from pagas_cl.method.keep_mesh import FLAT, check_flat, check_subdivide, kept_mesh, polished
-from pagas_cl.method.one_view import refine_one
-from pagas_cl.method.rounds import later_rounds
+from pagas_cl.method.effects.decide import decide_consistency
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.surface import blocks
 from pagas_cl.method.surface.agree import comparison_device, confirmed
 from pagas_cl.method.surface.fuse import weights_of
+from pagas_cl.method.surface.keep_mesh import FLAT, check_flat, check_subdivide, kept_mesh, polished
 from pagas_cl.method.surface.raster import each_depth
+from pagas_cl.method.view.one_view import refine_one
+from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
-from pagas_cl.result import DepthResult, OnDisk, joined
+from pagas_cl.result import DepthResult, OnDisk
 from pagas_cl.runtime.device import Device, Devices, is_elsewhere, one_of, open_device
 from pagas_cl.scene.check import check_seen
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_views, depth_maps
-from pagas_cl.scene.mesh import Mesh, Surface, from_surface, to_surface
+from pagas_cl.scene.joined import joined
+from pagas_cl.scene.mesh import Mesh, Surface
+from pagas_cl.scene.mesh_kinds import from_surface, to_surface
 from pagas_cl.scene.view import View
 
 OUTPUTS = ("mesh", "tsdf", "displace")

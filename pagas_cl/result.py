@@ -1,6 +1,5 @@
 """What the refinement of one view gives back."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -9,11 +8,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED, central_normals, confidence_of, surface_depth
 from pagas_cl.scene.sampling import scene_scale_of
-from pagas_cl.scene.view import View
 
 _ROWS = 64      # of a depth map whose normals are worked out in float64 at a time
 
@@ -110,34 +107,6 @@ class OnDisk(Protocol):
     @property
     def file(self) -> Path:
         """The depth map's file."""
-
-
-def joined(views: Sequence[View], results: Sequence[DepthResult]) -> list[tuple[int, DepthResult]]:
-    """(place in `views`, result) for each result that is of one of the views, in the order of the results.
-
-    By the view's name; where several views have it, by the camera too. InputError where that leaves a choice.
-    """
-    called: dict[str, list[int]] = {}
-    for place, view in enumerate(views):
-        called.setdefault(view.name, []).append(place)
-    found: dict[int, DepthResult] = {}
-    for result in results:
-        places = called.get(result.name, [])
-        if len(places) > 1:
-            places = ([p for p in places if views[p].camera is result.camera]
-                      or [p for p in places if _same(views[p].camera, result.camera)])
-        if len(places) > 1:
-            raise InputError(f"{len(places)} views are called {result.name!r} and have the same camera, expected a "
-                             "name for each, by which its result is found")
-        if places and found.setdefault(places[0], result) is not result:
-            raise InputError(f"there are two results of view {result.name!r}, expected one")
-    return list(found.items())
-
-
-def _same(one: Camera, other: Camera) -> bool:
-    """Whether two cameras are the same in all their numbers."""
-    return ((one.width, one.height) == (other.width, other.height) and np.array_equal(one.K, other.K)
-            and np.array_equal(one.world_to_camera, other.world_to_camera))
 
 
 def normals_of(depth: np.ndarray, camera: Camera) -> npt.NDArray[np.float32]:

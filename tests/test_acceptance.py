@@ -10,9 +10,9 @@ import pytest
 from support.acceptance_scenes import figures, moving, textureless, turned, wrong_poses
 
 from pagas_cl.errors import NothingRefinedWarning
-from pagas_cl.method.acceptance import own_reason
-from pagas_cl.method.one_view import refine_depth
 from pagas_cl.method.splat import PhotoStore
+from pagas_cl.method.view.acceptance import own_reason
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
 from pagas_cl.result import KEPT, NO_SURFACE, REFINED, REJECTED
 

@@ -51,7 +51,7 @@ def test_evaluate_command_on_the_folder(folder, capsys):
 
 
 def test_demo_with_a_faked_refinement(tmp_path, capsys, monkeypatch):
-    fake = ModuleType("pagas_cl.method.one_view")
+    fake = ModuleType("pagas_cl.method.view.one_view")
     truth = {}
 
     def refine_depth(target, contexts, depth, **_):
@@ -60,7 +60,7 @@ def test_demo_with_a_faked_refinement(tmp_path, capsys, monkeypatch):
         return SimpleNamespace(depth=half, confidence=np.ones_like(half), counts={"refined": int((half > 0).sum())})
 
     fake.refine_depth = refine_depth
-    monkeypatch.setitem(sys.modules, "pagas_cl.method.one_view", fake)
+    monkeypatch.setitem(sys.modules, "pagas_cl.method.view.one_view", fake)
     monkeypatch.setitem(sys.modules, "open3d", None)
     made = tiny(contexts=2, height=72)
     truth.update({view.name: made.true_depth(view.camera) for view in made.views})

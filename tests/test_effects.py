@@ -13,8 +13,8 @@ from twins import exposure
 from pagas_cl.config import Effects
 from pagas_cl.config.presets import BALANCED, PAPER
 from pagas_cl.errors import InputError
-from pagas_cl.method.effects import EFFECTS, LOW_PASS, WIDEST, decide, filter_between, left_to_smooth
-from pagas_cl.method.measurements import Measurements, measure
+from pagas_cl.method.effects.decide import EFFECTS, LOW_PASS, WIDEST, decide, filter_between, left_to_smooth
+from pagas_cl.method.effects.measure import Measurements, measure
 
 CALM = Measurements(**dict(overlap=1.0, misaligned=0.0, masked=False, gains=(((1.0, 0.0),) * 3,)) | {
     name: value for effect in CASES.values() for name, value in effect.below.items()})

@@ -13,7 +13,7 @@ from support.scenes import relief_scene
 
 from pagas_cl.app.synthetic.layout import half_sizes
 from pagas_cl.app.synthetic.mesh import solid_mesh
-from pagas_cl.method.one_view import refine_depth
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import initial_depths
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View

@@ -11,7 +11,7 @@ from support.scenes import relief_scene
 import pagas_cl.__main__ as command_line
 from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.errors import NothingRefinedWarning
-from pagas_cl.method.one_view import refine_depth
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
 from pagas_cl.result import KEPT, REFINED
 from pagas_cl.scene.camera import inverse_pose

@@ -9,8 +9,8 @@ from support.job_scenes import QUICK, load_small_scene, write_small_scene
 
 pytest.importorskip("pyopencl")
 from pagas_cl.errors import InputError
-from pagas_cl.method.one_view import refine_depth, refine_one
 from pagas_cl.method.splat.step import AHEAD, StepProgress
+from pagas_cl.method.view.one_view import refine_depth, refine_one
 from pagas_cl.progress import LineProgress, Progress, progress_of, reported, shown_on, stage, within_view
 from pagas_cl.refine import refine_views
 

@@ -8,8 +8,9 @@ from conftest import look_at
 
 import pagas_cl
 from pagas_cl.errors import InputError
-from pagas_cl.result import DepthResult, OnDisk, joined
+from pagas_cl.result import DepthResult, OnDisk
 from pagas_cl.scene.images import Loads
+from pagas_cl.scene.joined import joined
 from pagas_cl.scene.view import View
 
 DEPTH = np.ones((4, 6), np.float32)

@@ -7,9 +7,9 @@ import pytest
 from support.scenes import relief_scene
 
 from pagas_cl.config.presets import BALANCED
-from pagas_cl.method.one_view import refine_one
-from pagas_cl.method.resemblance import adding, views_to_ask
 from pagas_cl.method.splat import NormalizedDepth, PhotoStore
+from pagas_cl.method.view.one_view import refine_one
+from pagas_cl.method.view.resemblance import adding, views_to_ask
 from pagas_cl.refine import refine_views
 from pagas_cl.scene.choice import PartnerChooser
 

@@ -16,10 +16,11 @@ import pagas_cl.__main__ as command_line
 from pagas_cl.app.report import Report
 from pagas_cl.app.tradeoffs.study import Book
 from pagas_cl.errors import InputError, OutputError
-from pagas_cl.method.one_view import refine_depth
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime import cache, device, memory, vendors
-from pagas_cl.scene import files, images
+from pagas_cl.scene import images
+from pagas_cl.system import files
 
 slow = pytest.mark.slow
 

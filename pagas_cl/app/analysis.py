@@ -6,8 +6,8 @@ from pagas_cl.app.tradeoffs.bench import time_step
 from pagas_cl.config import Config
 from pagas_cl.config.presets import preset
 from pagas_cl.method.cameras.effect import FEWEST, MOST, camera_seconds, decide_cameras
-from pagas_cl.method.effects import EFFECTS, Decision, decide, decide_consistency
-from pagas_cl.method.measurements import Measurements, measure
+from pagas_cl.method.effects.decide import EFFECTS, Decision, decide, decide_consistency
+from pagas_cl.method.effects.measure import Measurements, measure
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.progress import Progress, Reporter, progress_of, reported, stage
 from pagas_cl.runtime.device import open_device

@@ -4,12 +4,12 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from pagas_cl import __version__
 from pagas_cl.app.evaluate import DepthReport, compare_depth, compare_predictions
 from pagas_cl.app.report import Report
 from pagas_cl.app.synthetic.examples import write_example
 from pagas_cl.app.synthetic.scene import SyntheticScene, relief_scene, write_scene
 from pagas_cl.config.presets import settings_of
+from pagas_cl.config.version import __version__
 from pagas_cl.errors import log
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.fuse import fuse
@@ -86,7 +86,7 @@ def make_example(folder, format: str, width: int = 288, height: int = 216, conte
 
 
 def _refined(synthetic: SyntheticScene, config, device, progress: Progress):
-    from pagas_cl.method.one_view import refine_depth
+    from pagas_cl.method.view.one_view import refine_depth
 
     results = []
     for view in reported(progress, "refine", synthetic.views):

@@ -230,7 +230,7 @@ class Agreement(Stage):
 class Effects(Stage):
     """Which effects are simulated (method section 8): "on", "off", "auto" (decided from measurements of the scene), or
     "set" (the settings of the other stages hold as they are). What each one sets, and on what evidence:
-    pagas_cl.method.effects."""
+    pagas_cl.method.effects.decide."""
 
     occlusion: str = effect()
     unseen_mask: str = effect()

@@ -8,7 +8,7 @@ from typing import Any
 from platformdirs import user_cache_dir
 
 from pagas_cl.errors import log
-from pagas_cl.scene.files import replaced
+from pagas_cl.system.files import replaced
 
 _MOST = 1_000_000                          # bytes that such a file may have
 _in_memory: dict[Path, dict[str, Any]] = {}   # where the disk takes none

@@ -19,7 +19,7 @@ from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.info import DeviceInfo
 from pagas_cl.runtime.trial import try_device
 from pagas_cl.runtime.vendors import import_pyopencl
-from pagas_cl.scene import locks
+from pagas_cl.system import locks
 
 WAIT = 20.0               # seconds to wait for a device that is at work for another process
 _held: dict[str, int] = {}

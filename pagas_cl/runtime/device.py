@@ -18,7 +18,7 @@ from pagas_cl.runtime.trial import Trial, try_device
 from pagas_cl.runtime.vendors import check_process, import_pyopencl
 
 if TYPE_CHECKING:
-    from pagas_cl.runtime.memory import Memory
+    from pagas_cl.runtime.allocations import Memory
 
 ENVIRONMENT = "PAGAS_CL_DEVICE"
 SHARE = "PAGAS_CL_SHARE"  # how many processes may work on one device
@@ -43,7 +43,7 @@ class Device:
     @cached_property
     def memory(self) -> "Memory":
         """The buffers that this process holds on the device, counted."""
-        from pagas_cl.runtime.memory import Memory, limit_of
+        from pagas_cl.runtime.allocations import Memory, limit_of
 
         spare = 0 if self.info.kind == "CPU" else SPARE      # there it is the host's memory, and soon freed
         return Memory(self.info.title, limit_of(self.info.memory, shares()), spare)

@@ -7,10 +7,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pagas_cl.child import ask, end_with_parent
 from pagas_cl.errors import DeviceError, NoDeviceError, log
 from pagas_cl.runtime import cache, icd, vendors
 from pagas_cl.runtime.info import DeviceInfo, describe
+from pagas_cl.system.child import ask, end_with_parent
 
 LIMIT = 60.0              # seconds for the drivers to say what they have
 

@@ -1,121 +1,12 @@
-"""What a device holds of ours: every buffer is counted while it lives, and none is made beyond what is allowed.
+"""Arrays to a device and back."""
 
-Buffers that are given back wait for the next of their size and role: a driver takes half a millisecond for each that it
-frees, and views of one size need the same ones again.
-"""
-
-import os
-from collections import defaultdict, deque
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
 import pyopencl as cl
 
-from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.runtime.device import Device
-from pagas_cl.runtime.info import number_in
-
-ENVIRONMENT = "PAGAS_CL_MEMORY"      # most MB of device memory that a process may take
-
-
-class Memory:
-    """Buffers of one device.
-
-    `title` is the device's name, for messages. Bytes: `limit` allowed, `held` now, `peak` at most since `begin`, and
-    `waiting` in buffers that were given back and are kept, as long as all together are no more than what is planned, or
-    than the share `spare` of the limit.
-    """
-
-    def __init__(self, title: str, limit: int, spare: float = 0.0):
-        self.title, self.limit, self.spare = title, limit, spare
-        self.held = self.peak = self.waiting = self._planned = 0
-        self._kept: defaultdict[tuple[str, int], deque[_Counted]] = defaultdict(deque)      # never an empty one
-
-    def buffer(self, context: cl.Context, nbytes: int, role: str = "") -> "_Counted":
-        """A buffer for reading and writing; what is in it is left over from whatever it served before.
-
-        One that has served in the `role` is taken again, so that kernels find it where it was. DeviceMemoryError where
-        it would exceed the limit, or the driver refuses it.
-        """
-        if self.held + nbytes > self.limit:
-            raise DeviceMemoryError(f"{self.title} may hold {_mb(self.limit)} MB, {_mb(self.held)} MB are taken and "
-                                    f"{_mb(nbytes)} MB more are needed")
-        if (role, nbytes) in self._kept:
-            buffer = self._pop(role, nbytes)
-            buffer.count()
-            return buffer
-        self._free(self._most - nbytes)
-        try:
-            return _Counted(self, context, nbytes, role)
-        except cl.Error:
-            self._free(0)
-        try:
-            return _Counted(self, context, nbytes, role)
-        except cl.Error as error:
-            raise DeviceMemoryError(f"{self.title} refused {_mb(nbytes)} MB ({error}) next to the {_mb(self.held)} MB "
-                                    "that it holds") from error
-
-    def begin(self, planned: int) -> None:
-        """Count the peak from here on; `planned` bytes in all will do, what waits included."""
-        self.peak, self._planned = self.held, min(self.limit, planned)
-        self._free(self._most)
-
-    @property
-    def _most(self) -> int:
-        return max(self._planned, int(self.spare * self.limit))
-
-    def count(self, nbytes: int) -> None:
-        self.held += nbytes
-        self.peak = max(self.peak, self.held)
-
-    def keep(self, buffer: "_Counted") -> None:
-        """Take back a buffer that nothing enqueued later will use."""
-        self._kept[buffer.role, buffer.size].append(buffer)
-        self.waiting += buffer.size
-
-    def clear(self) -> None:
-        """Let the driver have every buffer that waits."""
-        self._free(0)
-
-    def _pop(self, role: str, nbytes: int) -> "_Counted":
-        kept = self._kept[role, nbytes]
-        buffer = kept.popleft()
-        if not kept:
-            del self._kept[role, nbytes]
-        self.waiting -= nbytes
-        return buffer
-
-    def _free(self, most: int) -> None:
-        """Let the driver have kept buffers, until no more than `most` bytes are held and kept."""
-        while self._kept and self.held + self.waiting > most:
-            self._pop(*next(iter(self._kept)))
-
-
-class _Counted(cl.Buffer):
-    """A buffer that is counted from its making until it is released or dropped."""
-
-    def __init__(self, memory: Memory, context: cl.Context, nbytes: int, role: str):
-        self._memory, self._counted, self.role = memory, 0, role
-        super().__init__(context, cl.mem_flags.READ_WRITE, nbytes)
-        self.count()
-
-    def count(self) -> None:
-        self._counted = self.size
-        self._memory.count(self._counted)
-
-    def release(self) -> None:
-        """Give it back; once, however often it is asked for."""
-        if self._counted:
-            self._forget()
-            self._memory.keep(self)
-
-    def __del__(self) -> None:
-        self._forget()
-
-    def _forget(self) -> None:
-        self._memory.count(-self._counted)
-        self._counted = 0
 
 
 def upload(device: Device, array: np.ndarray) -> cl.Buffer:
@@ -153,15 +44,3 @@ def room(shape: tuple[int, ...], *dtypes: npt.DTypeLike) -> Future[list[np.ndarr
     """Arrays of `shape` for what a device will leave, promised: the system takes longer to give memory that nobody has
     touched than the device to fill it, and does so meanwhile."""
     return _touching.submit(lambda: [np.full(shape, 0, dtype) for dtype in dtypes])
-
-
-def limit_of(total: int, processes: int = 1) -> int:
-    """Bytes that this process may take of a device with `total`: its share, or what PAGAS_CL_MEMORY allows."""
-    if not os.environ.get(ENVIRONMENT):
-        return total // processes
-    asked = number_in(ENVIRONMENT, "", "megabytes above 0", lambda megabytes: 0 < megabytes < float("inf"))
-    return min(int(asked * 1e6), total)
-
-
-def _mb(nbytes: int) -> str:
-    return f"{nbytes / 1e6:.2g}" if 1e5 <= nbytes < 10e6 else f"{nbytes / 1e6:,.0f}"

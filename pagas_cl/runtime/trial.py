@@ -13,10 +13,10 @@ from functools import cache as cached
 from importlib.resources import files
 from typing import Any
 
-from pagas_cl import child
 from pagas_cl.errors import log
 from pagas_cl.runtime import cache
 from pagas_cl.runtime.info import DeviceInfo, number_in
+from pagas_cl.system import child
 
 LANES, LIMIT, KNOWN = "PAGAS_CL_LANES", "PAGAS_CL_TRIAL_SECONDS", "PAGAS_CL_TRIAL"
 WIDTHS = (16, 8, 4, 1)    # pixels of a row that a work-item may handle side by side (lanes.clh)
@@ -64,7 +64,7 @@ def identity(info: DeviceInfo) -> list[Any]:
 def kernels() -> str:
     """What tells the kernels of this version, and the numbers that they are built with, from those of another."""
     sources = [file for file in files("pagas_cl.cl_kernels").iterdir() if file.name.endswith((".cl", ".clh"))]
-    sources += [files("pagas_cl").joinpath("splat", name) for name in ("constants.py", "options.py", "tile.py")]
+    sources += [files("pagas_cl.method.splat").joinpath(name) for name in ("constants.py", "options.py", "tile.py")]
     text = sorted((file.name, file.read_bytes()) for file in sources)
     return hashlib.sha256(repr(text).encode()).hexdigest()[:24]
 

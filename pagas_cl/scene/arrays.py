@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.files import DAMAGE, digest_file, digest_of, translated
 from pagas_cl.scene.images import as_photo
 from pagas_cl.scene.npy_files import member_shape, npy_shape, read_member
+from pagas_cl.system.files import DAMAGE, digest_file, digest_of, translated
 
 _HELD = 3      # whole arrays that are kept: depth, confidence, photos of one file
 

@@ -19,7 +19,8 @@ from pagas_cl.scene.align import Alignment, align, focus
 from pagas_cl.scene.camera import FLIP, Camera, inverse_pose
 from pagas_cl.scene.fit import GOOD, Fit, Reading, fitted
 from pagas_cl.scene.inputs import Cameras, Images, as_cameras, as_views
-from pagas_cl.scene.mesh import Mesh, Surface, to_surface
+from pagas_cl.scene.mesh import Mesh, Surface
+from pagas_cl.scene.mesh_kinds import to_surface
 from pagas_cl.scene.view import View
 
 _SAMPLES = 20_000

@@ -9,9 +9,9 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from pagas_cl.errors import InputError, need, short
-from pagas_cl.scene.files import opened, translated
 from pagas_cl.scene.images import image_size, open_image
 from pagas_cl.scene.npy_files import first_shape, npy_shape, read_first, read_npy
+from pagas_cl.system.files import opened, translated
 
 MOST_TIMES = 100          # as many pixels as its photo a depth map may have: sides ten times as long
 PATCH = 14                # networks of the family that gives depth see sides that are multiples of it

@@ -12,9 +12,9 @@ from PIL import Image
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.depth_formats import check_aspect, check_pixels, plane_of, read_values, stored_shape
 from pagas_cl.scene.depthmap import clean_depth, resize_depth
-from pagas_cl.scene.files import digest_file, digest_of, translated
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.placement import Placement
+from pagas_cl.system.files import digest_file, digest_of, translated
 
 LEFT_OUT = 0.25       # depths of less than this share of the median confidence are left out
 _SAMPLED = 8            # maps of confidence that the median is taken of

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth_formats import SUFFIXES, check_aspect, check_pixels, plane_of, read_values, stored_shape
-from pagas_cl.scene.files import is_file, replaced, write_arrays
 from pagas_cl.scene.names import file_stems
+from pagas_cl.system.files import is_file, replaced, write_arrays
 
 # What became of each pixel's depth; DepthResult.status says what each means.
 NO_SURFACE, REFINED, KEPT, REJECTED = range(4)

@@ -11,10 +11,10 @@ from urllib.parse import unquote
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.files import read_bytes
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_content import MARK, MeshContent, whole
 from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.system.files import read_bytes
 
 _BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}       # of a number, by its componentType
 _VALUES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from pagas_cl.errors import InputError, kind_of
-from pagas_cl.scene.files import is_file, replaced, translated
+from pagas_cl.system.files import is_file, replaced, translated
 
 MOST_PIXELS = 500_000_000      # of a photo: 1.5 GB as RGB
 _DAMAGE = (OSError, SyntaxError, ValueError)

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.files import translated
 from pagas_cl.scene.images import bilinear, read_mask, read_photo
+from pagas_cl.system.files import translated
 
 _ROWS = 256  # rows of the map made at a time
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import log, need
-from pagas_cl.scene.mesh import Mesh, Surface, Texture, eight_bits, mesh_kind, positions, vertex_normals
+from pagas_cl.scene.mesh import Mesh, Surface, Texture, vertex_normals
+from pagas_cl.scene.mesh_kinds import eight_bits, mesh_kind, positions
 from pagas_cl.scene.meshlab_layer import CONFIDENCE, add_custom, has_quality, read_custom
 
 

@@ -8,10 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl import child
 from pagas_cl.errors import InputError, OutputError
 from pagas_cl.scene import gltf, ply, ply_header
-from pagas_cl.scene.files import replaced, replaced_with_others, translated
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_content import MARK, MeshContent
 from pagas_cl.scene.obj import read_obj
@@ -19,6 +17,8 @@ from pagas_cl.scene.obj_materials import write_obj
 from pagas_cl.scene.off import read_off, write_off
 from pagas_cl.scene.readers.mesh_parts import Parts
 from pagas_cl.scene.stl import read_stl, write_stl
+from pagas_cl.system import child
+from pagas_cl.system.files import replaced, replaced_with_others, translated
 
 READERS: dict[str, Callable[[Path, Parts], MeshContent]] = {
     ".ply": ply.read_ply, ".obj": read_obj, ".off": read_off, ".stl": read_stl, ".glb": gltf.read_gltf,

@@ -5,8 +5,8 @@ import json
 import os
 import sys
 
-from pagas_cl.child import end_with_parent
 from pagas_cl.errors import need
+from pagas_cl.system.child import end_with_parent
 
 _ROOM, _TIMES = 1 << 30, 60      # bytes that loading may take, and of every byte of the file
 

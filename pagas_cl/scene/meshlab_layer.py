@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pagas_cl.errors import InputError, OutputError, need
-from pagas_cl.scene.files import opened, translated
+from pagas_cl.system.files import opened, translated
 
 CONFIDENCE = "pagas_confidence"     # the attribute next to a vertex quality of the user's own
 SCRATCH = "pagasscratch"            # attributes that only moved values into the layer begin so: pymeshlab removes none

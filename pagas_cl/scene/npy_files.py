@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from pagas_cl.scene.files import MOST_BYTES, opened
+from pagas_cl.system.files import MOST_BYTES, opened
 
 _HEADER = 1 << 16           # bytes of an array's header at most
 _one_header = Lock()

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.files import read_bytes
 from pagas_cl.scene.mesh import Texture
 from pagas_cl.scene.mesh_content import MeshContent, numbers, polygon_triangles, whole, words_of_line
 from pagas_cl.scene.obj_materials import read_materials
 from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.system.files import read_bytes
 
 _MARKS_OF_NUMBERS = b"0123456789+-"
 _SHAPES = {b" ": (1, [0]), b"/ ": (2, [0, 1]), b"// ": (3, [0, 1, 2])}   # of a corner: v, v/vt, v/vt/vn

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-import pagas_cl
-from pagas_cl.scene.files import DAMAGE, read_bytes, write_text
+from pagas_cl.config.version import __version__
+from pagas_cl.system.files import DAMAGE, read_bytes, write_text
 
 TEXT_MARK = "written by pagas_cl"
 _MOST_BYTES = 1 << 28     # of a file that is read to recognize it: a longer one is foreign
@@ -20,7 +20,7 @@ _MOST_BYTES = 1 << 28     # of a file that is read to recognize it: a longer one
 
 def json_text(command: str, content: Mapping[str, Any]) -> str:
     """`content` as every command writes it; null for numbers that JSON does not have."""
-    own = {"pagas_cl": pagas_cl.__version__, "command": command, **content}
+    own = {"pagas_cl": __version__, "command": command, **content}
     return json.dumps(_finite(own), indent=1, allow_nan=False) + "\n"
 
 

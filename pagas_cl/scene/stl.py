@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.files import read_bytes
 from pagas_cl.scene.mesh import Surface, triangle_normals
 from pagas_cl.scene.mesh_content import MARK, MeshContent, numbers
 from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.system.files import read_bytes
 
 HEADER = 80
 _ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

@@ -24,9 +24,9 @@ from pagas_cl.app.evaluate import compare_depth, compare_predictions
 from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.config import Config
 from pagas_cl.config.presets import BALANCED
-from pagas_cl.method.rounds import later_rounds
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.surface.agree import counts
+from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.camera import Camera
@@ -193,7 +193,7 @@ def share_rejected(results) -> float:
 
 
 def main():
-    from pagas_cl.app.commands._settings import build_config
+    from pagas_cl.config.assignments import build_config
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scene", type=Path, help="real photos, instead of made ones, with --mesh at --share of size")

@@ -133,7 +133,7 @@ def main() -> int:
     from cameras import refined
     from real import nearest_held, with_cameras
 
-    from pagas_cl.app.commands._settings import build_config
+    from pagas_cl.config.assignments import build_config
     from pagas_cl.runtime.device import open_device
 
     config, device = build_config(ask.preset, ask.set), open_device(ask.device)

@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from pagas_cl.app.synthetic import relief_scene
-from pagas_cl.method.one_view import refine_depth
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.readers import read_scene

@@ -40,7 +40,7 @@ class Closed:
         from mesh_scenes import closed
 
         from pagas_cl.method.surface.raster import each_depth
-        from pagas_cl.scene.mesh import to_surface
+        from pagas_cl.scene.mesh_kinds import to_surface
         from pagas_cl.scene.view import View
 
         made = closed(width)
@@ -95,7 +95,7 @@ def detrended(error, truth, valid) -> float:
 
 def errors(scene, parallax, cameras, results, depths=None) -> dict:
     """Means over the refined views."""
-    from pagas_cl.method.prediction import box_sum
+    from pagas_cl.method.view.prediction import box_sum
     from pagas_cl.result import normals_of
 
     rows = []
@@ -284,7 +284,7 @@ def main() -> int:
     parse.add_argument("--set", nargs="*", default=[], metavar="STAGE.FIELD=VALUE")
     parse.add_argument("--device")
     ask = parse.parse_args()
-    from pagas_cl.app.commands._settings import build_config
+    from pagas_cl.config.assignments import build_config
     from pagas_cl.runtime.device import open_device
 
     config, device = build_config(ask.preset, ask.set), open_device(ask.device)

@@ -19,8 +19,8 @@ from pagas_cl.app.evaluate import compare_depth
 from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.config import Effects
 from pagas_cl.config.presets import BALANCED
-from pagas_cl.method.effects import EFFECTS, decide
-from pagas_cl.method.measurements import measure
+from pagas_cl.method.effects.decide import EFFECTS, decide
+from pagas_cl.method.effects.measure import measure
 from pagas_cl.method.splat import PhotoStore, refine_levels
 from pagas_cl.runtime.device import open_device
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from pagas_cl.app.selftest import scenes as make
 from pagas_cl.config.presets import preset
-from pagas_cl.method.one_view import refine_depth
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.view import View
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from pagas_cl.app.evaluate.clouds import sample_surface
 from pagas_cl.config.presets import settings_of
-from pagas_cl.method.keep_mesh import kept_mesh, polished, solve_device
+from pagas_cl.method.surface.keep_mesh import kept_mesh, polished, solve_device
 from pagas_cl.refine import fuse_results, initial_depths, refine_views
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import Surface

@@ -10,7 +10,7 @@ import mesh_scenes
 import numpy as np
 from PIL import Image
 
-from pagas_cl.method.keep_mesh import solve_device
+from pagas_cl.method.surface.keep_mesh import solve_device
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.result import normals_of
 from pagas_cl.scene.camera import Camera

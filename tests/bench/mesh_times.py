@@ -105,8 +105,8 @@ def run(cameras, folder: Path, ask, watch: Watch) -> None:
     from pagas_cl import refine
     from pagas_cl.config.presets import settings_of
     from pagas_cl.errors import log
-    from pagas_cl.method import keep_mesh
     from pagas_cl.method.splat import PhotoStore
+    from pagas_cl.method.surface import keep_mesh
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.inputs import as_views
 

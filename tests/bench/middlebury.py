@@ -17,7 +17,7 @@ from scenes import BASELINE, CENTER_X, CENTER_Y, FOCAL, OFFSET, _smoothed
 from scipy import ndimage
 
 from pagas_cl.app.evaluate import compare_depth
-from pagas_cl.method.one_view import refine_depth
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.view import View
@@ -100,7 +100,7 @@ def measured(views, start, truth, config, device):
 
 
 def main():
-    from pagas_cl.app.commands._settings import build_config
+    from pagas_cl.config.assignments import build_config
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from pagas_cl.app.jobs.batch import Batch
 from pagas_cl.app.jobs.plan import Planner, groups
-from pagas_cl.app.jobs.task import Batch
 from pagas_cl.config.presets import preset
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.sampling import DepthSample, sample_depth

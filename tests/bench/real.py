@@ -62,7 +62,7 @@ def load(scene: Path, mesh, depth_dir, share: float):
     views = [_smaller(view, share) for view in views]
     if depths is None:
         from pagas_cl.refine import initial_depths
-        from pagas_cl.scene.mesh import to_surface
+        from pagas_cl.scene.mesh_kinds import to_surface
 
         depths = initial_depths(to_surface(mesh), views)
     return views, [_fitting(depth, view.camera) for depth, view in zip(depths, views)]
@@ -112,7 +112,7 @@ def hold_out(target: int, cameras, depths, context):
 
 def refine_without(target: int, held, views, depths, config, device, photos):
     """The view refined as one of all views but those in `held`."""
-    from pagas_cl.method.one_view import refine_one
+    from pagas_cl.method.view.one_view import refine_one
     from pagas_cl.scene.choice import PartnerChooser
 
     left = [k for k in range(len(views)) if k not in held]
@@ -186,7 +186,7 @@ def with_cameras(scene: Path, mesh, depth_dir, share: float, config, device):
     through the refined cameras, as refine_mesh does it."""
     from pagas_cl.method.cameras.refine import refine_cameras
     from pagas_cl.refine import initial_depths
-    from pagas_cl.scene.mesh import to_surface
+    from pagas_cl.scene.mesh_kinds import to_surface
 
     views, depths = load(scene, mesh, depth_dir, share)
     held = np.arange(2, len(views), 4)
@@ -220,7 +220,7 @@ def main() -> int:
     parse.add_argument("--views", nargs="*", default=[], help="stems; all by default")
     parse.add_argument("--save-depth", type=Path)
     ask = parse.parse_args()
-    from pagas_cl.app.commands._settings import build_config
+    from pagas_cl.config.assignments import build_config
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.depthmap import save_depth
 

@@ -20,8 +20,8 @@ from PIL import Image, ImageFilter
 from pagas_cl.app.evaluate import compare_depth
 from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.config.presets import BALANCED
-from pagas_cl.method.one_view import refine_one
 from pagas_cl.method.splat import PhotoStore
+from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.choice import PartnerChooser
 

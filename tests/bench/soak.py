@@ -25,8 +25,8 @@ def soak(views: int = 200) -> list[tuple[float, float, int, float]]:
     """Seconds, resident MB, open files and MB held on the device after each tenth of the views."""
     from pagas_cl.app.selftest import scenes as make
     from pagas_cl.config.presets import BALANCED
-    from pagas_cl.method.one_view import refine_depth
     from pagas_cl.method.splat import PhotoStore
+    from pagas_cl.method.view.one_view import refine_depth
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.view import View
 

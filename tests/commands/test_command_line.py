@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.app.commands._settings import build_config
+from pagas_cl.config.assignments import build_config
 from pagas_cl.errors import DeviceError, InputError, MissingExtraError, NoDeviceError
 from pagas_cl.scene.depthmap import load_depth, save_depth
 
@@ -114,7 +114,7 @@ def test_depth_maps_of_another_size_and_missing_ones(scene, tmp_path, capsys, fa
 
 
 def test_an_interrupted_run_keeps_what_is_done(scene, tmp_path, monkeypatch, fails):
-    import pagas_cl.method.one_view as refining
+    import pagas_cl.method.view.one_view as refining
 
     whole, done = refining.refine_levels, []
 

@@ -276,7 +276,7 @@ def test_a_full_disk_has_one_status(scene, tmp_path, monkeypatch, capsys):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("pagas_cl.scene.files._rename", full)
+    monkeypatch.setattr("pagas_cl.system.files._rename", full)
     for row in (("analyze", "--json"), ("evaluate", "--json"), ("refine", "--save-depth"), ("refine", "--output")):
         place = tmp_path / NAMES.get(row[1], "out")
         assert command_line.run(LINES[row].format(scene, place).split()) == 1, row

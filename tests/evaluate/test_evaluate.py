@@ -20,7 +20,7 @@ from pagas_cl.app.evaluate import (
 )
 from pagas_cl.app.evaluate.clouds import VisibleSpace, load_points, thin
 from pagas_cl.errors import InputError
-from pagas_cl.method.prediction import correlate
+from pagas_cl.method.view.prediction import correlate
 from pagas_cl.scene.camera import Camera
 
 

@@ -5,7 +5,8 @@ import pytest
 from support.scenes import relief_scene
 
 from pagas_cl.errors import InputError
-from pagas_cl.filters.names import METHOD, NOTE
+from pagas_cl.filters.history import NOTE
+from pagas_cl.filters.names import METHOD
 from pagas_cl.filters.parameters import PARAMETERS
 
 pytestmark = pytest.mark.slow

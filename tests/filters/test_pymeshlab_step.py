@@ -10,7 +10,7 @@ pymeshlab = pytest.importorskip("pymeshlab")
 from support.scenes import relief_scene  # noqa: E402
 
 from pagas_cl.errors import InputError  # noqa: E402
-from pagas_cl.filters.filter_script import saved_history  # noqa: E402
+from pagas_cl.filters.history import saved_history  # noqa: E402
 from pagas_cl.filters.pymeshlab_step import METHOD, register, scene_views  # noqa: E402
 
 pytestmark = pytest.mark.slow

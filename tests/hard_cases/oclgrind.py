@@ -42,11 +42,11 @@ def inside() -> None:
 
     from pagas_cl.app.selftest import BLENDS
     from pagas_cl.app.selftest import scenes as make
-    from pagas_cl.method.one_view import refine_depth
     from pagas_cl.method.splat import PhotoStore, composite, options, refine_levels, relit_views
     from pagas_cl.method.splat.units import Start, room_for
     from pagas_cl.method.surface import mesh_solve
     from pagas_cl.method.surface.agree import counts
+    from pagas_cl.method.view.one_view import refine_depth
     from pagas_cl.runtime import claim, program
     from pagas_cl.runtime import device as devices
     from pagas_cl.runtime.device import open_device

@@ -15,14 +15,14 @@ from support.scenes import relief_scene
 
 from pagas_cl.config.presets import BALANCED, FAST, PAPER
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError
-from pagas_cl.method.one_view import refine_depth
 from pagas_cl.method.splat import budget
 from pagas_cl.method.surface.agree import counts
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime import memory
+from pagas_cl.runtime.allocations import Memory, limit_of
 from pagas_cl.runtime.arena import BufferSpec, allocate
 from pagas_cl.runtime.device import open_device
-from pagas_cl.runtime.memory import Memory, limit_of
 from pagas_cl.scene.view import View
 
 pytestmark = pytest.mark.slow
@@ -74,7 +74,7 @@ def test_an_allocation_that_fails_gives_the_others_back(monkeypatch):
 @pytest.fixture(autouse=True)
 def results_as_they_are(monkeypatch):
     """A view that is refined for a few steps only may well be kept as it came: here its bytes are compared."""
-    monkeypatch.setattr("pagas_cl.method.one_view.rejection_reason", lambda *_: "")
+    monkeypatch.setattr("pagas_cl.method.view.one_view.rejection_reason", lambda *_: "")
 
 
 @lru_cache

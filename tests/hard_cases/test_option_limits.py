@@ -88,10 +88,10 @@ def test_context_at_its_limit(device, made, name):
 @pytest.mark.parametrize("name", FUSION)
 def test_fusion_at_its_limit(device, made, name):
     pytest.importorskip("open3d", reason="fusion takes Open3D")
-    from pagas_cl.method.keep_mesh import polished
     from pagas_cl.method.surface.agree import confirmed
     from pagas_cl.method.surface.blocks import fuse_within
     from pagas_cl.method.surface.fuse import weights_of
+    from pagas_cl.method.surface.keep_mesh import polished
     from pagas_cl.result import DepthResult
 
     views, depths = made

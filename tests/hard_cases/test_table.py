@@ -11,8 +11,8 @@ from pagas_cl.app.selftest import BLENDS, cameras, run_case
 from pagas_cl.app.selftest import scenes as make
 from pagas_cl.app.selftest.large import SIZES, run_one
 from pagas_cl.app.selftest.table import CAMERAS, DEPTHS, IMAGES, SETTINGS
-from pagas_cl.method.one_view import refine_depth
 from pagas_cl.method.splat import refine_levels
+from pagas_cl.method.view.one_view import refine_depth
 
 pytestmark = pytest.mark.slow
 

@@ -16,7 +16,7 @@ from support.job_scenes import QUICK, TESTS, bytes_of, compile_once, load_small_
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.app.jobs import refine_all
-from pagas_cl.method.one_view import refine_one
+from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.progress import progress_of
 from pagas_cl.refine import refine_cameras, refine_views
 

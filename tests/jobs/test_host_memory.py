@@ -7,8 +7,8 @@ from support.job_scenes import QUICK, load_small_scene, write_small_scene
 
 pytest.importorskip("pyopencl")
 from pagas_cl.app.jobs import worker
-from pagas_cl.method import rounds
 from pagas_cl.method.splat import PhotoStore
+from pagas_cl.method.view import rounds
 from pagas_cl.refine import refine_views
 from pagas_cl.result import DepthResult
 

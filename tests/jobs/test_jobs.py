@@ -17,15 +17,15 @@ from test_package import SOURCES
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.app.jobs import refine_all, run, task, worker
+from pagas_cl.app.jobs.batch import Batch
 from pagas_cl.app.jobs.executors import SerialExecutor
 from pagas_cl.app.jobs.keeping import KeptInFolder
 from pagas_cl.app.jobs.plan import Planner, along_curve, groups
 from pagas_cl.app.jobs.results import FolderResults
 from pagas_cl.app.jobs.run import HOPELESS
 from pagas_cl.app.jobs.store import Store
-from pagas_cl.app.jobs.task import Batch
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError
-from pagas_cl.method.one_view import refine_one
+from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.refine import refine_views
 from pagas_cl.scene import npy_files
 from pagas_cl.scene.choice import PartnerChooser

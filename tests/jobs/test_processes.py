@@ -11,12 +11,11 @@ from concurrent.futures import ProcessPoolExecutor
 import pytest
 from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, write_small_scene
 
-from pagas_cl import child
 from pagas_cl.errors import DeviceError
-from pagas_cl.method.one_view import refine_depth
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime import claim
-from pagas_cl.scene import locks
+from pagas_cl.system import child, locks
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="signals and forks of POSIX")]
 
@@ -75,7 +74,7 @@ def test_a_worker_ends_when_its_parent_does(scene, tmp_path, temporary, how):
     assert len(bytes_of(out)) == 4
 
 
-HUNG = "import time; from pagas_cl.child import end_with_parent; end_with_parent(); print(1); time.sleep(600)"
+HUNG = "import time; from pagas_cl.system.child import end_with_parent; end_with_parent(); print(1); time.sleep(600)"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="of Linux alone")

@@ -32,7 +32,7 @@ def refine(scene, out, *more):
 def test_ctrl_c_says_what_is_kept_and_the_next_run_begins_with_it(scene, tmp_path, monkeypatch, capsys, at, agreement,
                                                                   how):
     """Views are begun until the last round of agreement."""
-    import pagas_cl.method.one_view as refining
+    import pagas_cl.method.view.one_view as refining
 
     whole, done = refining.refine_levels, []
 

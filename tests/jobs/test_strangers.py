@@ -20,8 +20,8 @@ from pagas_cl.errors import InputError, OutputError
 from pagas_cl.refine import refine_views
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.depthmap import load_depth, save_depth
-from pagas_cl.scene.files import replaced
 from pagas_cl.scene.names import OWN
+from pagas_cl.system.files import replaced
 
 pytestmark = pytest.mark.slow
 

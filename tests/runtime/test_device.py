@@ -7,11 +7,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from pagas_cl.child import Answer, ask
 from pagas_cl.errors import DeviceError
 from pagas_cl.runtime import icd, listing
 from pagas_cl.runtime.device import Device, DeviceInfo, find_devices, open_device
 from pagas_cl.runtime.trial import Trial
+from pagas_cl.system.child import Answer, ask
 
 GPU, CPU, ACCELERATOR = 4, 2, 8
 

@@ -18,7 +18,7 @@ from support.kill_trials import check_whole
 
 from pagas_cl.app.jobs import run, worker
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError
-from pagas_cl.method.one_view import refine_depth
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime import claim, program
 from pagas_cl.runtime import device as devices

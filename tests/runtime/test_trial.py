@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from pagas_cl import child
 from pagas_cl.app.selftest import trial as made_by_the_child
-from pagas_cl.child import Answer
 from pagas_cl.errors import InputError
 from pagas_cl.runtime import cache, icd, listing, trial, vendors
 from pagas_cl.runtime.info import DeviceInfo
 from pagas_cl.runtime.trial import Trial, try_device
+from pagas_cl.system import child
+from pagas_cl.system.child import Answer
 
 CPU = DeviceInfo("P", "D", "CPU", driver="1.0", vector_width=16)
 COMPILED = str(Path.home() / ".cache" / "pocl" / "kcache")        # where PoCL keeps what it has compiled

@@ -6,7 +6,7 @@ from PIL import Image
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.depthmap import clean_depth, find_depth, load_depth, resize_depth, save_depth, stretched_depth
-from pagas_cl.scene.files import sum_of, write_arrays
+from pagas_cl.system.files import sum_of, write_arrays
 
 
 @pytest.fixture

@@ -14,9 +14,9 @@ from support.job_scenes import write_small_scene
 from pagas_cl.errors import InputError, PagasError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import SUFFIXES, find_depth, load_depth
-from pagas_cl.scene.files import digest_file, read_bytes
 from pagas_cl.scene.readers import FORMATS, read_scene
 from pagas_cl.scene.view import View
+from pagas_cl.system.files import digest_file, read_bytes
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")
 LINKS = {"pipe": os.mkfifo, "zeros": lambda path: path.symlink_to("/dev/zero"),

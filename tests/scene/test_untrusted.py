@@ -16,16 +16,16 @@ import pytest
 from support import rigs, scene_writers
 from support.fuzzing import bounded
 
-from pagas_cl.app.commands._settings import build_config
 from pagas_cl.app.selftest import config_of
 from pagas_cl.app.selftest.table import SETTINGS
 from pagas_cl.config import setting_names
+from pagas_cl.config.assignments import build_config
 from pagas_cl.config.presets import PRESETS
 from pagas_cl.errors import InputError
 from pagas_cl.filters.filter_script import check_script
 from pagas_cl.scene import depthmap, npy_files
 from pagas_cl.scene.images import read_photo
-from pagas_cl.scene.mesh import to_surface
+from pagas_cl.scene.mesh_kinds import to_surface
 from pagas_cl.scene.readers import read_scene
 
 HOSTILE = ("1 -D__global=", "1f -I/etc", "0x10", "1e999", "nan", "inf", "__import__('os')", "${HOME}",

@@ -10,10 +10,10 @@ from support.scenes import relief_scene
 from twins import mismatch as twin
 
 from pagas_cl.config.presets import BALANCED, PAPER
-from pagas_cl.method.effects import decide_mismatch
-from pagas_cl.method.one_view import refine_depth
+from pagas_cl.method.effects.decide import decide_mismatch
 from pagas_cl.method.splat import mismatch
 from pagas_cl.method.splat.buffers import SampleGrid, Size
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.memory import download
 
 pytestmark = pytest.mark.kernels

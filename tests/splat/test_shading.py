@@ -11,13 +11,13 @@ from twins import exposure as exposure_twin
 from twins import shading as twin
 
 from pagas_cl.config.presets import BALANCED
-from pagas_cl.method import effects
-from pagas_cl.method.one_view import refine_depth
+from pagas_cl.method.effects.decide import decide as effects
 from pagas_cl.method.reference.level import Photo
 from pagas_cl.method.reference.project import project
 from pagas_cl.method.splat import PhotoStore, relit_views
 from pagas_cl.method.splat.buffers import SampleGrid, Size
 from pagas_cl.method.splat.photos import StreamedPhotos
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
 
 pytestmark = pytest.mark.kernels

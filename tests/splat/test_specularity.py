@@ -10,7 +10,7 @@ from support.scenes import relief_scene
 from twins.smooth import raised
 
 from pagas_cl.config.presets import BALANCED
-from pagas_cl.method.one_view import refine_depth
+from pagas_cl.method.view.one_view import refine_depth
 
 pytestmark = pytest.mark.kernels
 
@@ -43,7 +43,7 @@ def depths_of_steps(device, monkeypatch, **settings):
     scene = Scene.make(17, width=45, height=37, contexts=2)
     specularity = np.full((9, 12), 0.03, np.float32)
     level, depths = start_level(device, BALANCED.with_settings(**settings), scene, specularity, raised=False), []
-    monkeypatch.setattr("pagas_cl.method.splat.step.AHEAD", 0)     # each step is reported before the next one is enqueued
+    monkeypatch.setattr("pagas_cl.method.splat.step.AHEAD", 0)     # each step is reported before the next
     level.run(6, lambda *_: depths.append(level.read("depth", scene.initial.shape)))
     level.release()
     return depths

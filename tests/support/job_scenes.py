@@ -14,8 +14,8 @@ from support.scenes import relief_scene
 from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.config.presets import preset
 from pagas_cl.errors import DeviceLostError
-from pagas_cl.method.effects import EFFECTS
-from pagas_cl.method.one_view import refine_one
+from pagas_cl.method.effects.decide import EFFECTS
+from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.refine import refine_views
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.depthmap import find_depth, load_depth

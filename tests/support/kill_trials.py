@@ -27,9 +27,9 @@ import numpy as np
 from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, write_small_scene
 
 from pagas_cl.app.jobs import follow_parent
-from pagas_cl.method.rounds import later_rounds
+from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.refine import refine_views
-from pagas_cl.scene import locks
+from pagas_cl.system import locks
 
 CONFIG = QUICK.with_settings(pyramid__steps=(12,), effects__agreement="auto")      # as the command line has it
 COMMAND = [sys.executable, "-m", "pagas_cl", "refine"]

@@ -6,8 +6,8 @@ from conftest import look_at, plane_depth
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import InputError
-from pagas_cl.method.reference import agree as twin
 from pagas_cl.method.surface import agree
+from pagas_cl.method.surface import agree_host as twin
 
 pytestmark = pytest.mark.kernels
 

@@ -12,9 +12,9 @@ from twins import agreement as twin
 
 from pagas_cl.config.presets import preset
 from pagas_cl.method import splat
-from pagas_cl.method.effects import decide_agreement, filter_between
-from pagas_cl.method.rounds import average_and_step, average_depths, later_rounds
+from pagas_cl.method.effects.decide import decide_agreement, filter_between
 from pagas_cl.method.surface.agreement import Agreement, send
+from pagas_cl.method.view.rounds import average_and_step, average_depths, later_rounds
 from pagas_cl.refine import refine_views
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.memory import download, upload

@@ -10,7 +10,8 @@ from twins import raster as raster_twin
 
 from pagas_cl.method.surface import raster
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.mesh import Surface, to_surface
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_kinds import to_surface
 
 pytestmark = pytest.mark.kernels
 

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from pagas_cl.app.commands._start import loaded
 from pagas_cl.config import Config, Fusion
 from pagas_cl.errors import log
-from pagas_cl.method.keep_mesh import mesh_mb
 from pagas_cl.method.splat.budget import plan_for
 from pagas_cl.method.surface.blocks import USUAL_MB, cut
 from pagas_cl.method.surface.fuse import plan_with_blocks
+from pagas_cl.method.surface.keep_mesh import mesh_mb
 from pagas_cl.runtime.host import resident_mb, trim
 from pagas_cl.scene.choice import MOST_HELD_OUT
 from pagas_cl.scene.view import View

@@ -5,11 +5,11 @@ from itertools import repeat
 from pathlib import Path
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.files import is_file
 from pagas_cl.scene.mesh_file import SUFFIXES, written_by_pagas_cl
 from pagas_cl.scene.names import OWN
 from pagas_cl.scene.own_files import is_own_json, is_own_text
 from pagas_cl.scene.view import Scene
+from pagas_cl.system.files import is_file
 
 PAGE_FILES = ("index.html", "report.json", "tradeoff.json", "analysis.json")    # of --report
 _OWN_FOLDER = (OWN, "cameras_report.json", *PAGE_FILES)       # one of these is in a folder that pagas_cl has written

@@ -14,10 +14,10 @@ from pagas_cl.errors import InputError, InterruptedRunError, log
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.depthmap import find_depths
-from pagas_cl.scene.files import read_bytes
-from pagas_cl.scene.mesh import to_surface
 from pagas_cl.scene.mesh_file import read_content
+from pagas_cl.scene.mesh_kinds import to_surface
 from pagas_cl.scene.readers import read_scene
+from pagas_cl.system.files import read_bytes
 
 
 def check_source(mesh, other, what: str, outside: bool, option: str = "--depth-dir") -> None:

@@ -7,20 +7,20 @@ from textwrap import wrap
 
 import typer
 
-from pagas_cl import __version__
 from pagas_cl.app.analysis import analyze
 from pagas_cl.app.commands._console import shown_progress
 from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
-from pagas_cl.app.commands._settings import build_config, effect_settings
 from pagas_cl.app.commands._start import check_report, check_source, check_writable, initial_depths, load_scene
 from pagas_cl.app.jobs.finished import one_run
 from pagas_cl.app.report.page import html_page
+from pagas_cl.config.assignments import build_config, effect_settings
+from pagas_cl.config.version import __version__
 from pagas_cl.errors import plain
-from pagas_cl.method.effects import EFFECTS
+from pagas_cl.method.effects.decide import EFFECTS
 from pagas_cl.runtime.device import open_device
-from pagas_cl.scene.files import write_text
 from pagas_cl.scene.own_files import write_json
+from pagas_cl.system.files import write_text
 
 COLUMNS = ["view", "effect", "evidence", "threshold", "decision", "what is measured"]
 WIDTH = 80

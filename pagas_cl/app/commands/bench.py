@@ -7,10 +7,10 @@ import typer
 
 from pagas_cl.app.commands._options import OVERWRITE, QUIET
 from pagas_cl.app.commands._outputs import check_outputs
-from pagas_cl.app.commands._settings import build_config
 from pagas_cl.app.commands._start import check_writable
 from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.app.tradeoffs.bench import bench
+from pagas_cl.config.assignments import build_config
 from pagas_cl.scene.own_files import write_json
 
 

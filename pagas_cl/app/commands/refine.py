@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 import typer
 
-from pagas_cl import __version__
 from pagas_cl.app.commands._console import noted, nothing_refined, shown_progress
 from pagas_cl.app.commands._given import look, together
 from pagas_cl.app.commands._memory import check_fusion, tell_memory
 from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET, above_zero
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
-from pagas_cl.app.commands._settings import apply_settings, build_config, check_times, config_in_time, effect_settings
+from pagas_cl.app.commands._settings import check_times, config_in_time
 from pagas_cl.app.commands._start import (
     check_report,
     check_source,
@@ -32,19 +31,22 @@ from pagas_cl.app.jobs.task import view_digest
 from pagas_cl.app.report import Report, picture_files
 from pagas_cl.app.report.headline import sentence
 from pagas_cl.config import Config
+from pagas_cl.config.assignments import apply_settings, build_config, effect_settings
+from pagas_cl.config.version import __version__
 from pagas_cl.errors import InputError, PagasError, log, need
-from pagas_cl.method.effects import Decision
-from pagas_cl.method.keep_mesh import check_kept, check_subdivide
+from pagas_cl.method.effects.decide import Decision
 from pagas_cl.method.surface.agree import comparison_device
+from pagas_cl.method.surface.keep_mesh import check_kept, check_subdivide
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.progress import stage
 from pagas_cl.refine import MeshOptions, Place, Refined, refine_scene
-from pagas_cl.result import DepthResult, joined
+from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.mesh import to_surface
+from pagas_cl.scene.joined import joined
 from pagas_cl.scene.mesh_file import check_digits_of_scene, check_mesh_path, write_mesh
+from pagas_cl.scene.mesh_kinds import to_surface
 from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import View

@@ -12,7 +12,7 @@ from pagas_cl.app.evaluate.depth import (
            dilate,
            find_discontinuities,
 )
-from pagas_cl.method.prediction import Prediction, compare_predictions, predict_photo
+from pagas_cl.method.view.prediction import Prediction, compare_predictions, predict_photo
 from pagas_cl.scene.depthmap import central_normals as depth_normals
 
 __all__ = ["Chamfer", "DepthErrors", "DepthReport", "FScore", "Prediction", "VisibleSpace", "chamfer",

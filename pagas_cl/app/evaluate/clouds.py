@@ -10,11 +10,11 @@ import numpy as np
 
 from pagas_cl.app.evaluate.depth import Figures
 from pagas_cl.errors import InputError, need
-from pagas_cl.scene.files import DAMAGE
-from pagas_cl.scene.mesh import to_surface
 from pagas_cl.scene.mesh_file import READERS, read_content
+from pagas_cl.scene.mesh_kinds import to_surface
 from pagas_cl.scene.npy_files import read_first, read_npy
 from pagas_cl.scene.patches import area_of, spread_over
+from pagas_cl.system.files import DAMAGE
 
 _MOST = 50_000_000
 

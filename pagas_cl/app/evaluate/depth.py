@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.method.prediction import sized
+from pagas_cl.method.view.prediction import sized
 from pagas_cl.scene.depthmap import central_normals
 
 

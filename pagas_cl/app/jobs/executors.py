@@ -73,7 +73,7 @@ class SerialExecutor(Executor):
 
 def local_pool(devices) -> ProcessPoolExecutor:
     """One spawned process for each device that `devices` means: an OpenCL context does not survive a fork."""
-    from pagas_cl.runtime.memory import limit_of
+    from pagas_cl.runtime.allocations import limit_of
 
     limit_of(1)      # what the environment says of memory is refused here, once, and not by each worker
     number = len(known_devices(devices)) * shares()

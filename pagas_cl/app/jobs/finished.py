@@ -29,10 +29,10 @@ from pagas_cl.errors import InputError, OutputError, log
 from pagas_cl.result import DepthResult, RoundInput, in_short, normals_of
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import confidence_of, load_depth
-from pagas_cl.scene.files import DAMAGE, digest_of, opened, read_bytes, sum_of, write_arrays
-from pagas_cl.scene.locks import locked
 from pagas_cl.scene.names import OWN
 from pagas_cl.scene.npy_files import read_member
+from pagas_cl.system.files import DAMAGE, digest_of, opened, read_bytes, sum_of, write_arrays
+from pagas_cl.system.locks import locked
 
 _EXTRAS = ("status", "deviation", "parallax")
 

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from pagas_cl.app.jobs.batch import Batch
 from pagas_cl.app.jobs.results import Results
-from pagas_cl.app.jobs.task import Batch, ViewTask, task_key, view_digest
+from pagas_cl.app.jobs.task import ViewTask, task_key, view_digest
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError
 from pagas_cl.runtime.host import side_by_side

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, OutputError
-from pagas_cl.scene.files import digest_array, replaced
 from pagas_cl.scene.npy_files import read_npy
+from pagas_cl.system.files import digest_array, replaced
 
 _KEPT = "finished views are kept, make room or choose another folder, and start the same command again"
 

@@ -4,22 +4,19 @@ import json
 import os
 import pickle
 import socket
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pagas_cl.config import Config
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import Partners
-from pagas_cl.scene.files import digest_file, digest_of
 from pagas_cl.scene.view import View
-
-if TYPE_CHECKING:
-    from pagas_cl.app.jobs.results import Results
+from pagas_cl.system.files import digest_file, digest_of
 
 _OTHER_SETTINGS = ("context", "fusion")     # partners are named in the key; fusing comes after
 
@@ -37,27 +34,6 @@ class ViewTask:
     def failed(self, error: str, fault: "Fault") -> "Record":
         """The record of a view that could not be refined."""
         return Record(self.name, self.stem, self.key, error=error, fault=fault)
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """Neighbouring views that one worker refines one after another, so that it reads the photos they share once."""
-
-    work: Callable      # of a module: (views, partners, depth, config, device, photos, on_step or None) -> DepthResult
-    views: dict[int, View]      # every one that the tasks need; for other processes with photos and masks on disk
-    digests: dict[int, str]     # of each: equal ones are the same view
-    tasks: tuple[ViewTask, ...]
-    config: Config
-    results: "Results"          # where they go
-    device: Any = None          # see runtime.claim.claim_device; of a worker in another process
-    photos: bool = True         # whether the work looks at photos
-    keep: Callable | None = None    # (owner, result, device, photos): has what the next round needs stay there
-
-    def only(self, tasks) -> "Batch":
-        """The same with fewer tasks."""
-        needed = {index for task in tasks for index in task.partners.all}
-        return replace(self, tasks=tuple(tasks), views={k: v for k, v in self.views.items() if k in needed},
-                       digests={k: v for k, v in self.digests.items() if k in needed})
 
 
 class Fault(str, Enum):

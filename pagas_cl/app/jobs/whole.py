@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pagas_cl.app.jobs.batch import Batch
 from pagas_cl.app.jobs.executors import Workers
 from pagas_cl.app.jobs.keeping import Keeping, KeptInFolder, KeptInMemory
 from pagas_cl.app.jobs.plan import Planner, groups
 from pagas_cl.app.jobs.results import Results
 from pagas_cl.app.jobs.run import RunElsewhere, RunHere, error_of
-from pagas_cl.app.jobs.task import Batch, Fault, Record, ViewTask
+from pagas_cl.app.jobs.task import Fault, Record, ViewTask
 from pagas_cl.app.jobs.worker import Worker
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError, log
@@ -30,8 +31,8 @@ from pagas_cl.scene.reasons import warn_of_nothing
 from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:
-    from pagas_cl.method.rounds import Round
     from pagas_cl.method.splat import PhotoStore
+    from pagas_cl.method.view.rounds import Round
     from pagas_cl.progress import OnStep
 
 

@@ -15,8 +15,9 @@ from pagas_cl.app.report.pictures import MAPS, css_gradient
 from pagas_cl.app.report.simplify import simplify
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.files import write_text
-from pagas_cl.scene.mesh import to_surface, vertex_normals
+from pagas_cl.scene.mesh import vertex_normals
+from pagas_cl.scene.mesh_kinds import to_surface
+from pagas_cl.system.files import write_text
 
 MOST_TRIANGLES = 200_000   # of each mesh in a page: up to 3 MB
 SCRIPTS = ["viewer.js"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pagas_cl.method.prediction import project_depth
+from pagas_cl.method.view.prediction import project_depth
 from pagas_cl.result import normals_of
 from pagas_cl.scene.camera import Camera
 

@@ -11,10 +11,10 @@ from pagas_cl.app.report.headline import STATUS, bar, sentence, shares, summed
 from pagas_cl.app.report.mesh_view import SCRIPTS, mesh_viewer
 from pagas_cl.app.report.page import compared, figure, folded, html_page, pairs, paragraphs
 from pagas_cl.app.report.pictures import change_in_units, parallax_change, shaded_pictures, view_pictures
-from pagas_cl.scene.files import DAMAGE, read_bytes, write_text
 from pagas_cl.scene.images import write_image
 from pagas_cl.scene.names import OWN, flat_stem
 from pagas_cl.scene.own_files import write_json
+from pagas_cl.system.files import DAMAGE, read_bytes, write_text
 
 LEGEND = ["Of the surface to start from: refined = moved by the photos; kept = unchanged, since no other photo sees "
           "it, it is masked out, the photos show nothing there, or the whole view is unchanged; rejected = unchanged, "

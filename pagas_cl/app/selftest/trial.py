@@ -13,12 +13,12 @@ import numpy as np
 from pagas_cl.app.selftest.check import STEPS, run_case
 from pagas_cl.app.selftest.scenes import base
 from pagas_cl.app.selftest.table import Case, config_of
-from pagas_cl.child import end_with_parent
 from pagas_cl.errors import DeviceError, KernelBuildError
-from pagas_cl.method.one_view import refine_depth
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime import device as devices
 from pagas_cl.runtime.trial import identity
 from pagas_cl.runtime.vendors import import_pyopencl
+from pagas_cl.system.child import end_with_parent
 
 SIZE = (96, 64)           # every vectorised path is taken from 74 x 26 pixels on (splat/tile.py)
 COLOUR = Case("colour, exposure", lambda: base(size=SIZE), 1e-3, dict(loss__exposure=True))

@@ -10,12 +10,12 @@ from pagas_cl.app.evaluate.depth import compare_depth, depth_per_parallax, find_
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError, log
 from pagas_cl.method.cameras.judge import fitted_poses
-from pagas_cl.method.prediction import compare_predictions
+from pagas_cl.method.view.prediction import compare_predictions
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import central_normals
-from pagas_cl.scene.files import digest_array, digest_of
 from pagas_cl.scene.names import file_stems, place_of
 from pagas_cl.scene.view import View
+from pagas_cl.system.files import digest_array, digest_of
 
 _HELD_OUT_PLACES = (1, 4)  # of the choice of contexts: well-placed photos, but not the best one
 

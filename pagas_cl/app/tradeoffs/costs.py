@@ -19,8 +19,8 @@ from pagas_cl.config import Config, Context
 from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError
 from pagas_cl.method.cameras.effect import camera_seconds
-from pagas_cl.method.effects import agreement_rounds, between_rounds, decide, settle
-from pagas_cl.method.measurements import measure
+from pagas_cl.method.effects.decide import agreement_rounds, between_rounds, decide, settle
+from pagas_cl.method.effects.measure import measure
 from pagas_cl.method.splat import PhotoStore, refine_levels
 from pagas_cl.progress import Stage
 from pagas_cl.scene.choice import MOST_HELD_OUT, ContextChooser, shared_out

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import need
-from pagas_cl.scene.files import replaced
+from pagas_cl.system.files import replaced
 
 _GROUPS = ("preset", "effects", "steps", "views a step", "context views", "model", "levels", "solver",
            "staged", "ablation")

@@ -3,12 +3,12 @@
 from dataclasses import asdict
 from pathlib import Path
 
-from pagas_cl import __version__
 from pagas_cl.app.report.page import html_page
 from pagas_cl.app.tradeoffs.front import plot_front
+from pagas_cl.config.version import __version__
 from pagas_cl.errors import MissingExtraError, log
-from pagas_cl.scene.files import write_text
 from pagas_cl.scene.own_files import write_json
+from pagas_cl.system.files import write_text
 
 FILE = "tradeoff.json"
 _COLUMNS = (("depth", "depth error"), ("normal", "normal error"), ("edges", "near edges"),

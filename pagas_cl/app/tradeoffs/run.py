@@ -10,7 +10,7 @@ from pagas_cl.app.tradeoffs.case import BenchmarkCase
 from pagas_cl.app.tradeoffs.costs import photo_seconds, probe, view_steps
 from pagas_cl.app.tradeoffs.plan import OWN_ERROR, RANDOM, Setting
 from pagas_cl.config.presets import preset
-from pagas_cl.method.effects import settle
+from pagas_cl.method.effects.decide import settle
 from pagas_cl.method.splat import refine_levels
 from pagas_cl.method.surface.agree import counts
 from pagas_cl.scene.depthmap import depth_up

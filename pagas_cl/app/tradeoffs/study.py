@@ -18,8 +18,8 @@ from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.progress import Reporter, progress_of, reported
 from pagas_cl.runtime.device import open_device
-from pagas_cl.scene.files import DAMAGE, read_bytes
 from pagas_cl.scene.own_files import write_json
+from pagas_cl.system.files import DAMAGE, read_bytes
 
 
 @dataclass(frozen=True, eq=False)

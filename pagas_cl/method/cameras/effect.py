@@ -10,7 +10,7 @@ from pagas_cl.errors import DeviceError, log
 from pagas_cl.method.cameras.blocks import MakeBlocks, blocks
 from pagas_cl.method.cameras.frames import depths_of
 from pagas_cl.method.cameras.refine import OFF, CameraRefinement, photos_off, refine_cameras
-from pagas_cl.method.effects import Decision
+from pagas_cl.method.effects.decide import Decision
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.runtime.device import one_of, open_device

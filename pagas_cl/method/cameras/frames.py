@@ -16,7 +16,8 @@ from pagas_cl.runtime.host import side_by_side
 from pagas_cl.runtime.memory import upload
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.inputs import depth_array
-from pagas_cl.scene.mesh import Surface, to_surface
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh_kinds import to_surface
 from pagas_cl.scene.view import View
 
 Depths = Callable[[Sequence[Camera]], "list[np.ndarray]"]

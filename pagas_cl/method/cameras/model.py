@@ -11,10 +11,10 @@ import numpy as np
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.files import read_bytes, replaced, translated
 from pagas_cl.scene.own_files import is_own_json
 from pagas_cl.scene.readers import colmap
 from pagas_cl.scene.view import View
+from pagas_cl.system.files import read_bytes, replaced, translated
 
 REPORT = "cameras_report.json"      # beside sparse/: what was measured, and which files of the model are ours
 _PARTS = ("cameras", "images", "points3D", "rigs", "frames")

@@ -17,7 +17,7 @@ from pagas_cl.method.cameras.frames import Frames, depths_of
 from pagas_cl.method.cameras.motion import pixel_motion, surface_points
 from pagas_cl.method.cameras.pairs import choose_pairs
 from pagas_cl.method.cameras.rounds import COARSE, FINE, MAPS, Rounds, Stage, State
-from pagas_cl.method.measurements import FAR_OFF, measure
+from pagas_cl.method.effects.measure import FAR_OFF, measure
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.surface import depth_alignment as alignment
 from pagas_cl.progress import Reporter, progress_of

@@ -9,7 +9,7 @@ import numpy as np
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, log
-from pagas_cl.method.reference import agree as twin
+from pagas_cl.method.surface import agree_host as twin
 from pagas_cl.scene.camera import Camera, camera_table
 from pagas_cl.scene.sampling import NEAR
 

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.files import is_file
 from pagas_cl.scene.readers import predictions
 from pagas_cl.scene.readers.photos import check_masks, refuse_shared_masks, warn_of_alpha, warn_of_links
 from pagas_cl.scene.view import Scene, file_behind
+from pagas_cl.system.files import is_file
 
 # In the order of looking: what names its convention and its photos itself comes first.
 FORMATS = {"cameras": "camera_file", "colmap": "colmap", "nerfstudio": "nerfstudio", "mvsnet": "mvsnet",

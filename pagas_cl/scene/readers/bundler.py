@@ -11,9 +11,9 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene.camera import FLIP, intrinsics
-from pagas_cl.scene.files import is_file
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
+from pagas_cl.system.files import is_file
 
 FILES = ("bundle.out", "bundle.rd.out", "bundle/bundle.out")
 LISTS = ("list.txt", "bundle.out.list.txt", "bundle.rd.out.list.txt", "bundle/list.txt")

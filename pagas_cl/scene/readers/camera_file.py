@@ -13,11 +13,11 @@ from typing import Any
 
 from pagas_cl.errors import InputError, short
 from pagas_cl.scene.camera import intrinsics
-from pagas_cl.scene.files import is_file
 from pagas_cl.scene.own_files import write_json
 from pagas_cl.scene.readers import untrusted
 from pagas_cl.scene.readers.photos import find_mask, inside, view_of
 from pagas_cl.scene.view import Scene, View
+from pagas_cl.system.files import is_file
 
 NAME = "cameras.json"
 CONVENTION = "opencv world_to_camera, pixel centres at +0.5"

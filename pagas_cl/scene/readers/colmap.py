@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, log, short
-from pagas_cl.scene.files import is_file
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.lens import Lens, ThroughLens
 from pagas_cl.scene.placement import find_placement
@@ -19,6 +18,7 @@ from pagas_cl.scene.readers import untrusted
 from pagas_cl.scene.readers.colmap_model import Model, ModelImage, read_model
 from pagas_cl.scene.readers.photos import find_mask, inside, list_photos
 from pagas_cl.scene.view import Scene, View
+from pagas_cl.system.files import is_file
 
 _SMALL = 0.25      # of the photo's size: no principal point of a photo itself is nearer to the corner
 _PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")

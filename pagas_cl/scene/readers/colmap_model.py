@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError, need, short
 from pagas_cl.scene.camera import intrinsics
-from pagas_cl.scene.files import translated
 from pagas_cl.scene.readers import untrusted
+from pagas_cl.system.files import translated
 
 # COLMAP's numbers of camera models -> name, number of parameters
 MODELS = {0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),

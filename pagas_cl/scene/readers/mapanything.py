@@ -15,10 +15,10 @@ import numpy as np
 from pagas_cl.errors import InputError
 from pagas_cl.scene.arrays import ArrayRef
 from pagas_cl.scene.depth_source import flat
-from pagas_cl.scene.files import digest_of
 from pagas_cl.scene.readers import photos as photo_files
 from pagas_cl.scene.readers import predictions
 from pagas_cl.scene.view import Scene
+from pagas_cl.system.files import digest_of
 
 PLACES = ("predictions", "mapanything", ".")
 _NEEDED = {"depth_z", "camera_poses", "intrinsics"}

@@ -7,8 +7,8 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.files import is_file, read_bytes
 from pagas_cl.scene.readers.photos import inside
+from pagas_cl.system.files import is_file, read_bytes
 
 _MOST = 1 << 30         # bytes of such a file
 _WORDS = 64             # of a line: options of a texture are 20 or fewer

@@ -19,12 +19,12 @@ import numpy as np
 from pagas_cl.errors import InputError, MissingExtraError, log, short
 from pagas_cl.scene import patches
 from pagas_cl.scene.camera import FLIP, Camera, intrinsics
-from pagas_cl.scene.files import write_text
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_file import read_mesh
 from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene, View
+from pagas_cl.system.files import write_text
 
 FLAVOURS = ("meshlab", "openmvs")
 _SAME = 1.0   # pixels: readings nearer than this need no settling

@@ -13,10 +13,10 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.files import opened, translated
 from pagas_cl.scene.npy_files import read_member
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
+from pagas_cl.system.files import opened, translated
 
 FILES = ("cameras_sphere.npz", "cameras.npz", "cameras_large.npz")
 _KEY = re.compile(r"(world_mat|scale_mat)_(\d+)", re.ASCII)

@@ -8,10 +8,10 @@ from typing import Any
 
 from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.files import is_file
 from pagas_cl.scene.images import has_alpha, image_size
 from pagas_cl.scene.readers.untrusted import IMAGE_SUFFIXES, MAX_SIDE
 from pagas_cl.scene.view import View, file_behind
+from pagas_cl.system.files import is_file
 
 _WITH_ALPHA = (".png", ".tif", ".tiff", ".webp")
 FOLDERS = ("images", "image", "color", "rgb", "blended_images")

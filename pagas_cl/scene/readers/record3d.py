@@ -14,9 +14,9 @@ import numpy as np
 
 from pagas_cl.errors import InputError, need, short
 from pagas_cl.scene.camera import FLIP, intrinsics
-from pagas_cl.scene.files import digest_file, translated
 from pagas_cl.scene.readers import photos, rgbd, untrusted
 from pagas_cl.scene.view import Scene
+from pagas_cl.system.files import digest_file, translated
 
 NAMES = ("metadata", "metadata.json")
 _PLACES = ("rgbd", "rgb", "color", "images")

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError, short
-from pagas_cl.scene import files
 from pagas_cl.scene.camera import Camera
+from pagas_cl.system import files
 
 MAX_BYTES = 256 << 20      # a camera file of 100,000 views has some 100 MB
 MAX_SIDE = 1 << 20         # pixels; larger sides are damage, not photos

@@ -13,7 +13,7 @@ import numpy as np
 
 from pagas_cl.config import MOST_RAISED, MOST_WEIGHT, Config
 from pagas_cl.errors import log
-from pagas_cl.method.measurements import FAR_OFF, Measurements, measure
+from pagas_cl.method.effects.measure import FAR_OFF, Measurements, measure
 from pagas_cl.method.splat import relit_views
 from pagas_cl.method.splat.constants import NOISY_DETAIL, SPECULAR_VIEW
 from pagas_cl.method.surface.agreement import IN_COMMON

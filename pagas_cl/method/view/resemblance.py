@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.method.effects import Decision
+from pagas_cl.method.effects.decide import Decision
 from pagas_cl.method.splat import NormalizedDepth, PhotoStore, explained_by
 from pagas_cl.method.splat.budget import fit_memory
 from pagas_cl.method.splat.constants import MEAN, NUMBER

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from pagas_cl.config import MOST_WEIGHT, Config
 from pagas_cl.errors import DeviceMemoryError
-from pagas_cl.method.effects import (
+from pagas_cl.method.effects.decide import (
     agreement_rounds,
     between_rounds,
     decide_agreement,
@@ -24,7 +24,7 @@ from pagas_cl.method.effects import (
     settle,
     shaded,
 )
-from pagas_cl.method.measurements import Measurements
+from pagas_cl.method.effects.measure import Measurements
 from pagas_cl.method.surface.agreement import Agreement, Told, send
 from pagas_cl.progress import OnStep
 from pagas_cl.result import DepthResult, RoundInput

@@ -11,12 +11,12 @@ import numpy.typing as npt
 from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import check_kind, log
-from pagas_cl.method.acceptance import nothing_reason, own_reason, rejection_reason
-from pagas_cl.method.effects import Decision, decide_mismatch, settle
-from pagas_cl.method.measurements import Measurements
-from pagas_cl.method.resemblance import views_to_ask
+from pagas_cl.method.effects.decide import Decision, decide_mismatch, settle
+from pagas_cl.method.effects.measure import Measurements
 from pagas_cl.method.splat import NormalizedDepth, PhotoStore, Refinement, refine_levels
 from pagas_cl.method.splat.budget import fit_memory
+from pagas_cl.method.view.acceptance import nothing_reason, own_reason, rejection_reason
+from pagas_cl.method.view.resemblance import views_to_ask
 from pagas_cl.progress import NONE, OnStep, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device, open_device

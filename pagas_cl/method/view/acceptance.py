@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from pagas_cl.method.cameras.judge import fitted_pose
-from pagas_cl.method.prediction import compare_predictions
+from pagas_cl.method.view.prediction import compare_predictions
 from pagas_cl.result import REFINED, REJECTED
 from pagas_cl.runtime.host import side_by_side
 

@@ -21,14 +21,15 @@ from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.surface.subdivide import subdivide as split_edges
 from pagas_cl.method.surface.subdivide import undivided
 from pagas_cl.progress import NONE, Progress, Stage, stage
-from pagas_cl.result import joined
 from pagas_cl.runtime.device import open_device
-from pagas_cl.scene.files import differing
-from pagas_cl.scene.mesh import Surface, to_surface
+from pagas_cl.scene.joined import joined
+from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_attributes import with_vertices
 from pagas_cl.scene.mesh_file import check_digits, read_content
+from pagas_cl.scene.mesh_kinds import to_surface
 from pagas_cl.scene.mesh_losses import losses
 from pagas_cl.scene.obj_materials import write_obj
+from pagas_cl.system.files import differing
 
 _DETAIL, FLAT = 1.5, 0.04     # footprints: edges that hold what photos show; how flat is flat
 _MEMORY, _SHARE = 300.0, 14e-6   # MB for the mesh, where more is free: 660 000 triangles; the same a pixel of all views

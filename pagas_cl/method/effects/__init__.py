@@ -1,0 +1,1 @@
+"""What a view calls for: measured, and decided (method section 8)."""

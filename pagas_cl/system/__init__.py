@@ -1,0 +1,1 @@
+"""Files, locks and child processes: what knows nothing of scenes and devices."""
