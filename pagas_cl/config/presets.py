@@ -16,7 +16,7 @@ PAPER = Config(
     agreement=Agreement(steps=0.08),
     effects=Effects.every("set"),
 )
-# The knee of the front of error against time (`pagas-cl tradeoff`; the tables are in tests/bench/FRONT.md): one context
+# The knee of the front of error against time (`pagas-cl tradeoff`; the tables are in docs/benchmarks.md): one context
 # view a step, in turn, is as good per step as all of them; five times the steps gain 2 percent with ten context views,
 # 7 with one. Steps x rate / damping is how far it converges, rate / damping at most 7 that rounding stays rounding.
 BALANCED = Config()

@@ -1,7 +1,7 @@
 """What the tests know of each effect, in one table: an effect that is new needs one entry here.
 
-Read by tests of decisions (test_effects), of programs (test_effects_off, stripped), of gradients (reference_cases,
-test_kernels), and by bench/effects_off.
+Read by tests of decisions (test_effects), of programs (test_effects_off, stripped), and of gradients
+(reference_cases, test_kernels).
 """
 
 from __future__ import annotations
