@@ -1,7 +1,7 @@
 """Scenes whose photos do not match as they do in a renderer: errors of the depth maps of all views, refined one by one
 and after the rounds of agreement, in one run.
 
-    python tests/bench/agreement.py [--width 256] [--kinds gain blur ...] [--set STAGE.FIELD=VALUE ...] [--out FILE.md]
+    python tests/bench/agreement.py [--width 256] [--kinds gain blur ...] [--set STAGE.FIELD=VALUE ...] [--json FILE]
 
 Six views of a relief whose initial depth is off by 0.6 pixels of parallax. Kinds of mismatch, each photo its own:
 gain, a smooth field of 12 % (root mean square); blur, up to a pixel; haze, a veil of 10 to 30 % that is denser here
@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from record import add_json, record
 
 from pagas_cl.app.evaluate import compare_depth, compare_predictions
 from pagas_cl.app.synthetic import relief_scene
@@ -32,8 +33,15 @@ from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import PartnerChooser
 
-VIEWS, OFF = 6, 0.35      # views; pixels by which a camera is turned
-MEASURES = "depth, normals, depth at edges, normals at edges"
+TITLE = "Rounds of agreement: gain"
+MEASURED = ("Six views of a synthetic relief whose photos do not match in some way, preset `balanced`: mean depth "
+            "error (pixels of parallax), angle of normals, and both within 3 pixels of depth edges, of views refined "
+            "one by one and after two rounds of agreement; share of rejected depths before and after; processor time "
+            "of the rounds over that of the views.")
+REAL_MEASURED = ("Real photos without truth: share of depths that two of the nearest four views confirm within half a pixel "
+                 "of parallax, and correlation with the nearest photo left out.")
+VIEWS = 6
+OFF = 0.35      # pixels by which a camera is rotated
 
 
 def field(rng, shape, waves: float) -> np.ndarray:
@@ -87,7 +95,7 @@ def turned(rng, camera: Camera) -> Camera:
 
 
 KINDS = {"clean": (), "gain": (gain,), "blur": (blur,), "haze": (haze,), "jpeg": (jpeg,), "shine": (), "camera": (),
-         "moving": (moving,),         "together": (gain, blur, haze, jpeg)}
+         "moving": (moving,), "together": (gain, blur, haze, jpeg)}
 
 
 def eight_bit(photo) -> np.ndarray:
@@ -110,7 +118,7 @@ def scene_of(kind: str, width: int, seed: int = 0):
 
 
 def errors(made, depths) -> np.ndarray:
-    """MEASURES, means over all views."""
+    """Depth, normals, depth at edges, normals at edges: means over all views."""
     rows = []
     for camera, depth in zip(made.cameras, depths):
         found = compare_depth(depth, made.true_depth(camera), camera, parallax=made.relief.parallax,
@@ -120,14 +128,17 @@ def errors(made, depths) -> np.ndarray:
     return np.mean(rows, axis=0)
 
 
-def run(kind: str, width: int, config: Config, device):
-    """Errors of the input, of views by themselves and after the rounds; share of rejected depths before and after; CPU
-    seconds of both parts."""
+def run(kind: str, width: int, config: Config, device) -> dict:
+    """The row of a kind of mismatch."""
     made, views = scene_of(kind, width)
     depths = [made.initial_depth(camera) for camera in made.cameras]
-    alone, agreed, seconds = both(views, depths, config, device)
-    rows = [errors(made, maps) for maps in (depths, depths_of(alone), depths_of(agreed))]
-    return rows, [share_rejected(results) for results in (alone, agreed)], seconds
+    alone, agreed, (seconds, more_seconds) = both(views, depths, config, device)
+    found = [errors(made, maps) for maps in (depths, depths_of(alone), depths_of(agreed))]
+    shown = [f"{each[0]:.3f}, {each[1]:.1f}°, {each[2]:.3f}, {each[3]:.1f}°" for each in found]
+    return {"mismatch": kind, **dict(zip(("input", "views by themselves", "after the rounds"), shown)),
+            "ratio": ", ".join(f"{value:.3f}" for value in found[2] / found[1]),
+            "rejected": f"{share_rejected(alone):.1%}, {share_rejected(agreed):.1%}",
+            "time of the rounds": f"{more_seconds / seconds:.0%}"}
 
 
 def both(views, depths, config: Config, device):
@@ -150,8 +161,8 @@ def depths_of(results) -> list[np.ndarray]:
     return [result.depth for result in results]
 
 
-def real(scene: Path, mesh: Path, share: float, config: Config, device, most: int) -> str:
-    """What real photos without truth tell: depths that context views confirm within half a pixel of parallax, of those
+def real(scene: Path, mesh: Path, share: float, config: Config, device, most: int) -> dict:
+    """What real photos without truth say: depths that context views confirm within half a pixel of parallax, of those
     that they should see; photos that took no part at all, predicted through the depth maps (correlation of patches,
     view by view: median, and in how many of the pairs it rose)."""
     from real import load
@@ -168,10 +179,13 @@ def real(scene: Path, mesh: Path, share: float, config: Config, device, most: in
         found = compare_predictions(views[k], [each[place] for each in maps], views[nearest], depths[nearest])
         pairs.append([prediction.median for prediction in found])
     pairs = np.array(pairs)
-    told = " | ".join(f"{a:.1%}, {b:.4f}" for a, b in zip(shares, np.median(pairs, axis=0)))
-    return (f"| {scene.name}, {len(used)} views of {views[0].camera.width} x {views[0].camera.height} | {told} | "
-            f"{int((pairs[:, 2] >= pairs[:, 1]).sum())} of {len(pairs)}, least {(pairs[:, 2] - pairs[:, 1]).min():+.4f}"
-            f" | {share_rejected(alone):.1%}, {share_rejected(agreed):.1%} | {seconds[1] / seconds[0]:.0%} |")
+    shown = [f"{a:.1%}, {b:.4f}" for a, b in zip(shares, np.median(pairs, axis=0))]
+    camera, gain = views[0].camera, pairs[:, 2] - pairs[:, 1]
+    return {"scene": f"{scene.name}, {len(used)} views of {camera.width} x {camera.height}",
+            **dict(zip(("input", "views by themselves", "after the rounds"), shown)),
+            "views that predict as well or better": f"{(gain >= 0).sum()} of {len(pairs)}, least {gain.min():+.4f}",
+            "rejected": f"{share_rejected(alone):.1%}, {share_rejected(agreed):.1%}",
+            "time of the rounds": f"{seconds[1] / seconds[0]:.0%}"}
 
 
 def confirmed_share(cameras, maps, device) -> float:
@@ -204,25 +218,15 @@ def main():
     parser.add_argument("--kinds", nargs="*", default=list(KINDS))
     parser.add_argument("--set", nargs="*", default=[], dest="settings")
     parser.add_argument("--device", default=None)
-    parser.add_argument("--out", default=None)
+    add_json(parser)
     given = parser.parse_args()
     device, config = open_device(given.device), build_config("balanced", given.settings) if given.settings else BALANCED
     if given.scene:
-        print(real(given.scene, given.mesh, given.share, config, device, given.most))
-        return
-    lines = [f"| mismatch | initial: {MEASURES} | views by themselves | after the rounds | ratio | rejected | "
-             "time of the rounds |", "|---|---|---|---|---|---|---|"]
-    print(*lines, sep="\n", flush=True)
-    for kind in given.kinds:
-        rows, rejected, (alone, rounds) = run(kind, given.width, config, device)
-        cells = [", ".join(f"{v:.3f}" if k % 2 == 0 else f"{v:.1f}°" for k, v in enumerate(row)) for row in rows]
-        ratio = ", ".join(f"{v:.3f}" for v in rows[2] / rows[1])
-        lines.append(f"| {kind} | {' | '.join(cells)} | {ratio} | {rejected[0]:.1%}, {rejected[1]:.1%} | "
-                     f"{rounds / alone:.0%} |")
-        print(lines[-1], flush=True)
-    if given.out:
-        with open(given.out, "w") as file:
-            file.write("\n".join([*lines, ""]))
+        rows = [real(given.scene, given.mesh, given.share, config, device, given.most)]
+        record(f"{TITLE}, {given.scene.name}", REAL_MEASURED, device.info.title, rows, given.json)
+    else:
+        rows = [run(kind, given.width, config, device) for kind in given.kinds]
+        record(TITLE, MEASURED, device.info.title, rows, given.json)
 
 
 if __name__ == "__main__":

@@ -1,21 +1,20 @@
-"""What the rounds of agreement take beside the refinement, with nothing but the core installed: seconds of refine_views
-without them and with them, in turns.
+"""What the rounds of agreement add to the refinement's time, with nothing but the core installed: seconds of refine_views
+without them and with them, alternating.
 
-    python tests/bench/agreement_time.py [--sizes 777x581 1554x1162] [--views 12] [--turns 5] [--device NAME]
+    python tests/bench/agreement_time.py [--sizes 777x581 1554x1162] [--views 12] [--repeats 5] [--device NAME]
 
 A made scene, whose photos are rendered at a quarter of 1554 x 1162 and enlarged: for times alone. Of each kind of run
-the median; --profile: the host's part of one with the rounds, by function.
+the median.
 """
 
 import argparse
-import cProfile
 import multiprocessing
-import pstats
 import time
 from statistics import median
 
 import numpy as np
 from PIL import Image
+from record import add_json, record
 
 from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.config.presets import BALANCED
@@ -23,6 +22,9 @@ from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.view import View
 
+TITLE = "Rounds of agreement: price"
+MEASURED = ("Seconds of `refine_views` for a synthetic scene without and with the rounds, cameras not refined, "
+            "medians of alternating runs.")
 CONFIG = BALANCED.with_settings(effects__cameras="off")
 KINDS = {choice: CONFIG.with_settings(effects__agreement=choice) for choice in ("off", "on")}
 
@@ -54,25 +56,22 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", nargs="*", default=["777x581", "1554x1162"])
     parser.add_argument("--views", type=int, default=12)
-    parser.add_argument("--turns", type=int, default=5)
-    parser.add_argument("--profile", action="store_true")
+    parser.add_argument("--repeats", type=int, default=5)
+    add_json(parser)
     parser.add_argument("--device", default=None)
     given = parser.parse_args()
     made, photos = render(given.views)
     scenes = {size: at_size(made, photos, *map(int, size.split("x"))) for size in given.sizes}   # before a device opens
     device = open_device(given.device)
+    rows = []
     for size, scene in scenes.items():
         refine_views(*(part[:3] for part in scene), config=KINDS["on"], device=device)           # compiles
-        turns = [[seconds(*scene, config, device) for config in KINDS.values()] for _ in range(given.turns)]
-        print(f"{device.info.title}, {given.views} views of {size}:", end=" ")
-        for what, clock in (("s by the clock", 0), ("s of the processor", 1)):
-            alone, both = (median(turn[kind][clock] for turn in turns) for kind in (0, 1))
-            print(f"{alone:.2f}, with the rounds {both:.2f} {what}, {both / alone - 1:.0%} more", end="; ")
-        print(flush=True)
-        if given.profile:
-            profile = cProfile.Profile()
-            profile.runcall(seconds, *scene, KINDS["on"], device)
-            pstats.Stats(profile).sort_stats("tottime").print_stats(25)
+        pairs = [[seconds(*scene, config, device) for config in KINDS.values()] for _ in range(given.repeats)]
+        for clock, name in enumerate(("wall", "processor")):
+            alone, both = (median(pair[kind][clock] for pair in pairs) for kind in (0, 1))
+            rows.append({"size": size, "views": given.views, "clock": name, "without, s": alone, "with, s": both,
+                         "more": f"{both / alone - 1:.0%}"})
+    record(TITLE, MEASURED, device.info.title, rows, given.json)
 
 
 if __name__ == "__main__":

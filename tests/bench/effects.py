@@ -1,7 +1,7 @@
-"""Synthetic scenes that each call for one effect: error and time with the effect off, decided by measurement, and
+"""Synthetic scenes that each need one effect: error and time with the effect off, decided by measurement, and
 all on.
 
-    python tests/bench/effects.py [--width 288] [--device NAME] [--out FILE.md]
+    python tests/bench/effects.py [--width 288] [--device NAME] [--json FILE]
 
 Errors are means over the target's pixels, in pixels of parallax, and of normals in degrees;
 times are those of the steps alone, the best of three runs.
@@ -14,6 +14,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
+from record import add_json, record
 
 from pagas_cl.app.evaluate import compare_depth
 from pagas_cl.app.synthetic import relief_scene
@@ -24,7 +25,11 @@ from pagas_cl.method.effects.measure import measure
 from pagas_cl.method.splat import PhotoStore, refine_levels
 from pagas_cl.runtime.device import open_device
 
-# scene: its settings, the effect that it calls for, and effects that it may have beside it
+TITLE = "Effects: off, decided by measurement, all on"
+MEASURED = ("Synthetic scenes that each need one effect, preset `balanced`: mean depth error in pixels of parallax "
+            "and mean angle of normals over the target; seconds of the steps and the evidence, least of three.")
+
+# scene: its settings, the effect that it needs, and effects that it may have as well
 SCENES = {
     "clean": (dict(steps=0), None, ()),
     "exposure jitter": (dict(steps=0, exposure=0.3), "exposure", ()),
@@ -79,9 +84,12 @@ def row(name, width, contexts, device, config):
     forced = config if effect in (None, "masks") else config.with_settings(**{f"effects__{effect}": "off"})
     off = run(made, without_mask(made.views) if effect == "masks" else made.views, forced, device)
     every = run(made, made.views, replace(config, effects=Effects.every("on")), device)
-    cells = [errors(made, made.initial_depth(made.cameras[0]))] + [errors(made, r[0]) for r in (off, auto, every)]
-    picked = [e for e in EFFECTS if e in auto[2] and auto[2][e].on]
-    return name, effect or "none", ", ".join(picked), cells, [r[1] for r in (off, auto, every)], auto[2]
+    found = [made.initial_depth(made.cameras[0]), *(depth for depth, _, _ in (off, auto, every))]
+    shown = [f"{depth:.3f} px, {angle:.1f}°" for depth, angle in (errors(made, each) for each in found)]
+    enabled = [e for e in EFFECTS if e in auto[2] and auto[2][e].on]
+    return {"scene": name, "effect that it needs": effect or "none", "`auto` enables": ", ".join(enabled),
+            **dict(zip(("input", "effect off", "auto", "all on"), shown)),
+            "s: off / auto / all on": " / ".join(f"{seconds:.3f}" for _, seconds, _ in (off, auto, every))}
 
 
 def main():
@@ -90,23 +98,11 @@ def main():
     parser.add_argument("--contexts", type=int, default=5)
     parser.add_argument("--device", default=None)
     parser.add_argument("--scenes", nargs="*", default=list(SCENES))
-    parser.add_argument("--out", default=None)
+    add_json(parser)
     given = parser.parse_args()
     device = open_device(given.device)
-    lines = ["| scene | calls for | `auto` switches on | initial | effect off | auto | all on | "
-             "time off / auto / all on, s |",
-             "|---|---|---|---|---|---|---|---|"]
-    print(device.info, flush=True)
-    for name in given.scenes:
-        name, effect, picked, cells, times, decisions = row(name, given.width, given.contexts, device, BALANCED)
-        cells = " | ".join(f"{d:.3f} px, {n:.1f}°" for d, n in cells)
-        lines.append(f"| {name} | {effect} | {picked} | {cells} | {' / '.join(f'{t:.3f}' for t in times)} |")
-        print(lines[-1], flush=True)
-        print("   ", {k: round(d.evidence, 4) for k, d in decisions.items()}, flush=True)
-    if given.out:
-        with open(given.out, "w") as file:
-            file.write("\n".join([f"Measured on {device.info}, {given.width} x {given.width * 3 // 4} pixels, "
-                                  f"{given.contexts} context views, preset `balanced`.", "", *lines, ""]))
+    rows = [row(name, given.width, given.contexts, device, BALANCED) for name in given.scenes]
+    record(TITLE, MEASURED, device.info.title, rows, given.json)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""Device memory of a large frame: planned, counted here, and taken from the device as its driver tells it.
+"""Device memory of a large frame: planned, counted here, and taken from the device as its driver reports it.
 
-    python tests/bench/memory.py [--size 4112 3008] [--contexts 10] [--preset balanced]
+    python tests/bench/memory.py [--size 4112 3008] [--contexts 10] [--preset balanced] [--json FILE]
 
 A made frame (ActorsHQ's size by default): one texture, seen by cameras that are moved by whole pixels of parallax over
 a plane, so that the truth is exact and nothing has to be rendered. Three runs: all photos on the device; one at a time,
-asked for by PAGAS_CL_MEMORY's limit; one at a time because the device is nearly full (NVIDIA with PyTorch only, which
+as PAGAS_CL_MEMORY's limit requires; one at a time because the device is nearly full (NVIDIA with PyTorch only, which
 takes the rest). All three must give the same bytes. The driver's count needs NVIDIA and PyTorch, and the GPU alone.
 """
 
@@ -17,6 +17,7 @@ import threading
 import time
 
 import numpy as np
+from record import add_json, record
 
 from pagas_cl.app.selftest import scenes as make
 from pagas_cl.config.presets import preset
@@ -24,6 +25,9 @@ from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.view import View
 
+TITLE = "Device memory"
+MEASURED = ("A synthetic frame, MB: planned, counted by the program, taken by NVIDIA's driver; errors before and "
+            "after in pixels of parallax; a hash of the depth, whose bytes are the same in all rows.")
 PARALLAX = 24      # pixels of parallax between target and contexts
 
 
@@ -47,7 +51,7 @@ def frame(size, contexts: int):
 
 
 class Driver:
-    """Least free memory of the device while this is open, as NVIDIA's driver tells it; None without PyTorch."""
+    """Least free memory of the device while this is open, as NVIDIA's driver reports it; None without PyTorch."""
 
     def __init__(self):
         try:
@@ -78,7 +82,7 @@ class Driver:
             self.taken = self._start - self._least
 
 
-def run(name: str, given, config, device) -> str:
+def run(name: str, given, config, device) -> dict:
     target, contexts, depth, depth_per_parallax = given
     gc.collect()
     device.memory.clear()
@@ -87,13 +91,12 @@ def run(name: str, given, config, device) -> str:
         result = refine_depth(target, contexts, depth, config=config, device=device)
         seconds = time.perf_counter() - start
     planned, counted = (result.report[key] / 1e6 for key in ("planned_bytes", "device_bytes"))
-    taken = f"{driver.taken / 1e6:,.0f}" if driver.taken else "-"
     inner = (slice(64, -64),) * 2
     errors = [np.abs(d[inner] - 1).mean() / depth_per_parallax for d in (depth, result.depth)]
     digest = hashlib.blake2b(result.depth.tobytes(), digest_size=4).hexdigest()
-    print(f"| {name} | {planned:,.0f} | {counted:,.0f} | {taken} | {seconds:.2f} | "
-          f"{errors[0]:.3f} -> {errors[1]:.3f} | {digest} |", flush=True)
-    return digest
+    return {"photos": name, "planned": round(planned), "counted": round(counted),
+            "driver": driver.taken and round(driver.taken / 1e6), "s": seconds, "error, input": errors[0],
+            "error": errors[1], "depth": digest}
 
 
 def fill_device(leave: float):
@@ -112,29 +115,27 @@ def main() -> int:
     parser.add_argument("--size", nargs=2, type=int, default=(4112, 3008))
     parser.add_argument("--contexts", type=int, default=10)
     parser.add_argument("--preset", default="balanced")
+    add_json(parser)
     chosen = parser.parse_args()
     device, config = open_device(), preset(chosen.preset)
     small = frame((256, 192), chosen.contexts)
     refine_depth(*small[:3], config=config, device=device)           # compiles
     given = frame(tuple(chosen.size), chosen.contexts)
-    print(f"{device.info}\n{chosen.size[0]} x {chosen.size[1]}, {chosen.contexts} context views, {chosen.preset}\n\n"
-          "| photos | planned, MB | counted, MB | driver, MB | s | error, pixels of parallax | depth |\n"
-          + "|---" * 7 + "|")
-    digests = [run("all on the device", given, config, device)]
+    rows = [run("all on the device", given, config, device)]
     gc.collect()
     before, full = device.memory.limit, device.memory.peak
     try:
         device.memory.limit = full - 1
-        digests.append(run("one at a time, limit", given, config, device))
+        rows.append(run("one at a time, limit", given, config, device))
     finally:
         device.memory.limit = before
     gc.collect()
     held = fill_device(0.9 * full)
     if held is not None:
-        digests.append(run("one at a time, device full", given, config, device))
-    same = len(set(digests)) == 1
-    print("the same bytes" if same else "OTHER BYTES")
-    return 0 if same else 1
+        rows.append(run("one at a time, device full", given, config, device))
+    frame_of = {"frame": f"{chosen.size[0]} x {chosen.size[1]}, {chosen.preset}"}
+    record(TITLE, MEASURED, device.info.title, [{**frame_of, **row} for row in rows], chosen.json)
+    return 0 if len({row["depth"] for row in rows}) == 1 else 1
 
 
 if __name__ == "__main__":

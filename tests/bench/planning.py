@@ -4,13 +4,14 @@
 """
 
 import argparse
+import os
 import pickle
 import resource
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
+from record import add_json, record
 
 from pagas_cl.app.jobs.batch import Batch
 from pagas_cl.app.jobs.plan import Planner, groups
@@ -18,6 +19,10 @@ from pagas_cl.config.presets import preset
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.sampling import DepthSample, sample_depth
 from pagas_cl.scene.view import View
+
+
+TITLE = "Many views: planning"
+MEASURED = ("Planning a run of many views over hilly ground, for one process.")
 
 
 class Known:
@@ -72,19 +77,20 @@ def plan_all(count: int, workers: int) -> dict:
         sent.append((len(batch.views), len(tasks), len(pickle.dumps(batch))))
     needed, targets, size = np.sum(sent, axis=0)
     return {"views": count, "workers": workers, "seconds": time.perf_counter() - start,
-            "processor seconds": time.process_time() - used, "seconds to the first batch": first,
-            "batches": len(parts), "contexts a view": contexts / count, "photos a view in its batch": needed / targets,
-            "kB sent a view": size / count / 1000, "MB of samples and cameras": made - before,
-            "MB of planning": peak_mb() - made}
+            "processor time, s": time.process_time() - used, "first batch after, s": first,
+            "batches": len(parts), "context views, per view": contexts / count, "photos of a batch, per view": needed / targets,
+            "sent to a worker, kB per view": size / count / 1000, "samples and cameras, MB": made - before,
+            "more for planning, MB": peak_mb() - made}
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--views", type=int, default=10_000)
     parser.add_argument("--workers", type=int, default=64)
+    add_json(parser)
     chosen = parser.parse_args()
-    for name, value in plan_all(chosen.views, chosen.workers).items():
-        sys.stdout.write(f"{name:>30}  {value:.4g}\n")
+    rows = [{"figure": name, "value": value} for name, value in plan_all(chosen.views, chosen.workers).items()]
+    record(TITLE, MEASURED, f"{os.cpu_count()} CPU cores", rows, chosen.json)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,8 @@ import json
 import subprocess
 import sys
 from datetime import date
+from math import isfinite
+from numbers import Integral
 from pathlib import Path
 
 DIGITS = 4      # significant ones of a figure that a script measures
@@ -58,6 +60,6 @@ def _cell(value) -> str:
 
 
 def _rounded(value):
-    if isinstance(value, (bool, str, int)) or value is None:
+    if value is None or isinstance(value, (str, Integral)):
         return value
-    return float(f"{value:.{DIGITS}g}")
+    return float(f"{value:.{DIGITS}g}") if isfinite(value) else None

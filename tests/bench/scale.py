@@ -1,15 +1,22 @@
 """What a run of many views costs, from measured constants.
 
-    python tests/bench/scale.py      # prints the table of SCALE.md
+    python tests/bench/scale.py      # a table; with --json FILE for docs/benchmarks.md
 """
 
-import sys
+import argparse
 from dataclasses import dataclass
+
+from record import add_json, record
+
+TITLE = "Many views, many devices: model"
+MEASURED = ("A model, not a measurement, with the constants of scale.py: a worker is busy 0.01 s + 0.22 us a pixel "
+            "with a view; GPUs, planning and storage overlap, the longest decides. For the measured run it gives "
+            "26.0 s and 13.0 s.")
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Where each figure comes from is told in SCALE.md.
+    """Measured as docs/benchmarks.md says (many views, planning, handing out); `disk` is assumed.
 
     Attributes
     ----------
@@ -46,18 +53,19 @@ def run_seconds(views: int, pixels: float, gpus: int, m: Measured = Measured()) 
     return {"GPUs": m.begin + rounds * view, "planning": views * (m.plan + m.take_back), "storage": traffic / m.disk}
 
 
-def table() -> str:
-    lines = ["| views | pixels | GPUs | GPUs' time | planning | storage at 2 GB/s | decides | of ideal |",
-             "|" + "---|" * 8]
+def rows() -> list[dict]:
+    """A row for each size of run and number of GPUs."""
+    found = []
     for views, pixels in ((160, 12e6), (10_000, 1.8e6), (10_000, 12e6)):
         alone = run_seconds(views, pixels, 1)["GPUs"]
         for gpus in (1, 8, 64):
             parts = run_seconds(views, pixels, gpus)
-            name = max(parts, key=parts.get)
-            cells = [f"{views}", f"{pixels / 1e6:g} M", f"{gpus}", *map(_time, parts.values()), name,
-                     f"{alone / gpus / parts[name]:.0%}"]
-            lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+            slowest = max(parts, key=parts.get)
+            found.append({"views": views, "pixels": f"{pixels / 1e6:g} M", "GPUs": gpus,
+                          "GPUs' time": _time(parts["GPUs"]), "planning": _time(parts["planning"]),
+                          "storage at 2 GB/s": _time(parts["storage"]), "decides": slowest,
+                          "of ideal": f"{alone / gpus / parts[slowest]:.0%}"})
+    return found
 
 
 def _time(seconds: float) -> str:
@@ -66,5 +74,11 @@ def _time(seconds: float) -> str:
     return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add_json(parser)
+    record(TITLE, MEASURED, "none", rows(), parser.parse_args().json)
+
+
 if __name__ == "__main__":
-    sys.stdout.write(table() + "\n")
+    main()

@@ -1,10 +1,8 @@
 """Write the scenes that accuracy against time is measured on: `python tests/bench/scenes.py OUT [--data DIR]`.
 
 OUT/relief, OUT/bar: synthetic scenes with exact truth. With --data (the folder of real scenes): OUT/motorcycle,
-Middlebury 2014 with dense truth and one context view,
-the initial depth smoothed inside surfaces (sigma 8 px) plus a smooth error
-of half a pixel; OUT/dtu, 16 views of DTU scan 24 at half size, the initial depth from its coarse mesh, no truth.
-Each has images/, cameras.json, depth_initial/ and, where there is truth, depth_true/.
+Middlebury 2014 with dense truth and one context view; OUT/dtu, 16 views of DTU scan 24 at half size, the initial depth
+from its coarse mesh, no truth. Each has images/, cameras.json, depth_initial/ and, where there is truth, depth_true/.
 """
 
 from __future__ import annotations
@@ -24,41 +22,72 @@ from pagas_cl.scene.depthmap import resize_depth, save_depth
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import View
 
-FOCAL, CENTER_X, CENTER_Y, OFFSET, BASELINE = 994.978, 311.193, 254.877, 31.086, 193.001  # px, px, px, px, mm
+# photos; file of the disparities, grey values a pixel; focal length, principal point and the right camera's offset, pixels;
+# baseline, mm. Middlebury counts pixels from their centres.
+PAIRS = {
+    "motorcycle": ("motorcycle_left.png", "motorcycle_right.png", "motorcycle_disp.npz", 1,
+                   994.978, 311.193, 254.877, 31.086, 193.001),
+    "adirondack": ("Adirondack_left.png", "Adirondack_right.png", "Adirondack_gt.png", 1,
+                   4161.221 / 4, 1445.577 / 4, 984.686 / 4, 209.059 / 4, 176.252),
+    "adirondack, other exposure": ("Adirondack_left.png", "AdirondackE_right.png", "Adirondack_gt.png", 1,
+                                   4161.221 / 4, 1445.577 / 4, 984.686 / 4, 209.059 / 4, 176.252),
+    "art": ("view1.png", "view5.png", "disp1.png", 3, 3740 / 3, 231, 185, None, 160),
+    "dolls": ("view1.png", "view5.png", "disp1.png", 3, 3740 / 3, 231, 185, None, 160),
+    "cones": ("im2.png", "im6.png", "disp2.png", 4, 1000, 225, 187, 0, 160),
+}
+JUMP, ROUGH_JUMP = 1, 2     # pixels of disparity between neighbours of two surfaces; where the truth is of whole pixels
+LEAST_SURFACE = 400         # pixels
 
 
-def motorcycle(data: Path, out: Path, scale: float) -> None:
-    """Middlebury's pair; its calibration counts pixels from their centres, hence the halves."""
-    folder = data / "middlebury_stereo" / "motorcycle"
-    photos = [np.asarray(Image.open(folder / f"motorcycle_{side}.png").convert("RGB")) for side in ("left", "right")]
-    disparity = np.load(folder / "motorcycle_disp.npz")["arr_0"].astype(float)
-    start, known = _smoothed(disparity)
+def middlebury_pair(data: Path, name: str, share: float = 1.0):
+    """Target and context of a Middlebury pair, initial and true depth, at `share` of its size.
+
+    The initial depth is the truth smoothed inside surfaces (sigma 8 px) plus a smooth error of half a pixel. Truth of
+    whole grey values is smoothed by 2 px inside surfaces.
+    """
+    left, right, truth, greys, focal, cx, cy, offset, baseline = PAIRS[name]
+    folder = data / "middlebury_stereo" / name.split(",")[0]
+    photos = [np.asarray(Image.open(folder / side).convert("RGB")) for side in (left, right)]
+    if offset is None:
+        offset = int((folder / "dmin.txt").read_text()) / 3
+    if truth.endswith("npz"):
+        disparity = np.load(folder / truth)["arr_0"].astype(float)
+    else:
+        disparity = np.asarray(Image.open(folder / truth).convert("L")).astype(float) / greys
+    start, known = _coarse(disparity)
+    known &= disparity > 0
+    fine = disparity if truth.endswith("npz") else _smoothed_inside(disparity, known, 2.0)
+    maps = [np.where(known, focal * baseline / np.where(known, values + offset, 1), 0).astype(np.float32)
+            for values in (start, fine)]
     height, width = disparity.shape
     pose = np.eye(4)
-    pose[0, 3] = -BASELINE
-    cameras = [Camera(width, height, FOCAL, FOCAL, CENTER_X + 0.5, CENTER_Y + 0.5, np.eye(4), "left"),
-               Camera(width, height, FOCAL, FOCAL, CENTER_X + OFFSET + 0.5, CENTER_Y + 0.5, pose, "right")]
-    views = [View(camera, photo, name=f"{camera.name}.png") for camera, photo in zip(cameras, photos)]
-    depth = {name: np.where(known, FOCAL * BASELINE / np.where(known, values + OFFSET, 1), 0)
-             for name, values in (("depth_initial", start), ("depth_true", disparity))}
-    _write(out, views, {"left": depth}, scale)
+    pose[0, 3] = -baseline
+    cameras = [Camera(width, height, focal, focal, cx + 0.5, cy + 0.5, np.eye(4), "left"),
+               Camera(width, height, focal, focal, cx + offset + 0.5, cy + 0.5, pose, "right")]
+    views = [smaller(View(camera, photo, name=f"{camera.name}.png"), share) for camera, photo in zip(cameras, photos)]
+    return views, *(resize_depth(each, views[0].camera.width, views[0].camera.height) for each in maps)
 
 
-def _smoothed(disparity):
+def _jumps(disparity, known, least: float):
+    """Pixels next to a depth edge."""
+    filled, jump = np.where(known, disparity, 0), np.zeros_like(known)
+    for axis in (0, 1):
+        step = np.abs(np.diff(filled, axis=axis)) > least
+        for shift in (slice(1, None), slice(None, -1)):
+            jump[(shift, slice(None)) if axis == 0 else (slice(None), shift)] |= step
+    return jump
+
+
+def _coarse(disparity):
     """Disparity smoothed inside surfaces plus half a pixel of smooth error, and where it is known."""
     known = np.isfinite(disparity) & (disparity > 0)
     filled = np.where(known, disparity, 0)
-    jump = np.zeros_like(known)
-    for axis in (0, 1):
-        step = np.abs(np.diff(filled, axis=axis)) > 1
-        for shift in (slice(1, None), slice(None, -1)):
-            jump[(shift, slice(None)) if axis == 0 else (slice(None), shift)] |= step
-    labels, number = ndimage.label(known & ~jump)
+    labels, _ = ndimage.label(known & ~_jumps(disparity, known, JUMP))
     out, kept = disparity.copy(), np.zeros_like(known)
     for label, place in enumerate(ndimage.find_objects(labels), 1):
         around = tuple(slice(max(0, s.start - 32), s.stop + 32) for s in place)
         inside = labels[around] == label
-        if inside.sum() < 400:
+        if inside.sum() < LEAST_SURFACE:
             continue
         weight = ndimage.gaussian_filter(inside.astype(float), 8.0)
         value = ndimage.gaussian_filter(inside * filled[around], 8.0)
@@ -68,29 +97,51 @@ def _smoothed(disparity):
     return np.where(kept, out + 0.5 * error / np.abs(error).mean(), 0), kept
 
 
-def dtu(data: Path, out: Path, scale: float) -> None:
+def _smoothed_inside(values, known, sigma: float):
+    """Averaged with neighbours of the same surface."""
+    out, use = values.copy(), known & ~_jumps(values, np.ones_like(known), ROUGH_JUMP)
+    weight, value = (ndimage.gaussian_filter(x, sigma) for x in (use.astype(float), use * values))
+    out[use] = (value / np.maximum(weight, 1e-9))[use]
+    return out
+
+
+def smaller(view: View, share: float) -> View:
+    """The view with its photo in memory, at a share of the size; without a mask where that is not 1."""
+    pixels = view.load_image()
+    if share == 1:
+        return replace(view, image=pixels)
+    size = round(view.camera.width * share), round(view.camera.height * share)
+    photo = np.asarray(Image.fromarray(pixels).resize(size, Image.Resampling.BOX))
+    return replace(view, image=photo, mask=None, camera=view.camera.resized(*size))
+
+
+def motorcycle(data: Path, out: Path, share: float) -> None:
+    """Middlebury's pair with dense truth."""
+    views, initial, truth = middlebury_pair(data, "motorcycle", share)
+    _write(out, views, {"left": {"depth_initial": initial, "depth_true": truth}})
+
+
+def dtu(data: Path, out: Path, share: float) -> None:
     """DTU scan 24; needs Open3D and pycolmap."""
     from pagas_cl.refine import initial_depths
     from pagas_cl.scene.mesh_kinds import to_surface
     from pagas_cl.scene.readers import read_scene
 
     folder = data / "dtu_scan24"
-    views = [replace(view, mask=None) for view in read_scene(folder).views]
+    views = read_scene(folder).views
     depths = initial_depths(to_surface(folder / "derived" / "mesh_coarse.ply"), views)
-    _write(out, views, {v.stem: {"depth_initial": depth} for v, depth in zip(views, depths)}, scale)
+    small = [smaller(replace(view, mask=None), share) for view in views]
+    _write(out, small, {view.stem: {"depth_initial": resize_depth(depth, view.camera.width, view.camera.height)}
+                        for view, depth in zip(small, depths)})
 
 
-def _write(out: Path, views, depths, scale: float) -> None:
+def _write(out: Path, views, depths) -> None:
     (out / "images").mkdir(parents=True, exist_ok=True)
-    smaller = []
     for view in views:
-        width, height = round(view.camera.width * scale), round(view.camera.height * scale)
-        photo = Image.fromarray(view.load_image()).resize((width, height), Image.Resampling.BOX)
-        photo.save(out / "images" / f"{view.stem}.png")
-        smaller.append(View(view.camera.resized(width, height), np.asarray(photo), name=f"{view.stem}.png"))
+        Image.fromarray(view.load_image()).save(out / "images" / f"{view.stem}.png")
         for kind, depth in depths.get(view.stem, {}).items():
-            save_depth(out / kind / f"{view.stem}.npz", resize_depth(depth, width, height))
-    camera_file.write(out, smaller)
+            save_depth(out / kind / f"{view.stem}.npz", depth)
+    camera_file.write(out, [replace(view, name=f"{view.stem}.png") for view in views])
 
 
 def main() -> None:

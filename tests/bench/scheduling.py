@@ -6,6 +6,7 @@ What is counted is planning, hashing, the scheduler, journals, records and files
 """
 
 import argparse
+import os
 import sys
 import tempfile
 import time
@@ -14,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from distributed import Client, LocalCluster
 from PIL import Image
+from record import add_json, record
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -22,6 +24,11 @@ from support.job_scenes import QUICK, copy_depth
 
 from pagas_cl.app.jobs import refine_all
 from pagas_cl.scene.view import View
+
+
+TITLE = "Many views: handing out"
+MEASURED = ("Plan, hand out, take back and write, for work that copies a tiny depth map; scheduler and workers on "
+            "the same cores.")
 
 
 def ring(folder: Path, count: int):
@@ -36,21 +43,30 @@ def ring(folder: Path, count: int):
     return views, [np.full((24, 32), 4, np.float32)] * count
 
 
+def runs(folder: Path, count: int, workers: int) -> list[dict]:
+    """A row for a first run of so many views, and one for the same run again."""
+    views, depths = ring(folder, count)
+    rows = []
+    with LocalCluster(n_workers=workers, threads_per_worker=1, processes=False,
+                      dashboard_address=None) as cluster, Client(cluster, set_as_default=False) as client:
+        for name in ("first", "all is finished"):
+            start = time.perf_counter()
+            refine_all(copy_depth, views, depths, range(count), QUICK, folder=folder / "out", extras=False,
+                       executor=client.get_executor(pure=False))
+            taken = time.perf_counter() - start
+            rows.append({"run": name, "views": count, "s": taken, "ms per view": 1000 * taken / count})
+    return rows
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--views", type=int, default=1000)
     parser.add_argument("--workers", type=int, default=8)
+    add_json(parser)
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        views, depths = ring(Path(folder), chosen.views)
-        with LocalCluster(n_workers=chosen.workers, threads_per_worker=1, processes=False,
-                          dashboard_address=None) as cluster, Client(cluster, set_as_default=False) as client:
-            for name in ("first run", "again, all finished"):
-                start = time.perf_counter()
-                refine_all(copy_depth, views, depths, range(len(views)), QUICK, folder=Path(folder) / "out",
-                           extras=False, executor=client.get_executor(pure=False))
-                taken = time.perf_counter() - start
-                sys.stdout.write(f"{name}: {taken:.2f} s, {1000 * taken / len(views):.2f} ms a view\n")
+        rows = runs(Path(folder), chosen.views, chosen.workers)
+    record(TITLE, MEASURED, f"{os.cpu_count()} CPU cores", rows, chosen.json)
 
 
 if __name__ == "__main__":

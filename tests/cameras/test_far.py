@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench.cameras_far import far, table
+from bench.cameras_far import far, summary
 from support.scenes import relief_scene
 
 from pagas_cl.method.cameras.accept import beyond
@@ -22,7 +22,7 @@ def test_what_is_accepted_is_right(device, depth, pixels, seed):
     assert row["accepted"] or depth != "good", "good depth brings cameras back from here"
     if not row["accepted"]:
         assert "bundle adjustment" in row["reason"] or "do not agree clearly better" in row["reason"]
-    assert f"| {depth} | {pixels:g} |" in table([row])
+    assert summary([row])[0]["noise, px"] == f"{pixels:g}"
 
 
 def test_photos_of_other_things_are_never_accepted(device):
