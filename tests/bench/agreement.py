@@ -6,7 +6,7 @@ and after the rounds of agreement, in one run.
 Six views of a relief whose initial depth is off by 0.6 pixels of parallax. Kinds of mismatch, each photo its own:
 gain, a smooth field of 12 % (root mean square); blur, up to a pixel; haze, a veil of 10 to 30 % that is denser here
 than there; jpeg, quality 60; shine, a highlight that moves; camera, turned by 0.35 pixels, half a pixel between two of
-them; moving, something else in a disc, 8 % of the photo, elsewhere in each; together, all but that. Depth in pixels of
+them; moving, something else in a disc, 8 % of the photo, at another place in each; together, all but that. Depth in pixels of
 parallax, normals in degrees, both means; edges: within 3 pixels of one.
 """
 
@@ -29,6 +29,7 @@ from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.surface.agree import counts
 from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.refine import refine_views
+from pagas_cl.result import RoundInput
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import PartnerChooser
@@ -38,8 +39,8 @@ MEASURED = ("Six views of a synthetic relief whose photos do not match in some w
             "error (pixels of parallax), angle of normals, and both within 3 pixels of depth edges, of views refined "
             "one by one and after two rounds of agreement; share of rejected depths before and after; processor time "
             "of the rounds over that of the views.")
-REAL_MEASURED = ("Real photos without truth: share of depths that two of the nearest four views confirm within half a pixel "
-                 "of parallax, and correlation with the nearest photo left out.")
+REAL_MEASURED = ("Real photos without truth: share of depths that two of the nearest four views confirm within half a "
+                 "pixel of parallax, and correlation with the nearest photo left out.")
 VIEWS = 6
 OFF = 0.35      # pixels by which a camera is rotated
 
@@ -152,8 +153,8 @@ def both(views, depths, config: Config, device):
     start = time.process_time()
     for step in later_rounds(config, len(views)):
         before = dict(enumerate(results))
-        results = [step.work(views, partner, [before[k] for k in partner.refined(before)], config, device, photos)
-                   for partner in partners]
+        inputs = [[RoundInput(before[k], before[k]) for k in partner.refined(before)] for partner in partners]
+        results = [step.work(views, *both, config, device, photos) for both in zip(partners, inputs)]
     return alone, results, [*seconds, time.process_time() - start]
 
 
@@ -190,7 +191,7 @@ def real(scene: Path, mesh: Path, share: float, config: Config, device, most: in
 
 def confirmed_share(cameras, maps, device) -> float:
     """Of the depths that other views should see, those that two of them (one, where one alone sees it) confirm to half
-    a pixel of parallax; the nearest four are asked."""
+    a pixel of parallax; the nearest four count."""
     seen, confirmed = 0, 0
     for k, (camera, depth) in enumerate(zip(cameras, maps)):
         near = sorted((j for j in range(len(cameras)) if j != k),

@@ -1,5 +1,4 @@
-"""What the rounds of agreement add to the refinement's time, with nothing but the core installed: seconds of refine_views
-without them and with them, alternating.
+"""Price of the rounds of agreement: seconds of refine_views without them and with them, alternating.
 
     python tests/bench/agreement_time.py [--sizes 777x581 1554x1162] [--views 12] [--repeats 5] [--device NAME]
 
@@ -23,8 +22,8 @@ from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.view import View
 
 TITLE = "Rounds of agreement: price"
-MEASURED = ("Seconds of `refine_views` for a synthetic scene without and with the rounds, cameras not refined, "
-            "medians of alternating runs.")
+MEASURED = ("Seconds of `refine_views` for a synthetic scene without and with the rounds, cameras not refined, medians "
+            "of alternating runs.")
 CONFIG = BALANCED.with_settings(effects__cameras="off")
 KINDS = {choice: CONFIG.with_settings(effects__agreement=choice) for choice in ("off", "on")}
 

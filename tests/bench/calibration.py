@@ -21,9 +21,9 @@ from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.device import open_device
 
 TITLE = "Deviations: are they right?"
-MEASURED = ("Of calibrated deviations 68 % of the errors lie below 1 and 95 % below 2 of them; error and deviation "
-            "in pixels of parallax (medians), what 68 % and 95 % of error / deviation lie below, and the rank "
-            "correlation of both.")
+MEASURED = ("Of calibrated deviations 68 % of the errors lie below 1 and 95 % below 2 of them; error and deviation in "
+            "pixels of parallax (medians), what 68 % and 95 % of error / deviation lie below, and the rank correlation "
+            "of both.")
 MADE = {"made, clean": {}, "made, exposure jitter": dict(steps=0, exposure=0.3),
         "made, noise": dict(steps=0, contrast=0.25, noise=6.0), "made, occluder": dict(bar=8.0),
         "made, shiny": dict(steps=0, shine=0.5)}

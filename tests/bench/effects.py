@@ -26,8 +26,8 @@ from pagas_cl.method.splat import PhotoStore, refine_levels
 from pagas_cl.runtime.device import open_device
 
 TITLE = "Effects: off, decided by measurement, all on"
-MEASURED = ("Synthetic scenes that each need one effect, preset `balanced`: mean depth error in pixels of parallax "
-            "and mean angle of normals over the target; seconds of the steps and the evidence, least of three.")
+MEASURED = ("Synthetic scenes that each need one effect, preset `balanced`: mean depth error in pixels of parallax and "
+            "mean angle of normals over the target; seconds of the steps and the evidence, least of three.")
 
 # scene: its settings, the effect that it needs, and effects that it may have as well
 SCENES = {

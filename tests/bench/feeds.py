@@ -1,10 +1,10 @@
-"""From what networks, phones and RGB-D recordings leave: errors of depth as read, brought together, and refined.
+"""From what networks, phones and RGB-D recordings leave: errors of depth as read, aligned in scale, and refined.
 
     python tests/bench/feeds.py [--json FILE] [--width 288] [--formats da3 tum ...] [--seed 0] [--off 2]
 
 A made scene (metres) is written in each form with depth as a network leaves it: a factor a view within 20 %, a shift
 within 5 %, errors that neighbours share, 3 % holes, cameras off by some pixels; the maps of networks and phones at a
-quarter of the photos' size. It is read, brought together and refined as `pagas-cl refine` does. "perfect": the same
+quarter of the photos' size. It is read, aligned in scale and refined as `pagas-cl refine` does. "perfect": the same
 form with the coarse depth as it is, its detail (the size of the maps, the unit of the file) the same. Errors are mean
 absolute depth in pixels of parallax, over all views.
 """
@@ -39,9 +39,9 @@ KIND = {"scannet": "half", "vggt": "square", "vggt-colmap": "middle", "bundler":
      "da3-colmap", "mapanything-colmap"), "full")}
 TITLE = "Depth of networks, phones and recordings"
 MEASURED = ("Photos of a synthetic scene, written in each form with depth as networks leave it (factors within 20 % "
-            "and shifts within 5 % in each view, smooth errors, 3 % holes): mean depth error over all views in "
-            "pixels of parallax as read, after the scales of the maps are aligned, refined; `of perfect input`: the "
-            "same form with the depth right but coarse.")
+            "and shifts within 5 % in each view, smooth errors, 3 % holes): mean depth error over all views in pixels "
+            "of parallax as read, after the scales of the maps are aligned, refined; `of perfect input`: the same form "
+            "with the depth right but coarse.")
 
 
 def read(folder: Path, name: str):
@@ -68,8 +68,8 @@ def errors(depths, made, size=lambda error, truth, both: np.abs(error)[both].mea
 
 
 def common_factor(depths, made) -> float:
-    """What brings all depth maps together nearest to the true ones: a median. Photos tell no scale of the whole, and
-    cameras that are off tell it as they are off."""
+    """The factor of all depth maps that is nearest to the true ones: a median. Photos leave the scale of the whole open,
+    and cameras that are off change it."""
     ratios = []
     for depth, view in zip(depths, made.views):
         truth = made.true_depth(view.camera) * METRES
@@ -79,7 +79,7 @@ def common_factor(depths, made) -> float:
 
 
 def refined(folder: Path, name: str, frames, made, mend: bool) -> tuple[float, ...]:
-    """Errors of depth as read, brought together (where `mend`), and refined; of that all times one factor, and each
+    """Errors of depth as read, aligned in scale (where `mend`), and refined; of that all times one factor, and each
     view without what no photo sees."""
     EXPORTS[name](folder, frames)
     views, depths = read(folder, name)

@@ -1,7 +1,7 @@
 """Accuracy against time over several scenes, as the README's tables have it.
 
     python tests/bench/scenes.py SCENES --data DATA
-    python tests/bench/front.py SCENES OUT [front] [ablation]
+    python tests/bench/front.py SCENES OUT [front] [ablation] [--json FILE]     # JSON: rows of `front`
 
 Every part writes OUT/<part>.md, and its records to OUT/<part>/*/tradeoff.json, from which a second run goes on.
 """
@@ -15,6 +15,8 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
+from record import add_json, record
+
 from pagas_cl.app.tradeoffs.case import BenchmarkCase, loaded, make_cases
 from pagas_cl.app.tradeoffs.page import ablation_table, markdown, notes
 from pagas_cl.app.tradeoffs.plan import ablation_plan, front_plan
@@ -23,6 +25,11 @@ from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depthmap import find_depth, load_depth
 from pagas_cl.scene.readers import read_scene
 
+TITLE = "All settings: error against time"
+MEASURED = ("What settings reach: errors as shares of the input's, away from depth edges and near them; `held-out "
+            "photos`: 1 - median correlation of 7 x 7 patches with photos that took no part, as a share of the "
+            "input's; seconds from photos on the device to the depth on the host; `front`: no other setting is better "
+            "in both.")
 PARTS = ("front", "ablation")
 
 
@@ -53,8 +60,19 @@ def front(cases, out, device, given):
         study = measure(some, settings, device=device, report=out / "front" / name, repeats=given.repeats,
                         executor=given.executor)
         for part in parts_of(study, settings):
-            lines += [f"## {', '.join(part.initial)}", "", *notes(part), "", markdown(part.points)]
+            scenes = ", ".join(part.initial)
+            lines += [f"## {scenes}", "", *notes(part), "", markdown(part.points)]
+            given.rows += [row_of(scenes, point) for point in part.points]
     return lines
+
+
+def row_of(scenes: str, point) -> dict:
+    """A setting in the table of docs/benchmarks.md."""
+    columns = (("depth", "depth error"), ("normal", "normal error"), ("edges", "near edges"),
+               ("unpredicted", "held-out photos"))
+    return {"scenes": scenes, "setting": point.name, "front": "yes" if point.on_front else None,
+            "s per view": point.seconds, "device MB": round(point.device_bytes / 1e6), "view-steps": point.view_steps,
+            **{name: point.error(key) for key, name in columns}}
 
 
 def parts_of(study, settings):
@@ -89,7 +107,9 @@ def main() -> None:
     parser.add_argument("--device")
     parser.add_argument("--repeats", type=int, default=1)
     parser.add_argument("--workers", type=int, default=0, help="processes that judge while the device goes on")
+    add_json(parser)
     given = parser.parse_args()
+    given.rows = []
     given.executor = ProcessPoolExecutor(given.workers, get_context("spawn")) if given.workers else None
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     given.folders = [given.scenes / name for name in given.names if (given.scenes / name).is_dir()]
@@ -100,6 +120,8 @@ def main() -> None:
         lines = globals()[part](cases, given.out, device, given)
         (given.out / f"{part}.md").write_text("\n".join(lines) + "\n")
         logging.info("%s: %.0f s", part, time.time() - start)
+    if given.rows:
+        record(TITLE, MEASURED, device.info.title, given.rows, given.json)
 
 
 if __name__ == "__main__":

@@ -26,8 +26,8 @@ from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.view import View
 
 TITLE = "Device memory"
-MEASURED = ("A synthetic frame, MB: planned, counted by the program, taken by NVIDIA's driver; errors before and "
-            "after in pixels of parallax; a hash of the depth, whose bytes are the same in all rows.")
+MEASURED = ("A synthetic frame, MB: planned, counted by the program, taken by NVIDIA's driver; errors before and after "
+            "in pixels of parallax; a hash of the depth, whose bytes are the same in all rows.")
 PARALLAX = 24      # pixels of parallax between target and contexts
 
 

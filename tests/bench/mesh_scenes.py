@@ -1,4 +1,4 @@
-"""Five made scenes with true surfaces, for measuring meshes: a relief, wires in front of a wall, a closed object seen
+"""Synthetic scenes with true surfaces, for measuring meshes: a relief, wires in front of a wall, a closed object seen
 all round, a thin sheet seen from both sides, a box with sharp creases. Photos are cast rays under a solid texture.
 """
 
@@ -10,6 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from pagas_cl.app import synthetic
+from pagas_cl.app.synthetic.mesh import solid_mesh
 from pagas_cl.scene.camera import Camera
 
 FOCAL = 1.8        # over the image's width
@@ -99,12 +100,6 @@ def box(width: int = 256) -> Scene:
     return _photographed("box", cameras, true, given)
 
 
-def solid_mesh(solid, spacing, half):
-    from pagas_cl.app.synthetic.mesh import solid_mesh
-
-    return solid_mesh(solid, spacing, half)
-
-
 def _scaled(mesh, factor):
     return mesh[0] * factor, mesh[1]
 
@@ -112,15 +107,15 @@ def _scaled(mesh, factor):
 def _waves(rng, shortest, longest, size, dimensions=2):
     """A sum of plane waves of wavelengths shortest to longest, root mean square `size`."""
     length = np.exp(rng.uniform(np.log(shortest), np.log(longest), 14))
-    turns = rng.normal(size=(14, dimensions))
-    turns /= np.linalg.norm(turns, axis=1, keepdims=True) * length[:, None]
+    directions = rng.normal(size=(14, dimensions))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True) * length[:, None]
     weight = (length / longest) ** 0.7
     weight *= size / np.sqrt(0.5 * (weight**2).sum())
     phase = rng.uniform(0, 1, 14)
 
     def field(*place):
         return sum(w * np.sin(2 * np.pi * (sum(t * p for t, p in zip(turn, place)) + f))
-                   for w, turn, f in zip(weight, turns, phase))
+                   for w, turn, f in zip(weight, directions, phase))
     return field
 
 

@@ -1,6 +1,6 @@
 """Seconds by stage and peak host memory from mesh and photos to mesh, on a made scene, without Open3D or SciPy.
 
-    python tests/bench/mesh_times.py [--views 12] [--size 1554 1162] [--device gpu] [--output tsdf]
+    python tests/bench/mesh_times.py [--views 12] [--size 1554 1162] [--device gpu] [--output tsdf] [--json FILE]
     python tests/bench/mesh_times.py --given     # the mesh stages alone, on the depth maps of a true mesh
 
 The scene is made in processes of its own, so that it takes no memory here: a minute or two on 16 cores. Photos are
@@ -12,13 +12,16 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import resource
-import sys
 import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from record import add_json, record
+
+TITLE = "Mesh to mesh: stages"
+MEASURED = ("Seconds from photos and a mesh to the mesh by stage, a synthetic relief; peak memory in 1e6 bytes.")
 
 
 def make(folder: Path, views: int, size: tuple[int, int], spacing: float, photos: bool):
@@ -69,18 +72,17 @@ def given_results(views, depths, deviation: float):
 
 
 class Watch:
-    """Prints what each stage took, and the memory that this process has, and the most that it has had so far."""
+    """Seconds of each stage, of the clock and of the processor, and the peak memory of this process so far."""
 
     def __init__(self):
-        self.start, self.last = (time.perf_counter(), time.process_time()), (time.perf_counter(), time.process_time())
+        self.rows: list[dict] = []
+        self.start = self.last = (time.perf_counter(), time.process_time())
 
-    def tell(self, stage: str, since=None) -> None:
-        from pagas_cl.runtime.host import resident_mb
-
+    def stage(self, name: str, since=None) -> None:
+        """End of a stage that began with the last one's end, or at `since`."""
         now, since = (time.perf_counter(), time.process_time()), since or self.last
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
-        print(f"{stage:28} {now[0] - since[0]:8.2f} s, {now[1] - since[1]:8.2f} s of CPU; now {resident_mb():6.0f}, at "
-              f"most so far {peak:6.0f} MB", flush=True)
+        self.rows.append({"stage": name, "s": now[0] - since[0], "processor time, s": now[1] - since[1],
+                          "peak, MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6})
         self.last = now
 
 
@@ -92,49 +94,50 @@ def main() -> None:
     parser.add_argument("--preset", default="balanced")
     parser.add_argument("--output", default="mesh", choices=("mesh", "tsdf", "displace"))
     parser.add_argument("--spacing", type=float, default=8.0, help="edges of the given mesh, pixels")
-    parser.add_argument("--given", action="store_true")
+    parser.add_argument("--given", action="store_true", help="the mesh stages alone")
+    add_json(parser)
     ask = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder, watch = Path(temporary), Watch()
         cameras = make(folder, ask.views, tuple(ask.size), ask.spacing / 2, not ask.given)
-        watch.tell("make the scene")
-        run(cameras, folder, ask, watch)
+        watch.stage("make the scene")
+        device = run(cameras, folder, ask, watch)
+    record(TITLE, MEASURED, device, watch.rows, ask.json)
 
 
-def run(cameras, folder: Path, ask, watch: Watch) -> None:
+def run(cameras, folder: Path, ask, watch: Watch) -> str:
+    """Mesh and photos to mesh; gives the device's name."""
     from pagas_cl import refine
     from pagas_cl.config.presets import settings_of
-    from pagas_cl.errors import log
     from pagas_cl.method.splat import PhotoStore
     from pagas_cl.method.surface import keep_mesh
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.inputs import as_views
 
-    log.setLevel("INFO")
     device, config = open_device(ask.device), settings_of(ask.preset, None)
     views = as_views(cameras, [folder / f"{camera.name}.png" for camera in cameras], None)
     surface = load_mesh(folder / "initial.npz")
-    watch.tell(f"open {device.info.title}")
+    watch.stage(f"open {device.info.title}")
     start = watch.last
     if not ask.given:
-        photos = PhotoStore(device)
-        views, config, _ = refine.resolve_cameras(views, surface, config, device, None, photos)
-    watch.tell("are cameras off?")
+        views, config, _ = refine.resolve_cameras(views, surface, config, device, None, PhotoStore(device))
+    watch.stage("check cameras")
     depths = refine.initial_depths(surface, views, device=device)
-    watch.tell("draw the given mesh")
+    watch.stage("render the given mesh")
     if ask.given:
         results = list(given_results(views, refine.initial_depths(load_mesh(folder / "true.npz"), views, device=device),
                                      0.1 * float(np.median(depths[0])) / cameras[0].fx))
     else:
-        results = refine.refine_views(views, depths, config=config, device=device, photos=photos)
-    watch.tell("refine the views")
+        results = refine.refine_views(views, depths, config=config, device=device)
+    watch.stage("refine the views")
     if ask.output != "tsdf":
         made = keep_mesh.kept_mesh(surface, views, results, config, ask.output, device=device)
     else:
         made = refine.fuse_results(views, results, config, device=device)
-    watch.tell(f"make the mesh ({ask.output})")
-    watch.tell("in all", start)
-    print(f"{len(surface.faces)} -> {len(made.faces)} triangles", file=sys.stdout)
+    watch.stage(f"make the mesh ({ask.output})")
+    watch.stage("in all", start)
+    watch.rows[-1]["triangles"] = f"{len(surface.faces)} to {len(made.faces)}"
+    return device.info.title
 
 
 if __name__ == "__main__":

@@ -19,9 +19,10 @@ from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.device import open_device
 
 TITLE = "Real pairs with dense truth"
-MEASURED = ("Middlebury pairs, one context view, the input is the truth smoothed by 8 pixels plus a smooth error of half a "
-            "pixel: mean errors away from depth edges, pixels of parallax and degrees; refined pixels within 1 and 2 "
-            "deviations. Only the motorcycle's truth is finer than a third of a pixel, adirondack's is of whole pixels.")
+MEASURED = ("Middlebury pairs, one context view, the input is the truth smoothed by 8 pixels plus a smooth error of "
+            "half a pixel: mean errors away from depth edges, pixels of parallax and degrees; refined pixels within 1 "
+            "and 2 deviations. Only the motorcycle's truth is finer than a third of a pixel, adirondack's is of whole "
+            "pixels.")
 
 
 def measured(views, start, truth, config, device) -> dict:

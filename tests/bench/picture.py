@@ -34,7 +34,7 @@ def main():
         pictures.append(np.asarray(normal_colors(normals, (normals**2).sum(axis=-1) > 0))[..., :3])
     cut = (slice(40, 300), slice(80, 400))
     gap = np.full((260, BORDER, 3), 255, np.uint8)
-    row = [piece for picture in pictures for piece in (picture[cut], gap)][:-1]
+    row = [part for picture in pictures for part in (picture[cut], gap)][:-1]
     Image.fromarray(np.concatenate(row, axis=1)).save(Path(given.out), optimize=True)
 
 

@@ -20,7 +20,6 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.sampling import DepthSample, sample_depth
 from pagas_cl.scene.view import View
 
-
 TITLE = "Many views: planning"
 MEASURED = ("Planning a run of many views over hilly ground, for one process.")
 
@@ -78,8 +77,9 @@ def plan_all(count: int, workers: int) -> dict:
     needed, targets, size = np.sum(sent, axis=0)
     return {"views": count, "workers": workers, "seconds": time.perf_counter() - start,
             "processor time, s": time.process_time() - used, "first batch after, s": first,
-            "batches": len(parts), "context views, per view": contexts / count, "photos of a batch, per view": needed / targets,
-            "sent to a worker, kB per view": size / count / 1000, "samples and cameras, MB": made - before,
+            "batches": len(parts), "context views, per view": contexts / count,
+            "photos of a batch, per view": needed / targets, "sent to a worker, kB per view": size / count / 1000,
+            "samples and cameras, MB": made - before,
             "more for planning, MB": peak_mb() - made}
 
 

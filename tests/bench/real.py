@@ -1,20 +1,18 @@
 """Real photos: how well refined depth predicts photos that were kept out of the refinement, view by view.
 
-    python tests/bench/real.py dtu_scan24 OUT --mesh dtu_scan24/derived/mesh_coarse.ply
-    python tests/bench/real.py sceaux_castle OUT --depth-dir DEPTHS
-    python tests/bench/real.py hololens_rgbd OUT                 # K.txt, poses.txt, depth/*.png in millimetres
+    python tests/bench/real.py dtu_scan24 --mesh dtu_scan24/derived/mesh_coarse.ply [--json FILE]
+    python tests/bench/real.py sceaux_castle --depth-dir DEPTHS
+    python tests/bench/real.py hololens_rgbd                     # K.txt, poses.txt, depth/*.png in millimetres
 
 For each view two of the photos that it would use are held out. The others refine it as `pagas_cl.refine_views` does,
 which never sees those two; then both depths carry each held-out photo over to the view, and 7x7 patches of it are
 correlated with the view's own photo over the pixels that both depths predict (medians), the pose of the held-out
-photo fitted to each of both first (its camera is off, too). Cameras as given; refined ones: tests/bench/cameras.py.
-OUT gets figures.json and table.md.
+photo fitted to each of both first (its camera is off, too). Cameras as given; with refined ones: by_view.py.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -22,6 +20,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from record import add_json, record
+from scenes import smaller
+
+MEASURED = ("For each view two photos are held out and both depth maps, input and refined, carry them over to the "
+            "view; median correlation of 7 x 7 patches, cameras as given.")
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,6 @@ class Row:
     pooled: tuple[float, float]
     refined: float
     seconds: float
-    effects: tuple[str, ...]
     reason: str
 
     @property
@@ -59,7 +61,7 @@ def load(scene: Path, mesh, depth_dir, share: float):
         views, depths = read_scene(scene).views, None
         if depth_dir is not None:
             depths = [load_depth(find_depth(depth_dir, v.name), (v.camera.width, v.camera.height)) for v in views]
-    views = [_smaller(view, share) for view in views]
+    views = [smaller(view, share) for view in views]
     if depths is None:
         from pagas_cl.refine import initial_depths
         from pagas_cl.scene.mesh_kinds import to_surface
@@ -83,17 +85,6 @@ def _posed_frames(scene: Path):
         views.append(View(camera, path, None, path.name))
         depths.append(np.asarray(Image.open(scene / "depth" / f"{path.stem}.png")).astype(np.float32) / 1000)
     return views, depths
-
-
-def _smaller(view, share: float):
-    from PIL import Image
-
-    pixels = view.load_image()
-    if share == 1:
-        return replace(view, image=pixels)
-    size = round(view.camera.width * share), round(view.camera.height * share)
-    return replace(view, image=np.asarray(Image.fromarray(pixels).resize(size, Image.BOX)), mask=None,
-                   camera=view.camera.resized(*size))
 
 
 def _fitting(depth, camera):
@@ -129,12 +120,12 @@ def judge(target: int, held, views, depths, result, fitted) -> Row:
     both = [compare_predictions(views[target], [depths[target], result.depth], fitted[k], depths[k]) for k in held]
     pooled = [np.concatenate([pair[which].correlation[np.isfinite(pair[which].correlation)] for pair in both])
               for which in (0, 1)]
-    told, counts = result.report, result.counts
+    report, counts = result.report, result.counts
     surface = max(1, sum(counts.values()) - counts["no surface"])
-    return Row(views[target].name, len(told.get("contexts", ())), tuple(views[k].name for k in held),
+    return Row(views[target].name, len(report.get("contexts", ())), tuple(views[k].name for k in held),
                tuple((before.median, after.median) for before, after in both),
                (float(np.median(pooled[0])), float(np.median(pooled[1]))), counts["refined"] / surface,
-               told.get("seconds", 0.0), tuple(e["effect"] for e in told.get("effects", ()) if e["on"]), result.reason)
+               report.get("seconds", 0.0), result.reason)
 
 
 def study(views, depths, config, device, names=(), keep=None) -> list[Row]:
@@ -158,26 +149,27 @@ def study(views, depths, config, device, names=(), keep=None) -> list[Row]:
         return [row.result() for row in rows]
 
 
-def table(rows: list[Row]) -> str:
-    lines = ["| view | context views | first held-out photo | second | both together | refined | |", "|" + "---|" * 7]
-    for row in rows:
-        cells = [row.view, f"{row.contexts}", *(f"{a:.4f} -> {b:.4f}" for a, b in (*row.pairs, row.pooled)),
-                 f"{row.refined:.0%}", row.decision + (f": {row.reason}" if row.reason else "")]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+def shown(row: Row) -> dict:
+    """The row of a view in the table."""
+    cells = [f"{before:.4f}, {after:.4f}" for before, after in (*row.pairs, row.pooled)]
+    return {"view": row.view, "context views": row.contexts,
+            **dict(zip(("first: input, refined", "second", "both together"), cells)), "refined": f"{row.refined:.0%}",
+            "prediction": row.decision, "s": row.seconds, "reason": row.reason or None}
 
 
-def summary(rows: list[Row]) -> str:
-    """Counts of views and of pairs, and the mean gain."""
-    def count(values):
-        told = [decision(*value) for value in values]
-        return ", ".join(f"{told.count(word)} {word}" for word in ("better", "equal", "worse"))
-
+def summary(rows: list[Row]) -> dict:
+    """The last row of the table: counts of views and of pairs, mean gain of a pair."""
     pairs = [pair for row in rows for pair in row.pairs]
     gains = np.array([after - before for before, after in pairs])
-    return (f"{len(rows)} views: {count(row.pooled for row in rows)}; {len(pairs)} pairs: {count(pairs)}; mean gain "
-            f"{gains.mean():+.4f}, worst {gains.min():+.4f}; "
-            f"median seconds a view {np.median([r.seconds for r in rows]):.3f}")
+    return {"view": f"all {len(rows)}", "prediction": _counts([row.pooled for row in rows]),
+            "first: input, refined": f"pairs: {_counts(pairs)}",
+            "both together": f"mean gain of a pair {gains.mean():+.4f}, worst {gains.min():+.4f}",
+            "s": np.median([row.seconds for row in rows])}
+
+
+def _counts(pairs) -> str:
+    found = [decision(*pair) for pair in pairs]
+    return ", ".join(f"{found.count(word)} {word}" for word in ("better", "equal", "worse"))
 
 
 def with_cameras(scene: Path, mesh, depth_dir, share: float, config, device):
@@ -210,7 +202,6 @@ def nearest_held(views, held, view, number: int):
 def main() -> int:
     parse = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parse.add_argument("scene", type=Path)
-    parse.add_argument("out", type=Path)
     parse.add_argument("--mesh", type=Path)
     parse.add_argument("--depth-dir", type=Path)
     parse.add_argument("--share", type=float, default=1.0, help="of the photos' size")
@@ -219,6 +210,7 @@ def main() -> int:
     parse.add_argument("--device")
     parse.add_argument("--views", nargs="*", default=[], help="stems; all by default")
     parse.add_argument("--save-depth", type=Path)
+    add_json(parse)
     ask = parse.parse_args()
     from pagas_cl.config.assignments import build_config
     from pagas_cl.runtime.device import open_device
@@ -227,10 +219,8 @@ def main() -> int:
     config, device = build_config(ask.preset, ask.set), open_device(ask.device)
     keep = ask.save_depth and (lambda view, _, result: save_depth(ask.save_depth / f"{view.stem}.npz", result.depth))
     rows = study(*load(ask.scene, ask.mesh, ask.depth_dir, ask.share), config, device, ask.views, keep)
-    ask.out.mkdir(parents=True, exist_ok=True)
-    (ask.out / "figures.json").write_text(json.dumps([vars(row) for row in rows], indent=1))
-    (ask.out / "table.md").write_text(table(rows) + "\n")
-    print(f"{ask.scene.name}, {ask.preset}, {device.info.title}: {summary(rows)}")
+    record(f"Real photos, view by view: {ask.scene.name}", MEASURED, device.info.title,
+           [*map(shown, rows), summary(rows)], ask.json)
     return 0
 
 

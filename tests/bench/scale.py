@@ -10,8 +10,8 @@ from record import add_json, record
 
 TITLE = "Many views, many devices: model"
 MEASURED = ("A model, not a measurement, with the constants of scale.py: a worker is busy 0.01 s + 0.22 us a pixel "
-            "with a view; GPUs, planning and storage overlap, the longest decides. For the measured run it gives "
-            "26.0 s and 13.0 s.")
+            "with a view; GPUs, planning and storage overlap, the longest decides. For the measured run it gives 26.0 "
+            "s and 13.0 s.")
 
 
 @dataclass(frozen=True)

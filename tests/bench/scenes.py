@@ -22,8 +22,8 @@ from pagas_cl.scene.depthmap import resize_depth, save_depth
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import View
 
-# photos; file of the disparities, grey values a pixel; focal length, principal point and the right camera's offset, pixels;
-# baseline, mm. Middlebury counts pixels from their centres.
+# photos; file of the disparities, grey values a pixel; focal length, principal point and the right camera's offset,
+# pixels; baseline, mm. Middlebury counts pixels from their centres.
 PAIRS = {
     "motorcycle": ("motorcycle_left.png", "motorcycle_right.png", "motorcycle_disp.npz", 1,
                    994.978, 311.193, 254.877, 31.086, 193.001),

@@ -25,10 +25,9 @@ from support.job_scenes import QUICK, copy_depth
 from pagas_cl.app.jobs import refine_all
 from pagas_cl.scene.view import View
 
-
 TITLE = "Many views: handing out"
-MEASURED = ("Plan, hand out, take back and write, for work that copies a tiny depth map; scheduler and workers on "
-            "the same cores.")
+MEASURED = ("Plan, hand out, take back and write, for work that copies a tiny depth map; scheduler and workers on the "
+            "same cores.")
 
 
 def ring(folder: Path, count: int):

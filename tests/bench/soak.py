@@ -1,18 +1,23 @@
 """Many small views one after the other on one device: memory, open files and time per view must stay flat.
 
-    python tests/bench/soak.py [views]            # 200 by default; one line every tenth of them, then the result
+    python tests/bench/soak.py [VIEWS] [--json FILE]           # 200 by default; a row for each tenth of them
 """
 
 from __future__ import annotations
 
+import argparse
 import gc
 import logging
 import os
-import sys
 import time
 from dataclasses import replace
 
 import numpy as np
+from record import add_json, record
+
+TITLE = "Many small views: nothing grows"
+MEASURED = ("Views of 64 x 48 one after the other on one device: seconds of each tenth, memory of the process, open "
+            "files, and memory held on the device after it.")
 
 
 def resident_mb() -> float:
@@ -46,12 +51,17 @@ def soak(views: int = 200) -> list[tuple[float, float, int, float]]:
 
 
 def main() -> int:
-    views = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    logging.getLogger("pagas_cl").setLevel(logging.ERROR)       # photos of noise: every view is kept as it came
-    found = soak(views)
-    for k, (seconds, resident, files, held) in enumerate(found, 1):
-        print(f"{k * views // len(found):>6} views {seconds:8.2f} s {resident:9.1f} MB {files:5d} files "
-              f"{held:9.3f} MB on the device")
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("views", type=int, nargs="?", default=200)
+    add_json(parser)
+    given = parser.parse_args()
+    logging.getLogger("pagas_cl").setLevel(logging.ERROR)       # photos of noise: every view comes back unchanged
+    found = soak(given.views)
+    rows = [{"views": k * given.views // len(found), "s": seconds, "MB": resident, "open files": files,
+             "MB on the device": held} for k, (seconds, resident, files, held) in enumerate(found, 1)]
+    from pagas_cl.runtime.device import open_device
+
+    record(TITLE, MEASURED, open_device(None).info.title, rows, given.json)
     warm = found[len(found) // 5:]                # compiling and caches belong to the first views
     grown, files = warm[-1][1] - warm[0][1], warm[-1][2] - warm[0][2]
     slower = np.median([w[0] for w in warm[-3:]]) / np.median([w[0] for w in warm[:3]])

@@ -1,12 +1,17 @@
-"""The bench runs at tiny size and its figures hang together; it never asserts a time."""
+"""The benchmarks run at tiny size and write what tables.py reads; docs/benchmarks.md is what the results say. No time is
+asserted."""
 
 import ast
 import importlib
 import json
+import subprocess
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from record import record, table
+from tables import PAGE, anchor, page, results
 
 from pagas_cl.__main__ import run
 from pagas_cl.app.tradeoffs.bench import stage_bytes
@@ -14,15 +19,112 @@ from pagas_cl.config.presets import PRESETS
 from pagas_cl.errors import DeviceError
 from pagas_cl.runtime.device import open_device
 
-pytestmark = pytest.mark.slow
+HERE = Path(__file__).parent
+KEYS = ["title", "measured", "date", "commit", "device", "command", "rows"]
+# script: its arguments at tiny size, and what it needs besides pagas_cl
+SCRIPTS = {
+    "agreement.py": ("--width 64 --kinds clean", ()),
+    "agreement_time.py": ("--sizes 64x48 --views 3 --repeats 1", ()),
+    "by_view.py": ("{scenes}/relief --depth-dir {scenes}/relief/depth_initial --share 0.7 --pixels 100", ()),
+    "calibration.py": ("--width 64", ("scipy",)),
+    "cameras.py": ("--scenes relief --levels 0.5 --width 80 --contexts 3", ()),
+    "cameras_far.py": ("--width 96 --contexts 3 --amounts 0.5 --seeds 0 --depth good", ()),
+    "effects.py": ("--width 64 --scenes clean", ()),
+    "feeds.py": ("--width 64 --context 2 --formats tum", ()),
+    "front.py": ("{scenes} {out} front --only preset --names bar", ()),
+    "memory.py": ("--size 176 144 --contexts 3 --preset fast", ()),
+    "mesh.py": ("sheet --width 64 --preset fast", ("open3d", "pymeshlab")),
+    "mesh_times.py": ("--views 3 --size 96 72 --preset fast", ()),
+    "planning.py": ("--views 20", ()),
+    "prediction.py": ("{scenes} --names bar --views 1", ()),
+    "real.py": ("{scenes}/relief --depth-dir {scenes}/relief/depth_initial --share 0.7", ()),
+    "scale.py": ("", ()),
+    "scheduling.py": ("--views 10 --workers 2", ("distributed",)),
+    "soak.py": ("20", ()),
+    "whole.py": ("--views 4 --width 96 --height 72 --times 1", ()),
+}
+WITHOUT_FIGURES = {"mesh_scenes.py", "picture.py", "record.py", "scenes.py", "tables.py", "test_bench.py"}
+NEEDS_DATA = {"middlebury.py"}
+
+
+def script(name: str, *arguments: object) -> None:
+    done = subprocess.run([sys.executable, HERE / name, *map(str, arguments)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def checked(file: Path) -> dict:
+    result = json.loads(file.read_text(encoding="utf-8"), parse_constant=pytest.fail)
+    assert list(result) == KEYS and result["rows"] and all(isinstance(row, dict) for row in result["rows"])
+    return result
 
 
 @pytest.fixture(scope="module")
-def report(tmp_path_factory):
+def device_here():
     try:
         open_device()
     except DeviceError as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scenes")
+    script("scenes.py", folder, "--scale", 0.06)
+    return folder
+
+
+def test_page_is_what_the_results_say():
+    assert PAGE.read_text(encoding="utf-8") == page(), "run `python tests/bench/tables.py`"
+
+
+@pytest.mark.parametrize("file", sorted((HERE / "results").glob("*.json")), ids=lambda file: file.stem)
+def test_result_has_all_fields(file):
+    checked(file)
+
+
+def test_titles_are_different():
+    anchors = [anchor(result["title"]) for result in results()]
+    assert len(set(anchors)) == len(anchors)
+
+
+def test_links_to_the_page_lead_to_sections():
+    known = {anchor(result["title"]) for result in results()}
+    root = PAGE.parents[1]
+    for file in [root / "README.md", *root.glob("docs/*.md")]:
+        for part in file.read_text(encoding="utf-8").split("benchmarks.md#")[1:]:
+            assert part.split(")")[0] in known, f"{file.name}: {part[:60]}"
+
+
+def test_record_keeps_columns_and_digits(tmp_path, capsys):
+    record("t", "m", "d", [{"a": 1, "b": 0.123456}, {"a": "x", "c": float("nan")}], tmp_path / "r.json")
+    assert checked(tmp_path / "r.json")["rows"] == [{"a": 1, "b": 0.1235}, {"a": "x", "c": None}]
+    assert "| x |  |  |" in capsys.readouterr().out
+    assert table([{"a": 1}]) == "| a |\n| --- |\n| 1 |"
+
+
+def test_every_script_is_run_here():
+    assert {file.name for file in HERE.glob("*.py")} == {*SCRIPTS, *WITHOUT_FIGURES, *NEEDS_DATA}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_script_writes_its_figures(name, scenes, tmp_path, device_here):
+    arguments, needed = SCRIPTS[name]
+    for module in needed:
+        pytest.importorskip(module)
+    script(name, *arguments.format(scenes=scenes, out=tmp_path / "out").split(), "--json", tmp_path / "r.json")
+    result = checked(tmp_path / "r.json")
+    assert result["command"].startswith("python ") and name in result["command"] and result["measured"].endswith(".")
+
+
+@pytest.mark.slow
+def test_middlebury_writes_its_figures(data_dir, tmp_path, device_here):
+    script("middlebury.py", data_dir, "--share", 0.3, "--pairs", "cones", "--json", tmp_path / "r.json")
+    checked(tmp_path / "r.json")
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory, device_here):
     path = tmp_path_factory.mktemp("bench") / "bench.json"
     steps = ["--set", "pyramid.scales=1", "pyramid.steps=2"]
     assert run(["bench", "--width", "96", "--context", "2", "--repeat", "1", "--preset", "balanced", "paper", *steps,
@@ -30,6 +132,7 @@ def report(tmp_path_factory):
     return json.loads(path.read_text())["presets"]
 
 
+@pytest.mark.slow
 def test_every_stage_is_there(report):
     balanced, paper = ({stage["name"]: stage for stage in result["stages"]} for result in report)
     assert {"splat_order_free", "ssim_forward", "loss_backward", "gather_gradient", "adam"} <= set(balanced)
@@ -37,6 +140,7 @@ def test_every_stage_is_there(report):
     assert paper["ssim_forward"]["launches"] == 3           # two context views and the target's own
 
 
+@pytest.mark.slow
 def test_figures_hang_together(report):
     for result in report:
         assert result["steps"] == [2] and result["width"] == 96 and result["device_mb"] > 0
@@ -52,25 +156,11 @@ def test_bytes_are_linear_in_pixels():
         assert stage_bytes(config, 2000, 1000) == {k: 2 * v for k, v in stage_bytes(config, 1000, 500).items()}
 
 
-def test_no_script_asks_for_a_name_that_is_gone():
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+def test_no_script_imports_a_name_that_is_gone():
+    for path in sorted(HERE.glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "pagas_cl":
                 module = importlib.import_module(node.module)
                 for name in (alias.name for alias in node.names):
                     known = hasattr(module, name) or find_spec(f"{node.module}.{name}")
-                    assert known, f"{path.name}:{node.lineno} asks {node.module} for {name}"
-
-
-def test_memory_page_runs(capsys, monkeypatch):
-    import memory
-
-    monkeypatch.setattr("sys.argv", ["memory.py", "--size", "176", "144", "--contexts", "3", "--preset", "fast"])
-    assert memory.main() == 0
-    assert capsys.readouterr().out.rstrip().endswith("the same bytes")
-
-
-def test_exponent_of_linear_times_is_one():
-    from scaling import fitted_exponent
-
-    assert fitted_exponent([1, 2, 4, 8], [3, 6, 12, 24]) == pytest.approx(1)
+                    assert known, f"{path.name}:{node.lineno} imports {name} from {node.module}"

@@ -1,9 +1,8 @@
 """A whole scene, from photos and depth maps on disk to refined depth maps on disk, as the command does it.
 
-    python tests/bench/whole.py                     # makes 49 views of 1600 x 1200, then times `pagas-cl refine` twice
+    python tests/bench/whole.py [--json FILE]       # makes 49 views of 1600 x 1200, then times `pagas-cl refine` twice
     python tests/bench/whole.py --scene FOLDER      # keeps the synthetic scene there, or uses what is there
-    python tests/bench/whole.py --profile           # once more in this process, with the functions that took longest
-    python tests/bench/whole.py --effect agreement=off     # what it does not know goes to the command
+    python tests/bench/whole.py --effect agreement=off      # options of other names go to the command
 """
 
 from __future__ import annotations
@@ -20,6 +19,11 @@ from dataclasses import replace
 from math import ceil, sqrt
 from pathlib import Path
 
+from record import add_json, record
+
+TITLE = "A whole scene, files to files"
+MEASURED = ("Photos and depth maps on disk to refined depth maps on disk, by the command in a process of its own: wall "
+            "seconds, seconds of refining, of all work for the views, of the first view.")
 ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 
 
@@ -68,23 +72,11 @@ def timed(scene: Path, out: Path, more: list[str]) -> float:
     return time.perf_counter() - start
 
 
-def told(out: Path) -> dict[str, float]:
+def reported(out: Path) -> dict[str, float]:
     """What the records of the views say: seconds of refining, and of all that a worker did for them."""
     reports = [json.loads(path.read_text())["report"] for path in sorted((out / ".pagas_cl" / "views").glob("*.json"))]
     return {"views": len(reports), "refining": sum(r.get("seconds", 0) for r in reports),
             "at a view": sum(r["task_seconds"] for r in reports), "first view": max(r["task_seconds"] for r in reports)}
-
-
-def profile(scene: Path, out: Path, more: list[str]) -> None:
-    import cProfile
-    import pstats
-
-    from pagas_cl.__main__ import run
-
-    watch = cProfile.Profile()
-    watch.runcall(run, arguments(scene, out, more))
-    pstats.Stats(watch).sort_stats("tottime").print_stats(35)
-    pstats.Stats(watch).sort_stats("cumtime").print_stats(60)
 
 
 def main() -> int:
@@ -94,19 +86,20 @@ def main() -> int:
     parse.add_argument("--width", type=int, default=1600)
     parse.add_argument("--height", type=int, default=1200)
     parse.add_argument("--times", type=int, default=2)
-    parse.add_argument("--profile", action="store_true")
+    add_json(parse)
     ask, more = parse.parse_known_args()
     with tempfile.TemporaryDirectory() as temporary:
         scene = ask.scene or Path(temporary) / "scene"
         if not (scene / "cameras.json").exists():
             make(scene, ask.views, ask.width, ask.height)
+        rows = []
         for number in range(ask.times):
             out = Path(temporary) / f"out{number}"
             seconds = timed(scene, out, more)
-            parts = ", ".join(f"{name} {value:.3g}" for name, value in told(out).items())
-            print(f"run {number + 1}: {seconds:.2f} s ({parts})", flush=True)
-        if ask.profile:
-            profile(scene, Path(temporary) / "profiled", more)
+            rows.append({"run": f"{number + 1} {' '.join(more)}".strip(), "seconds": seconds, **reported(out)})
+    from pagas_cl.runtime.device import open_device
+
+    record(TITLE, MEASURED, open_device(None).info.title, rows, ask.json)
     return 0
 
 
