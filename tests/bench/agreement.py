@@ -6,8 +6,8 @@ and after the rounds of agreement, in one run.
 Six views of a relief whose initial depth is off by 0.6 pixels of parallax. Kinds of mismatch, each photo its own:
 gain, a smooth field of 12 % (root mean square); blur, up to a pixel; haze, a veil of 10 to 30 % that is denser here
 than there; jpeg, quality 60; shine, a highlight that moves; camera, turned by 0.35 pixels, half a pixel between two of
-them; moving, something else in a disc, 8 % of the photo, at another place in each; together, all but that. Depth in pixels of
-parallax, normals in degrees, both means; edges: within 3 pixels of one.
+them; moving, something else in a disc, 8 % of the photo, at another place in each; together, all but that. Depth in
+pixels of parallax, normals in degrees, both means; edges: within 3 pixels of one.
 """
 
 import argparse

@@ -68,8 +68,8 @@ def errors(depths, made, size=lambda error, truth, both: np.abs(error)[both].mea
 
 
 def common_factor(depths, made) -> float:
-    """The factor of all depth maps that is nearest to the true ones: a median. Photos leave the scale of the whole open,
-    and cameras that are off change it."""
+    """The factor of all depth maps that is nearest to the true ones: a median. Photos leave the scale of the whole
+    open, and cameras that are off change it."""
     ratios = []
     for depth, view in zip(depths, made.views):
         truth = made.true_depth(view.camera) * METRES

@@ -14,7 +14,7 @@ HEAD = """# Benchmarks
 
 Written by `python tests/bench/tables.py` from `tests/bench/results/*.json`: change those, not this page. A benchmark
 writes such a file with `--json FILE`. Commands are those of the code that is named; today's scripts have `--json FILE`
-in place of OUT. "Not recorded": the notes of the measurement do not say it; where no command stands, they do not give it.
+in place of OUT. "Not recorded": the notes of the measurement do not say it; without a command, they give none.
 
 A depth error of one pixel of parallax moves the point by one pixel in a neighbouring photo. What was learnt, and what
 was tried and not kept: [tests/bench/README.md](../tests/bench/README.md).

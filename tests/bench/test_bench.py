@@ -1,5 +1,4 @@
-"""The benchmarks run at tiny size and write what tables.py reads; docs/benchmarks.md is what the results say. No time is
-asserted."""
+"""Benchmarks run at tiny size and write what tables.py reads; docs/benchmarks.md is what the results say."""
 
 import ast
 import importlib
