@@ -115,33 +115,33 @@ def main() -> int:
     parse.add_argument("--device")
     parse.add_argument("--workers", type=int, default=1, help="processes that judge")
     add_json(parse)
-    ask = parse.parse_args()
+    options = parse.parse_args()
     from cameras import refined
     from real import nearest_held, with_cameras
 
     from pagas_cl.config.assignments import build_config
     from pagas_cl.runtime.device import open_device
 
-    config, device = build_config(ask.preset, ask.set), open_device(ask.device)
+    config, device = build_config(options.preset, options.set), open_device(options.device)
     views, depths, held, (own, maps), found, (moved, drawn) = with_cameras(
-        ask.scene, ask.mesh, ask.depth_dir, ask.share, config, device)
+        options.scene, options.mesh, options.depth_dir, options.share, config, device)
     sys.stderr.write(f"{found}\n")
     names = [view.name for view in own]
     without, with_them = (refined(*those, config, device, names) for those in ((own, maps), (moved, drawn)))
-    with ProcessPoolExecutor(ask.workers, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
         pending = []
         for view, depth, first in zip(own, maps, drawn):
-            judges = nearest_held(views, held, view, ask.judges)
+            judges = nearest_held(views, held, view, options.judges)
             pending.append(pool.submit(
                 rows_of, view, depth, [first, without[view.name].depth, with_them[view.name].depth],
-                [views[k] for k in judges], [depths[k] for k in judges], ask.device, ask.pixels))
+                [views[k] for k in judges], [depths[k] for k in judges], options.device, options.pixels))
         of_views = [future.result() for future in pending]
     rows = []
     for k, tolerance in enumerate(TOLERANCES):
         judged = {name: found[k] for name, found in zip(names, of_views) if found[k] is not None}
         rows += [shown(name, tolerance, row) for name, row in judged.items()]
         rows += [summary(tolerance, list(judged.values()))] * bool(judged)
-    record(f"Real photos, cameras refined first: {ask.scene.name}", MEASURED, device.info.title, rows, ask.json)
+    record(f"Real photos, cameras refined first: {options.scene.name}", MEASURED, device.info.title, rows, options.json)
     return 0
 
 

@@ -181,16 +181,16 @@ def main() -> int:
     parse.add_argument("--set", nargs="*", default=[], metavar="STAGE.FIELD=VALUE")
     parse.add_argument("--device")
     add_json(parse)
-    ask = parse.parse_args()
+    given = parse.parse_args()
     from pagas_cl.config.assignments import build_config
     from pagas_cl.runtime.device import open_device
 
-    config, device = build_config(ask.preset, ask.set), open_device(ask.device)
+    config, device = build_config(given.preset, given.set), open_device(given.device)
 
-    size = ask.width, round(ask.width * 290 / 388)
-    rows = [row for name in ask.scenes
-            for row in made(name, *size, ask.contexts, config, device, ask.levels, ask.closed, ask.draws)]
-    record(TITLE, MEASURED, device.info.title, summary(rows), ask.json)
+    size = given.width, round(given.width * 290 / 388)
+    rows = [row for name in given.scenes
+            for row in made(name, *size, given.contexts, config, device, given.levels, given.closed, given.draws)]
+    record(TITLE, MEASURED, device.info.title, summary(rows), given.json)
     return 0
 
 

@@ -82,10 +82,10 @@ def main() -> None:
     parse.add_argument("--seeds", type=int, nargs="*", default=(0, 1, 2))
     parse.add_argument("--depth", nargs="*", default=("good", "network"))
     add_json(parse)
-    ask = parse.parse_args()
-    rows = [far(kind, pixels, seed, ask.width, ask.contexts)
-            for kind in ask.depth for pixels in ask.amounts for seed in ask.seeds]
-    record(TITLE, MEASURED, open_device(None).info.title, summary(rows), ask.json)
+    options = parse.parse_args()
+    rows = [far(kind, pixels, seed, options.width, options.contexts)
+            for kind in options.depth for pixels in options.amounts for seed in options.seeds]
+    record(TITLE, MEASURED, open_device(None).info.title, summary(rows), options.json)
 
 
 if __name__ == "__main__":

@@ -96,16 +96,16 @@ def main() -> None:
     parser.add_argument("--spacing", type=float, default=8.0, help="edges of the given mesh, pixels")
     parser.add_argument("--given", action="store_true", help="the mesh stages alone")
     add_json(parser)
-    ask = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder, watch = Path(temporary), Watch()
-        cameras = make(folder, ask.views, tuple(ask.size), ask.spacing / 2, not ask.given)
+        cameras = make(folder, options.views, tuple(options.size), options.spacing / 2, not options.given)
         watch.stage("make the scene")
-        device = run(cameras, folder, ask, watch)
-    record(TITLE, MEASURED, device, watch.rows, ask.json)
+        device = run(cameras, folder, options, watch)
+    record(TITLE, MEASURED, device, watch.rows, options.json)
 
 
-def run(cameras, folder: Path, ask, watch: Watch) -> str:
+def run(cameras, folder: Path, options, watch: Watch) -> str:
     """Mesh and photos to mesh; gives the device's name."""
     from pagas_cl import refine
     from pagas_cl.config.presets import settings_of
@@ -114,27 +114,27 @@ def run(cameras, folder: Path, ask, watch: Watch) -> str:
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.inputs import as_views
 
-    device, config = open_device(ask.device), settings_of(ask.preset, None)
+    device, config = open_device(options.device), settings_of(options.preset, None)
     views = as_views(cameras, [folder / f"{camera.name}.png" for camera in cameras], None)
     surface = load_mesh(folder / "initial.npz")
     watch.stage(f"open {device.info.title}")
     start = watch.last
-    if not ask.given:
+    if not options.given:
         views, config, _ = refine.resolve_cameras(views, surface, config, device, None, PhotoStore(device))
     watch.stage("check cameras")
     depths = refine.initial_depths(surface, views, device=device)
     watch.stage("render the given mesh")
-    if ask.given:
+    if options.given:
         results = list(given_results(views, refine.initial_depths(load_mesh(folder / "true.npz"), views, device=device),
                                      0.1 * float(np.median(depths[0])) / cameras[0].fx))
     else:
         results = refine.refine_views(views, depths, config=config, device=device)
     watch.stage("refine the views")
-    if ask.output != "tsdf":
-        made = keep_mesh.kept_mesh(surface, views, results, config, ask.output, device=device)
+    if options.output != "tsdf":
+        made = keep_mesh.kept_mesh(surface, views, results, config, options.output, device=device)
     else:
         made = refine.fuse_results(views, results, config, device=device)
-    watch.stage(f"make the mesh ({ask.output})")
+    watch.stage(f"make the mesh ({options.output})")
     watch.stage("in all", start)
     watch.rows[-1]["triangles"] = f"{len(surface.faces)} to {len(made.faces)}"
     return device.info.title

@@ -211,16 +211,20 @@ def main() -> int:
     parse.add_argument("--views", nargs="*", default=[], help="stems; all by default")
     parse.add_argument("--save-depth", type=Path)
     add_json(parse)
-    ask = parse.parse_args()
+    given = parse.parse_args()
     from pagas_cl.config.assignments import build_config
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.depthmap import save_depth
 
-    config, device = build_config(ask.preset, ask.set), open_device(ask.device)
-    keep = ask.save_depth and (lambda view, _, result: save_depth(ask.save_depth / f"{view.stem}.npz", result.depth))
-    rows = study(*load(ask.scene, ask.mesh, ask.depth_dir, ask.share), config, device, ask.views, keep)
-    record(f"Real photos, view by view: {ask.scene.name}", MEASURED, device.info.title,
-           [*map(shown, rows), summary(rows)], ask.json)
+    config, device = build_config(given.preset, given.set), open_device(given.device)
+
+    def keep(view, _, result):
+        save_depth(given.save_depth / f"{view.stem}.npz", result.depth)
+
+    rows = study(*load(given.scene, given.mesh, given.depth_dir, given.share), config, device, given.views,
+                 keep if given.save_depth else None)
+    record(f"Real photos, view by view: {given.scene.name}", MEASURED, device.info.title,
+           [*map(shown, rows), summary(rows)], given.json)
     return 0
 
 

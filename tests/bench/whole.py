@@ -87,19 +87,19 @@ def main() -> int:
     parse.add_argument("--height", type=int, default=1200)
     parse.add_argument("--times", type=int, default=2)
     add_json(parse)
-    ask, more = parse.parse_known_args()
+    options, more = parse.parse_known_args()
     with tempfile.TemporaryDirectory() as temporary:
-        scene = ask.scene or Path(temporary) / "scene"
+        scene = options.scene or Path(temporary) / "scene"
         if not (scene / "cameras.json").exists():
-            make(scene, ask.views, ask.width, ask.height)
+            make(scene, options.views, options.width, options.height)
         rows = []
-        for number in range(ask.times):
+        for number in range(options.times):
             out = Path(temporary) / f"out{number}"
             seconds = timed(scene, out, more)
             rows.append({"run": f"{number + 1} {' '.join(more)}".strip(), "seconds": seconds, **reported(out)})
     from pagas_cl.runtime.device import open_device
 
-    record(TITLE, MEASURED, open_device(None).info.title, rows, ask.json)
+    record(TITLE, MEASURED, open_device(None).info.title, rows, options.json)
     return 0
 
 
