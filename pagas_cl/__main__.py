@@ -18,6 +18,7 @@ from typer.models import OptionInfo
 
 from pagas_cl.app import commands
 from pagas_cl.app.commands._console import log_to_stderr, make_streams_safe
+from pagas_cl.app.commands._process import replace_cache
 from pagas_cl.config.version import __version__
 from pagas_cl.errors import (
     InputError,
@@ -33,7 +34,7 @@ INTERRUPTED, NOTHING_REFINED = 130, 3
 
 
 def command_names() -> list[str]:
-    """Every command, from the files in pagas_cl/commands."""
+    """Every command, from the files in pagas_cl/app/commands."""
     found = (module.name for module in pkgutil.iter_modules(commands.__path__))
     return sorted(name.replace("_", "-") for name in found if not name.startswith("_"))
 
@@ -120,9 +121,12 @@ def _run(arguments: list[str]) -> int:
     wanted = [word for word in arguments if not word.startswith("-")][:1]
     one = wanted if wanted and wanted[0] in known else []
     refuse_empty(arguments)
-    many = options_of_lists(_module(one[0]).command) if one else []
+    many: list[str] = []
+    if one:
+        replace_cache()
+        many = options_of_lists(_module(one[0]).command)
     status = build_app(one or known)(expand_lists(arguments, many), prog_name="pagas-cl", standalone_mode=False,
-                                     obj=shlex.join(["pagas-cl", *arguments]))  # what was asked, for reports
+                                     obj=shlex.join(["pagas-cl", *arguments]))  # for reports
     if status == INTERRUPTED:  # typer has caught it
         raise KeyboardInterrupt
     return status if isinstance(status, int) else 0

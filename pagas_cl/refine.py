@@ -33,7 +33,7 @@ from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult, OnDisk
-from pagas_cl.runtime.device import Device, Devices, is_elsewhere, one_of, open_device
+from pagas_cl.runtime.device import Device, Devices, is_remote, one_of, open_device
 from pagas_cl.scene.check import check_seen
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_views, depth_maps
 from pagas_cl.scene.joined import joined
@@ -62,7 +62,7 @@ class Place:
 
     def photos(self) -> PhotoStore | None:
         """Room for photos on the one device of this process; None where other processes work."""
-        return None if is_elsewhere(self.executor, self.device) else PhotoStore(open_device(one_of(self.device)))
+        return None if is_remote(self.executor, self.device) else PhotoStore(open_device(one_of(self.device)))
 
     def blocks(self) -> AbstractContextManager[MakeBlocks]:
         """Context of what adds up the normal equations of cameras."""

@@ -33,22 +33,21 @@ ROUNDS, REPEATS = 7, 20
 
 
 @contextmanager
-def as_if_never_written(effect):
+def as_if_never_written(effect, device):
     """Programs built meanwhile are those of sources without the effect, and launches hand over what they still take."""
-    source, bind, programs = program.source, program.bind, dict(program._programs)
+    source, bind, programs = program.source, program.bind, device.programs
 
     def bare_bind(built, kernel, size, group, known, **arguments):
         there = built.signatures[kernel]
         return bind(built, kernel, size, group, known, **{k: v for k, v in arguments.items() if k in there})
 
     program.source, options.bind = lambda name: never_had(effect, name, source(name)), bare_bind
-    program._programs.clear()
+    device.programs = {}
     try:
         yield
     finally:
         program.source, options.bind = source, bind
-        program._programs.clear()
-        program._programs.update(programs)
+        device.programs = programs
 
 
 def level_of(device, config, views, depth):
@@ -71,7 +70,7 @@ def main():
         as_set = {f"effects__{name}": "set" for name in vars(Effects())}
         config = BALANCED.with_settings(**COMPILED[effect].off, **as_set)
         level = level_of(device, config, views, depth)
-        with as_if_never_written(effect):
+        with as_if_never_written(effect, device):
             bare = level_of(device, config, views, depth)
         times = np.array([[sum(ms for ms, _ in stage_times(device.queue, one.step_launches(0), REPEATS).values())
                            for one in (level, bare)] for _ in range(ROUNDS)])
