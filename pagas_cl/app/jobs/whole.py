@@ -24,7 +24,7 @@ from pagas_cl.method.splat.budget import check_device_memory
 from pagas_cl.progress import NONE, Progress, Stage, stage, within_view
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import is_remote, open_device
-from pagas_cl.runtime.host import side_by_side, trim
+from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.choice import for_planning
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.reasons import warn_of_nothing
@@ -84,7 +84,6 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
             return _Rounds(keeping, worker, work, scene, config, progress, later).run()
         finally:
             worker.close()
-            trim()
     workers = Workers(executor, device)
     try:
         if folder is not None:
