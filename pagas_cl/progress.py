@@ -1,7 +1,7 @@
 """How a run reports how far it is: a stage is started with its total, advances, and is finished.
 
-Every public function takes `progress`: None (nothing is shown), True (bars on a terminal or in a notebook, a line a
-stage elsewhere), a function (stage, done, total), or an object of one's own with the method of `Progress`.
+Every public function takes `progress`: None (nothing is shown), True (bars on a terminal or in a notebook, else a line
+a stage), a function (stage, done, total), or an object of one's own with the method of `Progress`.
 """
 
 import sys
@@ -27,7 +27,7 @@ class Stage(Protocol):
     """A stage that is under way."""
 
     def advance(self, done: float) -> None:
-        """So much of the total is done by now; a fraction lies within the piece that is at work."""
+        """So much of the total is done by now; a fraction lies within the unit of work under way."""
 
     def finish(self) -> None:
         """The stage has ended: all of it is done, or an error has ended it earlier."""
@@ -38,7 +38,7 @@ class Progress(Protocol):
     """Shows the stages of a run."""
 
     def start(self, name: str, total: float) -> Stage:
-        """A stage of `total` pieces of work (views, settings, ...) begins."""
+        """A stage of `total` units of work (views, settings, ...) begins."""
 
 
 Reporter: TypeAlias = Progress | Callable[[str, float, float], Any] | bool | None

@@ -49,7 +49,7 @@ class Loss(Stage):
     """What the splatted image is compared by (method section 5)."""
 
     ssim: float = real(0.4, 0, 1)
-    """lambda_c, the share of 1 - SSIM beside L1."""
+    """lambda_c, the share of 1 - SSIM; L1 has the rest."""
     huber: float = real(0.002, 0, 1)
     """Residuals up to this one, colours in 0 to 1, count quadratically in L1: where a residual is near 0 its sign is
     that of the last bit. 0 is plain L1."""
@@ -147,7 +147,7 @@ class Solver(Stage):
     """A depth is rejected where its patches correlate worse with the context photos than the input's by more."""
     mismatch: float = real(0.45, 0, 2)
     """A depth is rejected where 1 - correlation is above this in its surroundings (15 x 15 pixels, mean): the photos do
-    not show the same thing there. A view with more than two thirds rejected is returned as it came."""
+    not show the same thing there. A view with more than two thirds rejected is returned unchanged."""
 
     def damping_at(self, step: int, steps: int) -> float:
         """Of step 0, 1, ... of `steps`."""
@@ -211,7 +211,7 @@ class Fusion(Stage):
     """Whether the vertices of the fused mesh are put where the depth maps agree (method section 10): no ripples of
     voxels. Off: where depth maps contradict each other, its triangles fold. Needs an OpenCL device."""
     min_component: float = real(0.05, 0, 1)
-    """Pieces with fewer triangles than this share of the largest one are dropped; 0 keeps all."""
+    """Connected components with fewer triangles than this share of the largest one are dropped; 0 keeps all."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What a device holds of ours: every buffer is counted while it lives, and none is made beyond what is allowed.
+"""The buffers of this process on a device: each is counted while it lives, and none is made beyond what is allowed.
 
 Buffers that are given back wait for the next of their size and role: a driver takes half a millisecond for each that it
 frees, and views of one size need the same ones again.
@@ -101,7 +101,7 @@ class _Counted(cl.Buffer):
         self._memory.count(self._counted)
 
     def release(self) -> None:
-        """Give it back; once, however often it is asked for."""
+        """Give it back; once, however often this is called."""
         if self._counted:
             self._forget()
             self._memory.keep(self)
@@ -118,8 +118,8 @@ def limit_of(total: int, processes: int = 1) -> int:
     """Bytes that this process may take of a device with `total`: its share, or what PAGAS_CL_MEMORY allows."""
     if not os.environ.get(ENVIRONMENT):
         return total // processes
-    asked = number_in(ENVIRONMENT, "", "megabytes above 0", lambda megabytes: 0 < megabytes < float("inf"))
-    return min(int(asked * 1e6), total)
+    allowed = number_in(ENVIRONMENT, "", "megabytes above 0", lambda megabytes: 0 < megabytes < float("inf"))
+    return min(int(allowed * 1e6), total)
 
 
 def _mb(nbytes: int) -> str:

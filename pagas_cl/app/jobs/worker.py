@@ -180,8 +180,7 @@ def run_batch(batch: Batch, code: str, attempt: int) -> list[Record]:
     many batches were sent before this one, since some executors keep what equal arguments gave."""
     _check_code(code)
     with _one_at_a_time:
-        records = list(_worker(batch.device).records(batch))
-    return records
+        return list(_worker(batch.device).records(batch))
 
 
 def run_part(work: Callable[[Any, Worker], Any], part: Any, names: Any, code: str, attempt: int) -> Any:
